@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from io import StringIO
 from typing import Any, TypeAlias
@@ -14,6 +13,7 @@ from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.measure import Measurement
 from rich.table import Table
 
+from trainlog.display import SPEED_UNITS, in_speed_unit, in_zone
 from trainlog.units import JOULES_PER_KWH, KMH
 
 PAGE = 110
@@ -66,9 +66,6 @@ ENERGY = Quantity("J", "kWh", 1.0 / JOULES_PER_KWH, 2)
 SHARE = Quantity("", "%", 100.0)
 NUMBER = Quantity("", "", 1.0, 0)
 
-SHOWN_UNITS = {"m_s": {"km/h": KMH, "m/s": 1.0, "mph": 3600.0 / 1609.344}}
-"""Units that a user may choose, with their factors, by the suffix of the quantity."""
-
 
 @dataclass(frozen=True)
 class Column:
@@ -90,13 +87,15 @@ class Column:
         named = self.quantity is not None and self.quantity.unit and not self.each
         return f"{self.heading}, {self.quantity.unit}" if named and self.quantity else self.heading
 
-    def in_unit(self, units: Mapping[str, str]) -> Column:
-        """The column in the unit that is chosen for its quantity, if one is."""
-        if self.quantity is None or self.quantity.suffix not in units:
+    def in_speed_unit(self, unit: str) -> Column:
+        """The column in the unit that is chosen for speeds, if they are."""
+        if self.quantity is None or self.quantity.unit != SPEED.unit:
             return self
-        unit = units[self.quantity.suffix]
-        factor = SHOWN_UNITS[self.quantity.suffix][unit]
-        return replace(self, quantity=replace(self.quantity, unit=unit, factor=factor))
+        digits = self.quantity.digits + (unit == "m/s")
+        factor = KMH * SPEED_UNITS[unit]
+        return replace(
+            self, quantity=replace(self.quantity, unit=unit, factor=factor, digits=digits)
+        )
 
     def words(self, cell: Cell) -> str:
         """A cell as it is shown."""
@@ -183,24 +182,30 @@ class WordTable(Table):
             for row in self._rows
         ]
 
-    def _in_units(self, units: Mapping[str, str]) -> WordTable:
-        """The table in the units that the console's user has chosen."""
-        forms = [each.in_unit(units) for each in self.forms]
-        shown = new_table(str(self.title or ""), *forms, show_header=self.show_header)
-        shown.caption, shown.caption_justify = self.caption, self.caption_justify
-        for cells, row in zip(self._rows, self.rows, strict=True):
-            shown.add_cells(*cells)
-            if row.end_section:
-                shown.add_section()
+    def _shown_as(self, unit: str, zone: str) -> WordTable:
+        """The table with speeds and times as the console's user has set; the rest as it is."""
+
+        def words(cell: object) -> str:
+            return in_zone(in_speed_unit(str(cell), unit), zone)
+
+        forms = [each.in_speed_unit(unit) for each in self.forms]
+        heads = [each.title for each in forms] or [str(each.header) for each in self.columns]
+        shown = new_table(words(self.title or ""), *heads, show_header=self.show_header)
+        shown.caption_justify = self.caption_justify
+        shown.caption = None if self.caption is None else words(self.caption)
+        cells = zip(*(column.cells for column in self.columns), strict=True)
+        for number, (row, printed) in enumerate(zip(self.rows, cells, strict=True)):
+            if forms:
+                given = zip(forms, self._rows[number], strict=True)
+                printed = tuple(form.words(cell) for form, cell in given)
+            shown.add_row(*map(words, printed), end_section=row.end_section)
         return shown
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Give every column the least it needs, and a like part of what else it asks for."""
-        units = getattr(console, "units", {})
-        if units and self.forms:
-            yield from self._in_units(units)._laid_out(console, options)
-        else:
-            yield from self._laid_out(console, options)
+        unit, zone = getattr(console, "shown_as", ("km/h", "UTC"))
+        shown = self if (unit, zone) == ("km/h", "UTC") else self._shown_as(unit, zone)
+        yield from shown._laid_out(console, options)
 
     def _laid_out(self, console: Console, options: ConsoleOptions) -> RenderResult:
         wide = options.update(max_width=10_000)

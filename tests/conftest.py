@@ -26,6 +26,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
+@pytest.fixture(scope="session", autouse=True)
+def own_settings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """No test reads the settings of the user who runs it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TRAINLOG_SETTINGS", str(tmp_path_factory.mktemp("settings") / "none.toml"))
+        yield
+
+
 @pytest.fixture(scope="session")
 def estimates() -> dict[bytes, ConditionLayer]:
     """Estimates of layers of maps that were made, by their evidence and settings."""

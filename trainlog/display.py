@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from html import escape
+from zoneinfo import ZoneInfo
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -134,3 +137,69 @@ def lateness(seconds: float) -> str:
     if abs(seconds) < 0.005:
         return "on time"
     return f"{abs(seconds):.2f} s {'late' if seconds > 0.0 else 'early'}"
+
+
+SPEED_UNITS = {"km/h": 1.0, "m/s": 1.0 / 3.6, "mph": 1000.0 / 1609.344}
+"""Units in which speeds can be shown, with what 1 km/h is in them."""
+
+_NUMBER = r"-?\d[\d,]*(?:\.\d+)?"
+_SPEEDS = re.compile(rf"(?<![\w.,])({_NUMBER})(?:( to | ± |-)({_NUMBER}))? km/h\b")
+_CLOCK = r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(?::\d\d(?:\.\d+)?)?"
+_TIMES = re.compile(rf"({_CLOCK})(?: to ({_CLOCK}))?(?: UTC|Z|\+00:00)\b")
+
+
+def in_speed_unit(words: str, unit: str) -> str:
+    """Words with the speeds in them in another unit than km/h.
+
+    Examples
+    --------
+    >>> in_speed_unit("from 60 to 125 km/h, hold 80.0 km/h", "mph")
+    'from 37 to 78 mph, hold 49.7 mph'
+    >>> in_speed_unit("hold 80 km/h", "m/s")
+    'hold 22.2 m/s'
+    """
+    if unit == "km/h":
+        return words
+    factor = SPEED_UNITS[unit]
+
+    def shown(number: str) -> str:
+        digits = len(number.partition(".")[2]) + (unit == "m/s")
+        return f"{float(number.replace(',', '')) * factor:,.{digits}f}"
+
+    def converted(found: re.Match[str]) -> str:
+        first, between, second = found.groups()
+        rest = f"{between}{shown(second)}" if second else ""
+        return f"{shown(first)}{rest} {unit}"
+
+    return _SPEEDS.sub(converted, words)
+
+
+def in_zone(words: str, zone: str) -> str:
+    """Words with the times in them, which state that they are UTC, in another zone.
+
+    Examples
+    --------
+    >>> in_zone("expected at 2024-10-09 06:00 UTC", "Europe/Zurich")
+    'expected at 2024-10-09 08:00 CEST'
+    >>> in_zone("2024-10-08T00:00:00+00:00", "Europe/Zurich")
+    '2024-10-08 02:00:00 CEST'
+    """
+    if zone == "UTC":
+        return words
+    there = ZoneInfo(zone)
+
+    def local(time: str) -> tuple[str, str]:
+        seconds, point, rest = time.replace("T", " ").partition(".")
+        moment = datetime.fromisoformat(seconds).replace(tzinfo=UTC).astimezone(there)
+        form = "%Y-%m-%d %H:%M:%S" if seconds.count(":") > 1 else "%Y-%m-%d %H:%M"
+        return f"{moment:{form}}{point}{rest}", f"{moment:%Z}"
+
+    def converted(found: re.Match[str]) -> str:
+        first, second = found.groups()
+        begin, name = local(first)
+        if not second:
+            return f"{begin} {name}"
+        end, last = local(second)
+        return f"{begin} to {end} {last}" if name == last else f"{begin} {name} to {end} {last}"
+
+    return _TIMES.sub(converted, words)

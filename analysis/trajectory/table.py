@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Group
@@ -52,7 +52,7 @@ def trajectory_table(trajectory: Trajectory) -> Group:
     certificate = trajectory.certificate
     audit = certificate["audit"]
     title = f"Robust trajectory on {trajectory.line}, {trajectory.train}"
-    facts = new_table(title, "", "", show_header=False, name="summary")
+    facts = new_table(title, "quantity", "words", show_header=False, name="summary")
     least = max(certificate["least_time"])
     reserve = f"{certificate['reserve']:.1%} over {least:.1f} s ({clock(least)})"
     deciding = f"{len(trajectory.configurations)}, deciding: {_some(certificate['active'])}"
@@ -106,6 +106,27 @@ def trajectory_table(trajectory: Trajectory) -> Group:
         )
     rest = len(order) - LISTED
     return Group(facts, table, *([f"and {rest} more"] if rest > 0 else []))
+
+
+def certified(trajectory: Trajectory) -> dict[str, Any]:
+    """What a trajectory keeps by its certificate, as data: SI units end the keys."""
+    certificate = trajectory.certificate
+    audit = certificate["audit"]
+    return {
+        "line": trajectory.line,
+        "train": trajectory.train,
+        "direction": trajectory.direction,
+        "running_time_s": trajectory.running_time,
+        "least_time_s": max(certificate["least_time"]),
+        "energy_J": certificate["energy"],
+        "lower_bound_J": certificate.get("continuous_bound", certificate["lower_bound"]),
+        "gap": certificate.get("total_gap", certificate["gap"]),
+        "lateness_s": audit["lateness"],
+        "overspeed_m_s": audit["overspeed"],
+        "share_of_power": audit["power"],
+        "share_of_adhesion": audit["adhesion"],
+        "deciding": list(certificate["active"]),
+    }
 
 
 def _gap(trajectory: Trajectory) -> str:

@@ -15,8 +15,9 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from trainlog.cli.progress_bar import ProgressDisplay, progress_shown
-from trainlog.cli.terminal import Output, output_of, print_error
+from trainlog.cli.terminal import Output, console, output_of, print_error
 from trainlog.display import counted
+from trainlog.formats.settings import read_settings
 
 if TYPE_CHECKING:
     from typer.models import CommandInfo, TyperInfo
@@ -28,6 +29,23 @@ JSON = Annotated[
     bool, typer.Option("--json", help="Print the result as one JSON object, and nothing else.")
 ]
 QUIET = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
+
+STATUSES = {
+    0: "done",
+    1: "done in part, or something was found: a file that could not be used beside others that"
+    " could, damage, a significant change",
+    2: "nothing was done: the command, a file or an option cannot be used; one line states why and"
+    " what to do",
+    INTERRUPTED: "interrupted by Ctrl-C; one line states what was finished",
+}
+"""Exit statuses of all commands, with what they mean."""
+
+
+def end_in_part(failed: int, of: int) -> None:
+    """End a command some of whose inputs failed: status 1, or 2 if all of them did."""
+    if failed:
+        raise typer.Exit(2 if failed == of else 1)
+
 
 SHOWN_TYPES: dict[str, str] = {
     "assumed_adhesion": "ADHESION",
@@ -108,6 +126,9 @@ def _with_output(callback: Callable[..., Any]) -> Callable[..., Any]:
         if own:
             rest["as_json"], as_json = as_json, False
         with output_of(words, as_json=as_json, quiet=quiet) as output, progress_shown() as display:
+            if words.partition(" ")[0] != "settings":  # which states what is wrong with them itself
+                known = read_settings()
+                console.shown_as = known.speed, known.zone
             try:
                 return callback(*parts, **rest)
             except KeyboardInterrupt:
@@ -161,7 +182,9 @@ class Group(_Described, TyperGroup):
     """Commands under one word; the word alone shows their help."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Show the help where nothing else is asked for."""
+        """Show the help where nothing else is asked for, or what the group shows by itself."""
+        if not args and self.invoke_without_command:
+            args = ["show"]
         if not args and not ctx.resilient_parsing:
             print(ctx.get_help(), end="")
             ctx.exit()

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from trainlog.cli.commands import end_in_part
 from trainlog.cli.options import Logs, destination, logs_in
 from trainlog.cli.terminal import console, print_error, state, wrote
 from trainlog.display import counted
@@ -106,6 +107,7 @@ def estimate(
     from analysis.estimates import estimate_log, write_slip_table
 
     found, refused, analysed = logs_in(logs), 0, list[Path]()
+    estimated: list[dict[str, object]] = []
     table = None if slips is None else destination(slips, ".csv")
     with output_folder(output):
         for log in track(found, "estimating", "log"):
@@ -120,6 +122,8 @@ def estimate(
                 refused += 1
                 print_error(str(error))
                 continue
+            estimated.append({"log": output / log.name, "not_estimated": list(refusals)})
+            state({"logs": estimated})
             for refusal in refusals:
                 words = f"  not estimated: {refusal}"
                 console.print(words, highlight=False, markup=False, soft_wrap=True)
@@ -131,8 +135,7 @@ def estimate(
             raise LogError("no log shows slip", remedy="give logs with /train/axles")
         console.print(f"{counted(write_slip_table(analysed, table), 'slip event')}")
         wrote(table)
-    if refused:
-        raise typer.Exit(2)
+    end_in_part(refused, len(found))
 
 
 @app.command("coast-down", rich_help_panel="Learn")

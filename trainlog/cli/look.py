@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typer
 
+from trainlog.cli.commands import end_in_part
 from trainlog.cli.options import Logs, logs_in
 from trainlog.cli.terminal import print_account, print_error, state
 from trainlog.errors import LogError
@@ -16,24 +17,26 @@ app = typer.Typer()
 def check(logs: Logs) -> None:
     """Read logs to the last byte, verify every checksum, and account for what is lost.
 
-    MCAP files of other programs are checked alike. Exit status 1 if any log is damaged;
-    [bold]trainlog recover[/bold] rebuilds it. 2 if any file is no log at all.
+    MCAP files of other programs are checked alike. Exit status 1 if any log is damaged, which
+    [bold]trainlog recover[/bold] rebuilds, or any file is no log; 2 if none is.
 
     Example: trainlog check results/trips
     """
     from trainlog.mcap import account_of
 
-    status, accounts = 0, []
-    for log in track(logs_in(logs), "checking", "log"):
+    found, damaged, accounts = logs_in(logs), 0, list[dict[str, object]]()
+    refused = 0
+    for log in track(found, "checking", "log"):
         try:
             account = account_of(log)
         except LogError as error:  # one file that is no log says nothing of the others
             print_error(str(error))
-            status = 2
+            refused += 1
             continue
         accounts.append({"log": log, "whole": account.whole, **account.details()})
-        status = max(status, 0 if account.whole else 1)
+        damaged += not account.whole
         if not state({"logs": accounts}):
             print_account(log, account)
-    if status:
-        raise typer.Exit(status)
+    end_in_part(refused, len(found))
+    if damaged:
+        raise typer.Exit(1)

@@ -29,6 +29,7 @@ from trainlog.cli import (
     record,
     replay,
     report,
+    settings,
     show,
     study,
 )
@@ -81,23 +82,29 @@ for _panel in (
     plan,
     study,
     docs,
+    settings,
 ):
     app.add_typer(_panel.app)
 
 
 @app.command(rich_help_panel="Start here")
 def demo(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path(
-        "results"
-    ),
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="Folder for the results; default: as set, else results."
+        ),
+    ] = None,
 ) -> None:
     """Run the whole chain on St.Gallen-Wil: record, fit, map, optimise, replay.
 
     Example: trainlog demo -o results
     """
     from trainlog.cli.demo import run_demo
+    from trainlog.formats.settings import read_settings
 
-    run_demo(output, console, run=lambda arguments: run(arguments))
+    folder = output or Path(read_settings().results).expanduser()
+    run_demo(folder, console, run=lambda arguments: run(arguments))
 
 
 @app.command(rich_help_panel="Start here")

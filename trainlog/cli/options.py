@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 Logs = Annotated[list[Path], typer.Argument(help="Logs (.mcap), or folders of logs.")]
 LineOption = Annotated[
-    Path | None, typer.Option("--line", help="Line file; default: St.Gallen-Wil.")
+    Path | None, typer.Option("--line", help="Line file; default: as set, else St.Gallen-Wil.")
 ]
 TrainOption = Annotated[
-    Path | None, typer.Option("--train", help="Train file; default: Stadler FLIRT.")
+    Path | None, typer.Option("--train", help="Train file; default: as set, else Stadler FLIRT.")
 ]
 RiskOption = Annotated[
     float | None,
@@ -306,12 +306,16 @@ def part_of(
 
 
 def line_and_train(line: Path | None, train: Path | None) -> tuple[Line, Train]:
-    """Line and train from the files named, or the embedded ones."""
+    """Line and train from the files named, those that the user has set, or the samples."""
     from trainlog.formats.line import read_line
     from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+    from trainlog.formats.settings import read_settings
     from trainlog.formats.train import read_train
 
-    return read_line(line or sample(DEFAULT_LINE)), read_train(train or sample(DEFAULT_TRAIN))
+    known = read_settings()
+    own_line = Path(known.line).expanduser() if known.line else sample(DEFAULT_LINE)
+    own_train = Path(known.train).expanduser() if known.train else sample(DEFAULT_TRAIN)
+    return read_line(line or own_line), read_train(train or own_train)
 
 
 def logs_in(paths: list[Path]) -> list[Path]:

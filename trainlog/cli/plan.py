@@ -20,7 +20,7 @@ from trainlog.cli.options import (
     map_of_run,
     stretch,
 )
-from trainlog.cli.terminal import console, working, wrote
+from trainlog.cli.terminal import console, current, working, wrote
 from trainlog.errors import InputError
 from trainlog.units import KMH
 
@@ -256,13 +256,15 @@ def _write(trajectory: Trajectory, problem: TrajectoryProblem, output: Path) -> 
     from analysis.trajectory.adhesion import adhesion_words
     from analysis.trajectory.phases import advice, write_advice
     from analysis.trajectory.plot import draw_trajectory
-    from analysis.trajectory.table import advice_table, trajectory_table
+    from analysis.trajectory.table import advice_table, certified, trajectory_table
     from trainlog.formats.trajectory import write_trajectory
 
     points = advice(trajectory)
     write_trajectory(trajectory, output)
     draw_trajectory(trajectory, problem.line, output.with_suffix(".png"))
     write_advice(points, output.with_suffix(".csv"))
+    made = current().content.setdefault("trajectories", [])
+    made.append({"trajectory": output, **certified(trajectory)})
     console.print(trajectory_table(trajectory), advice_table(points))
     for words in adhesion_words(problem, trajectory):
         console.print(f"  {words}", highlight=False, soft_wrap=True)

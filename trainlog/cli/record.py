@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from trainlog.cli.commands import end_in_part
 from trainlog.cli.options import (
     LineOption,
     Logs,
@@ -204,7 +205,7 @@ def simulate(
         scenarios = with_traction(scenarios, traction, the_map)
         if traction == "cooperative" and the_map is None:
             console.print("no --map: the cooperative control knows the rail only by its own slips")
-    followed, stuck = [], 0
+    followed, stuck, trips = [], 0, list[dict[str, object]]()
     with output_folder(output):
         for scenario in track(scenarios, "driving", "trip"):
             try:
@@ -217,8 +218,11 @@ def simulate(
                 print_error(str(error))
                 continue
             trip = recorded(scenario, run)
-            write_log(trip, output / f"{trip.name}.mcap")
-            console.print(about(trip.metadata, trip.duration), highlight=False, markup=False)
+            log = output / f"{trip.name}.mcap"
+            write_log(trip, log)
+            trips.append({"log": log, "duration_s": trip.duration, "metadata": trip.metadata})
+            if not state({"trips": trips}):
+                console.print(about(trip.metadata, trip.duration), highlight=False, markup=False)
             if run.traction is not None:
                 words = f"    traction control {traction_line(run.traction)}"
                 console.print(words, highlight=False)
@@ -398,12 +402,12 @@ def recover(
                 remedy="name a folder",
             )
         distinct([log.name for log in found], found)
-    refused = 0
+    refused, accounts = 0, list[dict[str, object]]()
     with output_folder(output) if several else nullcontext():
         for log in track(found, "recovering", "log"):
             target = output / log.name if several else destination(output, ".mcap")
             try:
-                print_account(log, rebuild(log, target))
+                account = rebuild(log, target)
             except LogError as error:
                 # One file that is no log does not keep the others from being rebuilt.
                 if not several:
@@ -411,9 +415,11 @@ def recover(
                 refused += 1
                 print_error(str(error))
                 continue
+            accounts.append({"log": log, "rebuilt": target, **account.details()})
+            if not state({"logs": accounts}):
+                print_account(log, account)
             wrote(target)
-    if refused:
-        raise typer.Exit(2)
+    end_in_part(refused, len(found))
 
 
 @app.command(name="import", rich_help_panel="Record")

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from rich.console import Console, Group
 from rich.table import Table
 
+from trainlog.display import in_speed_unit, in_zone
 from trainlog.errors import MOST_LISTED, TrainlogError
 from trainlog.progress import task, track
 
@@ -100,7 +101,15 @@ def current() -> Output:
 
 
 class _Console(Console):
-    """Standard output: shows what is printed, keeps it for JSON, or drops it."""
+    """Standard output: shows what is printed, keeps it for JSON, or drops it.
+
+    Attributes
+    ----------
+    shown_as : (str, str)
+        Unit of speeds and time zone, as the user has set them.
+    """
+
+    shown_as: tuple[str, str] = ("km/h", "UTC")
 
     def print(self, *parts: Any, **options: Any) -> None:
         """Print, as the command was asked to."""
@@ -108,12 +117,24 @@ class _Console(Console):
             for part in parts:
                 _output.gather(part)
         elif not _output.quiet:
-            super().print(*parts, **options)
+            unit, zone = self.shown_as
+            shown = [_shown(part, unit, zone) for part in parts]
+            super().print(*shown, **options)
 
     def rule(self, *parts: Any, **options: Any) -> None:
         """Draw a line, where output is for a person."""
         if not (_output.as_json or _output.quiet):
             super().rule(*parts, **options)
+
+
+def _shown(part: Any, unit: str, zone: str) -> Any:
+    """Something printed, with speeds and times as the user has set; tables do so themselves."""
+    if isinstance(part, Group):
+        return Group(*(_shown(each, unit, zone) for each in part.renderables), fit=part.fit)
+    if isinstance(part, Table) and (unit, zone) != ("km/h", "UTC") and not hasattr(part, "forms"):
+        for column in part.columns:
+            column._cells[:] = [_shown(each, unit, zone) for each in column._cells]
+    return in_zone(in_speed_unit(part, unit), zone) if isinstance(part, str) else part
 
 
 # No markup: in "[m/s²]" and in the names of trips brackets mean themselves.

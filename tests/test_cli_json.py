@@ -1,0 +1,247 @@
+"""``--json`` on every command: one object of a documented form, and nothing else, on stdout.
+
+The schemas are renewed by ``pytest tests/test_cli_json.py --renew-golden``; the difference is
+reviewed like code.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from trainlog.cli import main as cli
+from trainlog.cli.commands import STATUSES
+from trainlog.formats.samples import copy_samples
+
+pytestmark = pytest.mark.usefixtures("remembered_estimates")
+
+CHECKOUT = Path(__file__).parents[1]
+SCHEMAS = CHECKOUT / "docs" / "command-line.schemas.json"
+PAGE = CHECKOUT / "docs" / "command-line.md"
+
+COMMANDS = """
+samples sample_logs
+new line -o my.line.toml
+import sample_logs/CH_Stadler_FLIRT_TPF.train.json --mass-model homogeneous_strip -o imported
+ingest sample_logs/gnss.csv -o recorded
+check sample_logs
+recover cut.mcap -o whole.mcap
+simulate --count 1 -o trips
+fit sample_logs -o parameters.json
+estimate sample_logs/nonstop.mcap -o estimated
+coast-down sample_logs -o coast-down.json
+adhesion fit curve.csv -o wet.json
+map update sample_logs --map wil.map
+map show sample_logs/CH_StGallen_Wil.map --at 2024-10-09T06:00Z --model
+map forecast sample_logs/CH_StGallen_Wil.map -o forecast.csv
+map score forecast.csv sample_logs
+map diff wil.map sample_logs/CH_StGallen_Wil.map
+map history sample_logs/CH_StGallen_Wil.map --km 12.3 --layer wet --days 2
+map export wil.map -o map.csv
+map merge wil.map sample_logs/CH_StGallen_Wil.map -o both.map
+map remove wil.map trip-01
+map compact both.map --before 2024-10-08
+optimise parameters.json --cells 60 -o trajectory.json
+advise sample_logs/nonstop.mcap --trajectory trajectory.json -o advised.mcap
+"""
+"""Run one after the other, with the samples at hand."""
+
+NAMED = {"layers", "repairs", "counts", "rms", "topics", "metadata"}
+"""Keys of objects whose own keys are names that the data give."""
+
+Schema = dict[str, Any]
+
+
+def schema_of(value: Any, key: str = "") -> Schema:
+    """A schema that fits a value, and others of its kind."""
+    if isinstance(value, bool):
+        return {"type": ["boolean"]}
+    if isinstance(value, int | float):
+        return {"type": ["number", "null"]}
+    if isinstance(value, str):
+        return {"type": ["string", "null"]}
+    if isinstance(value, list):
+        items: Schema = {}
+        for each in value:
+            items = merged(items, schema_of(each))
+        return {"type": ["array"], "items": items}
+    if isinstance(value, dict) and key in NAMED:
+        inner: Schema = {}
+        for each in value.values():
+            inner = merged(inner, schema_of(each))
+        return {"type": ["object"], "additionalProperties": inner}
+    if isinstance(value, dict):
+        parts = {name: schema_of(each, name) for name, each in value.items()}
+        required = sorted(parts)
+        return {
+            "type": ["object"],
+            "properties": parts,
+            "required": required,
+            "additionalProperties": False,
+        }
+    return {"type": ["null"]}
+
+
+def merged(one: Schema, other: Schema) -> Schema:
+    """A schema that fits what either fits."""
+    if not one or not other:
+        return one or other
+    found: Schema = {"type": sorted({*one["type"], *other["type"]})}
+    if "items" in one or "items" in other:
+        found["items"] = merged(one.get("items", {}), other.get("items", {}))
+    if "properties" in one or "properties" in other:
+        parts = one.get("properties", {}), other.get("properties", {})
+        names = sorted({*parts[0], *parts[1]})
+        found["properties"] = {
+            name: merged(parts[0].get(name, {}), parts[1].get(name, {})) for name in names
+        }
+        known = [set(each["required"]) for each in (one, other) if "required" in each]
+        found["required"] = sorted(set.intersection(*known))
+        found["additionalProperties"] = False
+    elif "additionalProperties" in one or "additionalProperties" in other:
+        found["additionalProperties"] = merged(
+            one.get("additionalProperties", {}), other.get("additionalProperties", {})
+        )
+    return found
+
+
+COMMON = ("command", "status", "notes", "written")
+
+
+def with_contents(page: str, schemas: dict[str, Schema]) -> str:
+    """The page of the command line with the list of what each command prints."""
+    rows = ["| command | its own keys; of a list, those of its entries |", "|---|---|"]
+    for name, schema in sorted(schemas.items()):
+        keys = []
+        for key, part in schema["properties"].items():
+            entries = ", ".join(f"`{each}`" for each in part.get("items", {}).get("properties", {}))
+            keys += [f"`{key}`" + (f" ({entries})" if entries else "")] if key not in COMMON else []
+        rows.append(f"| `{name}` | {'; '.join(keys) or 'none'} |")
+    begin, end = "<!-- contents -->", "<!-- end of contents -->"
+    before, after = page.partition(begin)[0], page.partition(end)[2]
+    return f"{before}{begin}\n\n{chr(10).join(rows)}\n\n{end}{after}"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder with the samples, a damaged log, and points of an adhesion characteristic."""
+    folder = tmp_path_factory.mktemp("json")
+    copy_samples(folder / "sample_logs")
+    log = (folder / "sample_logs" / "nonstop.mcap").read_bytes()
+    (folder / "cut.mcap").write_bytes(log[: len(log) // 3])
+    slips = [0.001 * each for each in range(1, 60)]
+    points = [f"{s},{0.25 * 2 * 0.012 * s / (0.012**2 + s**2)}" for s in slips]
+    (folder / "curve.csv").write_text("creepage [1],adhesion [1]\n" + "\n".join(points) + "\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        yield folder
+
+
+def test_every_command_prints_one_object_of_its_documented_form(
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    request: pytest.FixtureRequest,
+) -> None:
+    found: dict[str, Schema] = {}
+    renew = request.config.getoption("--renew-golden")
+    known = {} if renew else json.loads(SCHEMAS.read_text("utf-8"))
+    for line in COMMANDS.split("\n")[1:-1]:
+        monkeypatch.setattr(sys, "argv", ["trainlog", *line.split(), "--json"])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        printed, complaint = capsys.readouterr()
+        assert ended.value.code in (0, 1), (line, complaint)
+        assert all(each.startswith("trainlog: ") for each in complaint.splitlines()), line
+        document = json.loads(printed, parse_constant=pytest.fail)
+        assert document["status"] == ended.value.code
+        assert line.startswith(document["command"])
+        assert all(Path(each).exists() for each in document["written"]), line
+        name = document["command"]
+        found[name] = merged(found.get(name, {}), schema_of(document))
+        if not renew:
+            jsonschema.validate(document, known[name])
+    if renew:
+        PAGE.write_text(with_contents(PAGE.read_text("utf-8"), found), encoding="utf-8")
+        text = json.dumps(dict(sorted(found.items())), indent=1, ensure_ascii=False)
+        SCHEMAS.write_text(text + "\n", encoding="utf-8")
+
+
+PURE = {
+    *("status", "version", "segments", "windows", "half_band", "r0", "over_weight", "messages"),
+    *("chunks", "messages_lost", "losses_beyond", "start", "end", "rows_read", "rows_kept", "gap"),
+    *("maximum", "maximum_std", "points", "optimal_slip", "probability", "share_of_power", "bins"),
+    *("share_of_adhesion", "over_weight_std", "speed", "optimal_band"),
+}
+"""Numbers without a unit, beside those of the commands of the map."""
+
+UNITS = re.compile(
+    r"_(m|km|s|m_s|m_s2|N|N_s_m|N_s2_m2|N_kg|kg|W|J|km_h|per_km|permil|lost)$|^(train_km|hours)"
+)
+
+
+def numbers_of(schema: Schema, key: str = "") -> Iterator[str]:
+    """Keys of the numbers in a schema."""
+    if "number" in schema.get("type", ()):
+        yield key
+    for name, part in schema.get("properties", {}).items():
+        yield from numbers_of(part, name)
+    if isinstance(schema.get("additionalProperties"), dict):
+        yield from numbers_of(schema["additionalProperties"], "")
+    if "items" in schema:
+        yield from numbers_of(schema["items"], key)
+
+
+def test_the_schemas_state_what_all_commands_have_and_numbers_name_their_unit() -> None:
+    known = json.loads(SCHEMAS.read_text("utf-8"))
+    for name, schema in known.items():
+        assert {"command", "status", "notes", "written"} <= set(schema["required"])
+        if not name.startswith("map "):
+            wrong = [key for key in numbers_of(schema) if key not in PURE and not UNITS.search(key)]
+            assert not [key for key in wrong if key], name
+
+
+def test_the_page_lists_what_each_command_prints() -> None:
+    page = PAGE.read_text("utf-8")
+    assert page == with_contents(page, json.loads(SCHEMAS.read_text("utf-8")))
+
+
+def test_an_error_with_json_is_on_standard_error_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["fit", str(tmp_path / "no.mcap"), "-o", str(tmp_path / "p.json"), "--json"]
+    monkeypatch.setattr(sys, "argv", ["trainlog", *words])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    printed, complaint = capsys.readouterr()
+    assert (ended.value.code, printed) == (2, "")
+    assert complaint.startswith("trainlog: ")
+
+
+def test_quiet_prints_errors_only(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "two").mkdir()
+    shutil.copy(folder / "cut.mcap", folder / "two" / "cut.mcap")
+    (folder / "two" / "empty.mcap").touch()
+    monkeypatch.setattr(sys, "argv", ["trainlog", "check", "two", "-q"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    printed, complaint = capsys.readouterr()
+    assert (ended.value.code, printed) == (1, "")
+    assert complaint.count("\n") == 1
+    assert "empty.mcap" in complaint
+
+
+def test_exit_statuses_are_documented() -> None:
+    page = (CHECKOUT / "docs" / "command-line.md").read_text("utf-8")
+    for status, meaning in STATUSES.items():
+        assert f"| {status} | {meaning} |" in page

@@ -1,0 +1,134 @@
+"""A user's settings: one checked file, which changes what is shown and nothing else."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from trainlog.cli import main as cli
+from trainlog.display import in_speed_unit, in_zone
+from trainlog.errors import InputError
+from trainlog.formats.samples import DEFAULT_LINE, sample
+from trainlog.formats.settings import MEANINGS, Settings, read_settings, set_setting
+
+CHECKOUT = Path(__file__).parents[1]
+
+
+@pytest.fixture
+def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("TRAINLOG_SETTINGS", str(tmp_path / "settings.toml"))
+    return tmp_path / "settings.toml"
+
+
+def run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: str | Path
+) -> tuple[int, str, str]:
+    """Exit status, standard output and standard error of one command."""
+    monkeypatch.setattr(sys, "argv", ["trainlog", *map(str, words)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    captured = capsys.readouterr()
+    return int(ended.value.code or 0), captured.out, captured.err
+
+
+def test_settings_are_set_shown_and_taken_back(
+    settings: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings.write_text("# mine\nresults = 'out'\n")
+    assert run(monkeypatch, capsys, "settings", "set", "speed", "mph") == (
+        0, f"wrote {settings}\n", "",
+    )  # fmt: skip
+    assert read_settings() == Settings(speed="mph", results="out")
+    assert settings.read_text().startswith("# mine\n")
+    status, shown, _ = run(monkeypatch, capsys, "settings")
+    assert status == 0
+    assert all(key in shown for key in MEANINGS)
+    assert "mph" in shown
+    run(monkeypatch, capsys, "settings", "unset", "speed")
+    assert read_settings() == Settings(results="out")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('zone = "UTC"\nsped = "mph"', "line 2: 'sped' is no setting; did you mean 'speed'?"),
+        ('speed = "knots"', "line 1: speed 'knots' is no unit that is shown; choose of km/h"),
+        ('\n\nzone = "Mars"', "line 3: zone 'Mars' is not known; name one as Europe/Zurich"),
+        ("speed = 3", "line 1: speed must be text, not 3; write it as speed ="),
+        ("[speed]\nunit = 'mph'", "line 1: speed must be text"),
+        ('line = "no.line.json"', "line 1: 'no.line.json' does not exist; name a file"),
+        ("speed = ", "is not TOML: "),
+    ],
+)
+def test_what_is_wrong_is_one_error_with_file_line_and_remedy(
+    text: str,
+    message: str,
+    settings: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    settings.write_text(text)
+    status, _, complaint = run(monkeypatch, capsys, "check", sample("nonstop.mcap"))
+    assert (status, complaint.count("\n")) == (2, 1)
+    assert complaint.startswith(f"trainlog: {settings}")
+    assert message in complaint
+
+
+def test_a_bad_value_is_refused_and_the_file_stays(settings: Path) -> None:
+    set_setting("zone", "Europe/Zurich")
+    before = settings.read_bytes()
+    for key, value in (("zone", "Mars"), ("colour", "red"), ("train", "no.json")):
+        with pytest.raises(InputError):
+            set_setting(key, value)
+    assert settings.read_bytes() == before
+
+
+def test_units_and_zone_change_what_is_shown_and_no_file(
+    settings: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    log, made = sample("nonstop.mcap"), tmp_path / "made.json"
+    shown, files, printed = [], [], []
+    for unit, zone in (("km/h", "UTC"), ("mph", "Europe/Zurich")):
+        set_setting("speed", unit)
+        set_setting("zone", zone)
+        _, out, _ = run(monkeypatch, capsys, "coast-down", log, "-o", made)
+        shown.append(out)
+        files.append([made.read_bytes(), made.with_suffix(".png").read_bytes()])
+        _, out, _ = run(monkeypatch, capsys, "check", log, "--json")
+        printed.append(out)
+    assert files[0] == files[1]
+    assert printed[0] == printed[1]
+    assert "speed, km/h" in shown[0]
+    assert "speed, mph" in shown[1]
+    assert "km/h" not in shown[1]
+    _, out, _ = run(monkeypatch, capsys, "show", log)
+    assert "2024-10-07 08:00:00.000 to 2024-10-07 08:19:43.100 CEST" in out
+
+
+def test_a_line_that_is_set_is_taken_where_none_is_given(
+    settings: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    own = tmp_path / "own.line.json"
+    own.write_text(sample(DEFAULT_LINE).read_text("utf-8").replace("CH_StGallen_Wil", "OWN"))
+    set_setting("line", str(own))
+    run(monkeypatch, capsys, "simulate", "--count", "1", "-o", tmp_path / "trips")
+    _, out, _ = run(monkeypatch, capsys, "show", tmp_path / "trips" / "trip-01.mcap")
+    assert "OWN" in out
+
+
+def test_words_without_speeds_and_times_stay() -> None:
+    for words in ("trip-80km/hour", "2024-10-09 06:00 CET", "version 1.2", "[km/h]"):
+        assert in_zone(in_speed_unit(words, "mph"), "Asia/Tokyo") == words
+
+
+def test_the_page_lists_the_settings() -> None:
+    page = (CHECKOUT / "docs" / "command-line.md").read_text("utf-8")
+    assert all(f"| `{key}` |" in page and meaning in page for key, meaning in MEANINGS.items())

@@ -1,0 +1,215 @@
+"""A user's settings: units and time zone that are shown, and files that are taken by default.
+
+They stand in one TOML file. Computing and files never depend on units and zone, which change what
+the command line shows, nothing else.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from trainlog.display import SPEED_UNITS
+from trainlog.errors import InputError
+from trainlog.formats.files import write_bytes
+from trainlog.formats.toml import parse_toml
+
+VARIABLE = "TRAINLOG_SETTINGS"
+"""Environment variable that names another file."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a user has set.
+
+    Attributes
+    ----------
+    speed : str
+        Unit in which speeds are shown: ``"km/h"``, ``"m/s"`` or ``"mph"``.
+    zone : str
+        Time zone in which times are shown: ``"UTC"``, ``"Europe/Zurich"``.
+    line, train : str
+        Files that are taken where a command is given none; empty: those of the samples.
+    results : str
+        Folder that the demo writes to.
+
+    Examples
+    --------
+    >>> Settings().speed, Settings().zone
+    ('km/h', 'UTC')
+    """
+
+    speed: str = "km/h"
+    zone: str = "UTC"
+    line: str = ""
+    train: str = ""
+    results: str = "results"
+
+
+MEANINGS = {
+    "speed": f"unit in which speeds are shown: {', '.join(SPEED_UNITS)}",
+    "zone": "time zone in which times are shown, such as Europe/Zurich",
+    "line": "line file where a command is given none; empty: St.Gallen-Wil",
+    "train": "train file where a command is given none; empty: Stadler FLIRT",
+    "results": "folder that the demo writes to",
+}
+"""What each key sets."""
+
+
+def settings_path(environment: Mapping[str, str] = os.environ) -> Path:
+    """The file of the settings: named by `VARIABLE`, or in the platform's folder for such files.
+
+    Examples
+    --------
+    >>> settings_path({"TRAINLOG_SETTINGS": "mine.toml"}).name
+    'mine.toml'
+    >>> settings_path({"XDG_CONFIG_HOME": "/etc/xdg"}).name
+    'settings.toml'
+    """
+    if environment.get(VARIABLE):
+        return Path(environment[VARIABLE])
+    if sys.platform == "win32":
+        folder = Path(environment.get("APPDATA") or Path.home() / "AppData" / "Roaming")
+    elif sys.platform == "darwin":
+        folder = Path.home() / "Library" / "Application Support"
+    else:
+        folder = Path(environment.get("XDG_CONFIG_HOME") or Path.home() / ".config")
+    return folder / "trainlog" / "settings.toml"
+
+
+def read_settings(path: str | Path | None = None) -> Settings:
+    """The settings of a file; the defaults where there is none.
+
+    Parameters
+    ----------
+    path : path, optional
+        Default: `settings_path`.
+
+    Raises
+    ------
+    InputError
+        If a key or a value is none that is known; names the line and what is.
+
+    Examples
+    --------
+    >>> read_settings("no-such-file.toml").speed
+    'km/h'
+    """
+    file = settings_path() if path is None else Path(path)
+    try:
+        data = file.read_bytes()
+    except FileNotFoundError:
+        return Settings()
+    except OSError as error:
+        raise InputError(
+            f"cannot be read: {error.strerror or error}",
+            file=file,
+            remedy=f"name another file of settings with {VARIABLE}",
+        ) from error
+    return _checked(parse_toml(data, file=file), data.decode("utf-8-sig"), file)
+
+
+def set_setting(key: str, value: str | None, path: str | Path | None = None) -> Path:
+    """Set a key to a value, or with None to its default; the rest of the file stays as it is.
+
+    Raises
+    ------
+    InputError
+        If the key or the value is none that is known; the file then stays as it is.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = set_setting("speed", "mph", Path(folder) / "settings.toml")
+    ...     read_settings(file).speed
+    'mph'
+    """
+    file = settings_path() if path is None else Path(path)
+    if key in ("line", "train") and value:
+        value = str(Path(value).resolve())
+    _checked({key: getattr(Settings, key, "") if value is None else value}, "", None)
+    text = file.read_text("utf-8-sig") if file.exists() else ""
+    kept = [line for line in text.splitlines() if not _line_of(key).match(line)]
+    if value is not None:
+        kept.append(f"{key} = {json.dumps(value, ensure_ascii=False)}")
+    new = "\n".join(kept) + "\n"
+    _checked(parse_toml(new.encode(), file=file), new, file)
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"its folder cannot be made: {error.strerror or error}",
+            file=file,
+            remedy=f"name another file with {VARIABLE}",
+        ) from error
+    write_bytes(file, new.encode())
+    return file
+
+
+def _checked(content: Mapping[str, Any], text: str, file: Path | None) -> Settings:
+    for key, value in content.items():
+        problem = _problem(key, value)
+        if problem is not None:
+            lines = (n for n, line in enumerate(text.splitlines(), 1) if _line_of(key).match(line))
+            number = next(lines, None)
+            place = f"line {number}" if number is not None else None
+            raise InputError(problem[0], file=file, place=place, remedy=problem[1])
+    return Settings(**content)
+
+
+def _line_of(key: str) -> re.Pattern[str]:
+    return re.compile(rf"""\s*["']?{re.escape(key)}["']?\s*(=|\])|\s*\[{re.escape(key)}\]""")
+
+
+def _problem(key: str, value: object) -> tuple[str, str] | None:
+    """What is wrong with a key and its value, and the remedy; None if nothing is."""
+    if key not in MEANINGS:
+        close = get_close_matches(key, MEANINGS, n=1)
+        meant = f"did you mean '{close[0]}'? " if close else ""
+        return f"'{key}' is no setting", f"{meant}known: {', '.join(MEANINGS)}"
+    if not isinstance(value, str):
+        return f"{key} must be text, not {value}", f'write it as {key} = "{value}"'
+    return _CHECKS[key](value)
+
+
+def _speed(value: str) -> tuple[str, str] | None:
+    if value in SPEED_UNITS:
+        return None
+    return f"speed '{value}' is no unit that is shown", f"choose of {', '.join(SPEED_UNITS)}"
+
+
+def _zone(value: str) -> tuple[str, str] | None:
+    from zoneinfo import ZoneInfo
+
+    try:
+        ZoneInfo(value)
+    except (KeyError, ValueError, OSError):
+        return f"zone '{value}' is not known", "name one as Europe/Zurich, or UTC"
+    return None
+
+
+def _file(value: str) -> tuple[str, str] | None:
+    if not value or Path(value).expanduser().is_file():
+        return None
+    return f"'{value}' does not exist", "name a file, or set it to '' for the sample"
+
+
+def _folder(value: str) -> tuple[str, str] | None:
+    return None if value else ("results is empty", "name a folder, such as results")
+
+
+_CHECKS: dict[str, Callable[[str], tuple[str, str] | None]] = {
+    "speed": _speed,
+    "zone": _zone,
+    "line": _file,
+    "train": _file,
+    "results": _folder,
+}
