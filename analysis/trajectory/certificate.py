@@ -75,7 +75,7 @@ class LowerBounds:
         """Whether it is the cells that leave an energy more than a tolerance above the bound."""
         # Else it is what the relaxation leaves out, where the multipliers did not come close.
         cost = self.total_gap(energy) - _relative_gap(energy, self.cells)
-        return self.source == OF_OPTIMUM or cost > 0.5 * tolerance
+        return self.source == OF_OPTIMUM or cost > 0.2 * tolerance
 
 
 def _relative_gap(energy: float, bound: float) -> float:

@@ -273,8 +273,9 @@ def _renewed(
     for number in range(RENEWALS + FINER_RENEWALS):
         tolerance = options.tolerance
         if number >= RENEWALS:
-            tolerance = max(tolerance, GAP_TOLERANCE)
             cells = min(2 * cells, MOST_FINER * options.cells, MOST_CELLS)
+        if number > RENEWALS:
+            tolerance = max(tolerance, GAP_TOLERANCE)
         total = bounds.total_gap(found.energy)
         note(f"the gap is {total:.3%}; cells are laid anew")
         enough = total <= tolerance or time_left() <= 0.0

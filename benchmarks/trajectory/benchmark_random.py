@@ -14,7 +14,7 @@ them, drawn with a fixed seed, or all (0), or those of some numbers (`--only`).
 Every answer is driven by scipy's DOP853 (`independent`): late by 1e-3 s, over a limit by 1e-6 m/s
 or wrong in energy by 1e-3 counts as wrong. A refusal is right where the independent fastest run
 fails too, and wrong where one configuration alone is refused that could run; of several it stays
-open. The limit is processor time, which other programs on the machine disturb less. For the state
+open. Certified is an answer whose total gap is at most 0.2 per cent. The limit is processor time, which other programs on the machine disturb less. For the state
 of another checkout: the same command with PYTHONPATH there.
 """
 
@@ -59,6 +59,9 @@ OUTCOMES = (
 )  # fmt: skip
 LEAST_TIME_TOLERANCE = 2e-4
 """Of the least time, relative, against the independent one."""
+
+LEVELS = (5e-4, 2e-3, 5e-3)
+"""Gaps that answers are counted by; the second is that of a certified one."""
 
 
 def random_problem(number: int) -> TrajectoryProblem:
@@ -269,6 +272,16 @@ def printed(number: int, row: dict[str, Any]) -> str:
     )
 
 
+def counted(rows: list[dict[str, Any]]) -> str:
+    """How many came how close to their bounds, on their cells and of all trajectories."""
+    parts = []
+    for name, words in (("gap", "gap on the cells"), ("total_gap", "total gap")):
+        found = np.array([row.get(name, np.nan) for row in rows])
+        counts = ", ".join(f"{(found <= most).sum()} {most:.2%}" for most in LEVELS)
+        parts.append(f"{words} at most: {counts}")
+    return "; ".join(parts)
+
+
 def warmed() -> None:
     """Compile and load what all processes need, before they are forked."""
     for number, change in ((1, {}), (2, {"objective": "line"})):
@@ -312,6 +325,7 @@ def main() -> None:
         list(pool.map(one, numbers))
     counts = Counter(row["outcome"] for row in rows)
     print(f"{len(rows)} problems: " + ", ".join(f"{counts[each]} {each}" for each in OUTCOMES))
+    print(counted(rows))
     if arguments.output:
         names = list(dict.fromkeys(name for row in rows for name in row))
         with atomic_write(arguments.output) as path, path.open("w", newline="") as file:
