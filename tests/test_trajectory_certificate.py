@@ -15,9 +15,12 @@ from rich.console import Console
 from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, optimised
 
 from analysis.trajectory.active_set import initial_guess, search
+from analysis.trajectory.continuous import continuous_bound
+from analysis.trajectory.costate import costate_of
+from analysis.trajectory.curvature import least_curved
 from analysis.trajectory.discretisation import discretise, graded_mesh
 from analysis.trajectory.envelope import fastest_run
-from analysis.trajectory.hamiltonian import continuous_bound
+from analysis.trajectory.hamiltonian import Hamiltonian, Prices, Segments
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from analysis.trajectory.table import trajectory_table
@@ -128,6 +131,80 @@ def test_no_multipliers_bound_a_finer_plan_from_above(
     run = answer.problem.run
     bound = continuous_bound(part, answer.solution.plan, wrong, fastest, time, run)
     assert bound.value <= energy * (1.0 + 1e-6)
+
+
+@cache
+def with_much_time() -> tuple[Any, ...]:
+    """The intercity on the hilly line in three times its least time: it coasts most of the way."""
+    run = TrajectoryProblem(hilly_line(), VIRM6, observed(VIRM6, 1.0))
+    fastest = fastest_run(run)
+    time = 3.0 * float(fastest.times[0])
+    mesh = graded_mesh(run.breakpoints, fastest.positions, fastest.speeds[0], 150)
+    problem = discretise(run, mesh)
+    answer = search(problem, initial_guess(problem, fastest.at(mesh), time), fastest.at(mesh), time)
+    fine = optimised(
+        hilly_line(), VIRM6, observed(VIRM6, 1.0), cells=1_000, running_time=time, tolerance=np.inf
+    ).certificate["energy"]
+    return answer, fastest, time, fine / problem.reference
+
+
+def hamiltonian_of(answer: Any, fastest: Any) -> tuple[Hamiltonian, np.ndarray, np.ndarray]:
+    """With its costate and the slope of that."""
+    problem, plan, multipliers = answer.problem, answer.solution.plan, answer.solution.multipliers
+    prices = Prices.of(problem, multipliers)
+    whole = Segments.of(problem, np.arange(problem.shape[1]), problem.positions, 4)
+    costate = costate_of(
+        Hamiltonian(problem, plan, prices, fastest, problem.run, whole), multipliers
+    )
+    found = Hamiltonian(problem, plan, prices, fastest, problem.run, costate.segments)
+    return found, *costate.along(found)
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e-4, 1e-2])
+def test_no_speed_and_control_has_less_than_the_bound_by_curvature(size: float) -> None:
+    """Drawn at random, and the function written out anew: forces, efforts, derivatives."""
+    answer, fastest, _, _ = with_much_time()
+    hamiltonian, costate, slope = hamiltonian_of(answer, fastest)
+    problem, random = answer.problem, np.random.default_rng(3)
+    ends = size * random.uniform(0.0, 1.0, (2, problem.shape[1]))
+    least = least_curved(hamiltonian, costate, slope, (ends[0], ends[1]))
+    cell, at = hamiltonian.segments.cell, hamiltonian.segments.positions
+    part = (at - problem.positions[cell, None]) / problem.step[cell, None]
+    kappa = ends[0][cell, None] * (1.0 - part) + ends[1][cell, None] * part
+    rise = ((ends[1] - ends[0]) / problem.step)[cell, None]
+    (z,), (change,) = (each.reshape(1, *at.shape) for each in hamiltonian.of_motion)
+    gain, price = problem.gain[0], answer.solution.multipliers.time[0]
+    resistance = VIRM6.resistance
+    for _ in range(400):
+        v = hamiltonian.highest[0] * random.uniform(1e-3, 1.0, at.shape) ** random.choice([1, 3])
+        away = 0.5 * v**2 - z
+        pull = np.minimum(hamiltonian.traction, problem.power[0] / v) * random.choice([0, 0.5, 1])
+        brake = hamiltonian.braking[0] * random.choice([0, 0.5, 1])
+        inertia = problem.run.configurations[0].inertia
+        drag = hamiltonian.drag0[0] + (resistance.r1 * v + resistance.r2 * v**2) / inertia
+        rate = gain * (pull - brake) - drag
+        by_place = -slope[0] * 0.5 * v**2 - 0.5 * rise * away**2 + kappa * away * change
+        own = pull + price / v + by_place - (costate[0] + kappa * away) * rate
+        assert np.all(least <= own + 1e-9)
+
+
+def test_a_run_in_three_times_the_least_time_is_bounded_by_curvature() -> None:
+    answer, fastest, time, fine = with_much_time()
+    multipliers, run = answer.solution.multipliers, answer.problem.run
+    plan = answer.solution.plan
+    found = continuous_bound(answer.problem, plan, multipliers, fastest, time, run).value
+    hamiltonian, costate, slope = hamiltonian_of(answer, fastest)
+    least, spent = hamiltonian.least(costate, slope), hamiltonian.of_plan(costate, slope)
+    affine = answer.solution.energy
+    affine -= float(((spent - least) * hamiltonian.segments.weights).sum())
+    assert affine < found <= fine * (1.0 + 1e-6)
+    random = np.random.default_rng(5)
+    for size in (1e-4, 1e-2, 0.3):
+        for _ in range(3):
+            factor = np.maximum(1.0 + size * random.standard_normal(multipliers.pull.shape), 0.0)
+            wrong = replace(multipliers, pull=factor * multipliers.pull)
+            bound = continuous_bound(answer.problem, plan, wrong, fastest, time, run)
+            assert bound.value <= fine * (1.0 + 1e-6)
 
 
 def test_the_excess_of_the_cells_adds_up_to_the_total() -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from analysis.trajectory.active_set import Answer, multipliers_for_all, priced_rows, shares_of
 from analysis.trajectory.audit import Audit
 from analysis.trajectory.bound import lower_bound, spare_times
+from analysis.trajectory.continuous import ContinuousBound, continuous_bound
 from analysis.trajectory.convex import (
     NoSolutionError,
     OutOfTimeError,
@@ -20,7 +21,6 @@ from analysis.trajectory.convex import (
 )
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction
 from analysis.trajectory.envelope import Envelope
-from analysis.trajectory.hamiltonian import ContinuousBound, continuous_bound
 from analysis.trajectory.phases import agreement, phase_letters, phases_by_control
 from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.sqp import NEGLIGIBLE_ENERGY, Solution, with_costates

@@ -17,6 +17,7 @@ plan less the least one, in each cell, states what the cell costs, and where cel
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -31,92 +32,16 @@ from analysis.trajectory.problem import TrajectoryProblem
 
 FloatArray = NDArray[np.float64]
 
-_POINTS = 4
-"""Of Gauss and Legendre in each segment."""
-
-_MANY_VALUES = 400_000
-"""Of the Hamiltonian, from which half of the points have to do."""
-
 _NEWTON_STEPS = 8
 
 _REACH, _ROUNDING = 2e-4, 1e-6
 """By which the fastest run may be faster than its grid has it, relative and [m/s]."""
 
-_CREEPING = 2.0
-"""Speed below which a train that starts or stops does so at its fastest [m/s]."""
-
-_AT_FASTEST = 3e-3
-"""Part of the fastest run's ``z`` within which a plan is at it."""
-
-_AT_LIMIT = 1e-5
-"""Part of the permitted ``z`` within which a plan is at its limit."""
-
-_LEVEL = 1e-5
-"""Within which a costate is at the level where a control is partial."""
-
-_CUT = 0.98
-"""Part of a cell up to which the costate leaves its level in it."""
-
-_STANDING = 0.1
-"""Speed below which a plan that could go faster all but stands [m/s]."""
-
-_LEAST_SPEED = 1e-6
+LEAST_SPEED = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class ContinuousBound:
-    """What no trajectory comes below, however its controls change.
-
-    Attributes
-    ----------
-    value : float [J/kg]
-    excess : (n,) array [J/kg]
-        By how much the plan is above it in each cell; where it is large cells are too long.
-    """
-
-    value: float
-    excess: FloatArray
-
-
-def continuous_bound(
-    problem: DiscreteProblem,
-    plan: Plan,
-    multipliers: Multipliers,
-    fastest: Envelope,
-    running_time: float,
-    run: TrajectoryProblem,
-) -> ContinuousBound:
-    """Lower bound of the energy of all trajectories, on these cells or any others.
-
-    Parameters
-    ----------
-    problem : DiscreteProblem
-    plan : Plan
-        The optimum of the problem on its cells.
-    multipliers : Multipliers
-        Its multipliers.
-    fastest : Envelope
-        Of the same configurations; no trajectory is faster anywhere.
-    running_time : float [s]
-    run : TrajectoryProblem
-        With all configurations, whose traction is one; the problem may be of some of them.
-    """
-    prices = _Prices.of(problem, multipliers.convex())
-    points = _POINTS if problem.drag2.size * _POINTS <= _MANY_VALUES else _POINTS // 2
-    whole = _Segments.of(problem, np.arange(problem.shape[1]), problem.positions, points)
-    costate = _costate(_Hamiltonian(problem, plan, prices, fastest, run, whole), multipliers)
-    segments = costate.segments
-    hamiltonian = _Hamiltonian(problem, plan, prices, fastest, run, segments)
-    values, slopes = costate.along(hamiltonian)
-    least, spent = hamiltonian.least(values, slopes), hamiltonian.of_plan(values, slopes)
-    total = float((least * segments.weights).sum()) + costate.at_nodes
-    total -= prices.of_times(problem, running_time)
-    excess = ((spent - least) * segments.weights).sum(axis=1)
-    return ContinuousBound(total, np.maximum(np.bincount(segments.cell, excess), 0.0))
-
-
-@dataclass(frozen=True, eq=False)
-class _Prices:
+class Prices:
     """What traction, regained energy, time and limits are worth.
 
     Attributes
@@ -139,7 +64,8 @@ class _Prices:
     multipliers: Multipliers
 
     @staticmethod
-    def of(problem: DiscreteProblem, multipliers: Multipliers) -> _Prices:
+    def of(problem: DiscreteProblem, multipliers: Multipliers) -> Prices:
+        """By multipliers."""
         train, (q, _) = problem.run.train, problem.shape
         traction, regained = 1.0, np.zeros(q)
         if problem.run.at_line:
@@ -152,7 +78,7 @@ class _Prices:
             share = np.ones_like(share)
         dynamic = np.clip(multipliers.dynamic_power / problem.step, 0.0, regained[:, None])
         time = multipliers.cell_prices(problem)
-        return _Prices(traction, regained, time, share, dynamic, multipliers)
+        return Prices(traction, regained, time, share, dynamic, multipliers)
 
     def of_times(self, problem: DiscreteProblem, running_time: float) -> float:
         """Times allowed, each at its price [J/kg]."""
@@ -168,7 +94,7 @@ class _Prices:
 
 
 @dataclass(frozen=True, eq=False)
-class _Segments:
+class Segments:
     """Parts of cells with points of a quadrature.
 
     Attributes
@@ -193,7 +119,7 @@ class _Segments:
     @staticmethod
     def of(
         problem: DiscreteProblem, cell: NDArray[np.int64], edges: FloatArray, points: int
-    ) -> _Segments:
+    ) -> Segments:
         """Segments between `edges` [m], each in the cell of that number."""
         nodes, weights = np.polynomial.legendre.leggauss(points)
         nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights
@@ -207,7 +133,7 @@ class _Segments:
         if problem.final == 0.0:
             place[-1], part[-1] = 1.0 - (1.0 - nodes) ** 2, 2.0 * (1.0 - nodes) * weights
         positions = edges[:-1, None] + length[:, None] * place
-        return _Segments(cell, length, place, length[:, None] * part, positions, gathering)
+        return Segments(cell, length, place, length[:, None] * part, positions, gathering)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,17 +171,17 @@ class _Piece:
         return np.asarray(self.offset + self.power / speed + self.slope * speed)
 
 
-class _Hamiltonian:
+class Hamiltonian:
     """The Hamiltonian at the points of segments, for q configurations; arrays (q, k, p)."""
 
     def __init__(
         self,
         problem: DiscreteProblem,
         plan: Plan,
-        prices: _Prices,
+        prices: Prices,
         fastest: Envelope,
         run: TrajectoryProblem,
-        segments: _Segments,
+        segments: Segments,
     ) -> None:
         self.problem, self.plan, self.prices, self.segments = problem, plan, prices, segments
         self.fastest = fastest
@@ -276,20 +202,28 @@ class _Hamiltonian:
         self.traction = _limits_at(run, problem.reference, s)[0].min(axis=0)
         brakes = _limits_at(problem.run, problem.reference, s)[1:]
         self.braking, self.friction, self.dynamic = brakes
-        self.highest = np.minimum(run.permitted_speed(s), _reached(fastest, s))
-        self.highest = np.maximum(self.highest, _LEAST_SPEED)
+        self.highest = np.minimum(run.permitted_speed(s), reached(fastest, s))
+        self.highest = np.maximum(self.highest, LEAST_SPEED)
         start = problem.positions[cell, None]
         part = (s - start) / problem.step[cell, None]
         change = plan.z[:, cell + 1, None] - plan.z[:, cell, None]
         fall = problem.taper.fall[cell, None]
         z = plan.z[:, cell, None] + change * part
         z = z + self.gain * fall * problem.step[cell, None] * part * (1.0 - part)
-        self.speed = np.clip(np.sqrt(2.0 * np.maximum(z, 0.0)), _LEAST_SPEED, self.highest)
+        rising = change / problem.step[cell, None] + self.gain * fall * (1.0 - 2.0 * part)
+        self.of_motion = z, rising
+        self.speed = np.clip(np.sqrt(2.0 * np.maximum(z, 0.0)), LEAST_SPEED, self.highest)
         self.pulled = plan.traction[cell, None] + fall * (1.0 - 2.0 * part)
+
+    def slower(self, highest: FloatArray) -> Hamiltonian:
+        """The same with other highest speeds, (q, k, p) [m/s]."""
+        other = copy(self)
+        other.highest = highest
+        return other
 
     def slopes(self, costate: FloatArray) -> FloatArray:
         """The adjoint equation: what the costate changes by along the plan's speeds."""
-        a, b, c, _ = self._along(costate, self.speed)
+        a, b, c, _ = self.along(costate, self.speed)
         return np.asarray((b - a / self.speed**2) / self.speed + 2.0 * c)
 
     def least(self, costate: FloatArray, slope: FloatArray) -> FloatArray:
@@ -299,7 +233,7 @@ class _Hamiltonian:
             within = high > low
             if not within.any():
                 continue
-            a, b, c, constant = self._along(costate, 0.5 * (low + high))
+            a, b, c, constant = self.along(costate, 0.5 * (low + high))
             value = _least(a, b, c - 0.5 * slope, (low, high), self.speed) + constant
             found = np.where(within, np.minimum(found, value), found)
         worth = (costate * self.gain).sum(axis=0) - self.prices.traction
@@ -322,7 +256,7 @@ class _Hamiltonian:
     def _edges(self, shape: tuple[int, ...]) -> FloatArray:
         """Speeds between which each limit is one of effort, power, or a line of a curve."""
         problem = self.problem
-        least = np.full(shape, _LEAST_SPEED)
+        least = np.full(shape, LEAST_SPEED)
         found = [least, self.power / np.maximum(self.traction, 1e-12)]
         if problem.run.at_line or np.any(problem.friction < problem.braking):
             found.append(problem.dynamic_power / np.maximum(self.dynamic, 1e-12))
@@ -334,7 +268,7 @@ class _Hamiltonian:
         clipped = [np.clip(np.broadcast_to(e, shape), least, self.highest) for e in found]
         return np.sort(np.stack(clipped), axis=0)
 
-    def _along(
+    def along(
         self, costate: FloatArray, speed: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """The least over the controls, ``a / v + b v + c v² + constant`` about the speeds."""
@@ -374,7 +308,7 @@ class _Hamiltonian:
         return least
 
 
-def _reached(fastest: Envelope, positions: FloatArray) -> FloatArray:
+def reached(fastest: Envelope, positions: FloatArray) -> FloatArray:
     """Speeds that no trajectory exceeds, (q, ...) [m/s].
 
     Between the nodes of the fastest run its ``z`` is at most what the slopes of the cells on either
@@ -426,7 +360,7 @@ def _least(
     begin = np.where((a < 0.0) & (c > 0.0), np.clip(turn, low, high), low)
     end = np.where((a > 0.0) & (c < 0.0), np.clip(turn, low, high), high)
     concave = (a <= 0.0) & (c <= 0.0)
-    v, best = np.clip(start, begin, end), np.full(a.shape, -np.inf)
+    v, best = np.clip(_below(a, b, c, start), begin, end), np.full(a.shape, -np.inf)
     for _ in range(_NEWTON_STEPS):
         slope = b - a / v**2 + 2.0 * c * v
         down = np.minimum(slope * (begin - v), slope * (end - v))
@@ -437,261 +371,14 @@ def _least(
     return np.asarray(np.where(concave, ends, np.minimum(ends, best)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Costate:
-    """The costate as a function of the position: its values at the ends of segments.
+def _below(a: FloatArray, b: FloatArray, c: FloatArray, start: FloatArray) -> FloatArray:
+    """A speed a little below where ``a / v + b v + c v²`` is least: from there Newton converges.
 
-    Attributes
-    ----------
-    segments : _Segments
-    begin, end : (q, k) array
-    even : (q, k) array of bool
-        Where it is linear; elsewhere it follows the adjoint equation.
-    at_nodes : float [J/kg]
-        What its jumps and its values at both ends of the run add to the bound.
+    For the root of ``b v² + 2 c v³ = a``, by the terms alone; the start where `a` is not positive.
     """
-
-    segments: _Segments
-    begin: FloatArray
-    end: FloatArray
-    even: NDArray[np.bool_]
-    at_nodes: float
-
-    def along(self, hamiltonian: _Hamiltonian) -> tuple[FloatArray, FloatArray]:
-        """Its values and slopes at the points of its segments, (q, k, p)."""
-        segments, change = self.segments, self.end - self.begin
-        line = self.begin[:, :, None] + change[:, :, None] * segments.place
-        shape = np.where(self.even[:, :, None], 0.0, hamiltonian.slopes(line))
-        part = segments.weights / segments.length[:, None]
-        rest = change / segments.length - (shape * part).sum(axis=2)
-        slope = shape + rest[:, :, None]
-        step = segments.length[:, None] * (slope @ segments.gathering.T)
-        return np.where(self.even[:, :, None], line, self.begin[:, :, None] + step), slope
-
-
-def _costate(hamiltonian: _Hamiltonian, multipliers: Multipliers) -> _Costate:
-    """The multipliers of cells as a function of the position.
-
-    A multiplier is the mean of the costate over its cell. Where a control is partial the costate
-    stands at a level. There it joins its neighbours along the adjoint equation, in a part of the
-    cell only: that in which the optimum on cells could not yet change its controls.
-    """
-    problem, plan, step = hamiltonian.problem, hamiltonian.plan, hamiltonian.problem.step
-    mean = multipliers.pull / (step * problem.gain[:, None])
-    shape = hamiltonian.slopes(np.broadcast_to(mean[:, :, None], hamiltonian.speed.shape))
-    limit, floor = _node_limits(hamiltonian)
-    limited = plan.z >= np.minimum(limit, problem.ceiling) * (1.0 - _AT_LIMIT)
-    held = limited[:, :-1] & limited[:, 1:]
-    partial, alone = _partial(hamiltonian, mean)
-    flat = alone | (held & (shape.mean(axis=2) < 0.0))
-    flat |= _standing(hamiltonian)
-    base = np.where(flat[:, :, None], 0.0, shape)
-    base, even = _together(base, mean, problem.gain, (partial & ~alone, alone, held))
-    flat |= even
-    whole = hamiltonian.segments
-    change = (base * whole.weights).sum(axis=2)
-    gathered = whole.length[:, None] * (base @ whole.gathering.T)
-    begin = mean - (gathered * whole.weights).sum(axis=2) / step
-    end = begin + change
-    # Between two cells; the one that follows the adjoint equation knows better.
-    trust = np.where(partial, 1e-6, 1.0) / step**2
-    left, right = end[:, :-1], begin[:, 1:]
-    middle = (trust[:, :-1] * left + trust[:, 1:] * right) / (trust[:, :-1] + trust[:, 1:])
-    free = limited[:, 1:-1] & (right > left)
-    slow = (floor > 0.0) & (plan.z <= floor * (1.0 + _AT_LIMIT))
-    free |= slow[:, 1:-1] & (right < left)
-    first = np.column_stack((begin[:, :1], np.where(free, right, middle)))
-    last = np.column_stack((np.where(free, left, middle), end[:, -1:]))
-    creeping = _creep(problem, hamiltonian.fastest, plan, first, last)
-    jump = first[:, 1:] - last[:, :-1]
-    added = -(np.maximum(jump, 0.0) * limit[:, 1:-1] + np.minimum(jump, 0.0) * floor[1:-1]).sum()
-    added -= float((first[:, 0] * problem.initial).sum())
-    added += float((np.minimum(last[:, -1], 0.0) * np.minimum(problem.final, limit[:, -1])).sum())
-    values = first, begin, end, last
-    kinds = partial & ~alone & ~creeping, alone & ~creeping, flat | creeping
-    return _with_ramps(hamiltonian, values, shape, kinds, float(added))
-
-
-def _node_limits(hamiltonian: _Hamiltonian) -> tuple[FloatArray, FloatArray]:
-    """Largest ``z`` at the nodes, (q, n + 1), and the least, (n + 1,) [m²/s²]."""
-    problem, run = hamiltonian.problem, hamiltonian.problem.run
-    positions = problem.positions
-    limit = run.permitted_speed(positions[:-1] + 0.5 * problem.step)
-    lowest = np.asarray(np.minimum(np.append(limit, np.inf), np.insert(limit, 0, np.inf)))
-    for node, point in zip(problem.passed.tolist(), run.windows, strict=True):
-        if point.highest_speed is not None:
-            lowest[node] = min(lowest[node], point.highest_speed)
-    own = _reached(hamiltonian.fastest, positions)
-    return 0.5 * np.minimum(lowest, own) ** 2, problem.floor
-
-
-def _partial(
-    hamiltonian: _Hamiltonian, mean: FloatArray
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Cells in which a control is partial, (q, n); and those in which the costate itself is level.
-
-    By common traction, or a common brake, that is the sum of the costates.
-    """
-    problem, prices = hamiltonian.problem, hamiltonian.prices
-    own, regained = mean * problem.gain[:, None], prices.regained[:, None]
-    worth = np.asarray(own.sum(axis=0))
-    shared = np.abs(worth - prices.traction) < _LEVEL
-    if problem.common:
-        shared |= (np.abs(worth) < _LEVEL) | (np.abs(worth - regained.sum()) < _LEVEL)
-        alone = np.zeros(own.shape, dtype=np.bool_)
-    else:
-        alone = np.asarray((np.abs(own) < _LEVEL) | (np.abs(own - regained) < _LEVEL))
-    return np.asarray(shared | alone), alone
-
-
-def _together(
-    base: FloatArray,
-    worth: FloatArray,
-    gain: FloatArray,
-    kinds: tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]],
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Slopes such that the sum of the costates is level where a common control is partial.
-
-    A configuration at its limit takes what the others leave: it stays there under any costate that
-    falls less than the adjoint equation asks for. Where there is none all share it, by what effort
-    is `worth` to them, (q, n).
-
-    Returns
-    -------
-    base : (q, n, p) array
-    even : (q, n) array of bool
-        Whose slope was changed.
-    """
-    shared, alone, held = kinds
-    able = np.asarray(held & ~alone)
-    able = np.where(able.any(axis=0), able, ~alone) & shared
-    weight = np.where(able, np.abs(worth) + 1e-12, 0.0)
-    part = weight / np.maximum(weight.sum(axis=0), 1e-300) / gain[:, None]
-    excess = (gain[:, None, None] * base).sum(axis=0)
-    return base - part[:, :, None] * excess, np.asarray(able)
-
-
-def _standing(hamiltonian: _Hamiltonian) -> NDArray[np.bool_]:
-    """Cells at whose end a plan all but stands, though not as the fastest run does, (q, n).
-
-    The adjoint equation grows beyond all bounds there; the mean over the cell is as good as any.
-    """
-    problem, plan = hamiltonian.problem, hamiltonian.plan
-    own = 0.5 * hamiltonian.fastest.at(problem.positions) ** 2
-    found = (plan.z < 0.5 * _STANDING**2) & (plan.z < (1.0 - _AT_FASTEST) * own)
-    return np.asarray(found[:, 1:] | found[:, :-1])
-
-
-def _creep(
-    problem: DiscreteProblem, fastest: Envelope, plan: Plan, first: FloatArray, last: FloatArray
-) -> NDArray[np.bool_]:
-    """Keep the costate level, in place, where a train starts or stops at its fastest.
-
-    There any costate that falls less than the adjoint equation asks for leads to the same speed; by
-    the equation it grows beyond all bounds towards a standstill.
-    """
-    own = 0.5 * fastest.at(problem.positions) ** 2
-    free = (plan.z > 0.5 * _CREEPING**2) | (plan.z < (1.0 - _AT_FASTEST) * own)
-    free |= own >= problem.ceiling * (1.0 - _AT_LIMIT)
-    found = np.zeros(problem.shape, dtype=np.bool_)
-    n = problem.shape[1]
-    for row in np.flatnonzero(free[:, 1:-1].any(axis=1)).tolist():
-        nodes = np.flatnonzero(free[row])
-        if problem.initial == 0.0:
-            begins = min(max(int(nodes[0]) - 1, 1), n - 1)
-            found[row, :begins] = True
-            first[row, :begins] = last[row, :begins] = first[row, begins]
-        if problem.final == 0.0:
-            ends = max(min(int(nodes[-1]) + 1, n - 1), 1)
-            found[row, ends:] = True
-            first[row, ends:] = last[row, ends:] = last[row, ends - 1]
-    return found
-
-
-def _with_ramps(
-    hamiltonian: _Hamiltonian,
-    values: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-    shape: FloatArray,
-    kinds: tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]],
-    at_nodes: float,
-) -> _Costate:
-    """Cells of partial controls cut where the costate leaves its level.
-
-    Parameters
-    ----------
-    values : four (q, n) arrays
-        Where each cell begins, by its neighbours and by itself; where it ends, by itself and by
-        its neighbours.
-    shape : (q, n, p) array
-        Slopes by the adjoint equation.
-    kinds : three (q, n) arrays of bool
-        Where a common control is partial; where a brake is; where the costate is linear.
-    at_nodes : float [J/kg]
-    """
-    problem, (shared, alone, flat) = hamiltonian.problem, kinds
-    first, begin, end, last = values
-    step, partial = problem.step, shared | alone
-    gain = problem.gain[:, None]
-    before, begun = _ramp(first - begin, -shape[:, :, 0], kinds, gain, step)
-    after, ended = _ramp(last - end, shape[:, :, -1], kinds, gain, step)
-    cut = (before + after > 0.0) & (before + after < _CUT * step)
-    before, after = np.where(cut, before, 0.0), np.where(cut, after, 0.0)
-    starts = np.column_stack((np.zeros_like(step), before, step - after))
-    ends = np.column_stack((before, step - after, step))
-    inner = [_inside(hamiltonian, first, last, shape, at / step) for at in (before, step - after)]
-    drift = (end - begin) / step
-    levels = (
-        np.where(partial, begin + drift * before, inner[0]),
-        np.where(partial, end - drift * after, inner[1]),
-    )
-    one = np.where(before > 0.0, levels[0], first)
-    other = np.where(after > 0.0, levels[1], last)
-    begins, finishes = np.stack((first, one, other), axis=2), np.stack((one, other, last), axis=2)
-    middle = flat & (cut | ~(partial & (begun | ended)))
-    outer = flat & ~partial
-    even = np.stack((outer, middle, outer), axis=2)
-    kept = ends - starts > 1e-9 * step[:, None]
-    cell = np.repeat(np.arange(step.size)[:, None], 3, axis=1)[kept]
-    edges = np.append((problem.positions[:-1, None] + starts)[kept], problem.positions[-1])
-    segments = _Segments.of(problem, cell, edges, shape.shape[2])
-    return _Costate(segments, begins[:, kept], finishes[:, kept], even[:, kept], at_nodes)
-
-
-def _ramp(
-    off: FloatArray,
-    slope: FloatArray,
-    kinds: tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]],
-    gain: FloatArray,
-    step: FloatArray,
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Length [m] in which costates `off` their level come back to it, and whether they are off.
-
-    At their slopes; (n,) arrays. Of a common control it is their sum; else the farthest off.
-    """
-    shared, alone, _ = kinds
-    columns, together = np.arange(step.size), shared.any(axis=0)
-    row = np.argmax(np.where(alone, np.abs(off), -1.0), axis=0)
-    own = np.where(alone.any(axis=0), off[row, columns], 0.0)
-    off = np.where(together, (gain * off).sum(axis=0), own)
-    slope = np.where(together, (gain * slope).sum(axis=0), slope[row, columns])
-    length = off / np.where(slope == 0.0, 1e-300, slope)
-    length = np.where((length < 0.0) | (length > step), step, length)
-    away = np.asarray(np.abs(off) > _LEVEL)
-    return np.where(away, length, 0.0), away
-
-
-def _inside(
-    hamiltonian: _Hamiltonian,
-    first: FloatArray,
-    last: FloatArray,
-    shape: FloatArray,
-    at: FloatArray,
-) -> FloatArray:
-    """The costate at a part of each cell, as the adjoint equation has it between both ends."""
-    segments, step = hamiltonian.segments, hamiltonian.problem.step
-    nodes = segments.place[segments.place.shape[0] // 2]
-    powers = np.arange(nodes.size)
-    coefficients = shape @ np.linalg.inv(nodes[:, None] ** powers).T
-    risen = (coefficients * at[:, None] ** (powers + 1) / (powers + 1)).sum(axis=2)
-    rest = (last - first) - step * (coefficients / (powers + 1)).sum(axis=2)
-    return np.asarray(first + step * risen + rest * at)
+    a = np.maximum(a, 0.0)
+    linear, cubic = np.maximum(b, 1e-300), np.maximum(c, 1e-300)
+    both = np.minimum(np.sqrt(0.5 * a / linear), np.cbrt(0.25 * a / cubic))
+    falling = np.maximum(np.cbrt(0.5 * a / cubic), 0.5 * np.maximum(-b, 0.0) / cubic)
+    found = np.where(c > 0.0, np.where(b > 0.0, both, falling), np.sqrt(a / linear))
+    return np.asarray(np.where(a > 0.0, found, start))

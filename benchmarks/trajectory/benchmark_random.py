@@ -14,8 +14,9 @@ them, drawn with a fixed seed, or all (0), or those of some numbers (`--only`).
 Every answer is driven by scipy's DOP853 (`independent`): late by 1e-3 s, over a limit by 1e-6 m/s
 or wrong in energy by 1e-3 counts as wrong. A refusal is right where the independent fastest run
 fails too, and wrong where one configuration alone is refused that could run; of several it stays
-open. Certified is an answer whose total gap is at most 0.2 per cent. The limit is processor time, which other programs on the machine disturb less. For the state
-of another checkout: the same command with PYTHONPATH there.
+open. Certified is an answer whose total gap is at most 0.2 per cent. The limit is processor time,
+which other programs on the machine disturb less. For the state of another checkout: the same
+command with PYTHONPATH there.
 """
 
 from __future__ import annotations
