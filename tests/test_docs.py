@@ -57,7 +57,7 @@ def test_code_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 def assert_written(page: Path, folder: Path) -> None:
     """Every picture that an executed page shows is in the documentation or was written."""
     for target in LINK.findall(page.read_text("utf-8")):
-        if target.endswith(".png"):
+        if target.endswith((".png", "report.html")):
             written = folder / target
             assert (page.parent / target).is_file() or written.stat().st_size > 5_000, target
 
@@ -132,7 +132,7 @@ def test_validation_names_benchmarks_that_there_are() -> None:
 def test_links_between_pages_lead_somewhere(page: Path) -> None:
     text = page.read_text("utf-8")
     for target in LINK.findall(text):
-        made = text.startswith(EXECUTED) and target.endswith(".png")
+        made = text.startswith(EXECUTED) and target.endswith((".png", "report.html"))
         if not made and not target.startswith(("http:", "https:")):
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
 
@@ -190,6 +190,7 @@ def installed(request: pytest.FixtureRequest, tmp_path: Path) -> Documentation:
         path.parent.mkdir(parents=True, exist_ok=True)
         source = (DOCS / f"{name}.md").read_text("utf-8")
         html = '<h1 id="a">A title &amp; more<a class="headerlink" href="#a">¶</a></h1>'
+        html = f'<div class="md-content">{html}</div>'
         path.write_text(html + '<h2 id="trainlog.read">read</h2>' if built else source, "utf-8")
     return Documentation(folder, built)
 

@@ -55,7 +55,12 @@ class Documentation:
         found = sorted(self.folder.rglob(f"*{self.suffix}"))
         names = (path.relative_to(self.folder).with_suffix("").as_posix() for path in found)
         pages = dict(zip(names, found, strict=True))
-        return {name: path for name, path in pages.items() if name != "404"}
+        # A site holds reports, too, as examples.
+        return {
+            name: path
+            for name, path in pages.items()
+            if name != "404" and (not self.built or "md-content" in path.read_text("utf-8"))
+        }
 
     def titles(self) -> Iterator[tuple[str, str]]:
         """Name and title of each page."""
