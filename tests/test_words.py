@@ -27,6 +27,7 @@ MEANT = {
     "doors are released": "doors of a train",
     "doors released": "doors of a train",
     'Panel("doors"': "doors of a train",
+    '"Doors"': "doors of a train",
     "brake pressures, doors": "doors of a train",
 }
 """Where such a word is the right one."""
