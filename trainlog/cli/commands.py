@@ -8,12 +8,12 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from functools import wraps
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_origin
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from trainlog.cli.help import print_help, shown_type
 from trainlog.cli.progress_bar import ProgressDisplay, progress_shown
 from trainlog.cli.terminal import Output, console, output_of, print_error
 from trainlog.display import counted
@@ -45,44 +45,6 @@ def end_in_part(failed: int, of: int) -> None:
     """End a command some of whose inputs failed: status 1, or 2 if all of them did."""
     if failed:
         raise typer.Exit(2 if failed == of else 1)
-
-
-SHOWN_TYPES: dict[str, str] = {
-    "assumed_adhesion": "ADHESION",
-    "at": "TIME",
-    "before": "DAY",
-    "change": "CHANGE",
-    "characteristic": "FILE",
-    "configurations": "NAMES",
-    "cover": "PERCENT",
-    "dwell": "SECONDS",
-    "electrification": "NAME",
-    "end": "TIME",
-    "facts": "KEY=VALUE",
-    "final_speed": "KM/H",
-    "format": "NAME",
-    "formation": "VEHICLES",
-    "hours": "HOURS",
-    "initial_speed": "KM/H",
-    "km": "KM:KM",
-    "late": "SECONDS",
-    "layer": "CONDITION",
-    "least": "ADHESION",
-    "load": "LOAD",
-    "loaded": "PERCENT",
-    "name": "NAME",
-    "rate": "SHARE",
-    "reserve": "PERCENT",
-    "risk": "PROBABILITY",
-    "running_time": "SECONDS",
-    "speed": "KM/H",
-    "start": "TIME",
-    "time_limit": "SECONDS",
-    "topic": "TOPIC",
-    "trips": "TRIP",
-    "zone": "ZONE",
-}
-"""What an option's or an argument's value is, by the name of its parameter, as help shows it."""
 
 
 def prepared(panel: typer.Typer) -> None:
@@ -165,17 +127,19 @@ class _Described:
         """The parameters, with types in words of the field; what is on or off has none."""
         found: list[Any] = super().get_params(ctx)  # type: ignore[misc]
         for each in found:
-            shown = shown_type(each)
-            if shown is not None:
-                each.display_type_rich = lambda shown=shown, **_: shown
-                each._get_number_range_help_str = lambda: None
             if each.param_type_name == "argument" and each.metavar is None:
                 each.metavar = each.name.upper()
+            shown = shown_type(each, ctx)
+            each.display_type_rich = lambda shown=shown, **_: shown
         return found
 
 
 class Command(_Described, TyperCommand):
     """A command whose help speaks of files, kilometres and seconds."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
+        """Print the help."""
+        print_help(self, ctx)
 
 
 class Group(_Described, TyperGroup):
@@ -189,23 +153,3 @@ class Group(_Described, TyperGroup):
             print(ctx.get_help(), end="")
             ctx.exit()
         return super().parse_args(ctx, args)
-
-
-def shown_type(parameter: Any) -> str | None:
-    """What the value of a parameter is, as help shows it; None as typer shows it."""
-    if getattr(parameter, "is_flag", False):
-        return ""
-    if parameter.param_type_name == "argument":
-        return ""  # its name stands there
-    annotation: Any = getattr(parameter.type_descriptor, "annotation", None)
-    if get_origin(annotation) is list:
-        annotation = annotation.__args__[0]
-    if parameter.metavar is not None:
-        return str(parameter.metavar)
-    if annotation is Path:
-        return "FOLDER" if (parameter.help or "").startswith("Folder") else "FILE"
-    if annotation is int:
-        return "N"
-    if annotation in (float, str):
-        return SHOWN_TYPES.get(parameter.name, "NUMBER" if annotation is float else "TEXT")
-    return None

@@ -32,7 +32,7 @@ def map_forecast(
     condition: MapArgument,
     output: Annotated[Path, typer.Option("--output", "-o", help="Forecast (CSV).")],
     at: AtOption = None,
-    zone: ZoneOption = "UTC",
+    zone: ZoneOption = None,
     hours: Annotated[float, typer.Option(help="For how long it is said to hold.")] = 24.0,
     layer: Annotated[
         str | None, typer.Option(help="Rail condition; default: every one of the map.")
