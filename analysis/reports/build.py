@@ -279,6 +279,8 @@ def _kind_or_none(path: Path) -> str | None:
 
 
 def _name(path: Path, folder: Path) -> str:
+    if not path.is_relative_to(folder):
+        return path.name
     relative = path.relative_to(folder)
     return str(relative) if relative.parts else "trips"
 
@@ -418,9 +420,24 @@ def _overlaid(group: str, curves: Sequence[Curve], lines: Mapping[str, Line]) ->
 
 
 def _origin(files: Sequence[Path], options: ReportOptions, source: Path) -> Section:
-    """Files with their digests, what they were made of, and the commands."""
-    note("provenance")
+    """The provenance of a report, with the command that made it."""
+    given = "".join(
+        f" {name} {shlex.quote(str(value))}"
+        for name, value in (
+            *(("--logs", each.name) for each in options.logs),
+            ("--line", options.line.name if options.line else None),
+            ("--zone", options.zone.name if options.zone.name != "UTC" else None),
+        )
+        if value
+    )
+    name = shlex.quote(source.resolve().name)
     folder = source if source.is_dir() else source.parent
+    return origin(files, folder, f"trainlog report {name}{given} -o report.html")
+
+
+def origin(files: Sequence[Path], folder: Path, command: str) -> Section:
+    """Files with their digests, what they were made of, and the commands, of which one is given."""
+    note("provenance")
     table = new_table("Files shown", "file", "bytes", "SHA-256")
     steps = new_table("What they were made of", "file", "step", "software", "inputs and settings")
     made_by: dict[str, list[str]] = {}
@@ -437,18 +454,7 @@ def _origin(files: Sequence[Path], options: ReportOptions, source: Path) -> Sect
     commands = [
         _COMMANDS[name].format(_some(made)) for name, made in made_by.items() if name in _COMMANDS
     ]
-    options_given = "".join(
-        f" {name} {shlex.quote(str(value))}"
-        for name, value in (
-            *(("--logs", each.name) for each in options.logs),
-            ("--line", options.line.name if options.line else None),
-            ("--zone", options.zone.name if options.zone.name != "UTC" else None),
-        )
-        if value
-    )
-    commands.append(
-        f"trainlog report {shlex.quote(source.resolve().name)}{options_given} -o report.html"
-    )
+    commands.append(command)
     parts: list[Part] = [table, *([steps] if steps.row_count else [])]
     parts.append("Commands, without the options that the files do not state:")
     parts.append(Commands(tuple(commands)))

@@ -23,9 +23,10 @@ from analysis.reports.trip import facts_table, gradient_panel, limit_curve
 from analysis.resistance.logs import Fits, fit, fit_table
 from analysis.resistance.plot import draw_fits
 from analysis.tables import kwh, new_table, overspeed, with_band
-from analysis.trajectory.phases import Phase, advice
+from analysis.trajectory.advice import driver_table, journey_advice
+from analysis.trajectory.phases import Phase
 from analysis.trajectory.plot import COLOURS, draw_trajectory
-from analysis.trajectory.table import advice_table, trajectory_table
+from analysis.trajectory.table import trajectory_table
 from analysis.verification.plot import draw_score
 from analysis.verification.scoring import score_rolling
 from analysis.verification.table import score_table
@@ -398,7 +399,8 @@ def trajectory_sections(path: Path, line: Path | None = None) -> list[Section]:
             sections.append(
                 Section("Phases", [drawn(partial(draw_trajectory, trajectory, course), words)])
             )
-        sections.append(Section("Advice to the driver", [advice_table(advice(trajectory))]))
+        found = journey_advice([trajectory], course)
+        sections.append(Section("Advice to the driver", [driver_table(found)]))
     return sections
 
 

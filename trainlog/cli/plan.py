@@ -279,15 +279,21 @@ def _journey(
     output: Path,
 ) -> None:
     """Optimise a journey; a file a section, numbered."""
+    from analysis.trajectory.advice import with_times
     from analysis.trajectory.journey import optimise_journey
     from analysis.trajectory.table import journey_table
     from trainlog.formats.line import read_journey
 
     with working("optimising the sections"):
         plan = optimise_journey(problem, read_journey(journey), options, dwell=dwell)
-    for number, section in enumerate(plan.sections, start=1):
-        _write(section, problem, output.with_name(f"{output.stem}-{number}.json"))
+    sections = with_times(plan.sections, plan.departures, plan.journey.name)
+    files = [output.with_name(f"{output.stem}-{n + 1}.json") for n in range(len(sections))]
+    for section, file in zip(sections, files, strict=True):
+        _write(section, problem, file)
     console.print(journey_table(plan))
+    names = " ".join(map(str, files))
+    words = f"Advice for all of it: trainlog driver-advice {names} --departure 07:12 -o advice.html"
+    console.print(words, highlight=False, soft_wrap=True)
 
 
 def _front(problem: TrajectoryProblem, options: OptimiserOptions, output: Path) -> None:

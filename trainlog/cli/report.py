@@ -1,4 +1,4 @@
-"""Reports on results: report."""
+"""Reports to send and to print: report, driver-advice."""
 
 from __future__ import annotations
 
@@ -74,3 +74,54 @@ def report(
     with working(f"report on {results.name}"):
         write_report(results, output, ReportOptions(line, tuple(logs or ()), known))
     wrote(output)
+
+
+@app.command("driver-advice", rich_help_panel="Plan")
+def driver_advice(
+    trajectories: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Trajectory file, or those of a journey's sections (optimise --journey)."
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", help="The page (.html); the CSV is written beside it."),
+    ],
+    departure: Annotated[
+        str | None,
+        typer.Option(
+            help="Time of day of the first departure, 07:12; default: times since departure."
+        ),
+    ] = None,
+    line: Annotated[
+        Path | None,
+        typer.Option("--line", help="Line file, where the line is not among the samples."),
+    ] = None,
+    dwell: Annotated[
+        float,
+        typer.Option(
+            min=0.0, help="Standing time at stops (s), of sections planned one by one; default: 0."
+        ),
+    ] = 0.0,
+) -> None:
+    """Write the driver's advice for a whole journey: one page to print, and one CSV.
+
+    Stations with arrival and departure in the clock of the timetable; where to drive, to hold which
+    speed, to coast and to brake, by kilometre and by the nearest station.
+
+    Example: trainlog driver-advice results/trajectory.json --departure 07:12 -o advice.html
+    """
+    destination(output, ".html")
+
+    from analysis.reports.advice import write_driver_advice
+    from analysis.trajectory.advice import driver_table, time_of_day
+
+    start = None if departure is None else time_of_day(departure)
+    table = output.with_suffix(".csv")
+    with working("writing the advice"):
+        found = write_driver_advice(
+            trajectories, output, table, line=line, start=start, dwell=dwell
+        )
+    console.print(driver_table(found))
+    wrote(output, table)

@@ -1,0 +1,387 @@
+"""Advice to a driver for a whole journey: when to depart and arrive, and what to do where.
+
+A journey is one trajectory, or several from stop to stop. Places are named by the operator's
+kilometre and by the nearest station, times in the clock of the timetable.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from rich.table import Table
+
+from analysis.adhesion.condition_table import near
+from analysis.comparison.driven import station_at
+from analysis.tables import new_table
+from analysis.trajectory.phases import AdvicePoint, Phase, advice
+from trainlog.errors import InputError
+from trainlog.formats.files import atomic_write
+from trainlog.railway import Line, Trajectory
+from trainlog.units import KMH
+
+FloatArray = NDArray[np.float64]
+
+HEADER = (
+    "event",
+    "km",
+    "station",
+    "place",
+    "time",
+    "seconds",
+    "timetable",
+    "speed_kmh",
+    "advice",
+    "until_kmh",
+)
+"""Columns of the advice as CSV."""
+
+JOINS = 1.0
+"""So near [m] a section begins to where the one before ends."""
+
+_DAY = 86_400
+
+Event = Literal["departs", "arrives", "passes", "changes"]
+
+
+@dataclass(frozen=True, slots=True)
+class AdviceRow:
+    """What happens, or is to be done, at one place of a journey.
+
+    Attributes
+    ----------
+    event : {"departs", "arrives", "passes", "changes"}
+        At a station, or where the way of driving changes.
+    position : float [m]
+        In the direction of travel.
+    km : float
+        The operator's kilometre.
+    station : str
+        Empty where the way of driving changes between stations.
+    place : str
+        By the nearest station: ``"1.2 km before Uzwil"``.
+    time : float [s]
+        Since the first departure, as planned for the configuration that arrives last.
+    timetable : float or None [s]
+        When the timetable has it; None where it says nothing.
+    speed, until : float [m/s]
+        There, and where the next change is.
+    point : AdvicePoint or None
+    """
+
+    event: Event
+    position: float
+    km: float
+    station: str
+    place: str
+    time: float
+    timetable: float | None
+    speed: float
+    until: float
+    point: AdvicePoint | None = None
+
+    @property
+    def words(self) -> str:
+        """What is to be done, in a few words: ``"coast until 90 km/h"``."""
+        point = self.point
+        if point is None:
+            return "" if self.event == "passes" else self.event
+        until = f"{KMH * point.until:.0f} km/h" if point.until > 0.1 else "a stand"
+        if point.hold:
+            return point.words
+        if point.phase is Phase.COASTING:
+            return f"coast until {until}" if point.until > 0.1 else "coast to a stand"
+        verb = {
+            Phase.MAXIMUM_TRACTION: "full traction to",
+            Phase.CRUISING: "partial traction to",
+            Phase.PARTIAL_BRAKING: "brake gently to",
+            Phase.MAXIMUM_BRAKING: "brake to",
+        }[point.phase]
+        return f"{verb} {until}"
+
+    @property
+    def sentence(self) -> str:
+        """The same with its place: ``"coast from km 1.230, 1.2 km before A, until 9 km/h"``."""
+        where = f"km {self.km:.3f}" + (f", {self.place}" if self.place else "")
+        if self.point is None:
+            return f"{self.event} {self.station or where}"
+        if self.point.phase is Phase.COASTING and not self.point.hold:
+            return f"coast from {where}, {self.words.removeprefix('coast ')}"
+        return f"{self.words} from {where}"
+
+
+@dataclass(frozen=True, eq=False)
+class JourneyAdvice:
+    """Advice for a journey, in the order of its kilometres.
+
+    Attributes
+    ----------
+    line, train : str
+    rows : tuple of AdviceRow
+    sections : tuple of Trajectory
+    departures : (m,) array [s]
+        Of the sections, since the first one.
+    start : float or None [s]
+        Time of day of the first departure; None where it is not known.
+    named : bool
+        Whether the line, and with it the names of the stations, is known.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> from analysis import OptimiserOptions, TrajectoryProblem, optimise
+    >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> nominal = [trainlog.Configuration.of(train)]
+    >>> plan = optimise(
+    ...     TrajectoryProblem(line, train, nominal, end=9_286.1), OptimiserOptions(cells=60)
+    ... )
+    >>> found = journey_advice([plan], line, start=time_of_day("07:12"))
+    >>> found.rows[0].station, found.time(found.rows[0].time), found.rows[-1].place
+    ('St.Gallen', '07:12:00', 'at Gossau SG')
+    """
+
+    line: str
+    train: str
+    rows: tuple[AdviceRow, ...]
+    sections: tuple[Trajectory, ...]
+    departures: FloatArray
+    start: float | None = None
+    named: bool = True
+
+    def time(self, seconds: float | None) -> str:
+        """A time of the journey [s] in the clock of the timetable; since departure without one."""
+        if seconds is None:
+            return ""
+        whole = round((self.start or 0.0) + seconds)
+        whole = whole % _DAY if self.start is not None else whole
+        minutes, rest = divmod(whole, 60)
+        hours, minutes = divmod(minutes, 60)
+        return f"{hours:02d}:{minutes:02d}:{rest:02d}"
+
+
+def time_of_day(word: str) -> float:
+    """A time of day as ``07:12`` or ``07:12:30`` [s since midnight].
+
+    Raises
+    ------
+    InputError
+        If it is none.
+
+    Examples
+    --------
+    >>> time_of_day("07:12")
+    25920.0
+    """
+    found = re.fullmatch(r"(\d{1,2}):(\d{2})(?::(\d{2}))?", word.strip())
+    hours, minutes, seconds = (int(each or 0) for each in found.groups()) if found else (99, 0, 0)
+    if hours > 23 or minutes > 59 or seconds > 59:
+        raise InputError(f"'{word}' is no time of day", remedy="write it as 07:12 or 07:12:30")
+    return 3600.0 * hours + 60.0 * minutes + seconds
+
+
+def with_times(
+    sections: Sequence[Trajectory], departures: ArrayLike, name: str
+) -> tuple[Trajectory, ...]:
+    """Sections of a journey that know when they depart, which their files keep.
+
+    Parameters
+    ----------
+    sections : sequence of m Trajectory
+    departures : (m,) array [s]
+    name : str
+        Of the journey.
+    """
+    times = np.asarray(departures, dtype=np.float64).tolist()
+    return tuple(
+        replace(each, provenance={**each.provenance, "journey": {"name": name, "departure": time}})
+        for each, time in zip(sections, times, strict=True)
+    )
+
+
+def journey_advice(
+    sections: Sequence[Trajectory],
+    line: Line | None,
+    *,
+    start: float | None = None,
+    dwell: float = 0.0,
+) -> JourneyAdvice:
+    """Advice for a journey from its sections.
+
+    Parameters
+    ----------
+    sections : sequence of Trajectory
+        From stop to stop, in any order; a single one is a journey, too. Those that
+        ``trainlog optimise --journey`` wrote know when they depart.
+    line : Line or None
+        As travelled; None leaves out the names of the stations.
+    start : float [s], optional
+        Time of day of the first departure (`time_of_day`).
+    dwell : float [s]
+        Standing time at the stops on the way, of sections that do not know when they depart.
+
+    Raises
+    ------
+    InputError
+        If the sections are not of one line, train and direction, do not follow each other, or do
+        not come from `optimise`.
+    """
+    if not sections:
+        raise InputError("no trajectory was given", remedy="give those of the journey's sections")
+    ordered = sorted(sections, key=lambda each: float(each.positions[0]))
+    _check_sections(ordered)
+    departures = _departures(ordered, dwell)
+    rows = [
+        row
+        for section, departure in zip(ordered, departures.tolist(), strict=True)
+        for row in _rows(section, departure, line)
+    ]
+    first = ordered[0]
+    return JourneyAdvice(
+        first.line, first.train, tuple(rows), tuple(ordered), departures, start, line is not None
+    )
+
+
+def _check_sections(sections: Sequence[Trajectory]) -> None:
+    first = sections[0]
+    for before, each in pairwise(sections):
+        if (each.line, each.train, each.direction) != (first.line, first.train, first.direction):
+            raise InputError(
+                f"the sections are not of one journey: {first.train} on {first.line}"
+                f" {first.direction}, {each.train} on {each.line} {each.direction}",
+                remedy="give the sections of one journey",
+            )
+        ends, begins = float(before.positions[-1]), float(each.positions[0])
+        if abs(begins - ends) > JOINS:
+            raise InputError(
+                f"a section ends at km {ends / 1e3:.3f}, the next begins at km {begins / 1e3:.3f}",
+                remedy="give all sections of the journey, each once",
+            )
+
+
+def _departures(sections: Sequence[Trajectory], dwell: float) -> FloatArray:
+    """Of each section, since the first [s]: as their files know them, else one after the other."""
+    stated = [each.provenance.get("journey", {}).get("departure") for each in sections]
+    if len(sections) > 1 and all(isinstance(each, int | float) for each in stated):
+        times = np.array(stated, dtype=np.float64)
+        ends = times + [each.running_time for each in sections]
+        if np.any(times[1:] < ends[:-1] - 1.0):
+            raise InputError(
+                "the sections are of different plans: one departs before the one before arrives",
+                remedy="give the sections that one 'trainlog optimise --journey' wrote",
+            )
+        return np.asarray(times - times[0])
+    lasts = [each.running_time + dwell for each in sections[:-1]]
+    return np.concatenate(([0.0], np.cumsum(lasts)))
+
+
+def _rows(section: Trajectory, departure: float, line: Line | None) -> Iterator[AdviceRow]:
+    """Of one section: its departure, changes and stations in order, its arrival."""
+    row = section.latest
+    times, places, speeds = section.times[row], section.positions, section.speeds[row]
+    first, last = float(places[0]), float(places[-1])
+    points = advice(section)
+    yield _row("departs", first, departure, departure, (float(speeds[0]), 0.0), line)
+    found = [
+        _row("changes", each.position, departure + each.time, None, (each.speed, each.until), line,
+             each)
+        for each in points
+    ]  # fmt: skip
+    for station in () if line is None else line.stations:
+        if first + JOINS < station.position < last - JOINS:
+            at, speed = (
+                float(np.interp(station.position, places, each)) for each in (times, speeds)
+            )
+            named = _row("passes", station.position, departure + at, None, (speed, speed), line)
+            found.append(replace(named, station=station.name))
+    yield from sorted(found, key=lambda each: each.position)
+    arrival = departure + section.running_time
+    yield _row(
+        "arrives", last, departure + float(times[-1]), arrival, (float(speeds[-1]), 0.0), line
+    )
+
+
+def _row(
+    event: Event,
+    position: float,
+    time: float,
+    timetable: float | None,
+    speeds: tuple[float, float],
+    line: Line | None,
+    point: AdvicePoint | None = None,
+) -> AdviceRow:
+    km = position if line is None else float(line.kilometre(position))
+    station = "" if line is None or event == "changes" else station_at(line, position)
+    place = near(line, [position])[0]
+    return AdviceRow(event, position, km / 1e3, station, place, time, timetable, *speeds, point)
+
+
+def write_journey_advice(found: JourneyAdvice, path: str | Path) -> None:
+    """Write the advice as CSV, whole or not at all; its columns are `HEADER`."""
+    with (
+        atomic_write(path) as temporary,
+        temporary.open("w", encoding="utf-8", newline="") as file,
+    ):
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(HEADER)
+        for row in found.rows:
+            until = f"{KMH * row.until:.1f}" if row.point is not None else ""
+            table.writerow(
+                (
+                    row.event,
+                    f"{row.km:.3f}",
+                    row.station,
+                    row.place,
+                    found.time(row.time),
+                    f"{row.time:.1f}",
+                    found.time(row.timetable),
+                    f"{KMH * row.speed:.1f}",
+                    row.words,
+                    until,
+                )
+            )
+
+
+def stations_table(found: JourneyAdvice) -> Table:
+    """Arrivals, departures and passing times of a journey, a row a station."""
+    table = new_table("", "station", "km", "arrives", "departs", "")
+    calls: dict[float, dict[str, AdviceRow]] = {}
+    for row in found.rows:
+        if row.event != "changes":
+            calls.setdefault(round(row.position), {})[row.event] = row
+    for events in calls.values():
+        first = next(iter(events.values()))
+        times = [
+            found.time(events[name].time) if name in events else ""
+            for name in ("arrives", "departs")
+        ]
+        notes = []
+        if "passes" in events:
+            notes.append(f"passes at {found.time(first.time)}")
+        arrives = events.get("arrives")
+        if arrives is not None and found.time(arrives.time) != found.time(arrives.timetable):
+            notes.append(f"timetable {found.time(arrives.timetable)}")
+        table.add_row(first.station or "-", f"{first.km:.3f}", *times, ", ".join(notes))
+    return table
+
+
+def driver_table(found: JourneyAdvice) -> Table:
+    """The journey as a driver reads it: kilometre, place, time, what to do."""
+    table = new_table("", "km", "where", "time", "at", "advice")
+    for row in found.rows:
+        speed = f"{KMH * row.speed:.0f} km/h"
+        words = row.words or "passes"
+        place = row.station or row.place
+        if row.event in ("departs", "arrives"):
+            speed = ""
+        table.add_row(f"{row.km:.3f}", place, found.time(row.time), speed, words)
+        if row.event == "arrives":
+            table.add_section()
+    return table

@@ -1,0 +1,198 @@
+"""Advice to a driver for a whole journey: stations, times in the clock of the timetable, places."""
+
+from __future__ import annotations
+
+import csv
+import re
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_cli import run
+
+from analysis.reports.advice import write_driver_advice
+from analysis.trajectory.advice import (
+    HEADER,
+    journey_advice,
+    stations_table,
+    time_of_day,
+    with_times,
+)
+from analysis.trajectory.optimiser import optimise
+from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
+from trainlog.errors import InputError
+from trainlog.formats.line import read_line
+from trainlog.formats.samples import sample
+from trainlog.formats.train import read_train
+from trainlog.formats.trajectory import read_trajectory, write_trajectory
+from trainlog.railway import Configuration, Line, Trajectory
+
+DWELL = 45.0
+
+
+@pytest.fixture(scope="module")
+def line() -> Line:
+    return read_line(sample("CH_StGallen_Wil.line.json"))
+
+
+@pytest.fixture(scope="module")
+def sections(line: Line) -> tuple[Trajectory, ...]:
+    """Against the chainage, from Wil to Uzwil and past Flawil to Gossau; two configurations."""
+    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
+    back = line.reversed()
+    ends = [back.stations[number].position for number in (0, 1, 3)]
+    found = [
+        optimise(
+            TrajectoryProblem(
+                back,
+                train,
+                [Configuration.of(train), replace(Configuration.of(train, 20e3), name="laden")],
+                start=start,
+                end=end,
+                reserve=0.1,
+                direction="reverse",
+            ),
+            OptimiserOptions(cells=60),
+        )
+        for start, end in pairwise(ends)
+    ]
+    starts = [0.0, found[0].running_time + DWELL]
+    return with_times(found, starts, "S1")
+
+
+def test_the_rows_are_a_timetable_in_the_clock_that_is_asked_for(
+    sections: tuple[Trajectory, ...], line: Line
+) -> None:
+    found = journey_advice(sections[::-1], line.reversed(), start=time_of_day("23:58"))
+    assert [(row.event, row.station) for row in found.rows if row.event != "changes"] == [
+        ("departs", "Wil"),
+        ("arrives", "Uzwil"),
+        ("departs", "Uzwil"),
+        ("passes", "Flawil"),
+        ("arrives", "Gossau SG"),
+    ]
+    times = [row.time for row in found.rows]
+    assert times == sorted(times)
+    assert found.time(times[0]) == "23:58:00"
+    # Past midnight the clock begins anew.
+    assert found.time(times[-1]).startswith("00:1")
+    departs = [row.time for row in found.rows if row.event == "departs"]
+    arrives = [row.timetable for row in found.rows if row.event == "arrives"]
+    assert departs[1] - (arrives[0] or 0.0) == pytest.approx(DWELL)
+    # Nobody is later than the timetable.
+    for row in found.rows:
+        assert row.timetable is None or row.time <= row.timetable + 0.1
+
+
+def test_places_are_the_operators_and_named_in_the_direction_of_travel(
+    sections: tuple[Trajectory, ...], line: Line
+) -> None:
+    back = line.reversed()
+    found = journey_advice(sections, back)
+    for row in found.rows:
+        assert row.km == pytest.approx(float(back.kilometre(row.position)) / 1e3)
+        before = re.fullmatch(r"([\d.]+) km (before|after) (.+)", row.place)
+        if before is None:
+            continue
+        station = next(each for each in back.stations if each.name == before[3])
+        ahead = station.position - row.position
+        assert (ahead > 0.0) == (before[2] == "before")
+        assert abs(ahead) / 1e3 == pytest.approx(float(before[1]), abs=0.051)
+    coasting = [row for row in found.rows if row.words.startswith("coast")]
+    assert coasting
+    pattern = r"coast from km \d+\.\d{3}, .*(before|after|at) .+, (until \d+ km/h|to a stand)"
+    assert all(re.fullmatch(pattern, row.sentence) for row in coasting)
+
+
+def test_the_advice_is_what_the_plan_does(sections: tuple[Trajectory, ...], line: Line) -> None:
+    found = journey_advice(sections, line.reversed())
+    for section, departure in zip(sections, found.departures.tolist(), strict=True):
+        row = section.latest
+        inside = [
+            each
+            for each in found.rows
+            if each.event in ("changes", "passes")
+            and section.positions[0] <= each.position < section.positions[-1]
+        ]
+        assert len(inside) > 2
+        for each in inside:
+            time = departure + np.interp(each.position, section.positions, section.times[row])
+            assert each.time == pytest.approx(time)
+            speed = np.interp(each.position, section.positions, section.speeds[row])
+            assert each.speed == pytest.approx(speed)
+        assert inside[0].words.startswith("full traction to")
+        assert inside[-1].words == "brake to a stand"
+
+
+def test_page_and_table_state_the_same(
+    sections: tuple[Trajectory, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    files = [tmp_path / f"plan-{number}.json" for number in (1, 2)]
+    for section, file in zip(sections, files, strict=True):
+        write_trajectory(section, file)
+    output = tmp_path / "advice.html"
+    words = ("driver-advice", *files, "--departure", "07:12", "-o", output)
+    status, printed, _ = run(monkeypatch, capsys, *words)
+    assert status == 0
+    with output.with_suffix(".csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == HEADER
+    text = output.read_text("utf-8")
+    for row in rows:
+        assert row["time"] in text
+        assert row["km"] in text
+        assert row["advice"] in text or row["event"] == "passes"
+        assert row["time"] in printed
+    assert rows[0]["station"] == "Wil"
+    assert rows[0]["time"] == "07:12:00"
+    assert "Driver&#x27;s advice: Wil to Gossau SG" in text
+    assert "of 2 observed ones" in text
+    first = output.read_bytes()
+    run(monkeypatch, capsys, *words)
+    assert output.read_bytes() == first
+
+
+def test_sections_that_do_not_follow_each_other_are_refused(
+    sections: tuple[Trajectory, ...], line: Line, tmp_path: Path
+) -> None:
+    back = line.reversed()
+    with pytest.raises(InputError, match="the next begins at km"):
+        journey_advice([sections[0], sections[0]], back)
+    other = replace(sections[1], train="another")
+    with pytest.raises(InputError, match="are not of one journey"):
+        journey_advice([sections[0], other], back)
+    early = with_times(sections, [0.0, 10.0], "S1")
+    with pytest.raises(InputError, match="departs before the one before arrives"):
+        journey_advice(early, back)
+    for word in ("25:00", "7", "07:61", "noon"):
+        with pytest.raises(InputError, match="is no time of day"):
+            time_of_day(word)
+    (tmp_path / "plan.json").write_text('{"format": "trainlog/line"}')
+    with pytest.raises(InputError, match=r"plan\.json"):
+        write_driver_advice([tmp_path / "plan.json"], tmp_path / "a.html", tmp_path / "a.csv")
+    assert [each.name for each in tmp_path.iterdir()] == ["plan.json"]
+
+
+def test_sections_planned_one_by_one_stand_as_long_as_is_asked_for(
+    sections: tuple[Trajectory, ...], line: Line, tmp_path: Path
+) -> None:
+    unaware = [replace(each, provenance={}) for each in sections]
+    found = journey_advice(unaware, line.reversed(), dwell=60.0)
+    assert found.departures[1] == pytest.approx(sections[0].running_time + 60.0)
+    table = stations_table(found)
+    cells = [list(column.cells) for column in table.columns]
+    assert cells[0] == ["Wil", "Uzwil", "Flawil", "Gossau SG"]
+    assert all((cells[2][1], cells[3][1]))
+    # Without the line the places are kilometres.
+    nameless = journey_advice(unaware, None)
+    assert not nameless.named
+    assert all(row.station == row.place == "" for row in nameless.rows)
+    # A file keeps when its section departs.
+    write_trajectory(sections[1], tmp_path / "plan.json")
+    kept = read_trajectory(tmp_path / "plan.json").provenance["journey"]["departure"]
+    assert kept == pytest.approx(sections[0].running_time + DWELL)
