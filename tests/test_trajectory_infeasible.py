@@ -40,6 +40,17 @@ def test_too_little_time_names_the_slowest_and_what_is_missing() -> None:
     assert found.certificate["audit"]["passed"]
 
 
+def test_trains_too_different_for_one_brake_are_refused_whatever_the_time() -> None:
+    """No time helps, and the refusal does not ask for more: the relaxation proves it."""
+    run = level_line(40_000.0, (0.0, 120.0), (20_000.0, 60.0)), FLIRT, observed(FLIRT, 0.5, 1.5)
+    for reserve in (0.1, 1.5):
+        with pytest.raises(InfeasibleError, match="whatever the time") as error:
+            optimised(*run, braking="common", final_speed=8.0, reserve=reserve, cells=60)
+        assert "allow" not in str(error.value)
+    found = optimised(*run, final_speed=8.0, reserve=0.1, cells=60)
+    assert found.certificate["audit"]["passed"]
+
+
 def test_a_moment_too_little_is_not_reported_as_nothing() -> None:
     run = hilly_line(), FLIRT, observed(FLIRT, 1.0)
     least = optimised(*run, reserve=0.1, cells=60).certificate["least_time"][0]

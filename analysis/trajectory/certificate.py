@@ -71,6 +71,10 @@ class LowerBounds:
         """By how much an energy [J/kg] is above that of any trajectory at most, relative."""
         return _relative_gap(energy, self.continuous)
 
+    def gap(self, energy: float) -> float:
+        """By how much an energy [J/kg] is above that of any trajectory on these cells, relative."""
+        return _relative_gap(energy, self.cells)
+
     def by_cells(self, energy: float, tolerance: float) -> bool:
         """Whether it is the cells that leave an energy more than a tolerance above the bound."""
         # Else it is what the relaxation leaves out, where the multipliers did not come close.

@@ -252,6 +252,14 @@ def brakes_explained(
     """Why one braking effort does not bring them all to the required speed at the end."""
     names = names_of(problem)
     lowest = lowest_end_speed(problem, speeds, running_time)
+    if lowest is None and _is_never_common(problem, speeds):
+        return InfeasibleError(
+            f"with one braking effort for all, {names} cannot run together, whatever the time and"
+            " their speed at the end: where one has to brake another comes to a stand (a convex"
+            " relaxation on these cells has no solution)",
+            remedy="let each configuration brake for itself (recourse), or plan for configurations"
+            " that differ less, or for a shorter section",
+        )
     if lowest is None:
         return InfeasibleError(
             f"with one braking effort for all, {names} cannot keep {running_time:.1f} s whatever"
@@ -263,6 +271,19 @@ def brakes_explained(
         f" {running_time:.1f} s; required are {KMH * problem.run.final_speed:.1f} km/h",
         remedy="let each configuration brake for itself (recourse), or end faster",
     )
+
+
+def _is_never_common(problem: DiscreteProblem, speeds: FloatArray) -> bool:
+    """Whether no common efforts take all to the end, at any time and speed there: proven.
+
+    The relaxation holds every trajectory on these cells; where it is infeasible there is none.
+    """
+    trial = replace(problem, final=float(problem.ceiling[-1]))
+    try:
+        Relaxation(trial, speeds).least_time()
+    except NoSolutionError as status:
+        return str(status) == "infeasible"
+    return False
 
 
 def lowest_end_speed(

@@ -61,6 +61,12 @@ _IN_HAND = (2e-4, 2e-3, 2e-2)
 REFINEMENTS = 3
 """How often a grid whose answer does not pass the audit is made twice as fine."""
 
+_LARGE = 10_000
+"""Cells of all configurations together, from which a search on other cells takes seconds."""
+
+_GAINED = 0.1
+"""Part of the gap that other cells of a large problem have to gain, that their bound is computed."""
+
 RENEWALS = 2
 """How often cells are laid anew about the plan found."""
 
@@ -279,7 +285,7 @@ def _renewed(
         total = bounds.total_gap(found.energy)
         note(f"the gap is {total:.3%}; cells are laid anew")
         enough = total <= tolerance or time_left() <= 0.0
-        if enough or not bounds.by_cells(found.energy, tolerance):
+        if enough or not _cells_may_help(found, bounds, tolerance):
             break
         excess = last[1].excess
         again = _searched_again(last[0], excess, cells, fastest, running_time)
@@ -287,12 +293,25 @@ def _renewed(
             again = _searched_again(last[0], excess, 2 * cells, fastest, running_time)
         if again is None:
             break
+        if _is_large(found) and again.energy > found.energy * (1.0 - _GAINED * total):
+            break
         last = again, best_bounds(again.answer, fastest, running_time)
         highest = max(bounds.continuous, last[1].continuous)
         if again.energy <= found.energy or last[1].total_gap(again.energy) < total:
             found, bounds = last
         bounds = replace(bounds, continuous=highest, cells=max(bounds.cells, highest))
     return found, bounds
+
+
+def _is_large(found: _Audited) -> bool:
+    return found.problem.drag2.size > _LARGE
+
+
+def _cells_may_help(found: _Audited, bounds: LowerBounds, tolerance: float) -> bool:
+    """Whether other cells may bring the gap within a tolerance; for many, or certify the answer."""
+    total, energy = bounds.total_gap(found.energy), found.energy
+    worthwhile = total > GAP_TOLERANCE or bounds.gap(energy) <= tolerance
+    return bounds.by_cells(energy, tolerance) and (worthwhile or not _is_large(found))
 
 
 def _searched_again(
