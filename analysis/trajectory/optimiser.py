@@ -65,7 +65,7 @@ _LARGE = 10_000
 """Cells of all configurations together, from which a search on other cells takes seconds."""
 
 _GAINED = 0.1
-"""Part of the gap that other cells of a large problem have to gain, that their bound is computed."""
+"""Part of the gap that other cells of a large problem gain at least, or their bound is left out."""
 
 RENEWALS = 2
 """How often cells are laid anew about the plan found."""
