@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given, settings, strategies as st
 from mcap.reader import make_reader
 
 from tests.foreign_logs import json_log
@@ -15,7 +18,7 @@ from tests.mcap_trips import START, assert_same, trip_of
 from trainlog.cli.main import run
 from trainlog.cli.options import stretch, times
 from trainlog.errors import InputError, LogError
-from trainlog.formats.parquet import read_parquet, write_parquet
+from trainlog.formats.parquet import CsvTripIndex, folder_writer, read_parquet, write_parquet
 from trainlog.mcap import DamageWarning, convert as module, read_log, write_log
 from trainlog.mcap.convert import convert, span_of
 from trainlog.topics import EVENTS, TRAIN_STATE
@@ -40,20 +43,91 @@ def log(tmp_path: Path) -> Path:
     return tmp_path / "trip.mcap"
 
 
-def test_a_log_goes_to_parquet_and_back_without_losing_a_byte(log: Path, tmp_path: Path) -> None:
-    done = convert(log, tmp_path / "trip.parquet")
-    assert_same(read_log(log), read_parquet(tmp_path / "trip.parquet"))
+@pytest.mark.parametrize("suffix", [".parquet", ".csv"])
+def test_a_log_goes_to_tables_and_back_without_losing_a_byte(
+    suffix: str, log: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / f"trip{suffix}"
+    done = convert(log, folder)
+    assert_same(read_log(log), read_parquet(folder))
     assert done.rows[TRAIN_STATE.name] == 200
-    convert(tmp_path / "trip.parquet", tmp_path / "again.mcap")
+    convert(folder, tmp_path / "again.mcap")
     assert (tmp_path / "again.mcap").read_bytes() == log.read_bytes()
 
 
-@pytest.mark.parametrize("kind", ["mcap", "parquet"])
+def test_a_csv_file_opens_in_any_program(log: Path, tmp_path: Path) -> None:
+    convert(log, tmp_path / "trip.csv")
+    text = (tmp_path / "trip.csv" / "train_state.csv").read_text("utf-8").splitlines()
+    assert text[0] == '"time","position [m]","speed [m/s]","acceleration [m/s^2]"'
+    assert len(text) == 201
+    frame = pd.read_csv(tmp_path / "trip.csv" / "train_state.csv", parse_dates=["time"])
+    state = read_log(log)[TRAIN_STATE.name]
+    assert frame["position [m]"].tolist() == state["position"].tolist()
+    assert (pd.DatetimeIndex(frame["time"]) == state.index).all()
+
+
+CELLS = st.fixed_dictionaries(
+    {
+        "speed": st.floats(width=64),
+        "message": st.text(st.characters(codec="utf-8", exclude_characters="\0")),
+        "level": st.integers(0, 5),
+    }
+)
+
+
+@given(st.lists(CELLS, min_size=1, max_size=20), st.integers(0, 2**62))
+@settings(max_examples=40, deadline=None)
+def test_whatever_a_cell_holds_comes_back_from_csv(rows: list[dict[str, Any]], start: int) -> None:
+    time = start + np.arange(len(rows))
+    words = {name: [row[name] for row in rows] for name in ("level", "message")}
+    trip = Trip(
+        {
+            TRAIN_STATE.name: frame_of(TRAIN_STATE, time, {"speed": [r["speed"] for r in rows]}),
+            EVENTS.name: frame_of(EVENTS, time, words),
+        }
+    )
+    with TemporaryDirectory() as parent:
+        with folder_writer(Path(parent) / "trip.csv", CsvTripIndex) as writer:
+            writer.add(trip)
+        found = read_parquet(Path(parent) / "trip.csv")
+    assert found == trip
+    speeds = found[TRAIN_STATE.name].speed.to_numpy(), trip[TRAIN_STATE.name].speed.to_numpy()
+    assert np.array_equal(np.signbit(speeds[0]), np.signbit(speeds[1]) & ~np.isnan(speeds[1]))
+
+
+DAMAGE = {
+    "fast": (b",1010,", b",fast,", "CSV conversion error to double"),
+    "unsorted": (b"22:13:21", b"21:13:21", r"row \d+: time runs backwards; sort the rows"),
+    "another column": (b'"position [m]"', b'"place [m]"', "has no column position; it has time, p"),
+}
+
+
+@pytest.mark.parametrize("case", DAMAGE)
+def test_a_csv_file_that_was_damaged_is_named(case: str, log: Path, tmp_path: Path) -> None:
+    convert(log, tmp_path / "trip.csv")
+    file = tmp_path / "trip.csv" / "train_state.csv"
+    old, new, problem = DAMAGE[case]
+    file.write_bytes(file.read_bytes().replace(old, new, 1))
+    with pytest.raises(LogError, match=problem) as caught:
+        convert(tmp_path / "trip.csv", tmp_path / "again.mcap")
+    assert caught.value.file == file
+    assert not (tmp_path / "again.mcap").exists()
+
+
+def test_a_value_that_was_corrected_by_hand_is_read(log: Path, tmp_path: Path) -> None:
+    convert(log, tmp_path / "trip.csv")
+    file = tmp_path / "trip.csv" / "train_state.csv"
+    file.write_bytes(file.read_bytes().replace(b",1010,", b",1010.5,", 1))
+    convert(tmp_path / "trip.csv", tmp_path / "again.mcap")
+    assert read_log(tmp_path / "again.mcap")[TRAIN_STATE.name]["position"].iloc[1] == 1010.5
+
+
+@pytest.mark.parametrize("kind", ["mcap", "parquet", "csv"])
 def test_a_part_is_what_slicing_gives(kind: str, log: Path, tmp_path: Path) -> None:
     source = log
-    if kind == "parquet":
-        source = tmp_path / "trip.parquet"
-        write_parquet(read_log(log), source)
+    if kind != "mcap":
+        source = tmp_path / f"trip.{kind}"
+        convert(log, source)
     start = pd.Timestamp(START + 2 * 10**9, tz="UTC")
     for number, (part, wanted) in enumerate(
         (
@@ -130,7 +204,7 @@ def test_log_and_parquet_span_the_same_time(log: Path, tmp_path: Path) -> None:
             LogError,
             "holds no topic /mood; it holds",
         ),
-        ("part.zip", {}, InputError, r"end it in .mcap or .parquet"),
+        ("part.zip", {}, InputError, r"end it in .mcap, .parquet or .csv"),
         ("trip.mcap", {}, InputError, "would be overwritten"),
     ],
 )

@@ -11,6 +11,7 @@ import struct
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Iterator
 from contextlib import nullcontext
 from functools import reduce
@@ -461,3 +462,107 @@ def test_the_profile_line_and_train_travel_along(tmp_path: Path) -> None:
     assert trip.metadata["weather"] == "wet"
     assert trip.metadata["source"] == "a test"
     assert sorted(trip.attachments) == ["line.json", "profile.toml", "train.json"]
+
+
+# ------------------------------------------------------------------------------------ while drawn
+
+
+def scalars_of(path: Path, entity: str) -> list[tuple[Any, float]]:
+    """Time and value of every scalar that a replay holds of an entity, in the order of time."""
+    chunk = pytest.importorskip("rerun.chunk")
+    found = []
+    for each in chunk.RrdReader(path).stream().to_chunks():
+        if each.entity_path != entity:
+            continue
+        for row in each.to_record_batch().to_pylist():
+            values = row.get("Scalars:scalars") or []
+            found += [(row["time"], part) for part in values if np.isfinite(part)]
+    return sorted(found)
+
+
+def driven(recording: Any, seconds: int) -> None:
+    for number in range(10 * seconds):
+        at = (EPOCH * 10 + number) * 10**8
+        recording.write(STATE, at, speed=0.1 * number, position=0.005 * number**2)
+        recording.write("/train/controls", at, lever=0.5, tractive_effort=9e4)
+
+
+def test_what_is_drawn_is_what_the_replay_of_the_log_draws(tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    log, drawn, replayed = (tmp_path / name for name in ("a.mcap", "live.rrd", "whole.rrd"))
+    with (
+        trainlog.record(log, flush=0.1, metadata={"trip": "a"}) as recording,
+        trainlog.live_replay(recording, drawn) as drawing,
+    ):
+        for second in range(4):
+            for tenth in range(10):
+                number = 10 * second + tenth
+                at = (EPOCH * 10 + number) * 10**8
+                recording.write(STATE, at, speed=0.1 * number, position=0.005 * number**2)
+            if second == 2:  # a topic that comes later is drawn, too
+                recording.write("/train/controls", at, lever=0.5, tractive_effort=9e4)
+            time.sleep(0.25)
+    assert (drawing.drawn, drawing.dropped, drawing.problem) == (41, 0, "")
+    trainlog.write_replay([trainlog.read(log)], replayed)
+    for entity, count in (("/trips/a/speed/measured", 40), ("/trips/a/efforts/measured", 1)):
+        left, right = scalars_of(drawn, entity), scalars_of(replayed, entity)
+        assert len(left) == count
+        assert left == right
+
+
+class _Stuck:
+    """A viewer that takes nothing."""
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *_, **__: time.sleep(0.2)
+
+
+def test_a_viewer_that_takes_nothing_does_not_delay_the_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("rerun")
+    from trainlog.replay import live
+
+    monkeypatch.setattr(live, "WAITING", 2)
+    monkeypatch.setattr(live, "CLOSING", 0.5)
+    monkeypatch.setattr(live.rr, "RecordingStream", lambda *_, **__: _Stuck())
+    monkeypatch.setattr(live, "_GrowingTrip", lambda *_: _Stuck())
+    log = tmp_path / "a.mcap"
+    with trainlog.record(log, flush=0.02) as recording:
+        with trainlog.live_replay(recording, tmp_path / "live.rrd") as drawing:
+            slowest = 0.0
+            for second in range(2):
+                began = time.perf_counter()
+                driven(recording, 1 + second)
+                slowest = max(slowest, time.perf_counter() - began)
+                time.sleep(0.5)
+            for number in range(100):
+                recording.write("/imu", (EPOCH + number) * 10**9, specific_force_x=1.0)
+                time.sleep(0.01)
+        account = recording.account()
+    assert slowest < 0.2
+    assert account.dropped == account.waiting == {}
+    assert drawing.dropped > 0
+    assert f"{drawing.dropped:,} samples were not drawn; the log holds them" in drawing.sentences()
+    assert drawing.drawn + drawing.dropped == sum(account.written.values())
+
+
+def test_a_viewer_that_is_closed_ends_the_drawing_alone(tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    with (
+        warnings.catch_warnings(record=True) as caught,
+        trainlog.record(tmp_path / "a.mcap", flush=0.05) as recording,
+        trainlog.live_replay(recording, tmp_path / "live.rrd") as drawing,
+    ):
+        warnings.simplefilter("always")
+        drawing._viewer = subprocess.Popen([sys.executable, "-c", ""])
+        drawing._viewer.wait()
+        for _ in range(2):
+            driven(recording, 1)
+            time.sleep(0.4)
+    assert "a.mcap is recorded, but no longer drawn: the viewer was closed" in [
+        str(each.message) for each in caught
+    ]
+    assert len(trainlog.read(tmp_path / "a.mcap")[STATE]) == 20
+    assert drawing.problem == "the viewer was closed"
+    assert drawing.dropped >= 20

@@ -120,6 +120,7 @@ if TYPE_CHECKING:
     from trainlog.railway.weather import Weather as Weather
     from trainlog.replay import (
         ReplayOptions as ReplayOptions,
+        live_replay as live_replay,
         open_viewer as open_viewer,
         run_viewer as run_viewer,
         scalars as scalars,
@@ -175,7 +176,8 @@ _NAMES = {
     "trainlog.simulation.recording": "simulate",
     "trainlog.simulation.consist": "ConsistPlant",
     "trainlog.replay": (
-        "ReplayOptions open_viewer run_viewer scalars take_picture write_layout write_replay"
+        "ReplayOptions live_replay open_viewer run_viewer scalars take_picture write_layout "
+        "write_replay"
     ),
     "trainlog.errors": (
         "InfeasibleError InputError LogError MissingExtraError NotIdentifiableError TrainlogError"

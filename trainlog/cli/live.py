@@ -21,7 +21,7 @@ from trainlog.units import KMH
 if TYPE_CHECKING:
     from trainlog.ingest.live import LiveIngest
     from trainlog.ingest.sources import Source
-    from trainlog.mcap.recorder import Recording
+    from trainlog.mcap import Recording
 
 app = typer.Typer()
 
@@ -51,7 +51,7 @@ def record(
     header: Annotated[
         Path | None,
         typer.Option(
-            help="File of this recorder whose header names the columns of a stream without one."
+            help="File of this recorder with the header that the stream does not begin with."
         ),
     ] = None,
     line: Annotated[Path | None, typer.Option(help="Line it is driven on, if known.")] = None,
@@ -77,6 +77,9 @@ def record(
             help="End after so many seconds of silence, once data have come; default: at Ctrl-C.",
         ),
     ] = None,
+    replay: Annotated[
+        bool, typer.Option("--replay", help="Show the trip in the Rerun viewer as it is recorded.")
+    ] = False,
 ) -> None:
     """Record what a recorder sends while the train runs: UDP, a pipe, or a file that grows.
 
@@ -91,7 +94,7 @@ def record(
 
     Example: trainlog record --from udp 5005 -o today.mcap --profile recorder.profile.toml
 
-    trainlog record --from file /var/log/gnss.nmea -o today.mcap
+    trainlog record --from file /var/log/gnss.nmea -o today.mcap --replay
     """
     from trainlog.formats.line import read_line
     from trainlog.formats.train import read_train
@@ -113,12 +116,13 @@ def record(
         recording, live = LiveIngest.begun(output, given, options)
         stack.enter_context(recording)
         copy = None if raw is None else stack.enter_context(_raw(raw))
+        drawing = _drawing(recording, stack) if replay else None
         each = stack.enter_context(_status(live, source, began))
         stack.enter_context(source)
         console.print(f"recording {source.name}; Ctrl-C ends it", highlight=False)
         live.follow(source, stopped=stopped, idle=idle, each=each, raw=copy)
         live.close(time.time_ns())
-    _summary(output, recording, live, source, time.monotonic() - began)
+    _summary(output, recording, live, source, time.monotonic() - began, drawing)
 
 
 def _source(origin: str, address: str | None) -> Source:
@@ -207,12 +211,21 @@ def _line(live: LiveIngest, source: Source, seconds: float, rate: float) -> str:
     return ", ".join(parts)
 
 
+def _drawing(recording: Recording, stack: ExitStack) -> Any:
+    from trainlog.replay import live_replay
+
+    drawing = stack.enter_context(live_replay(recording))
+    console.print(drawing.where, highlight=False, soft_wrap=True)
+    return drawing
+
+
 def _summary(
     output: Path,
     recording: Recording,
     live: LiveIngest,
     source: Source,
     seconds: float,
+    drawing: Any,
 ) -> None:
     """State what became of what came."""
     account = recording.account()
@@ -236,6 +249,7 @@ def _summary(
         what = "datagrams" if source.whole else "blocks"
         sentences.append(f"{source.lost:,} {what} lost before they could be read")
     sentences += [f"{count:,} of {name} dropped" for name, count in account.dropped.items()]
+    sentences += [] if drawing is None else drawing.sentences()
     for sentence in sentences:
         console.print(f"    {sentence}", highlight=False, markup=False, soft_wrap=True)
     wrote(output)

@@ -9,9 +9,8 @@ the folder.
 from __future__ import annotations
 
 import json
-import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -20,15 +19,15 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
 from pydantic import Field
 
 from trainlog.errors import InputError, LogError
-from trainlog.formats.files import atomic_folder, check_written, read_bytes, sha256
+from trainlog.formats.files import LOOKED_AT, atomic_folder, check_written, read_bytes, sha256
 from trainlog.formats.schema import File, Part
+from trainlog.formats.topic_csv import CsvTopic, CsvTopicWriter
+from trainlog.formats.topic_parquet import ROWS, ParquetTopic, ParquetTopicWriter, damaged, times_of
 from trainlog.spans import Spans, overlapping, position_limits, spans_of_pieces, time_limits
-from trainlog.topics import RECORDED, SCHEMA_VERSION, TOPICS, column_field, topic_of_frame
+from trainlog.topics import SCHEMA_VERSION
 from trainlog.trip import NO_POSITION, POSITION_TOPICS, Trip
 
 INDEX_FILE = "trip.json"
@@ -40,24 +39,29 @@ ATTACHMENTS = "attachments"
 Selection = Iterable[str] | Mapping[str, Iterable[str] | None]
 """Topics, or the columns wanted of each topic (None: all of them)."""
 
-TIME = "time"
-"""The column of the times."""
-
-COMPRESSION_LEVEL = 3
-"""Of zstd."""
-
-DICTIONARY = 0.25
-"""Share of different values in a column up to which a dictionary of them is kept."""
-
-ROWS = 131_072
-"""Rows of a row group: what is compressed, and read, at a time."""
-
 
 class _TopicEntry(Part):
     topic: str
     file: str
     footer: str
     """SHA-256 of the end of the file, which says where its pages are; each has a checksum."""
+
+    def reader(self, path: Path, columns: list[str] | None) -> ParquetTopic | CsvTopic:
+        """The open file."""
+        return ParquetTopic(path, self.footer, columns)
+
+
+class _CsvEntry(Part):
+    topic: str
+    file: str
+    columns: dict[str, str]
+    """Type of each column by its name, as Arrow calls it."""
+    attrs: dict[str, Any]
+    """Of the frame: units, meanings."""
+
+    def reader(self, path: Path, columns: list[str] | None) -> ParquetTopic | CsvTopic:
+        """The open file."""
+        return CsvTopic(path, self.columns, self.attrs, columns)
 
 
 class _AttachmentEntry(Part):
@@ -67,15 +71,25 @@ class _AttachmentEntry(Part):
 
 
 class TripIndex(File):
-    """What ``trip.json`` holds."""
+    """What ``trip.json`` of a folder of Parquet files holds."""
 
     FORMAT: ClassVar[str] = "trainlog/trip-parquet"
+    SUFFIX: ClassVar[str] = ".parquet"
+    WRITER: ClassVar[type[ParquetTopicWriter | CsvTopicWriter]] = ParquetTopicWriter
 
     schema_version: int = Field(ge=1, le=SCHEMA_VERSION)
-    topics: list[_TopicEntry]
+    topics: Sequence[_TopicEntry | _CsvEntry]
     metadata: dict[str, str]
     provenance: list[dict[str, Any]]
     attachments: list[_AttachmentEntry]
+
+
+class CsvTripIndex(TripIndex):
+    """What ``trip.json`` of a folder of CSV files holds."""
+
+    FORMAT: ClassVar[str] = "trainlog/trip-csv"
+    SUFFIX: ClassVar[str] = ".csv"
+    WRITER: ClassVar[type[ParquetTopicWriter | CsvTopicWriter]] = CsvTopicWriter
 
 
 # ------------------------------------------------------------------------------------- writing
@@ -113,16 +127,19 @@ def write_parquet(trip: Trip, folder: str | Path) -> None:
     True
     """
     check_written(trip, Trip)
-    with parquet_writer(folder) as writer:
+    with folder_writer(folder) as writer:
         writer.add(trip)
 
 
 @contextmanager
-def parquet_writer(folder: str | Path) -> Iterator[ParquetWriter]:
-    """Write a trip in pieces, in the order of time; see `write_parquet`."""
+def folder_writer(
+    folder: str | Path, kind: type[TripIndex] | None = None
+) -> Iterator[FolderWriter]:
+    """Write a trip in pieces, in the order of time; as Parquet, or as CSV; see `write_parquet`."""
+    kind = TripIndex if kind is None else kind
     try:
         with atomic_folder(folder, INDEX_FILE) as temporary:
-            writer = ParquetWriter(temporary)
+            writer = FolderWriter(temporary, kind)
             try:
                 yield writer
             finally:
@@ -136,16 +153,16 @@ def parquet_writer(folder: str | Path) -> Iterator[ParquetWriter]:
         ) from error
 
 
-class ParquetWriter:
-    """A folder of Parquet files being written; made by `parquet_writer`.
+class FolderWriter:
+    """A folder of Parquet or CSV files being written; made by `folder_writer`.
 
     Metadata and attachments are those of the first piece, the provenance is that of the last, which
     knows what was lost on the way.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._topics: dict[str, _TopicWriter] = {}
+    def __init__(self, folder: Path, kind: type[TripIndex]) -> None:
+        self._folder, self._kind = folder, kind
+        self._topics: dict[str, ParquetTopicWriter | CsvTopicWriter] = {}
         self._trip: Trip | None = None
 
     def add(self, piece: Trip) -> None:
@@ -160,8 +177,8 @@ class ParquetWriter:
         self._trip = replace(first, provenance=piece.provenance)
         for topic, frame in piece.topics.items():
             if topic not in self._topics:
-                path = self._folder / f"{self._free_name(topic)}.parquet"
-                self._topics[topic] = _TopicWriter(topic, path, frame)
+                path = self._folder / f"{self._free_name(topic)}{self._kind.SUFFIX}"
+                self._topics[topic] = self._kind.WRITER(topic, path, frame)
             self._topics[topic].add(frame)
 
     def close(self) -> None:
@@ -179,11 +196,11 @@ class ParquetWriter:
             (self._folder / file).write_bytes(content)
             attached.append({"name": name, "file": file, "sha256": sha256(content)})
         index = {
-            "format": TripIndex.FORMAT,
-            "version": TripIndex.VERSION,
+            "format": self._kind.FORMAT,
+            "version": self._kind.VERSION,
             "schema_version": SCHEMA_VERSION,
             "topics": [
-                {"topic": topic, "file": each.path.name, "footer": footer_digest(each.path)}
+                {"topic": topic, "file": each.path.name, **each.entry}
                 for topic, each in self._topics.items()
             ],
             "metadata": dict(sorted(trip.metadata.items())),
@@ -393,27 +410,29 @@ def trip_index(folder: str | Path) -> TripIndex:
     if not path.is_dir():
         what = "is not a folder" if path.exists() else "does not exist"
         raise InputError(what, file=folder, remedy="name a folder that 'trainlog convert' made")
-    return TripIndex.from_bytes(read_bytes(path / INDEX_FILE), path / INDEX_FILE)
+    data = read_bytes(path / INDEX_FILE)
+    kind = CsvTripIndex if CsvTripIndex.FORMAT.encode() in data[:LOOKED_AT] else TripIndex
+    return kind.from_bytes(data, path / INDEX_FILE)
 
 
 @contextmanager
 def _opened(
     folder: Path, topics: Selection | None
-) -> Iterator[tuple[Trip, dict[str, _TopicReader]]]:
+) -> Iterator[tuple[Trip, dict[str, ParquetTopic | CsvTopic]]]:
     """The trip without its topics, and the open files of those wanted."""
     index = trip_index(folder)
     attachments = {}
     for entry in index.attachments:
         attachments[entry.name] = read_bytes(_inside(folder, entry.file))
         if sha256(attachments[entry.name]) != entry.sha256:
-            raise _damaged(folder / entry.file, "its checksum is another")
+            raise damaged(folder / entry.file, "its checksum is another")
     wanted = _wanted(index, topics)
     with ExitStack() as files:
         readers = {}
         for each in index.topics:
             if each.topic in wanted:
                 path = _inside(folder, each.file)
-                readers[each.topic] = _TopicReader(path, each.footer, wanted[each.topic])
+                readers[each.topic] = each.reader(path, wanted[each.topic])
                 files.callback(readers[each.topic].close)
         yield Trip({}, index.metadata, tuple(index.provenance), attachments), readers
 
@@ -437,258 +456,3 @@ def _inside(folder: Path, file: str) -> Path:
             remedy="convert the log again",
         )
     return path
-
-
-# -------------------------------------------------------------------------- the files of the topics
-
-
-class _TopicWriter:
-    """The Parquet file of one topic being written.
-
-    Parameters
-    ----------
-    topic : str
-    path : path
-    frame : DataFrame
-        Whose columns and types all later pieces have; its rows are not written yet.
-
-    Raises
-    ------
-    LogError
-        If the frame has no time, or a column that Parquet has no type for.
-    """
-
-    def __init__(self, topic: str, path: Path, frame: pd.DataFrame) -> None:
-        self.topic, self.path, self.rows = topic, path, 0
-        self._columns = list(frame.columns)
-        self._schema = _described(topic, _table(topic, frame).schema, frame.attrs)
-        self._waiting: list[pa.Table] = []
-        self._last = np.iinfo(np.int64).min
-        self._file: pq.ParquetWriter | None = None
-
-    def add(self, frame: pd.DataFrame) -> None:
-        """Append rows; LogError if their columns are not those of the first."""
-        if list(frame.columns) != self._columns:
-            raise LogError(
-                f"{self.topic} changes its columns on the way",
-                remedy=f"give every piece {', '.join(map(str, self._columns))}",
-            )
-        table = _table(self.topic, frame, self._schema)
-        times = np.concatenate(([self._last], times_of(table)))
-        if np.any(times[1:] < times[:-1]):
-            row = int(np.argmax(times[1:] < times[:-1]))
-            raise LogError(
-                f"time of {self.topic} runs backwards to {frame.index[row].isoformat()}",
-                place=f"row {self.rows + row}",
-                remedy="sort the rows by time",
-            )
-        self._last = int(times[-1])
-        self.rows += len(table)
-        self._waiting.append(table)
-        waiting = sum(map(len, self._waiting))
-        if waiting >= ROWS:
-            full = waiting - waiting % ROWS
-            together = pa.concat_tables(self._waiting)
-            self._write(together.slice(0, full))
-            # A copy, so that the rest does not keep the whole in memory.
-            self._waiting = [together.take(np.arange(full, waiting))]
-
-    def close(self) -> None:
-        """Write the rows that wait for a full row group, and close the file."""
-        rest, self._waiting = self._waiting, []
-        if rest or self._file is None:
-            self._write(pa.concat_tables([self._schema.empty_table(), *rest]))
-        if self._file is not None:
-            self._file.close()
-
-    def _write(self, table: pa.Table) -> None:
-        together = table.combine_chunks()
-        if self._file is None:
-            self._file = self._opened(together.slice(0, ROWS))
-        if len(together):
-            self._file.write_table(together, row_group_size=ROWS)
-
-    def _opened(self, first: pa.Table) -> pq.ParquetWriter:
-        """The file begun; the first row group decides how each column is best stored."""
-        encodings = {field.name: _encoding(first[field.name]) for field in self._schema}
-        return pq.ParquetWriter(
-            self.path,
-            self._schema,
-            compression="zstd",
-            compression_level=COMPRESSION_LEVEL,
-            use_dictionary=[name for name, encoding in encodings.items() if encoding is None],
-            column_encoding={name: each for name, each in encodings.items() if each},
-            write_page_checksum=True,
-        )
-
-
-def _table(topic: str, frame: pd.DataFrame, schema: pa.Schema | None = None) -> pa.Table:
-    """The frame as Arrow has it; NaN becomes null."""
-    index = frame.index
-    if not isinstance(index, pd.DatetimeIndex) or index.tz is None or index.hasnans:
-        raise LogError(
-            f"{topic} is not indexed by time with a time zone",
-            remedy="build the frame with trainlog.trip.frame_of",
-        )
-    utc = frame.set_axis(index.tz_convert("UTC").as_unit("ns").rename(TIME), axis=0)
-    utc.attrs = frame.attrs
-    try:
-        table = pa.Table.from_pandas(utc, schema=schema)
-    except (pa.ArrowException, TypeError, ValueError, OverflowError, KeyError) as error:
-        raise LogError(
-            f"{topic} has values that a table cannot hold: {str(error).splitlines()[0][:120]}",
-            remedy="give each column values of one type, and each another name",
-        ) from error
-    return table
-
-
-def _described(topic: str, schema: pa.Schema, attrs: Mapping[Any, Any]) -> pa.Schema:
-    """The schema with unit and meaning of each column; a column without values is one of text."""
-    known = TOPICS.get(topic)
-    if topic.startswith(RECORDED):
-        known = topic_of_frame({**attrs, "topic": topic})
-    fields = []
-    for item in schema:
-        described = {}
-        if known is not None and item.name != TIME:
-            field = column_field(known, item.name)
-            described = {"unit": field.unit, "meaning": field.meaning}
-        kind = pa.large_string() if pa.types.is_null(item.type) else item.type
-        fields.append(pa.field(item.name, kind, metadata=described))
-    metadata = {**(schema.metadata or {}), b"topic": topic.encode()}
-    if known is not None:
-        metadata[b"meaning"] = known.meaning.encode()
-    return pa.schema(fields, metadata)
-
-
-def _encoding(column: pa.ChunkedArray) -> str | None:
-    """How the numbers of a column are best stored; None for a dictionary of the values.
-
-    A recorder's numbers of few digits, and words, come again and again; what was measured or
-    computed to the last digit does not.
-    """
-    kind = column.type
-    if len(column) and pc.count_distinct(column).as_py() <= DICTIONARY * len(column):
-        return None
-    if pa.types.is_float64(kind) or pa.types.is_float32(kind):
-        return "BYTE_STREAM_SPLIT"
-    if pa.types.is_timestamp(kind) or pa.types.is_int64(kind):
-        return "DELTA_BINARY_PACKED"
-    return None
-
-
-class _TopicReader:
-    """The Parquet file of one topic, open for reading.
-
-    Parameters
-    ----------
-    path : path
-    footer : str
-        What `footer_digest` gave when the file was written.
-    columns : list of str, optional
-        To read, if they are there. Default: all.
-
-    Raises
-    ------
-    LogError
-        If the file is missing or damaged.
-    """
-
-    def __init__(self, path: Path, footer: str, columns: list[str] | None = None) -> None:
-        self.path = path
-        with self._named():
-            if footer_digest(path) != footer:
-                raise _damaged(path, "its end is another than was written")
-            self._file = pq.ParquetFile(path, page_checksum_verification=True)
-        self._schema: pa.Schema = self._file.schema_arrow
-        names = [name for name in self._schema.names if name != TIME]
-        self._columns = names if columns is None else [n for n in names if n in set(columns)]
-
-    @property
-    def schema(self) -> pa.Schema:
-        """Of what is read."""
-        fields = [self._schema.field(name) for name in (*self._columns, TIME)]
-        return pa.schema(fields, self._schema.metadata)
-
-    def read(self) -> pa.Table:
-        """All rows."""
-        with self._named():
-            return self._file.read([*self._columns, TIME])
-
-    def batches(self, rows: int, spans: Spans | None = None) -> Iterator[pa.Table]:
-        """Rows in the order of the file, at most so many at a time.
-
-        Row groups without any time in the spans are passed over.
-        """
-        groups = [
-            number
-            for number, span in enumerate(self.spans())
-            if spans is None or len(overlapping(spans, span[None]))
-        ]
-        with self._named():
-            for batch in self._file.iter_batches(
-                rows, row_groups=groups, columns=[*self._columns, TIME]
-            ):
-                yield pa.Table.from_batches([batch], self.schema)
-
-    def spans(self) -> Spans:
-        """First and last time of each row group [ns], (k, 2)."""
-        column = self._schema.names.index(TIME)
-        found = []
-        for number in range(self._file.num_row_groups):
-            group = self._file.metadata.row_group(number).column(column).statistics
-            found.append((group.min.value, group.max.value))
-        return np.array(found, dtype=np.int64).reshape(-1, 2)
-
-    def knows(self, name: str) -> bool:
-        """Whether a column has any value."""
-        if name not in self._columns:
-            return False
-        column = self._schema.names.index(name)
-        groups = (self._file.metadata.row_group(n) for n in range(self._file.num_row_groups))
-        return any(group.column(column).statistics.num_values > 0 for group in groups)
-
-    def frame(self, table: pa.Table) -> pd.DataFrame:
-        """The frame of rows that were read."""
-        frame: pd.DataFrame = table.to_pandas()
-        frame.index = pd.DatetimeIndex(times_of(table).view("M8[ns]"), tz="UTC", name=TIME)
-        kept = json.loads((self._schema.metadata or {}).get(b"pandas", b"{}"))
-        attrs = dict(kept.get("attributes", {}))
-        if isinstance(attrs.get("units"), dict):
-            attrs["units"] = {n: u for n, u in attrs["units"].items() if n in self._columns}
-        frame.attrs = attrs
-        return frame
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    @contextmanager
-    def _named(self) -> Iterator[None]:
-        """Turn the exceptions of Arrow into errors that name the file."""
-        try:
-            yield
-        except FileNotFoundError as error:
-            raise _damaged(self.path, "it is missing") from error
-        except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-            raise _damaged(self.path, str(error).splitlines()[0][:120]) from error
-
-
-def footer_digest(path: Path) -> str:
-    """SHA-256 of the end of a Parquet file, which describes all before it; errors as `open`."""
-    with path.open("rb") as file:
-        size = file.seek(0, os.SEEK_END)
-        file.seek(max(0, size - 8))
-        length = int.from_bytes(file.read(4), "little")
-        file.seek(max(0, size - 8 - length))
-        return sha256(file.read())
-
-
-def times_of(table: pa.Table) -> np.ndarray:
-    """The times of a table's rows [ns since 1970 UTC], (n,)."""
-    return np.asarray(table[TIME].cast(pa.int64()).to_numpy())
-
-
-def _damaged(path: Path, problem: str) -> LogError:
-    """The error for a file that is not as it was written."""
-    return LogError(f"is damaged: {problem}", file=path, remedy="convert the log again")

@@ -13,8 +13,10 @@ import pandas as pd
 
 from trainlog.errors import InputError, LogError
 from trainlog.formats.parquet import (
-    ParquetWriter,
-    parquet_writer,
+    CsvTripIndex,
+    FolderWriter,
+    TripIndex,
+    folder_writer,
     stream_parquet,
     time_span,
     trip_index,
@@ -31,7 +33,8 @@ ROWS = 100_000
 """Rows that are read at a time."""
 
 LOG = ".mcap"
-PARQUET = ".parquet"
+FOLDERS = {".parquet": TripIndex, ".csv": CsvTripIndex}
+"""Folders with a file for each topic, by how their names end."""
 
 
 @dataclass(frozen=True)
@@ -132,18 +135,20 @@ def span_of(source: str | Path) -> tuple[pd.Timestamp, pd.Timestamp] | None:
 
 
 def _check_target(source: Path, target: Path) -> None:
-    if target.suffix not in (LOG, PARQUET):
+    if target.suffix != LOG and target.suffix not in FOLDERS:
         raise InputError(
-            "is neither the name of a log nor of a folder of Parquet files",
+            "is neither the name of a log nor of a folder of Parquet or CSV files",
             file=target,
-            remedy=f"end it in {LOG} or {PARQUET}",
+            remedy=f"end it in {LOG}, {' or '.join(FOLDERS)}",
         )
     if target.exists() and source.exists() and target.samefile(source):
         raise InputError("would be overwritten", file=source, remedy="choose another name")
 
 
-def _writer(target: Path) -> AbstractContextManager[LogWriter | ParquetWriter]:
-    return LogWriter(target) if target.suffix == LOG else parquet_writer(target)
+def _writer(target: Path) -> AbstractContextManager[LogWriter | FolderWriter]:
+    if target.suffix == LOG:
+        return LogWriter(target)
+    return folder_writer(target, FOLDERS[target.suffix])
 
 
 def _pieces(

@@ -267,6 +267,21 @@ class Recording:
         """
         self._observers.append(observer)
 
+    @property
+    def path(self) -> Path:
+        """Of the log."""
+        return self._path
+
+    def flush(self, timeout: float = 10.0) -> bool:
+        """Have what was given written now; whether it is in the file within so long [s]."""
+        deadline = clock.monotonic() + timeout
+        while self.account().waiting and not (self._failure or self._closing):
+            self._due.set()
+            if clock.monotonic() > deadline:
+                return False
+            clock.sleep(0.005)
+        return not self.account().waiting
+
     def account(self) -> RecordingAccount:
         """What became of the samples so far."""
         with self._lock:

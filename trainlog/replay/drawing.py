@@ -256,6 +256,14 @@ class Drawing:
     def _laid_out(self, line: Line) -> Line:
         return self._chart.laid_out(line, _backwards(self._known.bare))
 
+    def so_far(self, known: Survey) -> Shown:
+        """What there is to show of a trip that is still recorded; draws `known`, its last part."""
+        before, entities, self._known = self._known, set(self._entities), known
+        try:
+            return self.finish(None, None)
+        finally:
+            self._known, self._entities = before, entities
+
     def _tops(self) -> dict[str, float]:
         tops: dict[str, float] = {}
         for curve in self._curves:

@@ -270,12 +270,16 @@ Rerun's page would else fetch fonts, release notes and examples, and send usage 
 
 
 @contextmanager
-def web_viewer(recording: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """Serve a recording to a browser on this machine; its address, and the process behind it."""
+def web_viewer(recording: Path | None) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """Serve a recording to a browser on this machine; its address, and the process behind it.
+
+    Without a recording what is sent to the address that the query of the page names is shown.
+    """
     web, data = free_port(), free_port()
     source, stream = f"http://{HOST}:{web}", f"http://{HOST}:{data}"
     arguments = ("--serve-web", "--web-viewer-port", str(web), "--port", str(data))
-    with _running(*arguments, str(recording)) as process:
+    files = [] if recording is None else [str(recording)]
+    with _running(*arguments, *files) as process:
         _wait_for(source, process, recording)
         server = ThreadingHTTPServer((HOST, 0), _page_handler(source, POLICY.format(data=stream)))
         threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -287,7 +291,7 @@ def web_viewer(recording: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]
             server.server_close()
 
 
-def _wait_for(source: str, process: subprocess.Popen[bytes], recording: Path) -> None:
+def _wait_for(source: str, process: subprocess.Popen[bytes], recording: Path | None) -> None:
     deadline = time.monotonic() + STARTING
     while time.monotonic() < deadline and process.poll() is None:
         try:
