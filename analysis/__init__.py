@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from analysis.adhesion.map_state import map_state as map_state
     from analysis.adhesion.slip import slip as slip
     from analysis.adhesion.updating import update_map as update_map
+    from analysis.comparison.calculated import calculate as calculate
     from analysis.comparison.compare import compare as compare
     from analysis.comparison.groups import compare_groups as compare_groups
     from analysis.control.follow import Follower as Follower, follow as follow
@@ -85,6 +86,7 @@ _NAMES = {
     "analysis.trajectory.phases": "advice phases_of",
     "analysis.control.follow": "follow Follower",
     "analysis.control.traction": "CooperativeTraction ReadhesionControl with_traction",
+    "analysis.comparison.calculated": "calculate",
     "analysis.comparison.compare": "compare",
     "analysis.comparison.groups": "compare_groups",
     "analysis.passports": "passport",

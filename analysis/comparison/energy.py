@@ -201,7 +201,7 @@ def needed_works(
     """
     first, last = trip.covered
     nodes = np.linspace(first, last, max(2, round((last - first) / STEP) + 1))
-    speed = factor * _smooth_speed(trip, nodes)
+    speed = factor * smooth_speed(trip, nodes)
     middle, step = 0.5 * (nodes[1:] + nodes[:-1]), np.diff(nodes)
     squared = 0.5 * (speed[1:] ** 2 + speed[:-1] ** 2)
     inertia = mass + model.train.rotating_mass
@@ -210,8 +210,8 @@ def needed_works(
     return nodes, np.maximum(kinetic + resisting * step, 0.0)
 
 
-def _smooth_speed(trip: DrivenTrip, nodes: FloatArray) -> FloatArray:
-    """Speed at nodes, without its noise; zero where the trip stands."""
+def smooth_speed(trip: DrivenTrip, nodes: FloatArray) -> FloatArray:
+    """Speed of a trip at nodes [m/s], without its noise; zero where it stands."""
     steps = np.diff(trip.time)
     width = max(1, round(2.0 / float(np.median(steps))))
     speed = uniform_filter1d(trip.speed, width, mode="nearest")

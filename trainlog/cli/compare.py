@@ -9,10 +9,11 @@ import typer
 
 from trainlog.cli.options import Logs, destination, logs_in
 from trainlog.cli.terminal import console, state, working, wrote
+from trainlog.progress import track
 
 if TYPE_CHECKING:
     from analysis.comparison.compare import Comparison
-    from trainlog.railway import Trajectory
+    from trainlog.railway import ParameterSet, Train, Trajectory
 
 app = typer.Typer()
 
@@ -47,15 +48,23 @@ def compare(
     time_of_day: Annotated[
         bool, typer.Option("--time-of-day", help="Count a later departure as time lost.")
     ] = False,
+    calculated: Annotated[
+        Path | None,
+        typer.Option(
+            help="Parameters or train file: compare each trip with what that predicts for it"
+            " instead."
+        ),
+    ] = None,
     picture: Annotated[
-        Path | None, typer.Option(help="Save a picture (.png), one a direction.")
+        Path | None, typer.Option(help="Save a picture (.png), one a direction or a trip.")
     ] = None,
 ) -> None:
     """Compare trips over a line by position: times, where time was lost and why, energy, driving.
 
     Stopping or not, recorded or simulated, over any part of the line; directions are kept apart.
     With --with, groups of trips instead: drivers' trips and trips that followed a trajectory,
-    configuration by configuration.
+    configuration by configuration. With --calculated, each trip beside what a fit or a train's
+    file predicts for it: speed, time and energy with bands, and what of the model is wrong.
 
     Example: trainlog compare sample_logs --picture compared.png
     """
@@ -67,6 +76,9 @@ def compare(
         destination(picture, ".png")
     if followed:
         _groups(logs, followed)
+        return
+    if calculated is not None:
+        _calculated(logs, calculated, picture)
         return
     found = compare_trips(
         logs_in(logs),
@@ -114,3 +126,38 @@ def _groups(logs: list[Path], followed: list[Path]) -> None:
         if len(followed) > 1:
             console.print(f"with {each}", highlight=False)
         console.print(savings_table(compare_groups(logs_in(logs), logs_in([each]))))
+
+
+def _calculated(logs: list[Path], file: Path, picture: Path | None) -> None:
+    from analysis.comparison.calculated import calculate
+    from analysis.comparison.calculated_table import (
+        calculation_data,
+        calculation_figure,
+        calculation_tables,
+    )
+    from analysis.plotting import write_figure
+
+    model, trips = _model(file), list(logs_in(logs))
+    every = []
+    for log in track(trips, "calculating", "trip"):
+        found = calculate(log, model)
+        every.append(calculation_data(found))
+        if not state({"trips": every}):
+            for part in calculation_tables(found):
+                console.print(part, highlight=False)
+        if picture is not None:
+            several = len(trips) > 1
+            path = picture.with_stem(f"{picture.stem}-{log.stem}") if several else picture
+            write_figure(calculation_figure(found), path)
+            wrote(path)
+
+
+def _model(path: Path) -> ParameterSet | Train:
+    """A parameters file, or a train's file."""
+    from trainlog.formats.files import read_json
+    from trainlog.formats.parameters import read_parameters
+    from trainlog.formats.train import read_train
+
+    content = read_json(path) if path.suffix == ".json" else None
+    of_fit = isinstance(content, dict) and content.get("format") == "trainlog/parameters"
+    return read_parameters(path) if of_fit else read_train(path)

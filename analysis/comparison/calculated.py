@@ -1,0 +1,554 @@
+"""Measured against calculated: what a fit or a train's file predicts for a recorded trip.
+
+The recorded efforts, in time and size by the trip's passport, drive the train of the model along
+the recorded positions. Between the stops the speed follows from the equation of motion by
+position,
+
+    d(v²)/ds = 2 (F - R(v) - m a_track(s)) / (m + m_rot),
+
+started with the recorded speed in each section, and with it the running time. The energy at the
+wheels follows from the recorded speeds instead: what the efforts must have done is the change of
+kinetic energy, the work against the track and the work against the running resistance.
+
+Both have bands of what is not known: the running resistance of a trip that was not seen, the mass,
+the gain of the efforts, the gradients, the speed itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from analysis.comparison.diagnosis import Diagnosis, diagnosed, wrong_mass
+from analysis.comparison.driven import DrivenTrip, driven_trip
+from analysis.comparison.energy import ForceModel, resistance_of, smooth_speed
+from analysis.comparison.sections import sections_between
+from analysis.given import Given, trip_of
+from analysis.passports import estimated_passport, with_effort_delay
+from analysis.resistance.fit import scale_of
+from trainlog.display import as_text
+from trainlog.formats.attached import largest_load, recorded_load, train_of
+from trainlog.formats.train import train_to_bytes
+from trainlog.railway import ParameterSet, RunningResistance, Train
+from trainlog.railway.passport import Quantity
+from trainlog.spans import runs_of
+from trainlog.trip import TRAIN_ATTACHMENT, Trip
+from trainlog.units import JOULES_PER_KWH
+
+FloatArray = NDArray[np.float64]
+
+STEP = 20.0
+"""Length of the cells [m]."""
+
+SLOWEST = 5.0
+"""Below this speed [m/s] the recorded one is taken: what a brake does there is not known."""
+
+SPEED_STD = 0.03
+"""Standard deviation of the smoothed speed at the ends of a section [m/s]."""
+
+TRIP_SPREAD = 0.05
+"""Standard deviation over the value of the resistance from trip to trip (wind, weather), where a
+train's file states nothing of it; of 160 simulated and of published coasting trips some 5 %."""
+
+GRADIENT_STD, GRADIENT_LENGTH = 0.2e-3, 1000.0
+"""Error of gradients, and the length [m] it holds for, where the line states none."""
+
+UNCALIBRATED = Quantity(1.0, 0.06, "assumed", "no load is recorded")
+"""Recorded over true effort of ordinary converters."""
+
+WINDOW = 500.0
+"""Length over which residuals are explained [m]."""
+
+FILE_TRUST, FILE_MASS = 1.0, 0.1
+"""Standard deviation over the value of a file's coefficients and of its mass, when residuals are
+explained."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Calculation:
+    """A recorded trip beside what a model calculates for it.
+
+    Attributes
+    ----------
+    trip, model : str
+    table : DataFrame
+        By section, SI units: ``first``, ``last`` [m]; ``time``, ``calculated_time``, ``time_std``
+        [s] above `SLOWEST`; ``speed_rms`` [m/s] of the difference; ``work``,
+        ``calculated_work``, ``work_std`` [J]: tractive work at the wheel rims.
+    position, speed, calculated_speed, speed_std : (n,) array [m], [m/s]
+        Where `SLOWEST` was exceeded; NaN elsewhere.
+    explained : dict of str to float
+        Share of the squared residual work, in windows of `WINDOW`, that each cause explains; what
+        is left is ``"unexplained"``. They add up to 1.
+    residual : float [J]
+        Root mean square of the residual work in a window.
+    diagnosis : Diagnosis
+        What of the model is wrong, as far as the trip shows it.
+    efforts : bool
+        Whether efforts are recorded; without, there is a calculated energy alone.
+    notes : tuple of str
+    """
+
+    trip: str
+    model: str
+    table: pd.DataFrame
+    position: FloatArray
+    speed: FloatArray
+    calculated_speed: FloatArray
+    speed_std: FloatArray
+    explained: dict[str, float]
+    residual: float
+    diagnosis: Diagnosis
+    efforts: bool = True
+    notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return as_text(f"Trip '{self.trip}' against the {self.model}", self._summary())
+
+    def _repr_html_(self) -> str:
+        from analysis.comparison.calculated_table import calculation_tables
+        from analysis.tables import as_page
+
+        return as_page(*calculation_tables(self))
+
+    def _summary(self) -> dict[str, str]:
+        rows = {}
+        total, std = self.total("calculated_work"), self.total_std("work_std")
+        rows["tractive work"] = f"{total / JOULES_PER_KWH:.1f} ± {1.96 * std / JOULES_PER_KWH:.1f}"
+        rows["tractive work"] += " kWh calculated"
+        if self.efforts:
+            rows["tractive work"] += f", {self.total('work') / JOULES_PER_KWH:.1f} kWh measured"
+            times = self.total("calculated_time"), self.total("time")
+            rows["running time"] = f"{times[0]:.0f} s calculated, {times[1]:.0f} s measured"
+            shares = sorted(self.explained.items(), key=lambda item: -item[1])
+            rows["residuals"] = ", ".join(f"{name} {share:.0%}" for name, share in shares[:4])
+        rows["model"] = self.diagnosis.words
+        return rows
+
+    def total(self, column: str) -> float:
+        """Sum of a column of the table."""
+        return float(self.table[column].sum())
+
+    def total_std(self, column: str) -> float:
+        """Standard deviation of the sum: what a trip has in common errs alike in all sections."""
+        return float(self.table[column].sum())
+
+    @property
+    def outside(self) -> list[str]:
+        """Sections whose measured time or work lies outside of the 95 % band."""
+        if not self.efforts:
+            return []
+        table = self.table
+        times = (table["time"] - table["calculated_time"]).abs() > 1.96 * table["time_std"]
+        works = (table["work"] - table["calculated_work"]).abs() > 1.96 * table["work_std"]
+        return table.index[times | works].tolist()
+
+
+def calculate(trip: Given, model: ParameterSet | Train) -> Calculation:
+    """What a fit or a train's file predicts for a recorded trip, section by section.
+
+    Parameters
+    ----------
+    trip : Trip or path
+        With its line and train; with efforts, or else only its energy is calculated.
+    model : ParameterSet or Train
+        A fit: its common curve, with what trips differ by. A train's file: at its word, with
+        `TRIP_SPREAD`; its mass counts as well.
+
+    Returns
+    -------
+    Calculation
+
+    Raises
+    ------
+    InputError
+        If the fit is of another train.
+    LogError
+        If the trip lacks line, train or chainage.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> found = calculate("sample_logs/stopping.mcap", train)
+    >>> found.diagnosis.wrong
+    ()
+    >>> bool(abs(found.total("work") / found.total("calculated_work") - 1.0) < 0.03)
+    True
+    """
+    whole = trip_of(trip)
+    if isinstance(model, Train):
+        whole = replace(
+            whole, attachments={**whole.attachments, TRAIN_ATTACHMENT: train_to_bytes(model)}
+        )
+    inputs = _inputs(whole, model)
+    cells = _Cells.of(inputs)
+    variants = _variants(inputs)
+    table, speeds, spread = _predicted(inputs, cells, variants)
+    efforts = inputs.efforts
+    explained, residual = _explained(inputs, cells) if efforts else ({}, 0.0)
+    of_file = isinstance(model, Train)
+    found = diagnosed(inputs.trip, inputs.model, inputs.shown_gain, of_file=of_file)
+    return Calculation(
+        trip=inputs.driven.name,
+        model=inputs.model.name,
+        table=table,
+        position=cells.nodes,
+        speed=np.where(cells.fast, cells.speed, np.nan),
+        calculated_speed=np.where(cells.fast, speeds, np.nan),
+        speed_std=np.where(cells.fast, spread, np.nan),
+        explained=explained,
+        residual=residual,
+        diagnosis=found,
+        efforts=efforts,
+        notes=inputs.driven.notes,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Inputs:
+    """A trip with its efforts in time and size, the model, and what is not known of either."""
+
+    trip: Trip
+    driven: DrivenTrip
+    model: ForceModel
+    mass: Quantity
+    gain: Quantity
+    shown_gain: Quantity
+    scale_std: float
+
+    @property
+    def efforts(self) -> bool:
+        return "traction" in self.driven.sums
+
+    @property
+    def inertia(self) -> float:
+        return self.mass.value + self.model.train.rotating_mass
+
+
+def _inputs(trip: Trip, model: ParameterSet | Train) -> _Inputs:
+    train = train_of(trip)
+    known = estimated_passport(trip)
+    delay = known.effort_delay.value if known.effort_delay.source == "estimated" else 0.0
+    # Efforts are corrected here, not once more by a stored passport.
+    bare = replace(
+        with_effort_delay(trip, delay),
+        attachments={k: v for k, v in trip.attachments.items() if k != "passport.json"},
+    )
+    driven = driven_trip(bare)
+    scale = scale_of(trip) if "/train/state" in trip else None
+    factor = 1.0 if scale is None else scale.factor
+    gain = known.effort_gain if known.effort_gain.known else UNCALIBRATED
+    if wrong_mass(trip, train, gain) is not None:
+        gain = UNCALIBRATED  # found with that mass, it would hide what is wrong
+    sums = {
+        name: values / (gain.value * factor) if "unknown" not in name else values
+        for name, values in driven.sums.items()
+    }
+    driven = replace(driven, speed=driven.speed / factor, sums=sums)
+    forces = _forces(driven, train, model)
+    return _Inputs(
+        bare,
+        driven,
+        forces,
+        _mass(bare, train, model),
+        gain,
+        known.effort_gain,
+        0.0 if scale is None else scale.std,
+    )
+
+
+def _forces(trip: DrivenTrip, train: Train, model: ParameterSet | Train) -> ForceModel:
+    if isinstance(model, ParameterSet):
+        model.check_train(train.name)
+        common, covariance = resistance_of(model)
+        return ForceModel("fit", train, trip.line, common, covariance)
+    own = model.resistance
+    beta = np.array([own.r0, own.r1, own.r2])
+    spread = TRIP_SPREAD**2 * np.outer(beta, beta)
+    return ForceModel("train's file", model, trip.line, own, spread)
+
+
+def _mass(trip: Trip, train: Train, model: ParameterSet | Train) -> Quantity:
+    """Mass of the loaded train: by the recorded load, else what the fit saw, else half the load."""
+    load = recorded_load(trip, train)
+    if load is not None:
+        return Quantity(train.mass + load.value, load.std, "recorded")
+    if isinstance(model, ParameterSet) and model.configurations:
+        masses = np.array([each.mass for each in model.configurations])
+        std = float(np.hypot(masses.std(), 0.02 * masses.mean()))
+        return Quantity(float(masses.mean()), std, "assumed", "no load is recorded")
+    largest = largest_load(train)
+    value, std = train.mass + 0.5 * largest, largest / np.sqrt(12.0)
+    return Quantity(value, float(std), "assumed", "no load is recorded")
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """The trip by position: nodes (n + 1,), and what happens between them (n,)."""
+
+    nodes: FloatArray
+    speed: FloatArray
+    fast: NDArray[np.bool_]
+    running: FloatArray
+    work: FloatArray
+    braking: FloatArray
+    track: FloatArray
+    tunnels: FloatArray
+    section: NDArray[np.int64]
+    edges: FloatArray
+    names: tuple[str, ...]
+
+    @staticmethod
+    def of(inputs: _Inputs) -> _Cells:
+        trip, model = inputs.driven, inputs.model
+        first, last = trip.covered
+        sections = sections_between(trip.line, first, last)
+        inner = np.arange(first + STEP, last - 0.5 * STEP, STEP)
+        apart = np.min(np.abs(inner[:, None] - sections.edges), axis=1) >= 0.2 * STEP
+        nodes = np.unique(np.concatenate((inner[apart], sections.edges)))
+        middle, step = 0.5 * (nodes[1:] + nodes[:-1]), np.diff(nodes)
+        speed = smooth_speed(trip, nodes)
+
+        def of_cells(name: str) -> FloatArray:
+            if name not in trip.sums:
+                return np.zeros(step.size)
+            return np.diff(trip.at(trip.sums[name], nodes))
+
+        braking = of_cells("dynamic_braking") + of_cells("pneumatic_braking")
+        section = np.clip(np.searchsorted(sections.edges, middle) - 1, 0, sections.edges.size - 2)
+        return _Cells(
+            nodes,
+            speed,
+            speed >= SLOWEST,
+            np.diff(trip.at(trip.running, nodes)),
+            of_cells("traction"),
+            braking,
+            model.train.track_force(trip.line, middle, 1.0) * step,
+            model.tunnels(middle),
+            section.astype(np.int64),
+            sections.edges,
+            tuple(sections.names),
+        )
+
+    @property
+    def step(self) -> FloatArray:
+        return np.diff(self.nodes)
+
+    @property
+    def squared(self) -> FloatArray:
+        """Mean speed squared of each cell [m²/s²]."""
+        return 0.5 * (self.speed[1:] ** 2 + self.speed[:-1] ** 2)
+
+    def runs(self) -> list[tuple[int, int]]:
+        """First cell and one past the last of each run above `SLOWEST` within a section."""
+        both = self.fast[1:] & self.fast[:-1]
+        found = []
+        for begin, end in runs_of(both):
+            cuts = begin + 1 + np.flatnonzero(np.diff(self.section[begin:end]))
+            edges = [begin, *cuts.tolist(), end]
+            found += list(pairwise(edges))
+        return [each for each in found if each[1] - each[0] >= 3]
+
+
+@dataclass(frozen=True, slots=True)
+class _Variant:
+    """What one quantity that is not known would change by a standard deviation."""
+
+    resistance: RunningResistance
+    mass: float
+    gain: float = 1.0
+    slope: float = 0.0
+    start: float = 0.0
+
+
+def _variants(inputs: _Inputs) -> list[_Variant]:
+    """The model as it is, and with one standard deviation of each thing that is not known."""
+    model, mass = inputs.model, inputs.mass.value
+    own = _Variant(model.resistance, mass)
+    gain_std = inputs.gain.std / inputs.gain.value if np.isfinite(inputs.gain.std) else 0.06
+    found = [own]
+    found += [replace(own, resistance=each.resistance) for each in model.varied()]
+    found += [replace(own, mass=mass + inputs.mass.std), replace(own, gain=1.0 + gain_std)]
+    survey = inputs.driven.line.survey
+    slope = GRADIENT_STD if survey is None else survey.gradient_std
+    return [*found, replace(own, slope=slope), replace(own, start=SPEED_STD)]
+
+
+def _predicted(
+    inputs: _Inputs, cells: _Cells, variants: Sequence[_Variant]
+) -> tuple[pd.DataFrame, FloatArray, FloatArray]:
+    """Times and works by section with their bands, and the calculated speeds with theirs."""
+    count = len(cells.names)
+    works = np.array([_work(inputs, cells, each, count) for each in variants])
+    times, speeds = zip(*(_driven(inputs, cells, each, count) for each in variants), strict=True)
+    fast = np.zeros(cells.step.size, dtype=np.bool_)
+    for begin, end in cells.runs():
+        fast[begin:end] = True
+    measured = np.bincount(cells.section, cells.running * fast, count)
+    speed = np.array(speeds)
+    squares = np.where(fast, (speed[0][1:] - cells.speed[1:]) ** 2 * cells.step, 0.0)
+    length = np.maximum(np.bincount(cells.section, cells.step * fast, count), 1e-9)
+    recorded = np.bincount(cells.section, cells.work, count)
+    if not inputs.efforts:
+        recorded = np.full(count, np.nan)
+    table = pd.DataFrame(
+        {
+            "first": cells.edges[:-1],
+            "last": cells.edges[1:],
+            "time": measured,
+            "calculated_time": times[0],
+            "time_std": _spread(np.array(times)),
+            "speed_rms": np.sqrt(np.bincount(cells.section, squares, count) / length),
+            "work": recorded,
+            "calculated_work": works[0],
+            "work_std": _spread(works),
+        },
+        index=pd.Index(cells.names, name="section"),
+    )
+    if not inputs.efforts:
+        table[["calculated_time", "time_std", "speed_rms"]] = np.nan
+    return table, speed[0], _spread(speed)
+
+
+def _spread(values: FloatArray) -> FloatArray:
+    """Standard deviation of the first row from the rows one standard deviation off."""
+    return np.asarray(np.sqrt(np.sum((values[1:] - values[0]) ** 2, axis=0)))
+
+
+def _slope_length(inputs: _Inputs) -> float:
+    survey = inputs.driven.line.survey
+    length = None if survey is None else survey.correlation_length
+    return GRADIENT_LENGTH if length is None else length
+
+
+def _work(inputs: _Inputs, cells: _Cells, variant: _Variant, count: int) -> FloatArray:
+    """Tractive work [J] that the recorded motion of each section needs."""
+    inertia = variant.mass + inputs.model.train.rotating_mass
+    kinetic = 0.5 * inertia * np.diff(cells.speed**2)
+    speed = np.sqrt(cells.squared)
+    resisting = (variant.resistance(speed) + cells.tunnels * cells.squared) * cells.step
+    needed = kinetic + resisting + variant.mass * cells.track
+    if inputs.efforts:
+        needed = needed + cells.braking * (2.0 - variant.gain)
+        # What is not known of the gain is not known of the measured work, too.
+        needed = needed - cells.work * (variant.gain - 1.0)
+        found = np.bincount(cells.section, needed, count)
+    else:
+        found = np.bincount(cells.section, np.maximum(needed, 0.0), count)
+    length = np.diff(cells.edges)
+    uneven = np.sqrt(_slope_length(inputs) * length)
+    top = np.sqrt(np.array([cells.squared[cells.section == row].max() for row in range(count)]))
+    return np.asarray(
+        found
+        + variant.slope * 9.81 * variant.mass * uneven
+        + variant.start * inertia * top
+        + 2.0 * inputs.scale_std * (variant.start > 0.0) * np.abs(found)
+    )
+
+
+def _driven(
+    inputs: _Inputs, cells: _Cells, variant: _Variant, count: int
+) -> tuple[FloatArray, FloatArray]:
+    """Time of each section [s] and speed at the nodes [m/s] with the recorded efforts."""
+    speed = cells.speed.copy()
+    times = np.zeros(count)
+    inertia = variant.mass + inputs.model.train.rotating_mass
+    force = (cells.work - cells.braking) / cells.step / variant.gain
+    uneven = np.sqrt(_slope_length(inputs))
+    for begin, end in cells.runs():
+        part = slice(begin, end)
+        step = cells.step[part]
+        ran = np.cumsum(step)
+        push = force[part] - variant.mass * cells.track[part] / step
+        lost = variant.slope * 9.81 * variant.mass * uneven * np.sqrt(ran) / ran
+        first = (cells.speed[begin] + variant.start) ** 2
+        found = _speeds(first, push - lost, step, variant.resistance, cells.tunnels[part], inertia)
+        speed[begin + 1 : end + 1] = found[1:]
+        times[cells.section[begin]] += float(np.sum(2.0 * step / (found[1:] + found[:-1])))
+    return times, speed
+
+
+def _speeds(
+    first: float,
+    push: FloatArray,
+    step: FloatArray,
+    resistance: RunningResistance,
+    tunnels: FloatArray,
+    inertia: float,
+) -> FloatArray:
+    """Speeds [m/s] at the nodes of a run.
+
+    The quadratic term decays exponentially in position, exactly; the linear one is iterated.
+    """
+    decay = np.concatenate(([0.0], np.cumsum(2.0 * (resistance.r2 + tunnels) / inertia * step)))
+    growth = np.exp(np.minimum(0.5 * (decay[1:] + decay[:-1]), 500.0))
+    speed = np.full(step.size, np.sqrt(first))
+    for _ in range(8):
+        drive = 2.0 / inertia * (push - resistance.r0 - resistance.r1 * speed) * step
+        squared = np.exp(-decay) * (first + np.concatenate(([0.0], np.cumsum(drive * growth))))
+        nodes = np.sqrt(np.maximum(squared, (0.5 * SLOWEST) ** 2))
+        speed = 0.5 * (nodes[1:] + nodes[:-1])
+    return np.asarray(nodes)
+
+
+def _explained(inputs: _Inputs, cells: _Cells) -> tuple[dict[str, float], float]:
+    """Share of the squared residual work that each cause explains, by a regression with priors.
+
+    Shares are those of Pratt (1987): the contribution of a cause times the residual, over the
+    residual squared; they add up to one with what is left.
+    """
+    model = inputs.model
+    window = np.floor((cells.nodes[:-1] - cells.nodes[0]) / WINDOW).astype(np.int64)
+    count = int(window[-1]) + 1
+    speed, step = np.sqrt(cells.squared), cells.step
+
+    def summed(values: FloatArray) -> FloatArray:
+        return np.asarray(np.bincount(window, values, count), dtype=np.float64)
+
+    kinetic = 0.5 * np.diff(cells.speed**2)
+    net = cells.work - cells.braking
+    resisting = (model.resistance(speed) + cells.tunnels * cells.squared) * step
+    expected = inputs.inertia * kinetic + resisting + inputs.mass.value * cells.track
+    residual = summed(net - expected)
+    mass_std = inputs.mass.std
+    if model.name == "fit":
+        variances, axes = np.linalg.eigh(model.covariance)
+        root = axes * np.sqrt(np.maximum(variances, 0.0))
+    else:
+        own = model.resistance
+        root = np.diag(FILE_TRUST * np.array([own.r0, own.r1, own.r2]))
+        mass_std = max(mass_std, FILE_MASS * inputs.mass.value)
+    powers = np.stack([summed(step), summed(step * speed), summed(step * speed**2)], axis=1)
+    gain_std = inputs.gain.std / inputs.gain.value
+    tilt = np.eye(count) * (GRADIENT_STD * 9.81 * inputs.mass.value * summed(step))[:, None]
+    causes = {
+        "running resistance": powers @ root,
+        # What the motion under recorded efforts shows is the ratio of the two.
+        "mass or gain of efforts": np.stack(
+            [mass_std * summed(kinetic + cells.track), -gain_std * summed(net)], axis=1
+        ),
+        "gradients": tilt,
+    }
+    edge = inputs.inertia * np.sqrt(2.0) * SPEED_STD * summed(step * speed) / summed(step)
+    noise = np.hypot(edge, 0.01 * summed(np.abs(net)))
+    design = np.concatenate(list(causes.values()), axis=1) / noise[:, None]
+    normal = design.T @ design + np.eye(design.shape[1])
+    beta = np.linalg.solve(normal, design.T @ (residual / noise))
+    total = float(residual @ residual)
+    shares, first, left = {}, 0, residual.copy()
+    for name, columns in causes.items():
+        part = columns @ beta[first : first + columns.shape[1]]
+        shares[name] = float(part @ residual) / total
+        first, left = first + columns.shape[1], left - part
+    slipped = np.zeros(count, dtype=np.bool_)
+    if "slip" in inputs.driven.flags:
+        slipped[window[inputs.driven.share_of("slip", cells.nodes) > 0.0]] = True
+    shares["slip"] = float(left[slipped] @ residual[slipped]) / total
+    shares["unexplained"] = float(left[~slipped] @ residual[~slipped]) / total
+    return shares, float(np.sqrt(total / count))

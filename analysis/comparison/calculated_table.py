@@ -1,0 +1,155 @@
+"""Table, picture and data of a recorded trip beside what a model calculates for it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import RenderableType
+from rich.table import Table
+
+from analysis.comparison.calculated import Calculation
+from analysis.plotting import BLUE, GREY, INK, ORANGE, dress, headline, legend, new_figure
+from analysis.tables import new_table
+from trainlog.units import JOULES_PER_KWH, KMH
+
+
+def calculation_tables(found: Calculation) -> list[RenderableType]:
+    """Sections, what explains the residuals, and what of the model is wrong."""
+    parts: list[RenderableType] = [sections_table(found)]
+    if found.efforts:
+        parts.append(explained_table(found))
+    outside = ", ".join(found.outside)
+    if found.efforts:
+        parts.append(f"outside of the 95 % band: {outside or 'no section'}")
+    parts.append(f"{found.model} against trip '{found.trip}': {found.diagnosis.words}")
+    return parts + [f"{found.trip}: {note}" for note in found.notes]
+
+
+def sections_table(found: Calculation) -> Table:
+    """Running time, speed and tractive work of each section, measured and calculated."""
+    table = new_table(
+        f"Trip '{found.trip}' against the {found.model}: ± is half the 95 % band",
+        "section",
+        "time measured [s]",
+        "calculated",
+        "speed off (RMS)",
+        "wheels measured [kWh]",
+        "calculated",
+        "off",
+    )
+    for name, row in found.table.iterrows():
+        work = row["work"]
+        off = work / row["calculated_work"] - 1.0 if row["calculated_work"] else math.nan
+        known = math.isfinite(row["calculated_time"])
+        table.add_row(
+            str(name),
+            f"{row['time']:.1f}",
+            f"{row['calculated_time']:.1f} ± {1.96 * row['time_std']:.1f}" if known else "-",
+            f"{KMH * row['speed_rms']:.1f} km/h" if known else "-",
+            f"{work / JOULES_PER_KWH:.2f}" if math.isfinite(work) else "-",
+            f"{row['calculated_work'] / JOULES_PER_KWH:.2f}"
+            f" ± {1.96 * row['work_std'] / JOULES_PER_KWH:.2f}",
+            f"{off:+.1%}" if math.isfinite(off) else "-",
+        )
+    return table
+
+
+def explained_table(found: Calculation) -> Table:
+    """Share of the squared residual work that each cause explains."""
+    table = new_table(
+        f"Residuals: {found.residual / JOULES_PER_KWH:.3f} kWh (RMS) in 500 m; explained by",
+        "cause",
+        "share",
+    )
+    for name, share in found.explained.items():
+        table.add_row(name, f"{share:.0%}")
+    return table
+
+
+def calculation_data(found: Calculation) -> dict[str, Any]:
+    """A calculation as data for JSON, in SI units."""
+    names = {
+        "first": "first_m",
+        "last": "last_m",
+        "time": "time_s",
+        "calculated_time": "calculated_time_s",
+        "time_std": "time_std_s",
+        "speed_rms": "speed_rms_m_s",
+        "work": "work_J",
+        "calculated_work": "calculated_work_J",
+        "work_std": "work_std_J",
+    }
+    return {
+        "trip": found.trip,
+        "model": found.model,
+        "sections": found.table.rename(columns=names).reset_index().to_dict("records"),
+        "outside": found.outside,
+        "explained": found.explained,
+        "residual_rms_J": found.residual,
+        "wrong": [
+            {
+                "name": each.name,
+                "factor": each.factor,
+                "factor_std": each.std,
+                "alternatives": list(each.alternatives),
+            }
+            for each in found.diagnosis.wrong
+        ],
+        "not_judged": found.diagnosis.reason,
+    }
+
+
+def calculation_figure(found: Calculation) -> Figure:
+    """Measured and calculated speed along the line, their difference, and the works."""
+    figure = new_figure(11.0, 8.0)
+    grid = figure.add_gridspec(3, 1, height_ratios=[3.0, 2.0, 2.0])
+    speeds, off, works = (figure.add_subplot(grid[row]) for row in range(3))
+    place = found.position / 1e3
+    dress(speeds, x="", y="speed [km/h]")
+    speeds.plot(place, KMH * found.speed, color=INK, linewidth=1.4, label="measured")
+    dress(off, x="km in the direction of travel", y="calculated less\nmeasured [km/h]")
+    off.axhline(0.0, color=INK, linewidth=0.8)
+    if found.efforts:
+        low, high = (found.calculated_speed + sign * 1.96 * found.speed_std for sign in (-1, 1))
+        speeds.plot(place, KMH * found.calculated_speed, color=BLUE, linewidth=1.2, linestyle="--",
+                    label="calculated with the recorded efforts")  # fmt: skip
+        speeds.fill_between(place, KMH * low, KMH * high, color=BLUE, alpha=0.15, linewidth=0)
+        off.plot(place, KMH * (found.calculated_speed - found.speed), color=BLUE, linewidth=1.2)
+        off.fill_between(
+            place,
+            KMH * (low - found.speed),
+            KMH * (high - found.speed),
+            color=BLUE,
+            alpha=0.15,
+            linewidth=0,
+            label="95 % band",
+        )
+        legend(off)
+    top = float(np.nanmax(found.speed))
+    speeds.set_ylim(0.0, 1.25 * KMH * top)
+    legend(speeds, ncols=2)
+    _works(works, found)
+    headline(
+        figure,
+        f"Trip '{found.trip}' against the {found.model}: {found.diagnosis.words}",
+    )
+    return figure
+
+
+def _works(axes: Any, found: Calculation) -> None:
+    dress(axes, x="", y="tractive work [kWh]")
+    rows = np.arange(len(found.table))
+    measured = found.table["work"].to_numpy() / JOULES_PER_KWH
+    expected = found.table["calculated_work"].to_numpy() / JOULES_PER_KWH
+    reach = 1.96 * found.table["work_std"].to_numpy() / JOULES_PER_KWH
+    if found.efforts:
+        axes.bar(rows - 0.18, measured, 0.34, color=GREY, label="measured")
+    axes.bar(rows + 0.18, expected, 0.34, color=ORANGE, label="calculated, 95 % band")
+    axes.errorbar(rows + 0.18, expected, reach, fmt="none", ecolor=INK, capsize=4, linewidth=1.2)
+    axes.set_xticks(rows, [str(name) for name in found.table.index], fontsize=8)
+    axes.set_ylim(0.0, 1.3 * float(np.nanmax(np.append(expected + reach, measured))))
+    axes.grid(visible=False, axis="x")
+    legend(axes, ncols=2)

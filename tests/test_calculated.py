@@ -1,0 +1,151 @@
+"""Measured against calculated: a right model agrees within its band, a wrong one is named."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.comparison.calculated import calculate
+from analysis.comparison.calculated_table import calculation_figure, calculation_tables
+from analysis.tables import as_page
+from trainlog import read_line, read_train
+from trainlog.cli import main as cli
+from trainlog.errors import InputError
+from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+from trainlog.formats.train import write_train
+from trainlog.mcap import read_log
+from trainlog.railway import Configuration, ParameterSet, Train
+from trainlog.simulation import draw_scenarios, simulate
+from trainlog.simulation.scenario import Scenario
+from trainlog.trip import Trip
+
+TRAIN = read_train(sample(DEFAULT_TRAIN))
+OWN = TRAIN.resistance
+
+
+@cache
+def scenario() -> Scenario:
+    return draw_scenarios(read_line(sample(DEFAULT_LINE)), TRAIN, 3, seed=11)[2]
+
+
+@cache
+def driven() -> Trip:
+    """Its resistance, load and gradients are drawn: they are not those of the files."""
+    return simulate(scenario())
+
+
+def true_work(trip: Trip) -> float:
+    """Of the recorded efforts over the true way [J]."""
+    speed, effort = trip["/truth"]["speed"], trip["/train/controls"]["tractive_effort"]
+    return float((effort.to_numpy() * speed.to_numpy()).sum() * 0.1)
+
+
+def heavier(factor: float) -> Train:
+    rotating = TRAIN.rotating_mass_factor / factor
+    return replace(TRAIN, mass=factor * TRAIN.mass, rotating_mass_factor=rotating)
+
+
+def test_the_right_file_agrees_within_its_bands() -> None:
+    found = calculate(driven(), TRAIN)
+    assert found.outside == []
+    assert found.diagnosis.wrong == ()
+    assert found.total("calculated_work") == pytest.approx(found.total("work"), rel=0.06)
+    assert sum(found.explained.values()) == pytest.approx(1.0, abs=1e-9)
+    assert len(calculation_figure(found).axes) == 3
+    assert "nothing that the trip contradicts" in as_page(*calculation_tables(found))
+
+
+def test_the_true_model_calculates_the_true_work_and_time() -> None:
+    """A set of the one true configuration; its band is that of gradients, load and efforts."""
+    true = Configuration(
+        "true",
+        scenario().mass,
+        TRAIN.rotating_mass,
+        scenario().resistance,
+        TRAIN.max_traction_power,
+    )
+    sure = ParameterSet(
+        TRAIN.name,
+        (true, true),
+        scenario().resistance,
+        np.diag(np.array([OWN.r0, OWN.r1, OWN.r2]) * 0.005) ** 2,
+        (0.0, 40.0),
+    )
+    found = calculate(driven(), sure)
+    assert found.outside == []
+    assert found.total("calculated_work") == pytest.approx(true_work(driven()), rel=0.01)
+    assert 1.96 * found.total_std("work_std") < 0.05 * true_work(driven())
+
+
+@pytest.mark.parametrize("name", ["r0", "r1", "r2"])
+def test_a_coefficient_that_is_four_times_too_large_is_named(name: str) -> None:
+    wrong = replace(TRAIN, resistance=replace(OWN, **{name: 4.0 * getattr(OWN, name)}))
+    found = calculate(driven(), wrong)
+    (named,) = found.diagnosis.wrong
+    assert named.name == name
+    assert named.factor - 1.96 * named.std < 4.0 < named.factor + 2.5 * named.std
+    assert len(found.outside) == len(found.table)
+    assert found.explained["running resistance"] > 0.9
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_a_mass_that_is_ten_per_cent_off_is_named_with_what_it_cannot_be_told_from(
+    factor: float,
+) -> None:
+    found = calculate(driven(), heavier(factor))
+    (named,) = found.diagnosis.wrong
+    assert (named.name, named.alternatives) == ("mass", ("recorded efforts",))
+    assert named.factor == pytest.approx(factor, abs=0.03)
+    assert found.explained["mass or gain of efforts"] > 0.8
+
+
+def test_without_a_recorded_load_a_mass_is_not_named_and_the_band_is_wide() -> None:
+    metadata = {k: v for k, v in driven().metadata.items() if not k.startswith("load")}
+    unknown = calculate(replace(driven(), metadata=metadata), TRAIN)
+    known = calculate(driven(), TRAIN)
+    assert unknown.diagnosis.wrong == ()
+    assert unknown.outside == []
+    assert unknown.total_std("work_std") > 1.5 * known.total_std("work_std")
+
+
+def test_without_efforts_the_energy_is_calculated_with_a_band_that_holds_the_truth() -> None:
+    topics = {
+        k: v for k, v in driven().topics.items() if k not in ("/train/controls", "/train/axles")
+    }
+    found = calculate(replace(driven(), topics=topics), TRAIN)
+    assert not found.efforts
+    assert found.table["work"].isna().all()
+    energy = true_work(driven())
+    off = found.total("calculated_work") - energy
+    assert abs(off) < 1.96 * found.total_std("work_std") < 0.2 * energy
+    assert found.diagnosis.reason
+    assert "not judged" in as_page(*calculation_tables(found))
+    assert len(calculation_figure(found).axes) == 3
+
+
+def test_a_fit_of_another_train_is_refused() -> None:
+    other = ParameterSet("another", (Configuration.of(TRAIN),), OWN, np.eye(3), (0.0, 40.0))
+    with pytest.raises(InputError, match="another"):
+        calculate(read_log(sample("nonstop.mcap")), other)
+
+
+def test_the_command_names_what_is_wrong(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "wrong.train.json"
+    write_train(replace(TRAIN, resistance=replace(OWN, r2=4.0 * OWN.r2)), path)
+    picture = tmp_path / "calculated.png"
+    log = str(sample("stopping.mcap"))
+    words = ["compare", log, "--calculated", str(path), "--picture", str(picture)]
+    assert cli.run(words) == 0
+    assert "r2 is 3.9" in " ".join(capsys.readouterr().out.split())
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    assert cli.run(["compare", log, "--calculated", str(path), "--json"]) == 0
+    (trip,) = json.loads(capsys.readouterr().out)["trips"]
+    assert [each["name"] for each in trip["wrong"]] == ["r2"]
+    assert len(trip["sections"]) == 4
