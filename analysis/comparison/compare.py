@@ -207,7 +207,7 @@ def compare(
     >>> found.trip("trip-03").lost.by_cause()["stop"] > 200.0
     True
     >>> stopping = found.trip("trip-03")
-    >>> round(stopping.table["lost"].sum() - stopping.lost.total, 6)
+    >>> round(float(stopping.table["lost"].sum()) - stopping.lost.total, 6)
     0.0
     """
     driven, left_out = _driven(trips, line)

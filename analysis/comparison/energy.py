@@ -115,7 +115,9 @@ def resistance_of(model: ParameterSet) -> tuple[RunningResistance, FloatArray]:
     covariance = np.zeros((3, 3)) if model.common_covariance is None else model.common_covariance
     if len(betas) > 1:
         off = betas - np.array([common.r0, common.r1, common.r2])
-        covariance = covariance + off.T @ off / len(betas)
+        # Of few trips it is hardly known how much they differ: the variance of Student's t.
+        freedom = max(len(betas) - 1, 3)
+        covariance = covariance + off.T @ off / (len(betas) - 1) * freedom / (freedom - 2)
     elif model.common_covariance is None:
         covariance = RESISTANCE_SHARE**2 * np.outer(betas[0], betas[0])
     return common, covariance
