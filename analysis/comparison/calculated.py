@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from analysis.comparison.diagnosis import Diagnosis, diagnosed, wrong_mass
 from analysis.comparison.driven import DrivenTrip, driven_trip
-from analysis.comparison.energy import ForceModel, resistance_of, smooth_speed
+from analysis.comparison.energy import ForceModel, resistance_of, smooth_speed, trip_spread
 from analysis.comparison.sections import sections_between
 from analysis.given import Given, trip_of
 from analysis.passports import estimated_passport, with_effort_delay
@@ -50,10 +50,6 @@ SLOWEST = 5.0
 
 SPEED_STD = 0.03
 """Standard deviation of the smoothed speed at the ends of a section [m/s]."""
-
-TRIP_SPREAD = 0.05
-"""Standard deviation over the value of the resistance from trip to trip (wind, weather), where a
-train's file states nothing of it; of 160 simulated and of published coasting trips some 5 %."""
 
 GRADIENT_STD, GRADIENT_LENGTH = 0.2e-3, 1000.0
 """Error of gradients, and the length [m] it holds for, where the line states none."""
@@ -158,7 +154,7 @@ def calculate(trip: Given, model: ParameterSet | Train) -> Calculation:
         With its line and train; with efforts, or else only its energy is calculated.
     model : ParameterSet or Train
         A fit: its common curve, with what trips differ by. A train's file: at its word, with
-        `TRIP_SPREAD`; its mass counts as well.
+        what trips differ by (`analysis.comparison.energy.trip_spread`); its mass counts as well.
 
     Returns
     -------
@@ -269,9 +265,7 @@ def _forces(trip: DrivenTrip, train: Train, model: ParameterSet | Train) -> Forc
         common, covariance = resistance_of(model)
         return ForceModel("fit", train, trip.line, common, covariance)
     own = model.resistance
-    beta = np.array([own.r0, own.r1, own.r2])
-    spread = TRIP_SPREAD**2 * np.outer(beta, beta)
-    return ForceModel("train's file", model, trip.line, own, spread)
+    return ForceModel("train's file", model, trip.line, own, trip_spread(own))
 
 
 def _mass(trip: Trip, train: Train, model: ParameterSet | Train) -> Quantity:

@@ -3,7 +3,8 @@
 A trip with efforts is fitted by itself (`analysis.resistance.fit.fit_trip`): its curve hardly
 depends on the resistance of the train's file. The difference from the model is explained by a
 change of one coefficient at a time; the change that leaves least is named, with those that explain
-it nearly as well. The mass shows in the gain of the efforts, by which both are found in one.
+it nearly as well: of the linear term also a steady wind. The mass shows in the gain of the efforts,
+by which both are found in one.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from analysis.comparison.energy import ForceModel
+from analysis.comparison.energy import TRIP_SPREAD, ForceModel
 from analysis.resistance.fit import fit_trip
 from trainlog.errors import TrainlogError
 from trainlog.formats.attached import recorded_load
@@ -36,7 +37,7 @@ OWN_SPREAD = 0.1
 LEAST_FACTOR = 1.25
 """Smaller factors of a coefficient are within what trains of a kind and days differ by."""
 
-MASS_SHARE = 0.04
+MASS_SHARE = 0.05
 """Gains that differ from 1 by more than this, beyond their band, are those of a wrong mass."""
 
 
@@ -117,11 +118,14 @@ def diagnosed(trip: Trip, model: ForceModel, gain: Quantity, *, of_file: bool) -
     if heavy is not None:
         found.append(heavy)
     own = np.array([model.resistance.r0, model.resistance.r1, model.resistance.r2])
-    spread = model.covariance + fit.covariance[:3, :3] / factor**2
-    if of_file:
+    spread = fit.covariance[:3, :3] / factor**2
+    if not of_file:
+        spread = spread + model.covariance
+    else:
         # Of the coefficients as they may be: those of a wrong file are too large or too small.
         size = np.minimum(own, np.maximum(fit.beta, 0.1 * own))
         spread = spread + np.diag((OWN_SPREAD * size) ** 2)
+        spread = spread + TRIP_SPREAD**2 * np.outer(size, size)
     coefficient = _coefficient(own, fit.beta / factor, spread)
     if coefficient is not None:
         found.append(coefficient)
@@ -162,5 +166,8 @@ def _coefficient(own: FloatArray, shown: FloatArray, spread: FloatArray) -> Wron
     if 1.0 / LEAST_FACTOR < factor < LEAST_FACTOR:
         return None
     std = float(factor / max(true[best], 1e-9) / np.sqrt(precision[best, best]))
-    others = tuple(names[row] for row in range(3) if row != best and left[row] < left[best] + ALIKE)
-    return Wrong(names[best], float(factor), std, others)
+    others = [names[row] for row in range(3) if row != best and left[row] < left[best] + ALIKE]
+    if "r1" in (names[best], *others):
+        # Air resistance of a wind w is r2 (v + w)²: to the motion it is a linear term.
+        others.append(f"a head wind of {-changes[1] / (2.0 * max(shown[2], 1e-9)):.0f} m/s")
+    return Wrong(names[best], float(factor), std, tuple(others))

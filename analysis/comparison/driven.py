@@ -265,7 +265,7 @@ def driven_trip(given: Given, line: Line | None = None) -> DrivenTrip:
     --------
     >>> trip = driven_trip("sample_logs/stopping.mcap")
     >>> [(stand.station, round(stand.duration)) for stand in trip.stands][:2]
-    [('St.Gallen', 0), ('Gossau', 46)]
+    [('St.Gallen', 0), ('Gossau SG', 42)]
     """
     bare = described(given)
     travelled = _line_as_travelled(bare, line)

@@ -22,6 +22,15 @@ FloatArray = NDArray[np.float64]
 RESISTANCE_SHARE = 0.3
 """Standard deviation of the resistance of a train's file, over its value."""
 
+TRIP_SPREAD = 0.05
+"""Standard deviation of the resistance from trip to trip, over its value, without the wind."""
+
+HEAD_WIND = 3.0
+"""Standard deviation of a trip's head wind that is not known [m/s]."""
+
+PRIOR_TRIPS = 4
+"""Trips that what is known of such differences beforehand counts for."""
+
 NORMALISING_SHARE = 0.2
 """Standard deviation of what load and time are found to change, over that change: a driver with
 another load or more time does not keep all speeds in proportion."""
@@ -103,6 +112,17 @@ class ForceModel:
         return self.train.tunnel_coefficient(self.line.tunnel_cross_section(position))
 
 
+def trip_spread(resistance: RunningResistance) -> FloatArray:
+    """Covariance of r0, r1 and r2 from trip to trip: `TRIP_SPREAD` and a head wind.
+
+    Air resistance is that of the speed and the wind together: ``r2 (v + w)²``.
+    """
+    own = np.array([resistance.r0, resistance.r1, resistance.r2])
+    covariance = TRIP_SPREAD**2 * np.outer(own, own)
+    covariance[1, 1] += (2.0 * resistance.r2 * HEAD_WIND) ** 2
+    return np.asarray(covariance)
+
+
 def resistance_of(model: ParameterSet) -> tuple[RunningResistance, FloatArray]:
     """Common running resistance of a fit, and its covariance for one more trip.
 
@@ -112,14 +132,14 @@ def resistance_of(model: ParameterSet) -> tuple[RunningResistance, FloatArray]:
         [[c.resistance.r0, c.resistance.r1, c.resistance.r2] for c in model.configurations]
     )
     common = RunningResistance(*betas.mean(axis=0)) if model.common is None else model.common
-    covariance = np.zeros((3, 3)) if model.common_covariance is None else model.common_covariance
-    if len(betas) > 1:
-        off = betas - np.array([common.r0, common.r1, common.r2])
-        # Of few trips it is hardly known how much they differ: the variance of Student's t.
-        freedom = max(len(betas) - 1, 3)
-        covariance = covariance + off.T @ off / (len(betas) - 1) * freedom / (freedom - 2)
-    elif model.common_covariance is None:
-        covariance = RESISTANCE_SHARE**2 * np.outer(betas[0], betas[0])
+    known = np.zeros((3, 3)) if model.common_covariance is None else model.common_covariance
+    if model.common_covariance is None and len(betas) == 1:
+        known = RESISTANCE_SHARE**2 * np.outer(betas[0], betas[0])
+    off = betas - np.array([common.r0, common.r1, common.r2])
+    # Few trips hardly show how much they differ: what trips differ by anyway counts as some.
+    weight = PRIOR_TRIPS + len(betas) - 1
+    between = (PRIOR_TRIPS * trip_spread(common) + off.T @ off) / weight
+    covariance = known + between * weight / (weight - 2)
     return common, covariance
 
 

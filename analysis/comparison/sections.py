@@ -107,8 +107,8 @@ def section_table(trip: DrivenTrip, sections: Sections) -> pd.DataFrame:
     >>> from analysis.comparison.driven import driven_trip
     >>> trip = driven_trip("sample_logs/stopping.mcap")
     >>> found = section_table(trip, sections_between(trip.line, *trip.covered))
-    >>> found["dwell"].round(0).tolist()
-    [41.0, 44.0, 41.0, 0.0]
+    >>> found["dwell"].round(1).tolist()
+    [41.5, 43.8, 41.2, 0.0]
     """
     low = np.clip(sections.edges[:-1], *trip.covered)
     high = np.clip(sections.edges[1:], *trip.covered)
