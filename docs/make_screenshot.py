@@ -1,9 +1,10 @@
-"""Make docs/images/replay.png, the picture in the README, from the results of the demo.
+"""Make the pictures of the replay, docs/images/replay*.png, from the results of the demo.
 
     trainlog demo --output results
-    python docs/make_screenshot.py results/replay.rrd
+    python docs/make_screenshot.py results
 
-Needs a Vulkan driver, in software too (Debian: mesa-vulkan-drivers), but no screen.
+One of each named view, and of trips over each other. Needs a Vulkan driver, in software too
+(Debian: mesa-vulkan-drivers), but no screen.
 """
 
 from __future__ import annotations
@@ -14,24 +15,58 @@ from tempfile import TemporaryDirectory
 
 from PIL import Image
 
-from trainlog.replay import take_picture
+import trainlog
+from trainlog.replay import HeadlessViewer, headless_viewer, write_replay
 
-IMAGE = Path(__file__).parent / "images" / "replay.png"
+IMAGES = Path(__file__).parent / "images"
 SIZE = 1600, 1000
-MENU = 36  # height of the viewer's own menu, which is cut off
-INSTANT = 600_000_000_000  # ten minutes after departure
+MENU = 36
+"""Height of the viewer's own menu, which is cut off [points]."""
+
+PLACE = 14_370
+"""Where the cursor stands in pictures by position: before Flawil [m]."""
+
+INSTANT = 600_000_000_000
+"""Where it stands in pictures by time: ten minutes after departure [ns]."""
 
 
-def main(recording: Path) -> None:
-    """Picture of a replay, ten minutes after its trips began."""
-    IMAGE.parent.mkdir(exist_ok=True)
+def main(results: Path) -> None:
+    """Pictures of one trip with all that the demo has made of it, and of several."""
+    IMAGES.mkdir(exist_ok=True)
+    estimated = [trainlog.read(log) for log in sorted((results / "estimated").glob("*.mcap"))]
+    trips = [trainlog.read(log) for log in sorted((results / "trips").glob("*.mcap"))[:10:2]]
+    known = {
+        "trajectory": trainlog.read_trajectory(results / "trajectory.json"),
+        "condition_map": trainlog.read_map(results / "wil.map"),
+    }
     with TemporaryDirectory() as folder:
-        whole = Path(folder) / "replay.png"
-        take_picture(recording, whole, size=SIZE, timeline="elapsed", at=INSTANT)
+        alone, together = Path(folder) / "alone.rrd", Path(folder) / "together.rrd"
+        write_replay(estimated[:1], alone, **known)
+        with headless_viewer(alone, size=SIZE) as viewer:
+            for view in viewer.views():
+                viewer.show(view)
+                by_place = view == "map"
+                viewer.set_time(
+                    "position_m" if by_place else "elapsed", PLACE if by_place else INSTANT
+                )
+                save(viewer, "replay" if view == "overview" else f"replay-{view}")
+        write_replay(trips, together, **known)
+        with headless_viewer(together, size=SIZE) as viewer:
+            viewer.set_time("position_m", PLACE)
+            save(viewer, "replay-together")
+
+
+def save(viewer: HeadlessViewer, name: str) -> None:
+    """Save what is shown, without the viewer's menu."""
+    target = IMAGES / f"{name}.png"
+    with TemporaryDirectory() as folder:
+        whole = Path(folder) / "whole.png"
+        viewer.picture(whole)
         with Image.open(whole) as picture:
-            picture.crop((0, MENU, *SIZE)).convert("RGB").save(IMAGE, optimize=True)
-    print(f"wrote {IMAGE}")
+            cut = picture.crop((0, MENU, *SIZE)).convert("RGB")
+            cut.quantize(255, dither=Image.Dither.NONE).save(target, optimize=True)
+    print(f"wrote {target}")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "results/replay.rrd"))
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "results"))

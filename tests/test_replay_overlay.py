@@ -78,7 +78,7 @@ def test_a_trajectory_is_the_reference_of_trips_in_its_direction(tmp_path: Path)
     path, plan = tmp_path / "plan.rrd", trajectory_of()
     trip = unlike("up", 20.0)
     made = write_replay([trip, made_trip("down", "reverse")], path, trajectory=plan)
-    assert made.references == ("the trajectory (heavy)",)
+    assert made.references == ("the trajectory (configuration heavy)",)
     found = rows(path, "/trips/up/behind/speed")
     place = found["position_m"][1:].astype(float)
     middle = np.isin(place, (600.0, 1000.0, 1400.0))
@@ -141,6 +141,25 @@ def test_a_thinned_trip_is_where_it_was(tmp_path: Path) -> None:
     assert np.array_equal(
         rows(path, entity)["Scalars:scalars"], rows(full, entity)["Scalars:scalars"], equal_nan=True
     )
+
+
+def test_a_limit_recorded_each_second_has_no_gaps_when_thinned(tmp_path: Path) -> None:
+    path = tmp_path / "thin.rrd"
+    write_replay([made_trip(), unlike("b", 16.0)], path, options=ReplayOptions(thinned=True))
+    limit = rows(path, "/trips/up/speed/limit")["Scalars:scalars"][1:, 0]
+    assert limit.tolist() == [144.0, 144.0, 108.0, 108.0]
+
+
+def test_a_receiver_alone_is_thinned_too(tmp_path: Path) -> None:
+    whole = made_trip()
+    trip = replace(
+        whole,
+        topics={name: whole[name] for name in ("/gnss/motion", "/gnss/fix")},
+        attachments={},
+    )
+    path = tmp_path / "thin.rrd"
+    write_replay([trip], path, options=ReplayOptions(thinned=True))
+    assert {"/trips/up/speed/satellites", "/trips/up/place/path"} <= set(entities(path))
 
 
 def test_of_a_thinned_trip_only_the_overview_is_read(tmp_path: Path) -> None:

@@ -215,6 +215,10 @@ CURVES: tuple[Curve, ...] = (
 """Every curve of the table of topics that a trip can have."""
 
 
+SPEEDS_SHOWN = ("speed/measured", "speed/satellites", "speed/estimated")
+"""A trip's own speed, of which trips over each other show the first that there is."""
+
+
 @dataclass(frozen=True, slots=True)
 class Panel:
     """One plot of a trip.

@@ -24,6 +24,7 @@ from trainlog.replay.condition import (
 from trainlog.replay.curves import (
     PLANNED,
     SATELLITES,
+    SPEEDS_SHOWN,
     Colour,
     Curve,
     curves_of,
@@ -194,7 +195,8 @@ class Drawing:
         """Draw the next piece; `state` as `neighboured` gives it."""
         drawn = with_slip(piece, state)
         for curve in self._curves:
-            self._add_curve(curve, drawn)
+            if not self._brief or curve.entity in SPEEDS_SHOWN:
+                self._add_curve(curve, drawn)
         self._add_phases(piece, state)
         self._add_events(piece)
         self._add_fixes(piece)
@@ -230,10 +232,10 @@ class Drawing:
                 entity, line = f"{root}/place/spots", self._laid_out(known.line)
                 draw_spots_on_map(self._recording, entity, line, passage, self._chart)
         extent = self._draw_places()
-        if known.line is not None:
-            drawn = (self._recording, root, known.line, known.clock, self._entities)
-            self._entities |= draw_profile(*drawn)
         if not self._brief:
+            if known.line is not None:
+                drawn = (self._recording, root, known.line, known.clock, self._entities)
+                self._entities |= draw_profile(*drawn)
             self._entities |= draw_lanes(self._recording, root, known.line, known.clock)
             about = rr.TextDocument(_about(bare, self._name), media_type="text/markdown")
             send_static(self._recording, f"{root}/about", about)

@@ -18,7 +18,7 @@ import rerun.blueprint as rrb
 from trainlog.errors import InputError
 from trainlog.replay.chart import Chart
 from trainlog.replay.clock import ELAPSED, POSITION, TIME, FloatArray
-from trainlog.replay.curves import PANELS, Colour, Panel
+from trainlog.replay.curves import PANELS, SPEEDS_SHOWN, Colour, Panel
 from trainlog.replay.overlay import BEHIND, SLOWER
 from trainlog.replay.samples import path_of
 
@@ -43,6 +43,9 @@ IDENTIFICATION = ("speed", "efforts", "resistance", "gradient")
 Few enough for a window 900 points high: Rerun makes none lower than about 100 points, and lets the
 last stand below the window's edge.
 """
+
+DIFFERENCES = {OVERVIEW: 1, DRIVING: 2}
+"""How many of the differences to the reference stand among the panels of a view."""
 
 NEEDED = {"traction": ("slip", "adhesion"), "identification": ("resistance",)}
 """A view of one trip is there if one of these panels is."""
@@ -234,12 +237,12 @@ def _tabbed(pages: Sequence[Any], name: str) -> Any | None:
     return found[0] if len(found) == 1 else rrb.Tabs(*found, active_tab=0, name=name)
 
 
-def _page(trip: Shown, panels: Sequence[str], contents: Contents, *, whole: bool) -> Any:
+def _page(trip: Shown, panels: tuple[str, ...], contents: Contents, *, whole: bool) -> Any:
     """Some panels of a trip, with lanes under the first, and where it is.
 
-    Of the whole trip differences and particulars, too.
+    Of the whole trip its particulars, too.
     """
-    rows, shares = _rows(trip, panels, compared=whole)
+    rows, shares = _rows(trip, panels, DIFFERENCES.get(panels, 0))
     place = _chart([trip], contents, trip.layer, SIDE_MAP)
     side = [place, _cursor(trip), _events(trip), *([_about(trip)] if whole else [])]
     return _beside(rows, shares, side, trip.name)
@@ -250,7 +253,7 @@ def _alone(trip: Shown, contents: Contents) -> Any:
     return _page(trip, OVERVIEW, contents, whole=True)
 
 
-def _rows(trip: Shown, panels: Sequence[str], *, compared: bool) -> tuple[list[Any], list[float]]:
+def _rows(trip: Shown, panels: Sequence[str], differences: int) -> tuple[list[Any], list[float]]:
     """The panels that have something to show, differences and lanes; and their heights."""
     rows, shares = [], []
     for panel in trip.panels:
@@ -258,8 +261,8 @@ def _rows(trip: Shown, panels: Sequence[str], *, compared: bool) -> tuple[list[A
             rows.append(_panel(trip, panel))
             shares.append(panel.share)
     at = min(1, len(rows))
-    if trip.reference and compared:
-        for entity, title in _differences(trip.reference):
+    if trip.reference:
+        for entity, title in _differences(trip.reference)[-differences:] if differences else ():
             rows.insert(at, plot([f"{trip.root}/{entity}"], title))
             shares.insert(at, 1.1)
     _add_lanes(rows, shares, at, trip, tuple(LANES))
@@ -267,6 +270,7 @@ def _rows(trip: Shown, panels: Sequence[str], *, compared: bool) -> tuple[list[A
 
 
 def _differences(reference: str) -> tuple[tuple[str, str], ...]:
+    """Entities of the differences and their titles, from the bottom to the top."""
     return (
         (SLOWER, f"Speed less that of {reference} [km/h]"),
         (BEHIND, f"Running time behind {reference} [s]"),
@@ -413,7 +417,7 @@ def _axis() -> Any:
 
 def _speed(trip: Shown) -> str:
     """The entity with the trip's own speed; empty without one."""
-    for entity in ("speed/measured", "speed/satellites", "speed/estimated"):
+    for entity in SPEEDS_SHOWN:
         if entity in trip.entities:
             return f"{trip.root}/{entity}"
     return ""

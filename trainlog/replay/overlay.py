@@ -22,6 +22,7 @@ from trainlog.along_line import (
     TimeDistance,
     difference,
     grid_over,
+    known_rows,
     planned_time_distance,
 )
 from trainlog.errors import InputError
@@ -32,7 +33,7 @@ from trainlog.replay.curves import Colour
 from trainlog.replay.samples import Samples, changes, send_curve
 from trainlog.replay.survey import GRID_STEP, Pieces, Survey, survey
 from trainlog.topics import ENVIRONMENT, ESTIMATED_STATE, GNSS_FIX, GNSS_MOTION, TRAIN_STATE
-from trainlog.trip import Trip
+from trainlog.trip import LINE_ATTACHMENT, Trip
 from trainlog.units import KMH, NANOSECONDS
 
 BEHIND, SLOWER = "behind/time", "behind/speed"
@@ -41,11 +42,15 @@ BEHIND, SLOWER = "behind/time", "behind/speed"
 OVERVIEW: dict[str, list[str]] = {
     TRAIN_STATE.name: ["position", "speed"],
     ESTIMATED_STATE.name: ["position"],
-    GNSS_MOTION.name: ["speed"],
-    GNSS_FIX.name: ["latitude", "longitude"],
     ENVIRONMENT.name: ["speed_limit", "gradient"],
 }
-"""All that is read of a trip that is thinned."""
+"""What is read of a trip that is thinned."""
+
+SATELLITES: dict[str, list[str]] = {
+    GNSS_MOTION.name: ["speed"],
+    GNSS_FIX.name: ["latitude", "longitude"],
+}
+"""What is read besides of a trip without line, or without speed of its own."""
 
 PIECE_LENGTH, PIECE_TIME = 10.0, 400_000_000
 """Of each such piece of the line [m], and of each such moment [ns], two samples remain."""
@@ -132,7 +137,7 @@ def _planned(trajectory: Trajectory, group: tuple[str, str]) -> Reference:
     speed = trajectory.speed_at(row, grid)
     along = OnGrid(grid, curve.arrival_at(grid), np.asarray(speed, dtype=np.float64))
     name = trajectory.configurations[row].name
-    return Reference(f"the trajectory ({name})", *group, along)
+    return Reference(f"the trajectory (configuration {name})", *group, along)
 
 
 def draw_difference(
@@ -210,7 +215,9 @@ def thinned_trips(sources: Sequence[Pieces]) -> Iterator[tuple[Survey, Trip]]:
 
 
 def _thinned(source: Pieces) -> tuple[Survey, Trip]:
-    pieces = list(_part(source))
+    pieces = list(_part(source, OVERVIEW))
+    if not (LINE_ATTACHMENT in pieces[0].attachments and any(map(_knows_speed, pieces))):
+        pieces = list(_part(source, OVERVIEW | SATELLITES))
     known = survey(lambda: pieces)
     parts = [thinned_trip(piece, known.clock) for piece in pieces]
     topics = {
@@ -221,11 +228,16 @@ def _thinned(source: Pieces) -> tuple[Survey, Trip]:
     return replace(known, clock=_thinned_clock(known.clock), fixes=_thinned_fixes(known)), trip
 
 
-def _part(source: Pieces) -> Iterator[Trip]:
-    """The pieces of a trip with no more than `OVERVIEW`."""
+def _knows_speed(piece: Trip) -> bool:
+    known = [known_rows(piece, TRAIN_STATE.name, name) for name in ("position", "speed")]
+    return all(rows is not None for rows in known)
+
+
+def _part(source: Pieces, wanted: dict[str, list[str]]) -> Iterator[Trip]:
+    """The pieces of a trip with no more than what is wanted."""
     asked = "topics" in signature(source).parameters
-    for piece in source(topics=OVERVIEW) if asked else source():
-        topics = {name: frame for name, frame in piece.topics.items() if name in OVERVIEW}
+    for piece in source(topics=wanted) if asked else source():
+        topics = {name: frame for name, frame in piece.topics.items() if name in wanted}
         yield replace(piece, topics=topics)
 
 
@@ -234,12 +246,14 @@ def thinned_trip(trip: Trip, clock: TimeDistance) -> Trip:
     topics = {}
     for name, frame in trip.topics.items():
         time = np.asarray(pd.DatetimeIndex(frame.index).as_unit("ns").asi8)
-        if name not in OVERVIEW or name == ESTIMATED_STATE.name or not time.size:
+        if name not in OVERVIEW | SATELLITES or name == ESTIMATED_STATE.name or not time.size:
             continue
         if name == GNSS_FIX.name:
             kept = np.unique(time // RARE, return_index=True)[1]
         elif name == ENVIRONMENT.name:
-            kept = changes(frame.to_numpy(dtype=np.float64))
+            # Rows far apart would be taken for a gap.
+            each = np.unique(time // PIECE_TIME, return_index=True)[1]
+            kept = np.union1d(changes(frame.to_numpy(dtype=np.float64)), each)
         else:
             speed = frame["speed"].to_numpy(dtype=np.float64)
             kept = extremes(speed, pieces_at(time, clock.position_at(time)))

@@ -55,7 +55,7 @@ def open_viewer(path: str | Path) -> str:
     --------
     >>> import trainlog
     >>> trip = trainlog.read("sample_logs/nonstop.mcap")
-    >>> trainlog.write_replay([trip], "nonstop.rrd")
+    >>> _ = trainlog.write_replay([trip], "nonstop.rrd")
     >>> print(trainlog.open_viewer("nonstop.rrd"))  # doctest: +SKIP
     The Rerun viewer opens with /home/me/nonstop.rrd
     """
