@@ -2,8 +2,8 @@
 
     python benchmarks/replay/benchmark_replay.py [--count 50] [--folder /tmp/long-trips]
 
-Writes logs of trips of an hour, 12 axles at 100 Hz (about 90 MB each), into a folder that is removed
-afterwards. States processor time, wall-clock time, and the largest memory of the process so far.
+Writes logs of trips of an hour, 12 axles at 100 Hz (about 90 MB each), into a folder that is
+removed afterwards. States processor time, wall-clock time, and the largest memory so far.
 """
 
 from __future__ import annotations

@@ -182,11 +182,16 @@ def survey(pieces: Pieces) -> Survey:
 
 
 def _along(clock: Clock, speed: tuple[Any, ...] | None) -> OnGrid | None:
-    """The trip on its part of the grid of all."""
+    """The trip on its part of the grid of all, from its departure."""
     if clock.position.size == 0:
         return None
     grid = grid_over([clock], GRID_STEP)
-    return on_grid(clock, grid, speed) if grid.size > 1 else None
+    if grid.size < 2:
+        return None
+    along = on_grid(clock, grid, speed)
+    # It may stand where it begins for as long as it was recorded before.
+    along.time[0] = clock.departure_at(grid[:1])[0]
+    return along
 
 
 def neighboured(pieces: Iterable[Trip]) -> Iterator[tuple[Trip, pd.DataFrame | None]]:
