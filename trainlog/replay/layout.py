@@ -44,7 +44,7 @@ Few enough for a window 900 points high: Rerun makes none lower than about 100 p
 last stand below the window's edge.
 """
 
-DIFFERENCES = {OVERVIEW: 1, DRIVING: 2}
+DIFFERENCES: dict[tuple[str, ...], int] = {OVERVIEW: 1, DRIVING: 2}
 """How many of the differences to the reference stand among the panels of a view."""
 
 NEEDED = {"traction": ("slip", "adhesion"), "identification": ("resistance",)}
