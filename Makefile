@@ -9,7 +9,7 @@ BIN := .venv/bin
 endif
 READY := .venv/ready
 
-.PHONY: demo test docs wheel portable long check format lock clean
+.PHONY: demo test docs report-pictures wheel portable long check format lock clean
 
 demo: $(READY)
 	$(BIN)/trainlog demo --output results
@@ -21,6 +21,10 @@ test: $(READY) check
 docs: $(READY)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 	@echo "The documentation is in build/site; 'trainlog docs' opens it."
+
+# The pictures in docs/reports.md; needs Chromium.
+report-pictures: $(READY)
+	$(BIN)/python docs/tools/report_pictures.py
 
 # The wheel and the source distribution, with the documentation's site in them.
 wheel: docs

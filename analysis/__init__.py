@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from analysis.estimates import with_estimates as with_estimates
     from analysis.geometry.centre_line import geometry_of as geometry_of, line_of as line_of
     from analysis.passports import passport as passport
+    from analysis.reports.build import ReportOptions as ReportOptions, write_report as write_report
     from analysis.reports.summary import report as report
     from analysis.resistance import (
         TripRefusedError as TripRefusedError,
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     from analysis.resistance.unknown_gradient import (
         coast_down_without_gradient as coast_down_without_gradient,
     )
+    from analysis.trajectory.advice import journey_advice as journey_advice
     from analysis.trajectory.journey import optimise_journey as optimise_journey
     from analysis.trajectory.optimiser import (
         energy_against_time as energy_against_time,
@@ -91,6 +93,8 @@ _NAMES = {
     "analysis.comparison.groups": "compare_groups",
     "analysis.passports": "passport",
     "analysis.reports.summary": "report",
+    "analysis.reports.build": "write_report ReportOptions",
+    "analysis.trajectory.advice": "journey_advice",
     "analysis.estimates": "with_estimates",
     "analysis.geometry.centre_line": "geometry_of line_of",
     "analysis.verification.scoring": "score_forecast score_map score_rolling",

@@ -65,6 +65,11 @@ class ReportOptions:
         Of the trips of a fit: with them residuals are shown.
     zone : Zone
         The clock in which times are stated.
+
+    Examples
+    --------
+    >>> ReportOptions(zone=Zone("Europe/Zurich")).zone.name
+    'Europe/Zurich'
     """
 
     line: Path | None = None

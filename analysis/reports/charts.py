@@ -102,6 +102,8 @@ class Chart:
     caption : str
     places : sequence of (float, str)
         Stations, marked in all panels and named in the first.
+    span : (float, float), optional
+        Ends of the axis; default: those of the curves.
     """
 
     x: str
@@ -109,6 +111,7 @@ class Chart:
     alt: str
     caption: str = ""
     places: Sequence[tuple[float, str]] = ()
+    span: tuple[float, float] | None = None
 
 
 def rows_to_draw(*curves: ArrayLike, most: int = MOST_POINTS) -> NDArray[np.int64]:
@@ -207,6 +210,8 @@ def _draw(axes: Axes, curve: Curve) -> None:
 
 
 def _span(chart: Chart) -> tuple[float, float]:
+    if chart.span is not None:
+        return chart.span
     ends = [curve.x[np.isfinite(curve.x)] for panel in chart.panels for curve in panel.curves]
     every = np.concatenate([each for each in ends if each.size] or [np.array([0.0, 1.0])])
     low, high = float(every.min()), float(every.max())

@@ -333,6 +333,7 @@ def _map_charts(track: TrackConditionMap, state: MapState, line: Line | None) ->
         "Points are bins with an estimate and its 95 % band; where there is no point nothing was"
         " observed.",
         [(each.position / 1e3, each.name) for each in stations],
+        (0.0, track.length / 1e3),
     )
     return [as_part(chart)]
 

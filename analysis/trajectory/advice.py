@@ -232,6 +232,12 @@ def journey_advice(
     InputError
         If the sections are not of one line, train and direction, do not follow each other, or do
         not come from `optimise`.
+
+    Examples
+    --------
+    >>> journey_advice([], None)
+    Traceback (most recent call last):
+    trainlog.errors.InputError: no trajectory was given; give those of the journey's sections
     """
     if not sections:
         raise InputError("no trajectory was given", remedy="give those of the journey's sections")
@@ -375,13 +381,17 @@ def stations_table(found: JourneyAdvice) -> Table:
 def driver_table(found: JourneyAdvice) -> Table:
     """The journey as a driver reads it: kilometre, place, time, what to do."""
     table = new_table("", "km", "where", "time", "at", "advice")
+    begins: AdviceRow | None = None
     for row in found.rows:
-        speed = f"{KMH * row.speed:.0f} km/h"
-        words = row.words or "passes"
-        place = row.station or row.place
-        if row.event in ("departs", "arrives"):
-            speed = ""
-        table.add_row(f"{row.km:.3f}", place, found.time(row.time), speed, words)
+        if row.event == "departs":
+            begins = row
+            continue
+        place, words, speed = row.station or row.place, row.words, f"{KMH * row.speed:.0f} km/h"
+        if begins is not None and row.position <= begins.position + JOINS:
+            place, words, speed = begins.station or begins.place, f"departs: {words}", ""
+        begins = None
+        speed = "" if row.event == "arrives" else speed
+        table.add_row(f"{row.km:.3f}", place, found.time(row.time), speed, words or "passes")
         if row.event == "arrives":
             table.add_section()
     return table
