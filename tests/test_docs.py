@@ -28,7 +28,6 @@ import sources  # noqa: E402
 PAGES = sorted([CHECKOUT / "README.md", *DOCS.rglob("*.md")])
 LONG = ("gallery.md", "planner.md")
 """Pages whose code takes tens of seconds."""
-EXECUTED = "---\nexecute: true\n---\n"
 TUTORIAL = DOCS / "tutorials" / "developer.md"
 LINK = re.compile(r"\]\(([^)#\s]+)")
 
@@ -50,7 +49,7 @@ def test_code_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     text = page.read_text("utf-8")
     outputs = list(pages.execute(text))
     assert len(outputs) == len(pages.blocks_of(text))
-    if text.startswith(EXECUTED):
+    if text.startswith(pages.EXECUTED):
         assert_written(page, tmp_path)
 
 
@@ -132,7 +131,7 @@ def test_validation_names_benchmarks_that_there_are() -> None:
 def test_links_between_pages_lead_somewhere(page: Path) -> None:
     text = page.read_text("utf-8")
     for target in LINK.findall(text):
-        made = text.startswith(EXECUTED) and target.endswith((".png", "report.html"))
+        made = text.startswith(pages.EXECUTED) and target.endswith((".png", "report.html"))
         if not made and not target.startswith(("http:", "https:")):
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
 

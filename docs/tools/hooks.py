@@ -1,6 +1,6 @@
 """Hooks of MkDocs: runs the pages that show what their code prints, and adds files of the checkout.
 
-A page whose front matter says ``execute: true`` is run in `build/pages`, once for each state of its
+A page that begins with `pages.EXECUTED` is run in `build/pages`, once for each state of its
 text and the code; pictures that it names and that its code writes become files of the site.
 """
 
@@ -29,7 +29,6 @@ from sources import ADDED, STAMP, state_of  # noqa: E402
 
 BUILT = CHECKOUT / "build" / "pages"
 PACKAGES = ("trainlog", "analysis", "estimators")
-EXECUTED = "---\nexecute: true\n---\n"
 
 _LINK = re.compile(r"(\]\()([^)#\s]+)((?:#[^)\s]*)?\))")
 
@@ -38,10 +37,13 @@ def on_files(files: Files, config: Any) -> Files:
     """Add the pages that stand elsewhere, the files linked to, and what executed pages write."""
     for uri, path in ADDED.items():
         files.append(File.generated(config, uri, abs_src_path=str(CHECKOUT / path)))
-    sources = {path.src_uri: Path(path.abs_src_path or "") for path in files.documentation_pages()}
-    _execute([uri for uri, path in sources.items() if path.read_text("utf-8").startswith(EXECUTED)])
-    for uri, path in sources.items():
-        for target in _targets(path.read_text("utf-8")):
+    texts = {
+        file.src_uri: Path(file.abs_src_path or "").read_text("utf-8")
+        for file in files.documentation_pages()
+    }
+    _execute([uri for uri, text in texts.items() if text.startswith(pages.EXECUTED)])
+    for uri, text in texts.items():
+        for target in _targets(text):
             _add(files, config, uri, target)
     return files
 
@@ -49,7 +51,7 @@ def on_files(files: Files, config: Any) -> Files:
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:  # noqa: ARG001
     """Put outputs behind the blocks of an executed page, and lead links to where files are."""
     uri = page.file.src_uri
-    if page.meta.get("execute"):
+    if markdown.startswith(pages.EXECUTED):
         kept = json.loads((_folder(uri) / "outputs.json").read_text("utf-8"))
         markdown = pages.with_outputs(markdown, [pages.Output(**each) for each in kept])
     return _LINK.sub(lambda found: found[1] + _lead(uri, found[2]) + found[3], markdown)

@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import Any
 
 _PARTS = re.compile(r"^```python\n(.*?)^```\n", re.M | re.S)
-_FRONT = re.compile(r"\A---\n.*?^---\n", re.M | re.S)
+_FIRST = re.compile(r"\A<!--.*?-->\n")
 _PICTURE = re.compile(r"^!\[[^\]]*\]\([^)]*\)\n", re.M)
 _LINK = re.compile(r"\[([^\]]*)\]\((?!https?:)[^)]*\)")
 
 
 def from_page(text: str) -> dict[str, Any]:
     """A notebook (nbformat 4.5) of a page; the same page, the same notebook."""
-    text = _FRONT.sub("", text)
+    text = _FIRST.sub("", text)
     cells: list[dict[str, Any]] = []
     for number, part in enumerate(_PARTS.split(text)):
         # Pictures are made by the cells; the pages that it refers to are not beside a notebook.
