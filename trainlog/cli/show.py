@@ -10,53 +10,108 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from trainlog.cli.options import logs_in
-from trainlog.cli.terminal import console
+from trainlog.cli.terminal import console, wrote
 from trainlog.display import counted
+from trainlog.errors import InputError
 
 app = typer.Typer()
 
-LogsOrConsists = Annotated[
+Files = Annotated[
     list[Path],
     typer.Argument(
-        help="Logs (.mcap), folders of logs, consists (.consist.json), track-condition maps (.map)."
+        help="Anything that trainlog makes or reads: logs, lines, trains, maps, parameter sets,"
+        " trajectories, profiles, recorders' files; folders of them."
     ),
 ]
 
 
 @app.command(rich_help_panel="Look")
 def show(
-    logs: LogsOrConsists,
+    files: Files,
     trips: Annotated[
         bool, typer.Option("--trips", help="List the trips of track-condition maps by name.")
     ] = False,
+    picture: Annotated[
+        Path | None, typer.Option(help="Draw a trip or a line into this file (.png, .svg).")
+    ] = None,
+    browse: Annotated[
+        bool, typer.Option("--open", help="Open a report on it in the browser.")
+    ] = False,
 ) -> None:
-    """List what a log holds: topics, units, rates, time and position span, gaps, passport.
+    """State what a file holds, whatever it is; it is recognised by its content.
 
-    Of a consist (.consist.json) its vehicles, couplers and brake; of a track-condition map
-    (.map) its line, layers, trips and days; with --trips each recording by its name.
+    Of a log topics, units, rates, time and position span, gaps, passport; of a consist its
+    vehicles, couplers and brake; of a track-condition map its line, layers, trips and days, with
+    [bold]--trips[/bold] each recording by its name; of a recorder's file what can be read of it;
+    of a folder what each of its files is.
 
     Example: trainlog show results/trips/trip-01.mcap
+
+    trainlog show my.line.toml --picture line.png
     """
+    if len(files) > 1 and (picture is not None or browse):
+        raise InputError("one file is shown as a picture", remedy="name a single file")
+    for file in files:
+        if file.is_dir() and not (file / "trip.json").exists():
+            _show_folder(file)
+        else:
+            _show(file, trips)
+    if picture is not None:
+        from analysis.contents import contents_of, draw_contents
+
+        draw_contents(contents_of(files[0]), picture)
+        wrote(picture)
+    if browse:
+        _open(files[0])
+
+
+def _show(file: Path, trips: bool) -> None:
     from analysis.consist_table import consist_tables
+    from analysis.contents import contents_of
     from trainlog.formats.attached import passport_of
-    from trainlog.formats.train import read_consist
-    from trainlog.mcap import describe, read_log
+    from trainlog.mcap import read_log
     from trainlog.mcap.description import render
     from trainlog.trip import PASSPORT_ATTACHMENT
 
-    for log in logs_in(logs):
-        if log.name.endswith(".consist.json"):
-            console.print(consist_tables(read_consist(log)))
-        elif log.suffix == ".map":
-            console.print(_map_contents(log))
-            if trips:
-                console.print(_map_trips(log))
-        else:
-            description = describe(log)
-            console.print(render(description))
-            if PASSPORT_ATTACHMENT in (each.name for each in description.attachments):
-                console.print(repr(passport_of(read_log(log, []))), highlight=False, markup=False)
+    found = contents_of(file)
+    if found.kind == "log":
+        console.print(render(found.value))
+        if PASSPORT_ATTACHMENT in (each.name for each in found.value.attachments):
+            console.print(repr(passport_of(read_log(file, []))), highlight=False, markup=False)
+    elif found.kind == "consist":
+        console.print(consist_tables(found.value))
+    elif found.kind == "track-condition map":
+        console.print(_map_contents(file))
+        if trips:
+            console.print(_map_trips(file))
+    else:
+        console.print(f"{file}: {found.kind}", highlight=False, soft_wrap=True)
+        console.print(found.text, highlight=False, markup=False, soft_wrap=True)
+
+
+def _show_folder(folder: Path) -> None:
+    from analysis.contents import folder_contents
+    from analysis.tables import new_table
+
+    table = new_table("", "file", "kind", "contents")
+    table.title = str(folder)
+    for row in folder_contents(folder):
+        table.add_row(*row)
+    console.print(table)
+
+
+def _open(file: Path) -> None:
+    """Open a report on a file in the browser."""
+    import tempfile
+    import webbrowser
+
+    from analysis.reports.build import ReportOptions, write_report
+
+    page = Path(tempfile.mkdtemp(prefix="trainlog-")) / f"{file.stem}.html"
+    write_report(file, page, ReportOptions())
+    wrote(page)
+    if not webbrowser.open(page.resolve().as_uri()):
+        console.print("no browser here: open the page where there is one", highlight=False)
 
 
 # The command's former name.

@@ -1,0 +1,278 @@
+"""What a file or a folder holds, recognised by its content and stated in a few lines."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trainlog.errors import InputError, TrainlogError
+from trainlog.formats.files import LOOKED_AT, is_map, mistaken_json
+from trainlog.railway import Line
+from trainlog.trip import Trip, seconds
+from trainlog.units import KMH
+
+MCAP = b"\x89MCAP"
+
+FORMAT = re.compile(rb"""["']?format["']?\s*[:=]\s*["'](trainlog/[a-z-]{1,40})["']""")
+"""How a file of trainlog names its format, in JSON or TOML."""
+
+RECORDED = ("a Parquet file", "an MDF file")
+"""Other files that recorders write, as `mistaken_json` calls them."""
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a file holds.
+
+    Attributes
+    ----------
+    path : Path
+    kind : str
+        In words, such as ``"line"``.
+    value : object
+        What was read; None of a log, which may be larger than the memory.
+    lines : tuple of str
+        What else there is to state.
+    """
+
+    path: Path
+    kind: str
+    value: Any = None
+    lines: tuple[str, ...] = field(default=())
+
+    @property
+    def summary(self) -> str:
+        """One line."""
+        words = repr(self.value).splitlines() if self.value is not None else []
+        return (words or list(self.lines) or [""])[0]
+
+    @property
+    def text(self) -> str:
+        """A few lines."""
+        return "\n".join([repr(self.value)] * (self.value is not None) + list(self.lines))
+
+
+def contents_of(path: str | Path) -> Contents:
+    """What a file or a folder holds, by its content and not by its name.
+
+    Parameters
+    ----------
+    path : path
+        A log or an MCAP file of another program, a line, train, consist, journey, profile,
+        parameter set, coast-down, trajectory, passport, characteristic, forecast, track-condition
+        map, a recorder's file, a trip as Parquet or CSV.
+
+    Raises
+    ------
+    TrainlogError
+        If it is missing, damaged, or of no format that trainlog knows; with file and remedy.
+
+    Examples
+    --------
+    >>> contents_of("sample_logs/DE_Chemnitz_Cranzahl.line.json").kind
+    'line'
+    >>> contents_of("sample_logs/gnss.csv").summary
+    'Recording: 6847 rows read'
+    """
+    from trainlog.ingest.registry import head_of
+
+    path = Path(path)
+    if path.is_dir():
+        return _trip_of_folder(path)
+    head = head_of(path)
+    if head.startswith(MCAP):
+        from trainlog.mcap import describe
+
+        return Contents(path, "log", describe(path))
+    if is_map(head[:LOOKED_AT]):
+        from trainlog.formats.condition import read_map
+
+        return Contents(path, "track-condition map", read_map(path))
+    stated = FORMAT.search(head[:LOOKED_AT])
+    if stated is not None:
+        return _of_format(path, stated[1].decode())
+    what = mistaken_json(head[:LOOKED_AT])
+    if what is not None and what not in RECORDED:
+        remedy = "show what it was made of; 'trainlog replay' opens replays, archives are unpacked"
+        raise InputError(f"is {what}", file=path, remedy=remedy)
+    return _recorded(path, head)
+
+
+def _trip_of_folder(path: Path) -> Contents:
+    from trainlog.formats.parquet import read_parquet, trip_index
+
+    kind = trip_index(path).FORMAT.partition("-")[2]
+    names = {"parquet": "trip as Parquet", "csv": "trip as CSV"}
+    return Contents(path, names[kind], read_parquet(path))
+
+
+def _of_format(path: Path, stated: str) -> Contents:
+    """What a file of trainlog's own formats holds."""
+    from trainlog.formats.characteristic import read_characteristic
+    from trainlog.formats.line import read_journey, read_line
+    from trainlog.formats.parameters import read_coast_down, read_parameters
+    from trainlog.formats.passport import passport_from_bytes
+    from trainlog.formats.train import read_consist, read_train
+    from trainlog.formats.trajectory import read_trajectory
+    from trainlog.ingest.profile import PROFILE_FORMAT, read_profile
+
+    readers: dict[str, tuple[str, Callable[[Path], Any]]] = {
+        "trainlog/line": ("line", read_line),
+        "trainlog/train": ("train", read_train),
+        "trainlog/consist": ("consist", read_consist),
+        "trainlog/journey": ("journey", read_journey),
+        "trainlog/parameters": ("parameter set", read_parameters),
+        "trainlog/coast-down": ("coast-down", read_coast_down),
+        "trainlog/trajectory": ("trajectory", read_trajectory),
+        "trainlog/characteristic": ("adhesion characteristic", read_characteristic),
+        "trainlog/passport": ("passport", lambda each: passport_from_bytes(each.read_bytes())),
+        PROFILE_FORMAT: ("profile", read_profile),
+    }
+    if stated not in readers:
+        raise InputError(
+            f"is a {stated} file, which is not shown",
+            file=path,
+            remedy="it is part of a trip or folder: show that",
+        )
+    kind, read = readers[stated]
+    return Contents(path, kind, read(path))
+
+
+def _recorded(path: Path, head: bytes) -> Contents:
+    """What a recorder's file holds, as far as that is known without a profile."""
+    from trainlog.ingest.profile import FileOptions
+    from trainlog.ingest.recording import Recording
+    from trainlog.ingest.registry import format_of, own_profile
+    from trainlog.ingest.tabular import open_text
+
+    mine = own_profile(path)
+    chosen = format_of(path, None)
+    ingest = f"make a trip of it with: trainlog ingest {path} -o FOLDER"
+    if mine is None and (chosen.layout == "own" or chosen.profile is not None):
+        read = chosen.read(path, chosen.profile)
+        recordings = (read,) if isinstance(read, Recording) else tuple(read)
+        if len(recordings) == 1:
+            return Contents(path, f"recording ({chosen.name})", recordings[0], (ingest,))
+        names = [str(each.metadata.get("trip", "")) for each in recordings]
+        shown = f"{len(names)} recordings: {', '.join(names[:6])}{', ...' * (len(names) > 6)}"
+        return Contents(path, f"recordings ({chosen.name})", None, (shown, ingest))
+    if chosen.name == "csv":
+        line, _, rest = head.decode("latin-1").partition("\n")
+        mark = max(",;\t|", key=line.count)
+        if not line.count(mark) or rest.partition("\n")[0].count(mark) != line.count(mark):
+            raise InputError(
+                "is text of no format that trainlog knows",
+                file=path,
+                remedy="give a table, a recorder's file, or a file that trainlog made",
+            )
+        text = open_text(path, FileOptions(delimiter=mark, decimal="." if mark == "," else ",",
+                                           encoding="latin-1"))  # fmt: skip
+        names = [name for name in text.names if name]
+        shown = f"{text.rows.size} rows of {len(names)} columns: {', '.join(names)}"
+        remedy = f"{ingest}; a profile is proposed where none fits"
+        return Contents(path, "table of a recorder", None, (shown, remedy))
+    lines = (f"needs a profile that says what is what; {ingest} --profile PROFILE",)
+    return Contents(path, f"recording ({chosen.name})", None, lines)
+
+
+def folder_contents(folder: Path) -> list[tuple[str, str, str]]:
+    """Name, kind and summary of each file of a folder, in order of name; hidden ones left out.
+
+    Examples
+    --------
+    >>> rows = folder_contents(Path("sample_logs"))
+    >>> [row[1] for row in rows if row[0] == "nonstop.mcap"]
+    ['log']
+    """
+    found = []
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith("."):
+            continue
+        if path.is_dir() and not (path / "trip.json").exists():
+            found.append((f"{path.name}/", "folder", f"{len(list(path.iterdir()))} entries"))
+            continue
+        try:
+            contents = contents_of(path)
+        except TrainlogError as error:
+            found.append((path.name, "not shown", error.problem))
+            continue
+        words = contents.summary
+        if contents.kind == "log":
+            described = contents.value
+            words = f"{described.count:,} messages, {described.account.sentence}"
+        found.append((path.name, contents.kind, words))
+    if not found:
+        raise InputError("is an empty folder", file=folder, remedy="name another one")
+    return found
+
+
+def draw_contents(contents: Contents, path: Path) -> None:
+    """Draw what a file holds: speed and limit of a trip over time, limits and gradients of a line.
+
+    Raises
+    ------
+    InputError
+        If there is no picture of it.
+    """
+    from analysis.plotting import new_figure, write_figure
+
+    value = contents.value
+    if contents.kind == "log":
+        from trainlog.mcap import read_log
+
+        value = read_log(contents.path, ["/train/state", "/gnss/motion", "/environment"])
+    figure = new_figure(9.0, 4.0)
+    if isinstance(value, Trip):
+        _draw_trip(figure.add_subplot(), value)
+    elif isinstance(value, Line):
+        _draw_line(figure, value)
+    else:
+        raise InputError(
+            f"there is no picture of a {contents.kind}",
+            file=contents.path,
+            remedy="see it in the browser with --open, or with 'trainlog report'",
+        )
+    write_figure(figure, path)
+
+
+def _draw_trip(axes: Any, trip: Trip) -> None:
+    sources = {"/train/state": "wheels", "/gnss/motion": "satellites"}
+    drawn = [name for name in sources if name in trip and trip[name]["speed"].notna().any()]
+    if not drawn:
+        raise InputError(f"trip '{trip.name}' has no speed", remedy="show it without --picture")
+    for name in drawn:
+        frame = trip[name]
+        minutes = seconds(frame, trip.start) / 60.0
+        axes.plot(minutes, frame["speed"] * KMH, label=sources[name], linewidth=1.0)
+    if "/environment" in trip and trip["/environment"]["speed_limit"].notna().any():
+        frame = trip["/environment"]
+        minutes = seconds(frame, trip.start) / 60.0
+        axes.step(minutes, frame["speed_limit"] * KMH, where="post", label="limit", linewidth=1.0)
+    axes.set_xlabel(f"time since {trip.start:%Y-%m-%d %H:%M:%S} UTC [min]")
+    axes.set_ylabel("speed [km/h]")
+    axes.set_title(f"Trip {trip.name}")
+    axes.legend(loc="best")
+
+
+def _draw_line(figure: Any, line: Line) -> None:
+    limit, gradient = figure.subplots(2, 1, sharex=True)
+    places = np.unique(np.concatenate((line.breakpoints, [0.0, line.length])))
+    for axes, values, label in (
+        (limit, line.speed_limit(places) * KMH, "limit [km/h]"),
+        (gradient, line.gradients(places) * 1e3, "gradient [‰]"),
+    ):
+        axes.step(places / 1e3, values, where="post", linewidth=1.2)
+        axes.set_ylabel(label)
+    for station in line.stations:
+        for axes in (limit, gradient):
+            axes.axvline(station.position / 1e3, color="0.7", linewidth=0.8)
+        limit.annotate(
+            station.name, (station.position / 1e3, 1.01), xycoords=("data", "axes fraction"),
+            rotation=30, fontsize=8,
+        )  # fmt: skip
+    gradient.set_xlabel(f"{line.name}, chainage [km]")

@@ -1,0 +1,102 @@
+"""Whatever a file is, `trainlog show` states what it holds, or in one line why it cannot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import trainlog
+from analysis.contents import contents_of, folder_contents
+from trainlog.cli.main import run
+from trainlog.errors import TrainlogError
+from trainlog.formats.samples import sample
+from trainlog.mcap.convert import convert
+
+KINDS = {
+    "nonstop.mcap": "log",
+    "CH_StGallen_Wil.line.json": "line",
+    "CH_Stadler_FLIRT_TPF.train.json": "train",
+    "freight_24_wagons.consist.json": "consist",
+    "CH_StGallen_Wil.map": "track-condition map",
+    "recorder.profile.toml": "profile",
+    "gnss.csv": "recording (ublox)",
+    "recorder.csv": "table of a recorder",
+}
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_file_is_known_by_its_content(name: str, tmp_path: Path) -> None:
+    renamed = tmp_path / "file"
+    renamed.write_bytes(sample(name).read_bytes())
+    found = contents_of(renamed)
+    assert found.kind == KINDS[name]
+    assert found.summary
+    assert len(found.text.splitlines()) < 25
+
+
+@pytest.mark.parametrize("kind", ["line", "train", "journey", "profile"])
+def test_templates_are_shown(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / f"mine.{kind}.toml"
+    assert run(["new", kind, "-o", str(path)]) == 0
+    capsys.readouterr()
+    assert run(["show", str(path)]) == 0
+    assert f"{kind}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".csv"])
+def test_trips_in_folders_are_shown(suffix: str, tmp_path: Path) -> None:
+    convert("sample_logs/nonstop.mcap", tmp_path / f"trip{suffix}", topics=["/gnss/fix"])
+    found = contents_of(tmp_path / f"trip{suffix}")
+    assert found.kind in ("trip as Parquet", "trip as CSV")
+    assert isinstance(found.value, trainlog.Trip)
+
+
+WRONG = {
+    "empty": (b"", "is empty"),
+    "prose": (
+        b"Dear all,\nthe train was late.\n",
+        "is text of no format that trainlog knows; give",
+    ),
+    "cut line": (
+        b'{"format": "trainlog/line", "version": 1, "na',
+        "ends in the middle: truncated?",
+    ),
+    "unknown": (b"\x00\x01\x02\x03" * 50, "is of no format that trainlog knows; it begins with"),
+    "replay": (b"RRF2" + bytes(100), "is a recording of the Rerun viewer; show what"),
+    "newer": (b'{"format": "trainlog/line", "version": 99}', "newer than this trainlog"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_cannot_be_shown_is_stated_with_a_remedy(case: str, tmp_path: Path) -> None:
+    content, problem = WRONG[case]
+    path = tmp_path / "file"
+    path.write_bytes(content)
+    with pytest.raises(TrainlogError, match=problem) as caught:
+        contents_of(path)
+    assert caught.value.file == path
+    assert caught.value.remedy
+
+
+def test_a_folder_lists_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("gnss.csv", "CH_StGallen_Wil.line.json"):
+        (tmp_path / name).write_bytes(sample(name).read_bytes())
+    (tmp_path / "note.txt").write_text("late")
+    rows = {name: kind for name, kind, _ in folder_contents(tmp_path)}
+    assert rows == {
+        "gnss.csv": "recording (ublox)",
+        "CH_StGallen_Wil.line.json": "line",
+        "note.txt": "not shown",
+    }
+    assert run(["show", str(tmp_path)]) == 0
+    assert "recording (ublox)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["nonstop.mcap", "CH_StGallen_Wil.line.json"])
+def test_trips_and_lines_have_a_picture(name: str, tmp_path: Path) -> None:
+    picture = tmp_path / "out.png"
+    assert run(["show", str(sample(name)), "--picture", str(picture)]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(TrainlogError, match="no picture of a train"):
+        run(["show", str(sample("CH_Stadler_FLIRT_TPF.train.json")), "--picture", str(picture)])
