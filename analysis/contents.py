@@ -96,6 +96,10 @@ def contents_of(path: str | Path) -> Contents:
     stated = FORMAT.search(head[:LOOKED_AT])
     if stated is not None:
         return _of_format(path, stated[1].decode())
+    if head.startswith(b"MDF ") and b"trainlog.json" in path.read_bytes()[-65_536:]:
+        from trainlog.formats.mdf import read_mdf_trip
+
+        return Contents(path, "trip as MDF", read_mdf_trip(path))
     what = mistaken_json(head[:LOOKED_AT])
     if what is not None and what not in RECORDED:
         remedy = "show what it was made of; 'trainlog replay' opens replays, archives are unpacked"

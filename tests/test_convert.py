@@ -55,6 +55,36 @@ def test_a_log_goes_to_tables_and_back_without_losing_a_byte(
     assert (tmp_path / "again.mcap").read_bytes() == log.read_bytes()
 
 
+def test_a_log_goes_to_mdf_and_back(log: Path, tmp_path: Path) -> None:
+    library = pytest.importorskip("asammdf")
+    done = convert(log, tmp_path / "trip.mf4")
+    assert done.rows[TRAIN_STATE.name] == 200
+    trip = read_log(log)
+    with library.MDF(tmp_path / "trip.mf4") as mdf:
+        signal = mdf.get("position", group=next(iter(mdf.channels_db["position"]))[0])
+    assert signal.unit == "m"
+    assert signal.samples.tolist() == trip[TRAIN_STATE.name]["position"].tolist()
+    convert(tmp_path / "trip.mf4", tmp_path / "again.mcap")
+    assert (tmp_path / "again.mcap").read_bytes() == log.read_bytes()
+    convert(tmp_path / "trip.mf4", tmp_path / "part.mcap", position=(1205.0, 1555.0))
+    assert_same(trip.within(1205.0, 1555.0), read_log(tmp_path / "part.mcap"))
+    assert span_of(tmp_path / "trip.mf4") == span_of(log)
+
+
+def test_a_measurement_file_that_is_none_or_of_others_is_refused(tmp_path: Path) -> None:
+    library = pytest.importorskip("asammdf")
+    (tmp_path / "cut.mf4").write_bytes(b"MDF     4.10")
+    with pytest.raises(InputError, match="is no measurement file that can be read"):
+        convert(tmp_path / "cut.mf4", tmp_path / "again.mcap")
+    mdf = library.MDF(version="4.10")
+    mdf.append([library.Signal(np.arange(3.0), np.arange(3.0), name="v", unit="m/s")])
+    mdf.save(tmp_path / "other.mf4")
+    mdf.close()
+    with pytest.raises(InputError, match="is a measurement file of another program; 'trainlog ing"):
+        convert(tmp_path / "other.mf4", tmp_path / "again.mcap")
+    assert not (tmp_path / "again.mcap").exists()
+
+
 def test_a_csv_file_opens_in_any_program(log: Path, tmp_path: Path) -> None:
     convert(log, tmp_path / "trip.csv")
     text = (tmp_path / "trip.csv" / "train_state.csv").read_text("utf-8").splitlines()
@@ -204,7 +234,7 @@ def test_log_and_parquet_span_the_same_time(log: Path, tmp_path: Path) -> None:
             LogError,
             "holds no topic /mood; it holds",
         ),
-        ("part.zip", {}, InputError, r"end it in .mcap, .parquet or .csv"),
+        ("part.zip", {}, InputError, r"end it in .mcap, .mf4, .parquet or .csv"),
         ("trip.mcap", {}, InputError, "would be overwritten"),
     ],
 )

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from trainlog.errors import InputError, LogError
+from trainlog.formats.mdf import MdfWriter, read_mdf_trip
 from trainlog.formats.parquet import (
     CsvTripIndex,
     FolderWriter,
@@ -32,7 +33,7 @@ from trainlog.trip import Trip
 ROWS = 100_000
 """Rows that are read at a time."""
 
-LOG = ".mcap"
+LOG, MDF = ".mcap", ".mf4"
 FOLDERS = {".parquet": TripIndex, ".csv": CsvTripIndex}
 """Folders with a file for each topic, by how their names end."""
 
@@ -130,24 +131,29 @@ def span_of(source: str | Path) -> tuple[pd.Timestamp, pd.Timestamp] | None:
     """
     if Path(source).is_dir():
         return time_span(source)
+    if Path(source).suffix == MDF:
+        trip = read_mdf_trip(source)
+        return (trip.start, trip.end) if any(map(len, trip.topics.values())) else None
     found = describe(source)
     return None if found.first is None or found.last is None else (found.first, found.last)
 
 
 def _check_target(source: Path, target: Path) -> None:
-    if target.suffix != LOG and target.suffix not in FOLDERS:
+    if target.suffix not in (LOG, MDF, *FOLDERS):
         raise InputError(
-            "is neither the name of a log nor of a folder of Parquet or CSV files",
+            "is not the name of a log, a measurement file, or a folder of Parquet or CSV files",
             file=target,
-            remedy=f"end it in {LOG}, {' or '.join(FOLDERS)}",
+            remedy=f"end it in {LOG}, {MDF}, {' or '.join(FOLDERS)}",
         )
     if target.exists() and source.exists() and target.samefile(source):
         raise InputError("would be overwritten", file=source, remedy="choose another name")
 
 
-def _writer(target: Path) -> AbstractContextManager[LogWriter | FolderWriter]:
+def _writer(target: Path) -> AbstractContextManager[LogWriter | FolderWriter | MdfWriter]:
     if target.suffix == LOG:
         return LogWriter(target)
+    if target.suffix == MDF:
+        return MdfWriter(target)
     return folder_writer(target, FOLDERS[target.suffix])
 
 
@@ -164,6 +170,13 @@ def _pieces(
     if source.is_dir():
         _check_known([each.topic for each in trip_index(source).topics], topics, source)
         return stream_parquet(source, topics, **part)
+    if source.suffix == MDF:
+        trip = read_mdf_trip(source)
+        _check_known([*trip], topics, source)
+        if topics is not None:
+            trip = replace(trip, topics={name: trip[name] for name in trip if name in topics})
+        trip = trip if time is None else trip.between(*time)
+        return iter([trip if position is None else trip.within(*position)])
     description = describe(source)
     held = {topic.name for topic in description.topics}
     _check_known(sorted(held), topics, source)
