@@ -52,6 +52,7 @@ def test_the_viewer_is_given_no_way_to_the_network() -> None:
     assert "127.0.0.1" in made["no_proxy"]
     assert made["CI"] == "true"
     assert made["HOME"] == "/home/me"
+    assert offline({"HTTPS_PROXY": "p"}, tiles=True) == {"HTTPS_PROXY": "p", "CI": "true"}
 
 
 def test_without_a_display_a_window_is_refused_with_what_else_there_is(

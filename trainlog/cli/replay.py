@@ -103,6 +103,11 @@ def replay(
         check_view(view)
     if picture is not None:
         destination(picture, ".png")
+        if tiles:
+            raise InputError(
+                "a picture is taken without the network, hence without map tiles",
+                remedy="leave out --tiles, or --picture",
+            )
     if opened and not web:
         check_display()
     found = logs_in(logs)
@@ -123,14 +128,13 @@ def replay(
     sources = [partial(part_of, log, start, end, km, PIECE) for log in found]
     with interruptible(), TemporaryDirectory(prefix="trainlog-") as folder:
         recording = Path(folder) / "replay.rrd" if output is None else output
-        with working(f"drawing {counted(len(found), 'trip')}"):
-            made = write_replay(
-                sources,
-                recording,
-                trajectory=None if trajectory is None else read_trajectory(trajectory),
-                condition_map=None if condition is None else read_map(condition),
-                options=options,
-            )
+        made = write_replay(
+            sources,
+            recording,
+            trajectory=None if trajectory is None else read_trajectory(trajectory),
+            condition_map=None if condition is None else read_map(condition),
+            options=options,
+        )
         _state(made)
         if output is not None:
             wrote(output)
@@ -142,6 +146,7 @@ def replay(
             run_viewer(
                 recording,
                 web=web,
+                tiles=tiles,
                 state=partial(console.print, highlight=False, soft_wrap=True),
             )
 

@@ -18,6 +18,7 @@ from trainlog.along_line import POSITION_SOURCES, known_rows
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write
 from trainlog.formats.line import line_to_bytes
+from trainlog.progress import track
 from trainlog.railway import Line, TrackConditionMap, Trajectory
 from trainlog.replay.chart import chart_of
 from trainlog.replay.condition import check_line, observed
@@ -154,11 +155,11 @@ def write_replay(
         sources = [with_line(source, asked.line) for source in sources]
     thinned = len(trips) > MOST_WHOLE if asked.thinned is None else asked.thinned
     if thinned:
-        read = list(thinned_trips(sources))
+        read = list(track(thinned_trips(sources), "reading", "trip", total=len(sources)))
         surveys = [known for known, _ in read]
         sources = [pieces_of(trip) for _, trip in read]
     else:
-        surveys = [survey(source) for source in sources]
+        surveys = [survey(source) for source in track(sources, "reading", "trip")]
     lines = _lines(surveys, trajectory, condition_map)
     names = _distinct([each.bare.name for each in surveys])
     compared = references(surveys, names, trajectory, asked.reference)
@@ -175,7 +176,8 @@ def write_replay(
         for first in lines:
             draw_line_of(recording, surveys[first], condition_map, chart)
         shown = []
-        for i, (source, known, name) in enumerate(zip(sources, surveys, names, strict=True)):
+        each = list(zip(sources, surveys, names, strict=True))
+        for i, (source, known, name) in enumerate(track(each, "drawing", "trip")):
             colour = TRIPS[i % len(TRIPS)]
             brief = thinned and i not in _firsts(surveys)
             drawing = Drawing(recording, known, name, colour, chart=chart, brief=brief)

@@ -77,7 +77,11 @@ def open_viewer(path: str | Path) -> str:
 
 
 def run_viewer(
-    path: str | Path, *, web: bool = False, state: Callable[[str], None] = print
+    path: str | Path,
+    *,
+    web: bool = False,
+    tiles: bool = False,
+    state: Callable[[str], None] = print,
 ) -> None:
     """Show a recording in the Rerun viewer until it is closed or Ctrl-C ends it.
 
@@ -88,6 +92,8 @@ def run_viewer(
     path : path
     web : bool
         In the browser instead of a window; it needs a display only to open the page by itself.
+    tiles : bool
+        Let the viewer ask for the tiles of a map, see `ReplayOptions`, and so for newer releases.
     state : callable
         Takes a line for the user: where the page is, and how to end.
 
@@ -107,13 +113,13 @@ def run_viewer(
         check_display()
     with interruptible(), suppress(KeyboardInterrupt):
         if web:
-            with web_viewer(recording) as (address, process):
+            with web_viewer(recording, tiles=tiles) as (address, process):
                 state(f"{address} shows {recording.name}; Ctrl-C ends it")
                 if has_display():
                     webbrowser.open(address)
                 process.wait()
         else:
-            with _running("--port", "auto", str(recording)) as process:
+            with _running("--port", "auto", str(recording), tiles=tiles) as process:
                 state(f"the Rerun viewer shows {recording.name}; close it, or press Ctrl-C here")
                 process.wait()
         if process.returncode:
@@ -153,12 +159,15 @@ def has_display(environment: Mapping[str, str] | None = None, platform: str = sy
     return bool(variables.get("DISPLAY") or variables.get("WAYLAND_DISPLAY"))
 
 
-def offline(environment: Mapping[str, str]) -> dict[str, str]:
+def offline(environment: Mapping[str, str], *, tiles: bool = False) -> dict[str, str]:
     """The environment for a viewer that asks for nothing on the network, whatever its settings.
 
     Rerun sends no usage data from continuous integration, which it knows by ``CI``. Whether a newer
-    version is released it asks all the same, through the proxy that is named: here none.
+    version is released it asks all the same, through the proxy that is named: here none. So it asks
+    for the tiles of a map; with `tiles` the proxy stays as it is.
     """
+    if tiles:
+        return {**environment, "CI": "true"}
     proxies = dict.fromkeys(("http_proxy", "https_proxy", "all_proxy"), NOWHERE)
     direct = {"no_proxy": f"{HOST},localhost"}
     named = {**proxies, **direct}
@@ -214,11 +223,11 @@ def _existing(path: str | Path) -> Path:
 
 
 @contextmanager
-def _running(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+def _running(*arguments: str, tiles: bool = False) -> Iterator[subprocess.Popen[bytes]]:
     """A viewer in a process group of its own, which ends with the block."""
     process = subprocess.Popen(
         viewer_command(*arguments),
-        env=offline(os.environ),
+        env=offline(os.environ, tiles=tiles),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -269,11 +278,18 @@ Rerun's page would else fetch fonts, release notes and examples, and send usage 
 """
 
 
+TILES = "https://tile.openstreetmap.org"
+"""Where Rerun's map has its tiles from."""
+
+
 @contextmanager
-def web_viewer(recording: Path | None) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+def web_viewer(
+    recording: Path | None, *, tiles: bool = False
+) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     """Serve a recording to a browser on this machine; its address, and the process behind it.
 
-    Without a recording what is sent to the address that the query of the page names is shown.
+    Without a recording what is sent to the address that the query of the page names is shown. With
+    `tiles` the page may fetch those of a map, too.
     """
     web, data = free_port(), free_port()
     source, stream = f"http://{HOST}:{web}", f"http://{HOST}:{data}"
@@ -281,7 +297,8 @@ def web_viewer(recording: Path | None) -> Iterator[tuple[str, subprocess.Popen[b
     files = [] if recording is None else [str(recording)]
     with _running(*arguments, *files) as process:
         _wait_for(source, process, recording)
-        server = ThreadingHTTPServer((HOST, 0), _page_handler(source, POLICY.format(data=stream)))
+        policy = POLICY.format(data=f"{stream} {TILES}" if tiles else stream)
+        server = ThreadingHTTPServer((HOST, 0), _page_handler(source, policy))
         threading.Thread(target=server.serve_forever, daemon=True).start()
         query = urllib.parse.urlencode({"url": f"rerun+{stream}/proxy", "persist": "false"})
         try:
