@@ -50,7 +50,7 @@ class Prices:
     regained : (q,) array
     time : (q, n) array [J/(kg s)]
     share : (q, n) array
-        Of the price of traction at its limit, by whose power it is limited.
+        Of what traction is worth at its limit, by whose power limits it; the rest is the effort's.
     dynamic : (q, n) array
         Of the dynamic brake at its power limit.
     multipliers : Multipliers
@@ -72,7 +72,9 @@ class Prices:
             traction = 1.0 / train.efficiency_traction
             share = multipliers.share / max(float(multipliers.share.sum()), 1e-300)
             regained = train.efficiency_regeneration * share
-        limited = multipliers.power.sum(axis=0)
+        # What traction is worth at its limit; the limit by effort has the rest of it.
+        worth = multipliers.pull.sum(axis=0) - traction * problem.step
+        limited = np.maximum(multipliers.power.sum(axis=0), worth)
         share = multipliers.power / np.maximum(limited, 1e-300)
         if q == 1:
             share = np.ones_like(share)
@@ -237,7 +239,7 @@ class Hamiltonian:
             value = _least(a, b, c - 0.5 * slope, (low, high), self.speed) + constant
             found = np.where(within, np.minimum(found, value), found)
         worth = (costate * self.gain).sum(axis=0) - self.prices.traction
-        alone = np.where(self.share.sum(axis=0) > 0.5, 0.0, self.traction)
+        alone = np.maximum(1.0 - self.share.sum(axis=0), 0.0) * self.traction
         total = found.sum(axis=0) - alone * np.maximum(worth, 0.0)
         if self.problem.common:
             total = total + self._common_brake(costate)
