@@ -69,9 +69,8 @@ def least_by_stretch(
     """
     costate, slope, least = values
     weights, cell = hamiltonian.segments.weights, hamiltonian.segments.cell
-    if not hamiltonian.problem.run.at_line:
-        most = np.maximum(attainable(hamiltonian)[cell, None], hamiltonian.speed)
-        hamiltonian = hamiltonian.slower(np.minimum(hamiltonian.highest, most))
+    most = np.maximum(attainable(hamiltonian)[cell, None], hamiltonian.speed)
+    hamiltonian = hamiltonian.slower(np.minimum(hamiltonian.highest, most))
     secant = secants(hamiltonian, costate, slope)
     stretch = np.concatenate(([0], np.cumsum(np.diff(partial.astype(np.int64)) != 0)))[cell]
     highest = np.bincount(stretch, (least * weights).sum(axis=1))
@@ -114,9 +113,8 @@ def attainable(hamiltonian: Hamiltonian) -> FloatArray:
     A run has the kinetic energy of one that coasts at most, and all that the plan takes. What is
     lost on the way goes with the speed, which is that of coasting at least.
     """
-    problem, plan = hamiltonian.problem, hamiltonian.plan
+    problem, plan, prices = hamiltonian.problem, hamiltonian.plan, hamiltonian.prices
     gain, linear, square = problem.gain[0], problem.drag1[0], 2.0 * problem.drag2[0]
-    energy = (1.0 + _MARGIN) * gain * float((plan.traction * problem.step).sum())
     steps, first = problem.step.tolist(), problem.mean_drag0[0].tolist()
     most, least = problem.drag0[0].max(axis=1).tolist(), problem.drag0[0].min(axis=1).tolist()
     found, coasting = np.empty(len(steps)), problem.initial
@@ -125,7 +123,15 @@ def attainable(hamiltonian: Hamiltonian) -> FloatArray:
         low = max(coasting - step * (max(most[cell], 0.0) + lost), 0.0)
         found[cell] = coasting + step * max(-least[cell], 0.0)
         coasting -= step * (first[cell] + linear * np.sqrt(2.0 * low) + square[cell] * low)
-    return np.asarray(np.sqrt(2.0 * np.maximum(found + energy, 0.0)))
+    # No more is fed back than what coasting and traction leave for the brake.
+    regained = float(prices.regained[0])
+    energy = prices.traction * float((plan.traction * problem.step).sum())
+    energy -= regained * float((plan.dynamic[0] * problem.step).sum())
+    left = prices.traction - regained
+    if left <= _MARGIN:
+        return np.full(found.shape, np.inf)
+    pulled = (gain * energy + regained * coasting) / left
+    return np.asarray(np.sqrt(2.0 * np.maximum(found + pulled + _MARGIN * abs(pulled), 0.0)))
 
 
 def riccati(
