@@ -56,7 +56,7 @@ def test_code_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 def assert_written(page: Path, folder: Path) -> None:
     """Every picture that an executed page shows is in the documentation or was written."""
     for target in LINK.findall(page.read_text("utf-8")):
-        if target.endswith((".png", "report.html")):
+        if target.endswith((".png", ".html")):
             written = folder / target
             assert (page.parent / target).is_file() or written.stat().st_size > 5_000, target
 
@@ -131,7 +131,7 @@ def test_validation_names_benchmarks_that_there_are() -> None:
 def test_links_between_pages_lead_somewhere(page: Path) -> None:
     text = page.read_text("utf-8")
     for target in LINK.findall(text):
-        made = text.startswith(pages.EXECUTED) and target.endswith((".png", "report.html"))
+        made = text.startswith(pages.EXECUTED) and target.endswith((".png", ".html"))
         if not made and not target.startswith(("http:", "https:")):
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
 
