@@ -295,7 +295,7 @@ class LiveIngest:
         found = []
         total = sum(self.malformed.values())
         if total:
-            reasons = ", ".join(f"{count:,} {why}" for why, count in self.malformed.most_common())
+            reasons = ", ".join(f"{why} ({count:,})" for why, count in self.malformed.most_common())
             beyond = total - self._kept
             kept = f"; {beyond:,} of them not kept in the log" if beyond > 0 else ""
             found.append(f"{counted(total, 'malformed line')}: {reasons}{kept}")
