@@ -94,7 +94,7 @@ def test_a_coefficient_that_is_four_times_too_large_is_named(name: str) -> None:
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
-def test_a_mass_that_is_ten_per_cent_off_is_named_with_what_it_cannot_be_told_from(
+def test_a_mass_that_is_ten_per_cent_off_is_named_with_the_efforts(
     factor: float,
 ) -> None:
     found = calculate(driven(), heavier(factor))
