@@ -152,6 +152,7 @@ def test_page_and_table_state_the_same(
     assert rows[0]["time"] == "07:12:00"
     assert "Driver&#x27;s advice: Wil to Gossau SG" in text
     assert "of 2 observed ones" in text
+    assert "trainlog optimise PARAMETERS -o plan-1.json and 1 more" in text
     first = output.read_bytes()
     run(monkeypatch, capsys, *words)
     assert output.read_bytes() == first

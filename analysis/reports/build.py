@@ -493,7 +493,8 @@ def _steps(path: Path) -> list[Mapping[str, Any]]:
         stated = json.loads(read_bytes(path)).get("provenance", {})
     except (TrainlogError, ValueError):
         return []
-    return [{"step": kind, **stated}] if isinstance(stated, dict) and stated else []
+    made_by = {"trajectory": "optimise", "parameters": "fit"}.get(kind, kind)
+    return [{"step": made_by, **stated}] if isinstance(stated, dict) and stated else []
 
 
 _MOST_NAMED = 6
@@ -527,7 +528,7 @@ def _settings(step: Mapping[str, Any]) -> str:
 
 
 def _brief(value: object) -> str:
-    text = str(value)
+    text = f"{value:.6g}" if isinstance(value, float) else str(value)
     if re.fullmatch(r"[0-9a-f]{64}", text):
         return f"{text[:12]}…"
     return text if len(text) <= 80 else f"{text[:79]}…"
