@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from report_folder import SCRIPT, hostile_trip, planned
+from test_cli import run
 
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
@@ -228,6 +229,26 @@ def test_what_is_no_result_is_one_error_and_no_page(tmp_path: Path) -> None:
         kind_of(sample("CH_StGallen_Wil.line.json"))
     with pytest.raises(InputError, match="no time zone is called"):
         known_zone("Europe/Wil")
+
+
+def test_a_bad_file_of_a_folder_is_stated_by_its_name_with_status_1(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pages = []
+    for place in ("here", "there"):
+        folder = tmp_path / place / "results"
+        folder.mkdir(parents=True)
+        write_trajectory(planned(), folder / "plan.json")
+        (folder / "none.mcap").write_text("nothing")
+        output = tmp_path / f"{place}.html"
+        status, _, complaint = run(monkeypatch, capsys, "report", folder, "-o", output)
+        assert status == 1
+        assert complaint.count("\n") == 1
+        assert "not shown: none.mcap: none.mcap" in complaint
+        pages.append(output.read_bytes())
+    # Where the folder stands makes no difference.
+    assert pages[0] == pages[1]
+    assert str(tmp_path).encode() not in pages[0]
 
 
 def test_an_interruption_leaves_the_page_of_before(

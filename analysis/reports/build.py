@@ -7,7 +7,7 @@ import re
 import shlex
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -125,7 +125,7 @@ def report_page(source: Path, options: ReportOptions) -> Page:
         title = f"{_TITLES[kind]}: {source.stem}"
         page = Page(title, "", [*sections, _origin([source], options, source)])
     if find_spec("bokeh") is None:
-        return Page(page.title, WITHOUT_BOKEH, page.sections)
+        return replace(page, subtitle=WITHOUT_BOKEH)
     return page
 
 
@@ -221,7 +221,7 @@ def _folder_page(folder: Path, options: ReportOptions) -> Page:
             own = _own_options(kind, found, options)
             parts = _collected(path, kind, own)
         except TrainlogError as error:
-            problems[name] = str(error)
+            problems[name] = _reason(error, path)
             continue
         used.append(path)
         sections.append(Section(f"{_TITLES[kind]}: {name}", parts, whole_page=True))
@@ -245,12 +245,9 @@ def _folder_page(folder: Path, options: ReportOptions) -> Page:
             " shown, in the folder and in those in it",
         )
     first = [*_bad(problems), *_summed_up(folder), *_saved(found)]
-    overview = Section("Overview", first)
-    return Page(
-        f"Results: {folder.resolve().name}",
-        "",
-        [overview, *sections, _origin(used, options, folder)],
-    )
+    every = [Section("Overview", first), *sections, _origin(used, options, folder)]
+    stated = tuple(f"{name}: {words}" for name, words in problems.items())
+    return Page(f"Results: {folder.resolve().name}", "", every, stated)
 
 
 @dataclass(frozen=True)
@@ -295,6 +292,11 @@ def _own_options(kind: str, found: _Folder, options: ReportOptions) -> ReportOpt
     if kind != "parameters" or options.logs or "trips" not in found.logs:
         return options
     return ReportOptions(options.line, found.logs["trips"], options.zone)
+
+
+def _reason(error: TrainlogError, path: Path) -> str:
+    """Why a file could not be shown, without the folder it stands in."""
+    return str(error).replace(str(path), path.name)
 
 
 def _bad(problems: Mapping[str, str]) -> Iterator[Part]:
@@ -348,7 +350,7 @@ def _trips(
             try:
                 own = _collected(log, "trip", options)
             except TrainlogError as error:
-                problems[_name(log, folder)] = str(error)
+                problems[_name(log, folder)] = _reason(error, log)
                 continue
             shown.append(Section(f"Trip: {log.stem}", own))
         return Section(f"Trips: {group}", shown, whole_page=True) if shown else None
@@ -362,7 +364,7 @@ def _trips(
         try:
             curve = _add_trip(table, log, options.zone, lines, first=not curves)
         except TrainlogError as error:
-            problems[_name(log, folder)] = str(error)
+            problems[_name(log, folder)] = _reason(error, log)
             continue
         if curve is not None and len(curves) < MOST_DRAWN:
             curves.append(curve)

@@ -98,11 +98,14 @@ class Page:
     ----------
     title, subtitle : str
     sections : sequence of Section
+    problems : tuple of str
+        Files that could not be shown, and why; the sections list them, too.
     """
 
     title: str
     subtitle: str
     sections: Sequence[Section]
+    problems: tuple[str, ...] = ()
 
     def to_html(self, *, interactive: bool = True) -> str:
         """The page; the same content gives the same bytes.

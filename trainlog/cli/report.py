@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from trainlog.cli.options import destination
-from trainlog.cli.terminal import console, working, wrote
+from trainlog.cli.terminal import console, print_error, working, wrote
 from trainlog.errors import InputError
 
 app = typer.Typer()
@@ -47,8 +47,8 @@ def report(
 
     Tables, pictures and charts of a result with what it was made of; light or dark as the reader's
     screen, printed on A4. Of a folder everything that is in it; a file that cannot be read is
-    listed there. Without -o the summary of a folder is printed: fit, map, trajectory, energy;
-    simulated trips against the truth.
+    listed there, and the exit status is 1. Without -o the summary of a folder is printed: fit, map,
+    trajectory, energy; simulated trips against the truth.
 
     Example: trainlog report results/trips/trip-01.mcap -o trip-01.html
 
@@ -72,8 +72,12 @@ def report(
 
     known = known_zone(zone)
     with working(f"report on {results.name}"):
-        write_report(results, output, ReportOptions(line, tuple(logs or ()), known))
+        page = write_report(results, output, ReportOptions(line, tuple(logs or ()), known))
     wrote(output)
+    for words in page.problems:
+        print_error(f"not shown: {words}")
+    if page.problems:
+        raise typer.Exit(1)
 
 
 @app.command("driver-advice", rich_help_panel="Plan")
