@@ -19,10 +19,7 @@ import trainlog
 from trainlog.replay import HeadlessViewer, headless_viewer, write_replay
 
 IMAGES = Path(__file__).parent / "images"
-SIZE = 1600, 1000
-MENU = 36
-"""Height of the viewer's own menu, which is cut off [points]."""
-
+SIZE = 1600, 964
 PLACE = 14_370
 """Where the cursor stands in pictures by position: before Flawil [m]."""
 
@@ -57,14 +54,14 @@ def main(results: Path) -> None:
 
 
 def save(viewer: HeadlessViewer, name: str) -> None:
-    """Save what is shown, without the viewer's menu."""
+    """Save what is shown, in few colours."""
     target = IMAGES / f"{name}.png"
     with TemporaryDirectory() as folder:
         whole = Path(folder) / "whole.png"
         viewer.picture(whole)
         with Image.open(whole) as picture:
-            cut = picture.crop((0, MENU, *SIZE)).convert("RGB")
-            cut.quantize(255, dither=Image.Dither.NONE).save(target, optimize=True)
+            few = picture.quantize(255, dither=Image.Dither.NONE)
+            few.save(target, optimize=True)
     print(f"wrote {target}")
 
 

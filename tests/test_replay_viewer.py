@@ -152,8 +152,8 @@ def written(pixels: np.ndarray) -> int:
     return int((grey > np.median(grey) + 90).sum())
 
 
-TOP, BOTTOM, TITLE = 66, 30, 30
-"""Heights of menu and tabs, of the time panel, and of a panel's title [points]."""
+TOP, BOTTOM, TITLE = 30, 30, 30
+"""Heights of the tabs, of the time panel, and of a panel's title [points]."""
 
 
 def rectangles(viewer: HeadlessViewer) -> dict[str, list[tuple[int, int, int, int]]]:

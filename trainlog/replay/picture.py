@@ -11,6 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from PIL import Image
 from rerun.experimental import ViewerClient
 
 from trainlog.errors import InputError
@@ -25,8 +26,11 @@ from trainlog.replay.viewer import (
 )
 from trainlog.units import NANOSECONDS
 
-SETTLING = 6.0
+SETTLING = 8.0
 """How long it takes to draw everything and to let its greetings fade [s]."""
+
+MENU = 36
+"""Height of the viewer's own menu, which is not part of a picture [points]."""
 
 REDRAWING = 1.5
 """How long it takes to draw another view or instant [s]."""
@@ -147,10 +151,13 @@ class HeadlessViewer:
         self._wait()
 
     def picture(self, image: str | Path) -> None:
-        """Save what the viewer shows as PNG, whole or not at all."""
+        """Save what the viewer shows, below its menu, as PNG, whole or not at all."""
         time.sleep(max(0.0, self._ready - time.monotonic()))
         with atomic_write(image) as temporary:
             self.client.save_screenshot(str(temporary.resolve()))
+            with Image.open(temporary) as window:
+                shown = window.crop((0, MENU, *window.size)).convert("RGB")
+            shown.save(temporary)
 
     def panels(self) -> list[str]:
         """Names of the panels of all views."""
@@ -228,7 +235,7 @@ def _headless(
         files.append(str(layout))
     with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         log = Path(folder) / "log"
-        window = f"{size[0]}x{size[1]}"
+        window = f"{size[0]}x{size[1] + MENU}"
         with log.open("wb") as output, fed.open("rb") as source:
             process = subprocess.Popen(
                 viewer_command(
