@@ -187,6 +187,17 @@ def test_trips_that_followed_nothing_are_named_with_their_file() -> None:
         compare_groups([trip("a")], [])
 
 
+def test_groups_are_compared_by_their_mean_and_spread() -> None:
+    drivers = [trip("a", effort=60_000.0), trip("b", effort=50_000.0)]
+    followed = [trip("c", 40_000.0, configuration="a"), trip("d", 40_000.0, configuration="b")]
+    table = savings_table(compare_groups(drivers, followed)).renderables[0]
+    driver, own, saved = ([*column.cells][-1] for column in table.columns[1:4])
+    # 50 kN and 60 kN over 12 km are 167 and 200 kWh, 40 kN are 133 kWh.
+    assert driver.startswith("183.33 kWh ± 23.57 kWh, 600 ± 0 s")
+    assert own.startswith("133.33 kWh ± 0.00 kWh")
+    assert saved == "50.00 kWh ± 23.57 kWh"
+
+
 def test_what_is_saved_is_named_as_saved_and_one_pair_is_one() -> None:
     found = compare_groups([trip("a", effort=60_000.0)], [trip("b", configuration="a")])
     headings = [str(column.header) for column in savings_table(found).renderables[0].columns]

@@ -378,11 +378,26 @@ def savings_table(found: GroupComparison) -> Group:
             "-" if own.late is None else f"{own.late:+.1f} s",
             " / ".join("-" if each.slips is None else f"{each.slips}" for each in (driver, own)),
         )
+    if len(pairs) > 1:
+        saved_each = [pair.traction for pair in pairs]
+        table.add_row(
+            "mean ± std",
+            *(_mean([getattr(pair, side) for pair in pairs]) for side in ("driver", "trajectory")),
+            f"{kwh(float(np.mean(saved_each)))} ± {kwh(float(np.std(saved_each, ddof=1)))}",
+        )
     spent, saved = found.total_saved
     words = f"Saved on {counted(len(pairs), 'trip')}:"
     words += f" {kwh(saved)} of {kwh(spent)}, {saved / spent:.1%};"
     words += f" {kwh(sum(pair.line for pair in pairs))} from the line; {running_times(found)}."
     return Group(table, words)
+
+
+def _mean(costs: Sequence[TripCost]) -> str:
+    """Mean work and running time of a group of trips, with how much they differ."""
+    works = [each.traction for each in costs]
+    times = [each.running_time for each in costs]
+    work = f"{kwh(float(np.mean(works)))} ± {kwh(float(np.std(works, ddof=1)))}"
+    return f"{work}, {np.mean(times):.0f} ± {np.std(times, ddof=1):.0f} s"
 
 
 def running_times(found: GroupComparison) -> str:
