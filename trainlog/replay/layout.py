@@ -120,11 +120,14 @@ class Contents:
         Of the track-condition map.
     chart : Chart
         What places are drawn on.
+    live : bool
+        Whether the trip is still recorded: the cursor stays at its end.
     """
 
     planned: str | None = None
     layers: Sequence[str] = field(default=())
     chart: Chart = field(default_factory=Chart)
+    live: bool = False
 
 
 SIDE_MAP, LARGE_MAP = (350.0, 330.0), (800.0, 1000.0)
@@ -181,7 +184,7 @@ def blueprint(trips: Sequence[Shown], contents: Contents, view: str | None = Non
             timeline=_timeline(trips, shown),
             playback_speed=PLAYBACK_SPEED,
             fps=PLAYBACK_POSITION,
-            play_state="paused",
+            play_state="following" if contents.live else "paused",
         ),
     )
     made.top_panel = SharedAxis()

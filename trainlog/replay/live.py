@@ -57,6 +57,9 @@ REFRESH = 1.0
 PATIENCE = 5.0
 """How long the viewer may take for what it was sent before it is called slow [s]."""
 
+STATES = 1000
+"""Samples of the train's state that are kept for what is compared with them."""
+
 CLOSING = 10.0
 """How long drawing may go on when the recording ends [s]."""
 
@@ -343,8 +346,9 @@ class _GrowingTrip:
         state = added.get(TRAIN_STATE.name)
         both = [part for part in (self._state, state) if part is not None]
         joined = pd.concat(both) if len(both) > 1 else both[0] if both else None
-        if state is not None:
-            self._state = state.iloc[-1:]
+        if joined is not None:
+            # A flush may come between the state of some instants and the wheels' speeds of them.
+            self._state = joined.iloc[-STATES:]
         self._drawing.add(replace(piece, topics=added), joined)
 
     def refresh(self) -> None:
@@ -360,7 +364,7 @@ class _GrowingTrip:
         layout = (shown.entities, tuple(panel.entity for panel in shown.panels))
         if layout != self._laid_out:
             self._laid_out = layout
-            contents = Contents(chart=self._chart)
+            contents = Contents(chart=self._chart, live=True)
             self._stream.send_blueprint(blueprint([shown], contents))
         self.new = False
 
