@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from trajectory_cases import FLIRT, VIRM6, hilly_line, observed, optimised
 
-from analysis.trajectory.active_set import initial_guess
+from analysis.trajectory.active_set import initial_guess, interpolated_guess, search
 from analysis.trajectory.bound import lower_bound
 from analysis.trajectory.convex import Relaxation
 from analysis.trajectory.discretisation import DiscreteProblem, discretise, graded_mesh
@@ -90,3 +90,26 @@ def test_resistance_counts_where_time_is_worth_next_to_nothing() -> None:
     ).certificate
     assert back["energy"] < 0.0
     assert 0.0 <= back["gap"] <= 0.02
+
+
+def test_multipliers_of_a_coarse_grid_bound_the_energy_on_a_fine_one() -> None:
+    """What an answer's gap rests on when the time ends before the fine grid has a program."""
+    run = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 0.95, 1.05), reserve=0.1)
+    fastest = fastest_run(run)
+    running_time = 1.1 * float(fastest.times.max())
+    coarse, fine = (
+        discretise(run, graded_mesh(run.breakpoints, fastest.positions, fastest.speeds[1], cells))
+        for cells in (60, 240)
+    )
+    begun = initial_guess(coarse, fastest.at(coarse.positions), running_time)
+    answer = search(coarse, begun, fastest.at(coarse.positions), running_time)
+    guess = interpolated_guess(answer, coarse.positions, fine, range(2))
+    found = search(fine, guess, fastest.at(fine.positions), running_time)
+    rows, speeds = list(guess.rows), fastest.at(fine.positions)
+    assert guess.multipliers is not None
+    part = fine.select(rows)
+    start = np.sqrt(2.0 * guess.plan.z)
+    bound = lower_bound(
+        part, guess.multipliers, start, running_time, np.zeros(len(rows)), speeds[rows]
+    )
+    assert 0.88 * found.solution.energy < bound <= found.solution.energy

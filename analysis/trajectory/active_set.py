@@ -365,8 +365,7 @@ def interpolated_guess(
     )
     chosen = tuple(rows[answer.active[row]] for row in active)
     alone = frozenset(rows[row] for row in answer.alone)
-    ratio = problem.step / np.diff(coarse)[cell]
-    multipliers = solution.multipliers.select(active.tolist()).on_cells(cell, ratio)
+    multipliers = solution.multipliers.select(active.tolist()).on_cells(coarse, positions)
     return Guess(chosen, guess, solution.time_price[active], answer.statuses, alone, multipliers)
 
 
