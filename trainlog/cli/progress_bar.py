@@ -10,7 +10,6 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from trainlog.cli import terminal
@@ -42,7 +41,7 @@ class ProgressDisplay:
         """Show a task while it is worked on."""
         bar = self._started()
         number = None if bar is None else bar.add_task(name, total=total, unit=unit, note="")
-        known, outer, began = total, self._depth == 0, monotonic()
+        known, outer = total, self._depth == 0
         self._depth += 1
         self._state(outer, name, 0.0, known, unit)
 
@@ -52,8 +51,6 @@ class ProgressDisplay:
             nonlocal known
             self._check()
             known = known if total is None else total
-            if done is None and unit == "s":
-                done = monotonic() - began
             if done is not None:
                 self._state(outer, name, done, known, unit)
             if bar is not None and number is not None:
@@ -102,7 +99,14 @@ class ProgressDisplay:
 def _bars() -> Progress:
     """Bars with amount, rate and remaining time."""
     from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
+    from rich.table import Column
     from rich.text import Text
+
+    class Elapsed(BarColumn):
+        def render(self, task: Task) -> Any:
+            if task.fields["unit"] == "s":  # of a time limit what is done is the time that is over
+                task.completed = min(task.elapsed or 0.0, task.total or 0.0)
+            return super().render(task)
 
     class Amount(ProgressColumn):
         def render(self, task: Task) -> Text:
@@ -118,10 +122,15 @@ def _bars() -> Progress:
 
     columns: list[Any] = [
         TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=20),
-        Amount(),
-        Pace(),
-        TextColumn("{task.fields[note]}", style="dim", markup=False),
+        Elapsed(bar_width=20),
+        Amount(table_column=Column(no_wrap=True)),
+        Pace(table_column=Column(no_wrap=True)),
+        TextColumn(
+            "{task.fields[note]}",
+            style="dim",
+            markup=False,
+            table_column=Column(no_wrap=True, overflow="ellipsis"),
+        ),
     ]
     return Progress(
         *columns,
@@ -165,9 +174,11 @@ def pace(elapsed: float | None, done: float, total: float | None, unit: str) -> 
     """
     if not elapsed:
         return ""
+    if unit == "s":
+        return _minutes(elapsed) if total is None else f"{_minutes(max(total - elapsed, 0.0))} left"
     speed = done / elapsed
     parts = []
-    if speed and unit not in ("", "s"):
+    if speed and unit:
         parts = [f"{amount(speed, None, unit)}/s"] if unit in ("B", "m") else [_often(speed, unit)]
     if speed and total is not None and unit:
         parts.append(f"{_minutes(max(total - done, 0.0) / speed)} left")

@@ -36,7 +36,7 @@ from trainlog.ingest.registry import formats, head_of
 from trainlog.ingest.report import Report, report_of
 from trainlog.mcap import describe, write_log
 from trainlog.mcap.reader import about_log, identity_of_log
-from trainlog.progress import task
+from trainlog.progress import note, task
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
@@ -296,7 +296,7 @@ def ingest_all(
         named = frozenset(Path(path).resolve() for path in every)
         batch = _Batch(target, given, recordings, named, choose, finish)
         for number, (file, reason) in enumerate(files, start=1):
-            step(sum(sizes[: number - 1]), note=_at_file(file, number, len(files)))
+            step(sum(sizes[: number - 1]), note=f"reading {_at_file(file, number, len(files))}")
             outcomes = [Outcome(file, "passed_over", reason=reason)] if reason else batch.make(file)
             for outcome in outcomes:
                 found.append(outcome)
@@ -533,8 +533,10 @@ class _Batch:
 
     def _written(self, file: Path, name: str, digest: str, trip: Trip) -> Outcome:
         if self._finish is not None:
+            note(f"estimating what the recorder of {file.name} lacks")
             trip = self._finish(trip)
         log = self._log(file, name, digest, trip)
+        note(f"writing {log.name}")
         write_log(trip, log)
         self._taken[log] = file
         bare = Trip({}, trip.metadata, trip.provenance)

@@ -33,6 +33,7 @@ from trainlog.ingest.recording import BoolArray, Finding, IntArray, Recording, T
 from trainlog.ingest.registry import Format, format_called, format_of, is_registered, own_profile
 from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report, changes
 from trainlog.ingest.rules import refuse_switched_off, repaired
+from trainlog.progress import note
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.topics import EVENTS, TOPICS, Topic
@@ -269,6 +270,7 @@ def ingested(path: str | Path, given: Given) -> Iterator[tuple[str, Trip | Train
     several = len(source.recordings) > 1
     for recording in source.recordings:
         name = recording.metadata["trip"] if several else ""
+        note(f"repairing {name or source.path.name}")
         try:
             yield (
                 name,
