@@ -257,7 +257,7 @@ def test_points_in_the_units_of_their_header(tmp_path: Path) -> None:
         ("creepage [%];adhesion\n1;-0.2\n", r"line 2: slip and adhesion have opposite signs"),
         ("creepage [%];adhesion\n1;x\n", r"line 2: '1;x' is not a slip and an adhesion"),
         ("force [kN];adhesion\n1;0.2\n", "'kN' cannot be read as m/s"),
-        ("creepage [%]\n1\n", "has 1 columns"),
+        ("creepage [%]\n1\n", "has 1 column, expected"),
     ],
 )
 def test_tables_that_would_mislead_are_refused(tmp_path: Path, text: str, message: str) -> None:

@@ -138,7 +138,7 @@ def test_the_commands_cut_and_merge(
     assert run(["cut", log, "-o", parts[1], "--from", "600s"]) == 0
     assert run(["merge", *parts, "-o", str(tmp_path / "again.mcap")]) == 0
     shown = capsys.readouterr().out
-    assert "1 rows of /train/state in two logs alike: kept once" in shown
+    assert "1 row of /train/state in two logs alike: kept once" in shown
     again, whole = trainlog.read(tmp_path / "again.mcap"), trainlog.read(log)
     assert again == whole
     assert again.attachments == whole.attachments

@@ -258,7 +258,7 @@ def test_expected_energy_is_least_for_the_weights_that_are_given() -> None:
         ({"condition_map": unreadable(hilly_line())}, r"holds no adhesion at km 0\.\d+, which it"),
         ({"protected_length": -1.0}, "the protected length must be 0 or more, not -1.0 m"),
         ({"running_time": 1e9}, r"is 3\.\d+e\+06 times the least, .*let it wait at a station"),
-        ({"objective": "expected", "weights": [1.0, 2.0]}, "2 weights for 1 configurations"),
+        ({"objective": "expected", "weights": [1.0, 2.0]}, "2 weights for 1 configuration"),
         ({"objective": "expected", "weights": [-1.0]}, "must be 0 or more, not -1"),
         ({"objective": "expected", "weights": [0.0]}, "the weights add up to 0"),
     ],

@@ -107,10 +107,10 @@ def counted(count: int, noun: str) -> str:
 
     Examples
     --------
-    >>> counted(1, "trip"), counted(2, "trip")
-    ('1 trip', '2 trips')
+    >>> counted(1, "trip"), counted(2, "trip"), counted(12345, "row")
+    ('1 trip', '2 trips', '12,345 rows')
     """
-    return f"{count} {noun}{'s' * (count != 1)}"
+    return f"{count:,} {noun}{'s' * (count != 1)}"
 
 
 def span(values: ArrayLike, factor: float = 1.0, digits: int = 0) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from trainlog.display import as_html, as_text
+from trainlog.display import as_html, as_text, counted
 from trainlog.errors import LogError
 from trainlog.spans import Spans, in_spans, position_limits, spans_within, time_limits, utc
 from trainlog.topics import Topic, attributes, column_field
@@ -146,7 +146,8 @@ class Trip:
             rows["when"] = ", ".join(words)
         frames = sorted(self.topics.items(), key=lambda item: -len(item[1]))
         for name, frame in frames[:most] if len(frames) > most + 1 else frames:
-            rows[name] = f"{len(frame)} rows{_rate(frame)}, {len(frame.columns)} columns"
+            columns = counted(len(frame.columns), "column")
+            rows[name] = f"{counted(len(frame), 'row')}{_rate(frame)}, {columns}"
         if len(frames) > most + 1:
             rows[f"{len(frames) - most} more"] = ", ".join(name for name, _ in frames[most:])
         return rows or {"topics": "none"}

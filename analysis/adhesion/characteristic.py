@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.tables import new_table
-from trainlog.display import as_html, as_text
+from trainlog.display import as_html, as_text, counted
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.characteristic import read_adhesion_points
 from trainlog.railway.adhesion import (
@@ -104,7 +104,7 @@ class CharacteristicFit:
             "maximum adhesion": f"{self.maximum:.4f} ± {1.96 * self.maximum_std:.4f}",
             f"optimal {self.points.variable}": self.optimum_in_words(),
             "residuals": f"{100.0 * self.rms[self.family]:.2f} % of the maximum (RMS)"
-            f" of {self.points.slips.size} points",
+            f" of {counted(self.points.slips.size, 'point')}",
         }
         return rows | ({"note": "; ".join(self.findings)} if self.findings else {})
 

@@ -204,7 +204,8 @@ def _mapped(path: Path, truths: Sequence[Truth]) -> tuple[str, str, str] | None:
     )
     if truths and events:
         error, bins = map_error(track, truths)
-        words += f" observed; maximum adhesion off by {error:.3f} RMS in {bins} bins with events"
+        words += f" observed; maximum adhesion off by {error:.3f} RMS in {counted(bins, 'bin')}"
+        words += " with events"
     return "track condition", words, str(path)
 
 
@@ -216,7 +217,8 @@ def _planned(path: Path) -> tuple[tuple[str, str, str], ...]:
     audit = certificate["audit"]
     energy = (
         f"{trajectory.energy_label} {kwh(certificate['energy'])} over"
-        f" {len(trajectory.configurations)} configurations in {trajectory.running_time:.0f} s"
+        f" {counted(len(trajectory.configurations), 'configuration')}"
+        f" in {trajectory.running_time:.0f} s"
     )
     proof = (
         f"{trajectory.optimality}, latest arrival {lateness(audit['lateness'])},"

@@ -660,7 +660,7 @@ def without_gradient_table(result: CoastDownResult) -> Group:
         if each.value is not None and each.std is not None:
             value = Band(each.value, each.std)
         table.add_cells(each.name, each.unit, value, each.reason or "")
-    words = [f"{len(result.pieces)} pieces of track were coasted more than once."]
+    words = [f"{counted(len(result.pieces), 'piece')} of track coasted more than once."]
     words += [f"refused: {trip['reason']}" for trip in result.trips if not trip["accepted"]]
     if result.curve is not None:
         low, high = (KMH * float(result.curve.speeds[end]) for end in (0, -1))

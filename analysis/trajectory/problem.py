@@ -277,7 +277,8 @@ class TrajectoryProblem:
             return
         if weights.size != len(self.configurations):
             raise InputError(
-                f"{where}: {weights.size} weights for {len(self.configurations)} configurations",
+                f"{where}: {counted(weights.size, 'weight')} for"
+                f" {counted(len(self.configurations), 'configuration')}",
                 remedy="give one for each",
             )
         wrong = np.flatnonzero(~((weights >= 0.0) & np.isfinite(weights)))

@@ -24,7 +24,7 @@ from analysis.tables import (
     new_table,
     overspeed,
 )
-from trainlog.display import lateness
+from trainlog.display import counted, lateness
 from trainlog.railway import Trajectory
 from trainlog.units import clock
 
@@ -132,7 +132,7 @@ def certified(trajectory: Trajectory) -> dict[str, Any]:
 def _gap(trajectory: Trajectory) -> str:
     """How far from the least energy a trajectory is at most, and what of it is due to the cells."""
     certificate = trajectory.certificate
-    own = f"{certificate['gap']:.3%} on {certificate['grid']['cells']} cells"
+    own = f"{certificate['gap']:.3%} on {counted(certificate['grid']['cells'], 'cell')}"
     if "total_gap" not in certificate:
         return f"{own}; what the cells cost is not known"
     total, cells = certificate["total_gap"], certificate["cells_cost"]

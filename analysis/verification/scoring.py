@@ -93,7 +93,7 @@ class Score:
         whole = self.layers["all"]
         gain = whole.log_score("onsets", over="prior")
         return (
-            f"Score of {self.name} on line '{self.line}', {whole.days.size} days,"
+            f"Score of {self.name} on line '{self.line}', {counted(whole.days.size, 'day')},"
             f" {whole.onsets} onsets: {gain.value:+.2f} nat over the prior"
         )
 

@@ -112,7 +112,7 @@ def merge(
     destination(output, ".mcap")
     with task("merging", unit="row") as step:
         done = write(logs, output, prefer=prefer, progress=step)
-    notes = [f"{count:,} rows of {name} in two logs alike: kept once"
+    notes = [f"{counted(count, 'row')} of {name} in two logs alike: kept once"
              for name, count in done.repeated.items() if count]  # fmt: skip
     notes += [f"{count:,} rows of {name} left out for those of {prefer}"
               for name, count in done.left_out.items() if count]  # fmt: skip

@@ -65,7 +65,7 @@ def read_forecast(
     ...         "A-B,0,1.5,2026-11-22T00:00Z,2026-11-23T00:00Z,0.2\n"
     ...     )
     ...     read_forecast(path)
-    Adhesion forecast for line 'A-B', 1 rows
+    Adhesion forecast for line 'A-B', 1 row
     """
     table = read_headed(path, _EXPECTED)
     names, shares, thresholds = _columns(table)

@@ -83,7 +83,7 @@ class HeadedTable:
         """
         if not 2 <= len(self.names) <= most:
             raise InputError(
-                f"has {len(self.names)} columns, expected {first} and {second}",
+                f"has {counted(len(self.names), 'column')}, expected {first} and {second}",
                 file=self.path,
                 place=f"line {self.line}",
                 remedy=expected,

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from trainlog.display import as_text
+from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.topics import RECORDED, TOPICS, Field, Topic, column_field, recorded_topic
 
@@ -96,7 +96,7 @@ class Table:
         return int(self.time.size)
 
     def __repr__(self) -> str:
-        return f"Table: {len(self)} rows of {', '.join([*self.signals, *self.texts])}"
+        return f"Table: {counted(len(self), 'row')} of {', '.join([*self.signals, *self.texts])}"
 
     def take(self, index: IntArray | BoolArray) -> Table:
         """The table with the rows that `index` selects, in its order."""
@@ -241,7 +241,7 @@ class Recording:
 
     def __repr__(self) -> str:
         rows = {f"table {number}": repr(table) for number, table in enumerate(self.tables)}
-        return as_text(f"Recording: {self.rows_read} rows read", rows)
+        return as_text(f"Recording: {counted(self.rows_read, 'row')} read", rows)
 
 
 def field_of(name: str) -> tuple[Topic, str, Field]:

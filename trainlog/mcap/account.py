@@ -6,6 +6,8 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any
 
+from trainlog.display import counted
+
 LISTED = 100
 """Losses that are kept one by one with what is made of a log; the others are counted."""
 
@@ -210,11 +212,6 @@ class DamageWarning(UserWarning):
             f"{file}: {account.sentence}; 'trainlog check' lists what is lost, "
             "'trainlog recover' rebuilds the file"
         )
-
-
-def counted(number: int, noun: str) -> str:
-    """A number and its noun, in the plural unless there is one."""
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 def _are(number: int) -> str:

@@ -14,9 +14,10 @@ import pandas as pd
 from mcap.records import Channel
 from numpy.typing import NDArray
 
+from trainlog.display import counted
 from trainlog.errors import LogError
 from trainlog.formats.files import sha256
-from trainlog.mcap.account import Account, counted
+from trainlog.mcap.account import Account
 from trainlog.mcap.codec import UNIT, axles_of
 from trainlog.mcap.index import ChunkPlace, Contents, MisplacedError, index_in
 from trainlog.mcap.reader import attachments_of, bare_trip, metadata_of

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from trainlog.display import counted
 from trainlog.errors import InputError
 
 FloatArray = NDArray[np.float64]
@@ -56,7 +57,7 @@ class AdhesionForecast:
     place: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        return f"Adhesion forecast for line '{self.line}', {self.start.size} rows"
+        return f"Adhesion forecast for line '{self.line}', {counted(self.start.size, 'row')}"
 
     def in_force(self, time: pd.Timestamp) -> NDArray[np.bool_]:
         """Which rows are valid at a time and were issued by then; (n,) array.

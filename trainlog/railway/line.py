@@ -357,8 +357,9 @@ class Line:
         rows = {
             "stations": ", ".join(station.name for station in self.stations[:4])
             + (f" ... {self.stations[-1].name} ({len(self.stations)})" * (len(self.stations) > 4)),
-            "limits": f"{span(limits.values, KMH)} km/h in {limits.values.size} pieces",
-            "gradients": f"{span(slopes.values, 1e3, 1)} per mille in {slopes.values.size} pieces",
+            "limits": f"{span(limits.values, KMH)} km/h in {counted(limits.values.size, 'piece')}",
+            "gradients": f"{span(slopes.values, 1e3, 1)} per mille in"
+            f" {counted(slopes.values.size, 'piece')}",
         }
         if self.curvatures is not None:
             sharpest = float(np.max(np.abs([self.curvatures.start, self.curvatures.end])))
