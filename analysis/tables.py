@@ -267,8 +267,10 @@ def new_table(title: str, *columns: str | Column, name: str = "", **options: Any
 
 
 def name_of(table: Table) -> str:
-    """The name of a table in JSON: the one it was given, or its title's first words."""
-    return getattr(table, "name", "") or _key(str(table.title or "rows").split(" of ")[0])
+    """The name of a table in JSON: given, or of its title's first words, or its first heading."""
+    title = str(table.title or "").split(" of ")[0]
+    heading = str(table.columns[0].header) if table.columns else ""
+    return getattr(table, "name", "") or _key(title) or _key(heading) or "rows"
 
 
 def records(table: Table) -> list[dict[str, Any]]:

@@ -50,6 +50,11 @@ map merge wil.map sample_logs/CH_StGallen_Wil.map -o both.map
 map remove wil.map trip-01
 map compact both.map --before 2024-10-08
 optimise parameters.json --cells 60 -o trajectory.json
+settings show
+show sample_logs/nonstop.mcap
+cut sample_logs/nonstop.mcap -o part.mcap --km 3:5
+convert part.mcap -o part.parquet
+compare sample_logs
 advise sample_logs/nonstop.mcap --trajectory trajectory.json -o advised.mcap
 """
 """Run one after the other, with the samples at hand."""
@@ -180,6 +185,7 @@ PURE = {
     *("chunks", "messages_lost", "losses_beyond", "start", "end", "rows_read", "rows_kept", "gap"),
     *("maximum", "maximum_std", "points", "optimal_slip", "probability", "share_of_power", "bins"),
     *("share_of_adhesion", "over_weight_std", "speed", "optimal_band"),
+    *("coasting", "covered", "slips"),
 }
 """Numbers without a unit, beside those of the commands of the map."""
 

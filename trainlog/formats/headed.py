@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 
