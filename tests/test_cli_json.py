@@ -59,7 +59,7 @@ advise sample_logs/nonstop.mcap --trajectory trajectory.json -o advised.mcap
 """
 """Run one after the other, with the samples at hand."""
 
-NAMED = {"layers", "repairs", "counts", "rms", "topics", "metadata"}
+NAMED = {"layers", "repairs", "counts", "rms", "topics", "metadata", "rows"}
 """Keys of objects whose own keys are names that the data give."""
 
 Schema = dict[str, Any]

@@ -338,6 +338,6 @@ def test_the_commands_draw_list_and_end_as_diff_does(
     assert run(words) == 0
     assert "5 earlier days are not listed" in capsys.readouterr().out
     assert run([*words, "--json"]) == 0
-    (place,) = json.loads(capsys.readouterr().out)
+    (place,) = json.loads(capsys.readouterr().out)["layers"]
     assert place["known"] == []
     assert len(place["used"]) == 20
