@@ -16,6 +16,7 @@ from trainlog.cli import main as cli
 DIFFERENT = {
     "--configurations": "how many a fit gives; which a simulation drives",
     "--days": "of a simulation, a study, a history",
+    "--dwell": "0 s in both; optimise takes it with a journey alone",
     "--from": "a time; a file to begin with; where a recorder sends",
     "--km": "a part of a line; one place",
     "--model": "a file; the numbers of a map's model",
