@@ -75,11 +75,11 @@ class LowerBounds:
         """By how much an energy [J/kg] is above that of any trajectory on these cells, relative."""
         return _relative_gap(energy, self.cells)
 
-    def by_cells(self, energy: float, tolerance: float) -> bool:
+    def by_cells(self, energy: float, tolerance: float, part: float = 0.5) -> bool:
         """Whether it is the cells that leave an energy more than a tolerance above the bound."""
         # Else it is what the relaxation leaves out, where the multipliers did not come close.
         cost = self.total_gap(energy) - _relative_gap(energy, self.cells)
-        return self.source == OF_OPTIMUM or cost > 0.2 * tolerance
+        return self.source == OF_OPTIMUM or cost > part * tolerance
 
 
 def _relative_gap(energy: float, bound: float) -> float:

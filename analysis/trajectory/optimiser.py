@@ -285,7 +285,10 @@ def _renewed(
         total = bounds.total_gap(found.energy)
         note(f"the gap is {total:.3%}; cells are laid anew")
         enough = total <= tolerance or time_left() <= 0.0
-        if enough or not _cells_may_help(found, bounds, tolerance):
+        # More cells for several configurations only where most of the gap is theirs.
+        several = number >= RENEWALS and len(found.answer.active) > 1
+        asked = max(tolerance, total) if several else tolerance
+        if enough or not _cells_may_help(found, bounds, asked):
             break
         excess = last[1].excess
         again = _searched_again(last[0], excess, cells, fastest, running_time)
@@ -311,7 +314,11 @@ def _cells_may_help(found: _Audited, bounds: LowerBounds, tolerance: float) -> b
     """Whether other cells may bring the gap within a tolerance; for many, or certify the answer."""
     total, energy = bounds.total_gap(found.energy), found.energy
     worthwhile = total > GAP_TOLERANCE or bounds.gap(energy) <= tolerance
-    return bounds.by_cells(energy, tolerance) and (worthwhile or not _is_large(found))
+    part = 0.2
+    if len(found.answer.active) > 1:
+        # The relaxation leaves out what several lose by each other's power, on whatever cells.
+        part = 0.5
+    return bounds.by_cells(energy, tolerance, part) and (worthwhile or not _is_large(found))
 
 
 def _searched_again(
