@@ -457,7 +457,7 @@ def origin(files: Sequence[Path], folder: Path, command: str) -> Section:
                 words = (name, str(step.get("software", "")), _settings(step))
                 steps.add_row(_name(path, folder), *words)
     if len(files) > MOST_TRACED:
-        steps.caption = f"{len(files) - MOST_TRACED} more files; 'trainlog info' states theirs"
+        steps.caption = f"{len(files) - MOST_TRACED} more files; 'trainlog show' states theirs"
     commands = [
         _COMMANDS[name].format(_some(made)) for name, made in made_by.items() if name in _COMMANDS
     ]
