@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import LOOKED_AT, is_map, mistaken_json
 from trainlog.railway import Line
@@ -35,7 +36,7 @@ class Contents:
     kind : str
         In words, such as ``"line"``.
     value : object
-        What was read; None of a log, which may be larger than the memory.
+        What was read; None of a map, whose estimate takes a while.
     lines : tuple of str
         What else there is to state.
     """
@@ -77,7 +78,7 @@ def contents_of(path: str | Path) -> Contents:
     >>> contents_of("sample_logs/DE_Chemnitz_Cranzahl.line.json").kind
     'line'
     >>> contents_of("sample_logs/gnss.csv").summary
-    'Recording: 6847 rows read'
+    'Recording: 6,847 rows read'
     """
     from trainlog.ingest.registry import head_of
 
@@ -90,9 +91,7 @@ def contents_of(path: str | Path) -> Contents:
 
         return Contents(path, "log", describe(path))
     if is_map(head[:LOOKED_AT]):
-        from trainlog.formats.condition import read_map
-
-        return Contents(path, "track-condition map", read_map(path))
+        return Contents(path, "track-condition map", lines=(_map_summary(path),))
     stated = FORMAT.search(head[:LOOKED_AT])
     if stated is not None:
         return _of_format(path, stated[1].decode())
@@ -105,6 +104,19 @@ def contents_of(path: str | Path) -> Contents:
         remedy = "show what it was made of; 'trainlog replay' opens replays, archives are unpacked"
         raise InputError(f"is {what}", file=path, remedy=remedy)
     return _recorded(path, head)
+
+
+def _map_summary(path: Path) -> str:
+    """What a map's file holds; its estimate, which would be stored there, is not made."""
+    from trainlog.formats.mapfile import MapFile
+
+    with MapFile(path) as file, file.unchanging():
+        trips, days = file.amount()
+        track = file.empty
+    return (
+        f"{track.line}, {track.length / 1e3:.1f} km: {counted(trips, 'trip')} of"
+        f" {counted(days, 'day')}"
+    )
 
 
 def _trip_of_folder(path: Path) -> Contents:

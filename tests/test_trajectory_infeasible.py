@@ -164,7 +164,7 @@ def test_a_resistance_that_falls_with_the_speed_is_refused() -> None:
 @pytest.mark.parametrize(
     ("weights", "words"),
     [
-        ((1.0,), "1 weights for 2 configurations"),
+        ((1.0,), "1 weight for 2 configurations"),
         ((1.0, -1.0), "configuration 'x1.1' must be 0 or more, not -1"),
         ((0.0, 0.0), "the weights add up to 0"),
         ((1.0, float("nan")), "configuration 'x1.1' must be 0 or more, not nan"),

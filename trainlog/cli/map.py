@@ -11,7 +11,7 @@ from trainlog.cli.options import Logs, MapArgument, destination, logs_in
 from trainlog.cli.terminal import console, current, print_error, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
-from trainlog.progress import track
+from trainlog.progress import task
 
 if TYPE_CHECKING:
     from analysis.adhesion.updating import LogOutcome
@@ -68,6 +68,7 @@ def map_update(
 
     def report(outcome: LogOutcome) -> None:
         done[outcome.outcome] += 1
+        step(done.total())
         if outcome.outcome == "refused":
             print_error(outcome.reason)
         elif outcome.outcome == "refused before" or output.as_json:
@@ -81,8 +82,8 @@ def map_update(
 
     output = current()
     output.finished = finished
-    every = track(found, "mapping", "log")
-    result = update_map(every, condition, layer, stated, retry=retry, report=report)
+    with task("mapping", len(found), "log") as step:
+        result = update_map(found, condition, layer, stated, retry=retry, report=report)
     if not state(result.details()):
         console.print(result.sentence, highlight=False, soft_wrap=True)
     if result.refused:

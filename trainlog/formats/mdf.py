@@ -7,9 +7,11 @@ is which topic) is in its attachment `INDEX`.
 
 from __future__ import annotations
 
+import gc
 import json
 import logging
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -186,20 +188,35 @@ def read_mdf_trip(path: str | Path, topics: list[str] | None = None) -> Trip:
     return Trip(frames, index["metadata"], tuple(index["provenance"]), wanted)
 
 
+def called(path: Path, call: Callable[[], Any]) -> Any:
+    """What asammdf returns; one error for whatever it raises on a damaged file.
+
+    Its messages, in the log and when the half-opened file is closed, are not passed on.
+    """
+    hook = sys.unraisablehook
+    with _quiet():
+        try:
+            try:
+                return call()
+            except Exception as error:  # noqa: BLE001 - asammdf raises whatever a byte leads it to
+                sys.unraisablehook = lambda _: None
+                problem = f"{type(error).__name__}: {error}".splitlines()[0][:120]
+            gc.collect()
+        finally:
+            sys.unraisablehook = hook
+    raise InputError(
+        f"is no measurement file that can be read ({problem})",
+        file=path,
+        remedy="copy or convert it again; was the recorder stopped while writing?",
+    )
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Any, dict[str, Any], dict[str, bytes]]]:
     library = load("asammdf")
     if not path.is_file():
         raise InputError("does not exist", file=path, remedy="check the path")
-    try:
-        with _quiet():
-            mdf = library.MDF(path)
-    except Exception as error:
-        raise InputError(
-            f"is no measurement file that can be read ({error})".splitlines()[0][:160],
-            file=path,
-            remedy="convert the log again",
-        ) from error
+    mdf = called(path, lambda: library.MDF(path))
     try:
         attachments = {
             str(each.file_name): each.extract()

@@ -551,7 +551,7 @@ def write_track(line: Line, path: str | Path) -> list[str]:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_track(line, Path(folder) / "track.json")
     ...     read_track(Path(folder) / "track.json").length
-    ['names of stations']
+    ['names of stations', 'coordinates']
     29556.1
     """
     _write(TrackLayout.of(line), path)

@@ -8,10 +8,7 @@ that hold fields of the same topic: these share a table with the instants of all
 
 from __future__ import annotations
 
-import gc
-import logging
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +20,7 @@ import pyarrow as pa
 
 from trainlog.errors import InputError
 from trainlog.extras import load
+from trainlog.formats.mdf import called
 from trainlog.ingest.mapping import EARLIEST, LATEST, recording_of
 from trainlog.ingest.profile import WORDS, Column, MismatchError, Profile, suggestion
 from trainlog.ingest.recording import NO_TIME, Cells, IntArray, Recording, field_of
@@ -107,36 +105,11 @@ def _open(path: Path) -> Iterator[Any]:
             (error.strerror or str(error)).lower(), file=path, remedy="check the path"
         ) from error
     with stream:
-        mdf = _called(path, lambda: library.MDF(stream))
+        mdf = called(path, lambda: library.MDF(stream))
         try:
             yield mdf
         finally:
             mdf.close()
-
-
-def _called(path: Path, call: Callable[[], Any]) -> Any:
-    """What asammdf returns; one error for whatever it raises on a damaged file.
-
-    Its messages, in the log and when the half-opened file is closed, are not passed on.
-    """
-    log = logging.getLogger("asammdf")
-    level, hook = log.level, sys.unraisablehook
-    log.setLevel(logging.CRITICAL + 1)
-    try:
-        try:
-            return call()
-        except Exception as error:  # noqa: BLE001 - asammdf raises whatever a byte leads it to
-            sys.unraisablehook = lambda _: None
-            problem = f"{type(error).__name__}: {error}".splitlines()[0][:120]
-        gc.collect()
-    finally:
-        log.setLevel(level)
-        sys.unraisablehook = hook
-    raise InputError(
-        f"is no measurement file that can be read ({problem})",
-        file=path,
-        remedy="copy the file again; was the recorder stopped while writing?",
-    )
 
 
 def _start(mdf: Any, profile: Profile, path: Path) -> int:
@@ -251,7 +224,7 @@ def _recording(mdf: Any, profile: Profile, part: _Part, start: int, path: Path) 
 def _selected(mdf: Any, places: list[Place], words: bool, path: Path) -> list[Any]:
     """The channels at some places; the numbers of a code, unless it is words that are wanted."""
     wanted = [(None, group, index) for group, index in places]
-    return list(_called(path, lambda: mdf.select(wanted, ignore_value2text_conversions=not words)))
+    return list(called(path, lambda: mdf.select(wanted, ignore_value2text_conversions=not words)))
 
 
 def _clock(signals: dict[str, Any], group: int, start: int) -> IntArray:
