@@ -14,10 +14,13 @@ from numpy.typing import NDArray
 
 from analysis.trajectory.active_set import Answer, Guess, initial_guess, interpolated_guess, search
 from analysis.trajectory.audit import Audit, audit
-from analysis.trajectory.descent import DrivenPlan, unpriced
+from analysis.trajectory.convex import OutOfTimeError
+from analysis.trajectory.descent import DrivenPlan, descend, unpriced
 from analysis.trajectory.discretisation import DiscreteProblem, discretise
 from analysis.trajectory.envelope import Envelope
-from analysis.trajectory.problem import TrajectoryProblem
+from analysis.trajectory.problem import MOST_CELLS, TrajectoryProblem
+from analysis.trajectory.rollout import cell_times
+from analysis.trajectory.sqp import Tolerances
 from trainlog.errors import TrainlogError
 
 FloatArray = NDArray[np.float64]
@@ -30,6 +33,16 @@ _LITTLE = 1e-3
 
 _TIMES, _LEAST = 4.0, 1e-3
 """Ratio of ``z`` at both ends from which a cell is split, and the least ``z`` that counts."""
+
+_SPLITS, _LOST = 5, 0.3
+"""How often cells are split that cost a run at a constant pace time; and what each may cost, over
+an even share of the time in hand."""
+
+_DESCENT = Tolerances(energy=3e-5, lateness=3e-5)
+"""Of a descent for all configurations at once, which no other program follows."""
+
+_PROGRAMS, _ALL_CELLS = 30, 400_000
+"""Most programs of such a descent, and most cells of all of them and all configurations."""
 
 _MORE = 1.5
 """Times the excess by which a limit becomes stricter."""
@@ -143,10 +156,43 @@ def _stricter(problem: DiscreteProblem, found: Audit) -> DiscreteProblem:
     )
 
 
+def paced_grid(
+    run: TrajectoryProblem, positions: FloatArray, paced: Envelope, running_time: float
+) -> DiscreteProblem | None:
+    """The problem on a grid on which all can follow the slowest in time; None if that is not found.
+
+    Under power, on a climb on which they hardly move, trains lose minutes in cells whose traction
+    is constant, or stand: such cells are split in halves.
+
+    Parameters
+    ----------
+    run : TrajectoryProblem
+    positions : (n + 1,) array [m]
+        Where it begins.
+    paced : Envelope
+        Runs at one pace, in time.
+    running_time : float [s]
+    """
+    most = min(MOST_CELLS, 4 * positions.size)
+    for _ in range(_SPLITS):
+        problem, speeds = discretise(run, positions), paced.at(positions)
+        driven = DrivenPlan.together(problem, speeds, running_time)
+        if driven.late <= 0.0:
+            return problem
+        slowest = np.diff(paced.times_behind_slowest(positions))
+        lost = cell_times(driven.problem, driven.plan).max(axis=0) - slowest
+        spare = running_time - float(slowest.sum())
+        split = lost > max(_LOST * spare / lost.size, float(np.median(lost)))
+        positions = np.union1d(positions, 0.5 * (positions[1:] + positions[:-1])[split])
+        if not split.any() or positions.size > most:
+            break
+    return None
+
+
 def together(
     problem: DiscreteProblem, paced: Envelope, running_time: float
 ) -> tuple[Answer, Audit]:
-    """The run of all at one pace, as an answer that nothing was optimised in.
+    """The run of all at one pace, and what a descent for all of them makes of it.
 
     Parameters
     ----------
@@ -159,11 +205,14 @@ def together(
     Raises
     ------
     TrainlogError
-        If it does not pass its audit on these cells.
+        If neither passes its audit on these cells.
     """
     speeds = paced.at(problem.positions)
     strict = replace(problem, power=(1.0 - 0.1 * _LITTLE) * problem.power)
     run = DrivenPlan.together(strict, speeds, running_time)
+    better = _descended(problem, strict, run, running_time)
+    if better is not None:
+        return better
     rows = initial_guess(problem, speeds, running_time).rows
     tapered = problem.tapered(run.problem.taper)
     few = DrivenPlan(tapered.select(rows), run.plan.select(rows), run.late)
@@ -174,6 +223,24 @@ def together(
     if failures:
         raise _not_passed(failures)
     return answer, found
+
+
+def _descended(
+    problem: DiscreteProblem, strict: DiscreteProblem, start: DrivenPlan, running_time: float
+) -> tuple[Answer, Audit] | None:
+    """The best plan from `start` for all configurations at once; None if it does not pass."""
+    programs = int(np.clip(_ALL_CELLS / problem.drag2.size, 3, _PROGRAMS))
+    try:
+        found = descend(strict, start, running_time, _DESCENT, iterations=programs)
+    except OutOfTimeError:
+        return None
+    if found is None or not found.multipliers.pull.any():
+        return None
+    words = ("run at a constant pace", *found.statuses)
+    rows = tuple(range(problem.shape[0]))
+    answer = Answer(problem.tapered(found.taper), found.plan, rows, found, 1, words)
+    audited = driven(answer)
+    return None if audited.failures(problem.run, running_time) else (answer, audited)
 
 
 def _not_passed(failures: list[str]) -> TrainlogError:

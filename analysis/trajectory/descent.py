@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.trajectory.convex import Multipliers, NoSolutionError
+from analysis.trajectory.convex import Multipliers, NoSolutionError, OutOfTimeError
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, taper_along
 from analysis.trajectory.rollout import (
     correct_lateness,
@@ -144,6 +144,10 @@ def descend(
             statuses.append(str(failure))
             radius *= _FAILED
             continue
+        except OutOfTimeError:
+            if best is start:
+                raise
+            break
         statuses.extend(solution.statuses)
         # Traction tapered anew may ask for more power than there is, and the brake then stops it.
         trial = min(

@@ -94,6 +94,13 @@ class Envelope:
         """Time of the fastest run from the start to other positions, (q, p) [s]."""
         return np.array([np.interp(positions, self.positions, row) for row in self.elapsed])
 
+    def times_behind_slowest(self, positions: FloatArray) -> FloatArray:
+        """Time from the start of a run that is nowhere faster than any of these, (p,) [s]."""
+        v = self.speeds.min(axis=0)
+        each = 2.0 * np.diff(self.positions) / np.maximum(v[1:] + v[:-1], 1e-9)
+        total = np.concatenate(([0.0], np.cumsum(each)))
+        return np.asarray(np.interp(positions, self.positions, total))
+
 
 def fastest_run(run: TrajectoryProblem, cruising: float = np.inf) -> Envelope:
     """Speed envelope and least time of each configuration of `run`.
@@ -150,9 +157,7 @@ def paced_envelope(run: TrajectoryProblem, running_time: float) -> Envelope | No
     Envelope or None
         None if not even the fastest such run is in time.
     """
-    weakest = min(configuration.max_power for configuration in run.configurations)
-    alike = [replace(each, max_power=weakest) for each in run.configurations]
-    run = replace(run, configurations=alike)
+    run = _with_one_power(run)
     slow = max(run.initial_speed, 0.5 * (run.end - run.start) / running_time)
     fast = max(slow, float(run.train.max_speed))
     try:
@@ -169,6 +174,22 @@ def paced_envelope(run: TrajectoryProblem, running_time: float) -> Envelope | No
         else:
             fast, found = middle, trial
     return found
+
+
+def least_paced_time(run: TrajectoryProblem) -> float:
+    """Time of the fastest run of all behind the slowest, with one power [s]; infinite if none."""
+    try:
+        found = fastest_run(_with_one_power(run))
+    except InfeasibleError:
+        return np.inf
+    return float(found.times_behind_slowest(found.positions[-1:])[0])
+
+
+def _with_one_power(run: TrajectoryProblem) -> TrajectoryProblem:
+    """All configurations with the power of the weakest."""
+    weakest = min(configuration.max_power for configuration in run.configurations)
+    alike = [replace(each, max_power=weakest) for each in run.configurations]
+    return replace(run, configurations=alike)
 
 
 def _check_brakes(run: TrajectoryProblem, problem: DiscreteProblem, curve: FloatArray) -> None:

@@ -16,7 +16,7 @@ from analysis.trajectory.active_set import (
     interpolated_guess,
     search,
 )
-from analysis.trajectory.attempts import searched, together
+from analysis.trajectory.attempts import paced_grid, searched, together
 from analysis.trajectory.audit import Audit
 from analysis.trajectory.certificate import (
     GAP_TOLERANCE,
@@ -26,7 +26,6 @@ from analysis.trajectory.certificate import (
     energy_of_audit,
 )
 from analysis.trajectory.convex import time_left, time_limit
-from analysis.trajectory.descent import DrivenPlan
 from analysis.trajectory.discretisation import (
     BRAKING_WEIGHT,
     REGAINING_WEIGHT,
@@ -35,7 +34,12 @@ from analysis.trajectory.discretisation import (
     graded_mesh,
     refined_mesh,
 )
-from analysis.trajectory.envelope import Envelope, fastest_run, paced_envelope
+from analysis.trajectory.envelope import (
+    Envelope,
+    fastest_run,
+    least_paced_time,
+    paced_envelope,
+)
 from analysis.trajectory.feasibility import check_time
 from analysis.trajectory.problem import (
     DEFAULT_OPTIONS,
@@ -57,6 +61,9 @@ COARSE_CELLS = 120
 
 _IN_HAND = (2e-4, 2e-3, 2e-2)
 """Parts of the running time that a run at a constant pace has in hand, one after another."""
+
+_FAST = 1.05
+"""Times the least at one pace that the first of these runs takes: slow ones lead to poor plans."""
 
 REFINEMENTS = 3
 """How often a grid whose answer does not pass the audit is made twice as fine."""
@@ -383,15 +390,16 @@ def _paced(run: TrajectoryProblem, running_time: float, cells: int) -> _Audited 
 
     Its grid costs a little of its time, so the pace has a little more in hand.
     """
-    for part in _IN_HAND:
-        paced = paced_envelope(run, (1.0 - part) * running_time)
+    times = [(1.0 - part) * running_time for part in _IN_HAND]
+    fast = _FAST * least_paced_time(run)
+    for time in [fast, *times] if fast < times[-1] else times:
+        paced = paced_envelope(run, time)
         if paced is None:
             return None
-        problem = discretise(run, _mesh(run, run.breakpoints, paced, cells))
-        speeds = paced.at(problem.positions)
-        if DrivenPlan.together(problem, speeds, running_time).late > 0.0:
+        problem = paced_grid(run, _mesh(run, run.breakpoints, paced, cells), paced, running_time)
+        if problem is None:
             continue
-        guess = initial_guess(problem, speeds, running_time)
+        guess = initial_guess(problem, paced.at(problem.positions), running_time)
         try:
             return _Audited(*searched(problem, guess, paced, running_time), None)
         except TrainlogError:
