@@ -175,6 +175,22 @@ def test_nothing_comparable_is_reported() -> None:
         compare_groups([backwards, trip("b", stop=True)], [*followed, stopping])
 
 
+def test_a_plan_for_the_nominal_train_is_compared_by_train_and_says_so() -> None:
+    drivers = [trip("a", 60_000.0, load="20000"), trip("b", stop=True)]
+    found = compare_groups(drivers, [trip("driven", 40_000.0, configuration="nominal")])
+    (pair,) = found.pairs
+    assert (pair.driver.name, pair.trajectory.name) == ("a", "driven")
+    assert found.remarks == (
+        "'driven' followed a plan for the train of its file, at 132.0 t; 'a' ran at 142.0 t",
+    )
+    assert found.remarks[0] in str(savings_table(found).renderables[2])
+    other = trip("other")
+    content = other.attachments[TRAIN_ATTACHMENT].replace(b"CH_Stadler_FLIRT_TPF", b"another")
+    other = replace(other, attachments={**other.attachments, TRAIN_ATTACHMENT: content})
+    with pytest.raises(LogError, match="no trip of the train that 'driven' drove with"):
+        compare_groups([other], [trip("driven", configuration="nominal")])
+
+
 def test_trips_that_followed_nothing_are_named_with_their_file() -> None:
     path = sample("nonstop.mcap")
     words = "trip 'trip-01' did not follow a trajectory; give trips recorded by"

@@ -20,7 +20,7 @@ from analysis.resistance.logs import fit
 from analysis.tables import new_table
 from trainlog.formats.parameters import write_coast_down, write_parameters
 from trainlog.formats.samples import DEFAULT_LINE, sample
-from trainlog.mcap import read_log
+from trainlog.mcap import read_log, write_log
 
 HEADINGS = ("section", "timetable s", "least of a reference s", "iterations of IPOPT", "least s")
 ROW = ("Chemnitz Hbf - Chemnitz-Hilbersdorf", "222", "204.7", "41 (of 5000)", "180.2")
@@ -85,6 +85,18 @@ def test_results_print_a_few_lines_and_are_tables_in_a_notebook(tmp_path: Path) 
         html = result._repr_html_()  # type: ignore[attr-defined]
         assert html.startswith("<")
         assert 200 < len(html) < 20_000
+
+
+def test_what_cannot_be_compared_is_stated_among_the_results(tmp_path: Path) -> None:
+    trip = read_log(sample("nonstop.mcap"))
+    backwards = {**trip.metadata, "direction": "reverse"}
+    followed = {**trip.metadata, "trip": "driven", "configuration": "nominal"}
+    for folder, metadata in (("trips", backwards), ("driven", followed)):
+        (tmp_path / folder).mkdir()
+        write_log(replace(trip, metadata=metadata), tmp_path / folder / "log.mcap")
+    rows = {subject: words for subject, words, _ in report(tmp_path).rows}
+    assert rows["recorded"].startswith("1 trip")
+    assert rows["energy saved"].startswith("not compared: no trip that followed the trajectory")
 
 
 def test_results_of_any_name_are_summed_up_by_their_format(tmp_path: Path) -> None:

@@ -47,6 +47,24 @@ def test_one_that_all_but_stands_at_the_end_is_bounded() -> None:
     assert optimise(few, OptimiserOptions(200)).certificate["total_gap"] <= 1e-3
 
 
+@pytest.mark.parametrize(
+    ("count", "reserves"),
+    [(3, (0.6, 1.0)), pytest.param(11, (0.2, 0.4, 0.6, 0.8, 1.0), marks=pytest.mark.long)],
+)
+def test_more_time_is_never_refused_and_never_costs_more(
+    count: int, reserves: tuple[float, ...]
+) -> None:
+    """Weak trains on 45 per mille, at 1.5 m/s: in long cells they would stand, or lose minutes."""
+    problem = random_problem(32)
+    few = replace(problem, configurations=problem.configurations[-count:])
+    found = [
+        optimise(replace(few, reserve=each), OptimiserOptions(50 * count + 50)) for each in reserves
+    ]
+    energies = np.array([each.certificate["energy"] for each in found])
+    assert np.all(energies[1:] <= energies[:-1] * (1.0 + 1e-4))
+    assert all(each.certificate["certified"] for each in found)
+
+
 def test_the_judge_sees_what_is_wrong() -> None:
     """Less traction: late or short; a little more: too fast; another energy: named."""
     problem = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1)

@@ -19,6 +19,7 @@ from trainlog.errors import LogError
 from trainlog.formats.attached import train_of
 from trainlog.mcap import read_log
 from trainlog.railway import Line, Train
+from trainlog.railway.train import NOMINAL
 from trainlog.topics import EVENTS, REFERENCE, TRAIN_SLIP_PROTECTION
 from trainlog.trip import Trip
 from trainlog.units import JOULES_PER_KWH
@@ -233,9 +234,12 @@ class GroupComparison:
     Attributes
     ----------
     pairs : tuple of Saving
+    remarks : tuple of str
+        Where the trips of a pair differ in more than who drove.
     """
 
     pairs: tuple[Saving, ...]
+    remarks: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return as_text(self._title, self._summary())
@@ -279,7 +283,9 @@ def compare_groups(
 
     A pair is comparable when the followed trip was driven with the configuration observed on the
     driver's trip (metadata ``configuration``), in the same direction, over the same distance,
-    and neither stopped on the way.
+    and neither stopped on the way. A plan for the nominal train, which no driver's trip observed,
+    is laid beside every such trip of the same train, whatever its load; a remark states both
+    masses.
 
     Parameters
     ----------
@@ -305,26 +311,45 @@ def compare_groups(
     by_name = {described(trip).name: trip for trip in each_given(drivers)}
     candidates = [(described(trip), trip) for trip in each_given(followed)]
     candidates = _that_followed(candidates)
-    pairs, unlike = [], list[tuple[int, str]]()
+    pairs, remarks, unlike = list[Saving](), list[str](), list[tuple[int, str]]()
     for bare, trip in candidates:
-        observed = by_name.get(bare.metadata["configuration"])
-        if observed is None:
-            name = bare.name
-            unlike.append((0, f"there is no trip of the configuration that '{name}' drove with"))
-            continue
-        driver, cost = trip_cost(observed), trip_cost(trip)
-        differs = _unlike(driver, cost)
-        if differs is None:
+        configuration = bare.metadata["configuration"]
+        observed = [by_name[configuration]] if configuration in by_name else []
+        nominal = not observed and configuration == NOMINAL
+        if nominal:
+            observed = [each for each in by_name.values() if _same_train(described(each), bare)]
+        if not observed:
+            missing = "train" if nominal else "configuration"
+            words = f"there is no trip of the {missing} that '{bare.name}' drove with"
+            unlike.append((0, words))
+        for each in observed:
+            driver, cost = trip_cost(each), trip_cost(trip)
+            differs = _unlike(driver, cost)
+            if differs is not None:
+                unlike.append(differs)
+                continue
             pairs.append(Saving(driver, cost))
-        else:
-            unlike.append(differs)
+            if nominal:
+                remarks.append(_masses(driver, cost))
     if not pairs:
         nearest = max(unlike, key=lambda each: each[0])[1]
         raise LogError(
             f"no trip that followed the trajectory has a comparable trip by a driver: {nearest}",
             remedy="needs one non-stop trip of the same configuration, direction and distance",
         )
-    return GroupComparison(tuple(pairs))
+    return GroupComparison(tuple(pairs), tuple(remarks))
+
+
+def _same_train(one: Trip, other: Trip) -> bool:
+    return train_of(one).name == train_of(other).name
+
+
+def _masses(driver: TripCost, followed: TripCost) -> str:
+    tonnes, own = (f"{each.mass / 1e3:.1f} t" for each in (driver, followed))
+    return (
+        f"'{followed.name}' followed a plan for the train of its file, at {own};"
+        f" '{driver.name}' ran at {tonnes}"
+    )
 
 
 def _that_followed(trips: Sequence[tuple[Trip, Recorded]]) -> list[tuple[Trip, Recorded]]:
@@ -389,7 +414,7 @@ def savings_table(found: GroupComparison) -> Group:
     words = f"Saved on {counted(len(pairs), 'trip')}:"
     words += f" {kwh(saved)} of {kwh(spent)}, {saved / spent:.1%};"
     words += f" {kwh(sum(pair.line for pair in pairs))} from the line; {running_times(found)}."
-    return Group(table, words)
+    return Group(table, words, *(f"{remark}." for remark in found.remarks))
 
 
 def _mean(costs: Sequence[TripCost]) -> str:

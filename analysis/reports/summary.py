@@ -15,7 +15,7 @@ from analysis.comparison.groups import compare_groups, punctuality, running_time
 from analysis.tables import as_page, kwh, new_table, overspeed, with_band
 from analysis.truth import Truth, curve_error, map_error, truth_of
 from trainlog.display import as_text, counted, lateness, span
-from trainlog.errors import InputError
+from trainlog.errors import InputError, LogError
 from trainlog.formats.condition import read_map
 from trainlog.formats.files import LOOKED_AT
 from trainlog.formats.line import read_line
@@ -231,7 +231,10 @@ def _saved(folder: Path, logs: Sequence[Path]) -> tuple[str, str, str] | None:
     followed = sorted(folder.glob("*.mcap"))
     if not (followed and logs):
         return None
-    found = compare_groups(logs, followed)
+    try:
+        found = compare_groups(logs, followed)
+    except LogError as refused:
+        return "energy saved", f"not compared: {refused.problem}", str(folder)
     pairs, (driver, saved) = found.pairs, found.total_saved
     words = (
         f"{kwh(saved / len(pairs))} a trip, {saved / driver:.1%} of the drivers' tractive energy"

@@ -23,6 +23,9 @@ AccelerationLimits = Literal["gross", "net"]
 POWER_OF_FILE = "train file"
 """Where the power of a configuration is from that no trip showed (`ParameterSet.details`)."""
 
+NOMINAL = "nominal"
+"""Configuration of a train as its file describes it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Axles:
@@ -417,7 +420,7 @@ class Configuration:
         return self.mass + self.rotating_mass
 
     @staticmethod
-    def of(train: Train, load: float = 0.0, name: str = "nominal") -> Configuration:
+    def of(train: Train, load: float = 0.0, name: str = NOMINAL) -> Configuration:
         """The configuration that the train's own file describes, with `load` [kg].
 
         Examples
