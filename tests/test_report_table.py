@@ -97,6 +97,7 @@ def test_what_cannot_be_compared_is_stated_among_the_results(tmp_path: Path) -> 
     rows = {subject: words for subject, words, _ in report(tmp_path).rows}
     assert rows["recorded"].startswith("1 trip")
     assert rows["energy saved"].startswith("not compared: no trip that followed the trajectory")
+    assert "not summed up: trip 'driven' followed no trajectory" in rows["following"]
 
 
 def test_results_of_any_name_are_summed_up_by_their_format(tmp_path: Path) -> None:

@@ -249,7 +249,11 @@ def _followed(folder: Path) -> tuple[str, str, str] | None:
     for name, how in (("driven", "with the map"), ("driven-blind", "without")):
         logs = sorted((folder / name).glob("*.mcap"))
         if logs:
-            found = punctuality(logs)
+            try:
+                found = punctuality(logs)
+            except LogError as refused:
+                words.append(f"{how} not summed up: {refused.problem}")
+                continue
             words.append(
                 f"{how} at most {abs(found.late):.1f} s from the trajectory on arrival, slip"
                 f" protection acts {'?' if found.slips is None else found.slips} times on"
