@@ -184,7 +184,8 @@ def _recorded(path: Path, head: bytes) -> Contents:
             raise InputError(
                 "is text of no format that trainlog knows",
                 file=path,
-                remedy="give a table, a recorder's file, or a file that trainlog made",
+                remedy="give a table, a recorder's file, or a file that trainlog made; 'trainlog"
+                " import' takes those of TTOBench, OSRD and railtoolkit",
             )
         text = open_text(path, FileOptions(delimiter=mark, decimal="." if mark == "," else ",",
                                            encoding="latin-1"))  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -14,8 +15,10 @@ from trajectory_cases import FLIRT, hilly_line, observed, optimised
 
 from analysis.trajectory import active_set, optimiser
 from analysis.trajectory.plot import _title
-from analysis.trajectory.table import trajectory_table
+from analysis.trajectory.table import at_most, trajectory_table
+from trainlog.cli.main import run
 from trainlog.errors import InfeasibleError, InputError
+from trainlog.formats.samples import sample
 from trainlog.formats.trajectory import read_trajectory, write_trajectory
 from trainlog.railway import Trajectory
 
@@ -92,3 +95,18 @@ def test_a_set_that_cannot_be_planned_for_comes_with_a_remedy() -> None:
         optimised(hilly_line(), FLIRT, [])
     with pytest.raises(InputError, match="are called 'x1'; give each a name"):
         optimised(hilly_line(), FLIRT, [*one, *one])
+
+
+def test_a_bound_is_rounded_up() -> None:
+    assert at_most(0.000141, 2) == "0.02%"
+    assert at_most(0.0002, 2) == "0.02%"
+    assert at_most(0.0, 2) == "0.00%"
+
+
+def test_limits_for_a_train_without_length_are_refused(tmp_path: Path) -> None:
+    content = json.loads(sample("CH_Stadler_FLIRT_TPF.train.json").read_text("utf-8"))
+    del content["length"]
+    (tmp_path / "short.train.json").write_text(json.dumps(content))
+    arguments = ["optimise", "--train", str(tmp_path / "short.train.json"), "--protect", "train"]
+    with pytest.raises(InputError, match="not known; state its length in the train's file"):
+        run([*arguments, "-o", str(tmp_path / "a.json")])

@@ -26,7 +26,7 @@ from analysis.tables import kwh, new_table, overspeed, with_band
 from analysis.trajectory.advice import driver_table, journey_advice
 from analysis.trajectory.phases import Phase
 from analysis.trajectory.plot import COLOURS, draw_trajectory
-from analysis.trajectory.table import trajectory_table
+from analysis.trajectory.table import at_most, trajectory_table
 from analysis.verification.plot import draw_score
 from analysis.verification.scoring import score_rolling
 from analysis.verification.table import score_table
@@ -494,8 +494,8 @@ def certificate_words(trajectory: Trajectory) -> list[str]:
         f" {lateness(audit['lateness'])} in {clock(trajectory.running_time)}, {limits}, and at most"
         f" {audit['power']:.0%} of the power is used.",
         f"The plan takes {kwh(certificate['energy'])} ({trajectory.energy_label}). No {which_ones}"
-        f" that keeps the same time could take less than {kwh(bound)}: it is at most {gap:.2%}"
-        " above the best.",
+        f" that keeps the same time could take less than {kwh(bound)}: it is at most"
+        f" {at_most(gap, 2)} above the best.",
     ]
 
 

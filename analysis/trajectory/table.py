@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -136,7 +137,19 @@ def _gap(trajectory: Trajectory) -> str:
     if "total_gap" not in certificate:
         return f"{own}; what the cells cost is not known"
     total, cells = certificate["total_gap"], certificate["cells_cost"]
-    return f"{total:.3%} in all: {own}, {cells:.3%} for the cells"
+    words = f"{at_most(total, 3)} in all: {own}, {cells:.3%} for the cells"
+    return words if certificate["certified"] else f"{words}; not certified"
+
+
+def at_most(share: float, digits: int) -> str:
+    """A bound as a percentage, rounded up.
+
+    Examples
+    --------
+    >>> at_most(0.000141, 2)
+    '0.02%'
+    """
+    return f"{math.ceil(round(share * 10 ** (digits + 2), 6)) / 10 ** (digits + 2):.{digits}%}"
 
 
 def front_table(front: Front) -> Table:

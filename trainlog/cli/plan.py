@@ -52,7 +52,8 @@ def optimise(
     reserve: Annotated[
         float | None,
         typer.Option(
-            help="Without --running-time: reserve over the least time in per cent; default: 7."
+            min=0.0,
+            help="Without --running-time: reserve over the least time in per cent; default: 7.",
         ),
     ] = None,
     as_fast_as: Annotated[
@@ -129,8 +130,9 @@ def optimise(
     time_limit: Annotated[
         float | None,
         typer.Option(
+            min=0.1,
             help="Seconds after which the best that was found is taken, with its gap; what has"
-            " begun is finished. Of each section, with --journey."
+            " begun is finished. Of each section, with --journey.",
         ),
     ] = None,
     referee: Annotated[
@@ -174,6 +176,11 @@ def optimise(
         _refuse("--risk says how cautiously the map is read", {"--sigmas": sigmas})
     the_line, the_train = line_and_train(line, train)
     observed = _configurations(parameters, the_train, load)
+    if protect == "train" and not the_train.length:
+        raise InputError(
+            f"--protect train: the length of {the_train.name} is not known",
+            remedy="state its length in the train's file",
+        )
     if as_fast_as is not None:
         running_time = fastest_nonstop(logs_in([as_fast_as]), the_line)
     if reverse:

@@ -427,7 +427,8 @@ def import_(
     files: Annotated[
         list[Path],
         typer.Argument(
-            help="Of TTOBench or OSRD (JSON), of railtoolkit (YAML); or a train file, with a curve."
+            help="Of TTOBench (JSON), rolling stock of OSRD (JSON), of railtoolkit (YAML); or a"
+            " train file, with a curve."
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the files.")],
@@ -469,7 +470,10 @@ def import_(
         typer.Option(help="Of a line: 0.6/R; Roeckl's 0.65/(R - 55); 0.5/(R - 30)."),
     ] = None,
 ) -> None:
-    """Turn tracks, trains and journeys of TTOBench, OSRD and railtoolkit into trainlog's files.
+    """Turn lines, trains and journeys of other programs into trainlog's files.
+
+    Tracks, trains and journeys of TTOBench; rolling stock of OSRD; rolling stock and running paths
+    of railtoolkit.
 
     Line and train files of trainlog are taken with an option that changes them.
 
