@@ -167,7 +167,7 @@ def passport(trip: Given, fleet: Iterable[Passport] = ()) -> Passport:
     >>> bool(abs(found.axle_effort_ratio.value - 1.0) < 0.01)
     True
     """
-    trip = trip_of(trip, TOPICS)
+    trip = trip_of(trip, (*TOPICS, "/environment"))
     stored = passport_of(trip)
     return estimated_passport(trip, fleet) if stored is None else stored
 

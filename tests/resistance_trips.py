@@ -87,6 +87,7 @@ def recording(
     return Recording(
         time=time,
         speed=measured,
+        air_square=measured**2,
         effort=effort,
         braking=nothing,
         rotating_momentum=TRAIN.rotating_mass * speed,

@@ -1,27 +1,24 @@
 """A trip reduced to what a comparison by position needs.
 
-Speed, position and cumulated work on one clock of at most ten samples a second, stands apart from
-the running time. Long logs are read in pieces, and only the columns that are used.
+Speed, position and cumulated work on one clock (`analysis.comparison.reading`), stands apart from
+the running time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
 
 from analysis.adhesion.events import protection_onsets
-from analysis.given import Given, trip_of
+from analysis.comparison.reading import EFFORTS, Samples, described, samples_of
+from analysis.given import Given
 from trainlog.along_line import (
     GAP_DISTANCE,
     LONGEST_GAP,
-    POSITION_SOURCES,
     TimeDistance,
     forward_chainage,
     planned_time_distance,
@@ -30,22 +27,15 @@ from trainlog.display import counted
 from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import line_of, passport_of, recorded_load, train_of
 from trainlog.mcap import read_log
-from trainlog.mcap.reader import stream_log
 from trainlog.railway import Line, Train, Trajectory
 from trainlog.railway.passport import Quantity
-from trainlog.resampling import joined_pieces
 from trainlog.spans import runs_of
 from trainlog.topics import (
-    ENVIRONMENT,
     EVENTS,
-    REFERENCE,
     STANDSTILL,
-    TRAIN_CONTROLS,
     TRAIN_SLIP_PROTECTION,
-    TRAIN_STATE,
-    TRAIN_SUPPLY,
 )
-from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, seconds
+from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 from trainlog.units import NANOSECONDS
 
 FloatArray = NDArray[np.float64]
@@ -59,12 +49,6 @@ STANDING_ESTIMATE = 0.3
 
 STATION_REACH = 200.0
 """A train that stands so near to a station's chainage [m] has stopped there."""
-
-SAMPLING = 0.1
-"""Least time between two samples that are kept [s]; work is summed over all of them."""
-
-ROWS = 250_000
-"""Rows of a piece."""
 
 NOTED_SETBACK, LARGEST_SETBACK = 2.0, 200.0
 """Metres by which recorded chainage runs backwards that are stated, and that are refused."""
@@ -86,22 +70,6 @@ SLIP_LASTS = 2.0
 """Time after an onset [s] that counts as slip where only onsets are recorded."""
 
 UNKNOWN = Quantity(float("nan"), float("nan"), "assumed", "nothing states it")
-
-_WORKS = {
-    "tractive_effort": "traction",
-    "dynamic_braking_effort": "dynamic_braking",
-    "pneumatic_braking_effort": "pneumatic_braking",
-}
-_EFFORTS = tuple(_WORKS)
-
-COLUMNS: dict[str, tuple[str, ...]] = {
-    TRAIN_CONTROLS.name: (*_EFFORTS, "tractive_effort_demand", "lever"),
-    ENVIRONMENT.name: ("speed_limit",),
-    REFERENCE.name: ("speed", "lateness"),
-    TRAIN_SLIP_PROTECTION.name: ("active",),
-    TRAIN_SUPPLY.name: ("line_voltage", "line_current"),
-}
-"""What is read beside speed and position, where it is recorded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,7 +238,7 @@ def driven_trip(given: Given, line: Line | None = None) -> DrivenTrip:
     bare = described(given)
     travelled = _line_as_travelled(bare, line)
     train = train_of(bare) if TRAIN_ATTACHMENT in bare.attachments else None
-    table = _table(given, bare)
+    table = samples_of(given, bare)
     mass, gain = _mass_and_gain(bare, train)
     parts = _Reduction(bare, travelled, train, gain).reduced(table)
     slips = _onsets(given, parts)
@@ -334,20 +302,6 @@ def station_at(line: Line, position: float, reach: float = STATION_REACH) -> str
     return line.stations[nearest].name if near else ""
 
 
-def described(given: Given) -> Trip:
-    """The trip; of a log, its topics without rows."""
-    if isinstance(given, Trip):
-        return given
-    never = (pd.Timestamp(0, tz="UTC"), pd.Timestamp(0, tz="UTC"))
-    if Path(given).is_dir():
-        return trip_of(given)  # which refuses it
-    return read_log(given, [*dict(_states()), *COLUMNS], time=never)
-
-
-def _states() -> list[tuple[str, str]]:
-    return [(source[0], source[1]) for source in POSITION_SOURCES[:2]]
-
-
 def _line_as_travelled(bare: Trip, line: Line | None) -> Line:
     """The line in the direction of travel: the given one, or the trip's own."""
     if line is None:
@@ -366,127 +320,6 @@ def _line_as_travelled(bare: Trip, line: Line | None) -> Line:
     return line.reversed() if bare.metadata.get("direction") == "reverse" else line
 
 
-def _table(given: Given, bare: Trip) -> _Table:
-    """Speed, position and what else is recorded, on the clock of the position."""
-    present = {
-        topic: [name for name in names if name in bare[topic]]
-        for topic, names in COLUMNS.items()
-        if topic in bare
-    }
-    present = {topic: names for topic, names in present.items() if names}
-    for state, _ in _states():
-        if state not in bare or "position" not in bare[state]:
-            continue
-        chosen: dict[str, Iterable[str]] = {state: ["speed", "position"], **present}
-        gathered = _Gathered()
-        for table in joined_pieces(
-            pieces_of(given, chosen),
-            [f"{topic}.{name}" for topic, names in chosen.items() for name in names],
-            state,
-            max_gap=None,
-        ):
-            gathered.add(table)
-        if gathered.rows:
-            return gathered.table(state)
-    raise LogError(
-        f"trip '{bare.name}' knows no chainage",
-        place="topics /estimates/state and /train/state",
-        remedy="ingest it with its line (--line), which finds the chainage of its fixes",
-    )
-
-
-def pieces_of(given: Given, columns: Mapping[str, Iterable[str]]) -> Iterable[Trip]:
-    """Some columns of a trip; of a log, piece by piece."""
-    return [given] if isinstance(given, Trip) else stream_log(given, columns, rows=ROWS)
-
-
-@dataclass(frozen=True, eq=False)
-class _Table:
-    """Thinned samples; works are cumulated over all samples."""
-
-    origin: int
-    estimated: bool
-    time: FloatArray
-    values: dict[str, FloatArray]
-    sums: dict[str, FloatArray]
-
-
-class _Gathered:
-    """Sums a trip that comes in pieces, and keeps a sample every `SAMPLING` seconds."""
-
-    def __init__(self) -> None:
-        self.rows = 0
-        self._origin: pd.Timestamp | None = None
-        self._kept: list[pd.DataFrame] = []
-        self._last: pd.DataFrame | None = None
-        self._totals = pd.Series(dtype=np.float64)
-
-    def add(self, table: pd.DataFrame) -> None:
-        """Add rows; those without speed or position are passed over."""
-        names = {name: _short(name) for name in table.columns}
-        frame = table.rename(columns=names)
-        known = np.isfinite(frame["position"].to_numpy())
-        frame = frame[known]
-        if frame.empty:
-            return
-        if self._origin is None:
-            self._origin = pd.Timestamp(frame.index[0])
-        time = seconds(frame, self._origin)
-        frame = frame.reset_index(drop=True).assign(time=time)
-        if self._last is not None:
-            frame = pd.concat([self._last, frame], ignore_index=True)
-        sums = _integrals(frame)
-        if self._last is not None:
-            sums = sums.iloc[1:] + self._totals
-            frame = frame.iloc[1:]
-        self._last, self._totals = frame.iloc[-1:], sums.iloc[-1]
-        merged = pd.concat([frame, sums], axis=1)
-        ticks = np.floor(merged["time"].to_numpy() / SAMPLING + 1e-6)
-        first = np.concatenate(([True], np.diff(ticks) > 0.0))
-        self.rows += int(first.sum())
-        self._kept.append(merged[first])
-
-    def table(self, state: str) -> _Table:
-        """What was gathered."""
-        if self._origin is None:
-            raise LogError("no samples")
-        whole = pd.concat(self._kept, ignore_index=True)
-        # One row each: the first of a piece may repeat the tick of the one before.
-        whole = whole[np.diff(whole["time"].to_numpy(), prepend=-1.0) > 0.0]
-        columns = {name: whole[name].to_numpy(dtype=np.float64) for name in whole.columns}
-        sums = {name[1:]: columns.pop(name) for name in list(columns) if name.startswith("∫")}
-        origin = int(self._origin.as_unit("ns").value)
-        return _Table(origin, state != TRAIN_STATE.name, columns.pop("time"), columns, sums)
-
-
-def _short(name: str) -> str:
-    """Name of a column without its topic, unless two topics have it."""
-    topic, _, column = name.rpartition(".")
-    return f"reference_{column}" if topic == REFERENCE.name else column
-
-
-def _integrals(frame: pd.DataFrame) -> pd.DataFrame:
-    """Work since the frame's first row by the trapezoidal rule, and time without efforts."""
-    time, speed = frame["time"].to_numpy(), np.nan_to_num(frame["speed"].to_numpy())
-    found: dict[str, FloatArray] = {}
-
-    def integral(values: FloatArray) -> FloatArray:
-        steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time)
-        return np.concatenate(([0.0], np.cumsum(steps)))
-
-    for effort in _EFFORTS:
-        if effort in frame:
-            values = frame[effort].to_numpy(dtype=np.float64)
-            found[f"∫{_WORKS[effort]}"] = integral(np.nan_to_num(values) * speed)
-            if effort == "tractive_effort":
-                found["∫unknown_effort"] = integral((~np.isfinite(values)).astype(np.float64))
-    if "line_voltage" in frame and "line_current" in frame:
-        power = frame["line_voltage"].to_numpy() * frame["line_current"].to_numpy()
-        found["∫supply"] = integral(np.nan_to_num(power))
-        found["∫unknown_supply"] = integral((~np.isfinite(power)).astype(np.float64))
-    return pd.DataFrame(found, index=frame.index)
-
-
 @dataclass(frozen=True, eq=False)
 class _Reduction:
     """From thinned samples to a trip between its first departure and last arrival."""
@@ -496,7 +329,7 @@ class _Reduction:
     train: Train | None
     gain: Quantity
 
-    def reduced(self, table: _Table) -> DrivenTrip:
+    def reduced(self, table: Samples) -> DrivenTrip:
         speed = self._speed(table)
         recorded, spikes = self._without_spikes(table, speed)
         position, notes = self._chainage(recorded)
@@ -588,7 +421,7 @@ class _Reduction:
             )
         return position, notes
 
-    def _without_spikes(self, table: _Table, speed: FloatArray) -> tuple[FloatArray, list[str]]:
+    def _without_spikes(self, table: Samples, speed: FloatArray) -> tuple[FloatArray, list[str]]:
         """Chainage without samples far off their neighbours, and how many there were."""
         recorded = table.values["position"]
         steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(table.time)
@@ -602,7 +435,7 @@ class _Reduction:
         note = f"chainage: {counted(int(spikes.sum()), 'sample')} far off left out"
         return np.where(spikes, run + usual, recorded), [f"{note}, first at km {where / 1e3:.3f}"]
 
-    def _speed(self, table: _Table) -> FloatArray:
+    def _speed(self, table: Samples) -> FloatArray:
         """Recorded speed; where it is not known, between its neighbours."""
         speed = table.values["speed"]
         known = np.isfinite(speed)
@@ -612,7 +445,7 @@ class _Reduction:
         return np.interp(table.time, table.time[known], np.maximum(speed[known], 0.0))
 
     def _stands(
-        self, table: _Table, position: FloatArray, speed: FloatArray
+        self, table: Samples, position: FloatArray, speed: FloatArray
     ) -> list[tuple[int, int]]:
         """First and last sample of each stand that lasts."""
         slow = speed <= (STANDING_ESTIMATE if table.estimated else STANDSTILL)
@@ -628,7 +461,7 @@ class _Reduction:
         ]
 
     def _doubtful(
-        self, table: _Table, recorded: FloatArray, speed: FloatArray
+        self, table: Samples, recorded: FloatArray, speed: FloatArray
     ) -> tuple[BoolArray, list[str]]:
         """Samples before which a position is missing or jumps, and what they are."""
         step, moved = np.diff(table.time), np.diff(recorded)
@@ -645,7 +478,7 @@ class _Reduction:
         ]
         return np.concatenate(([False], gap | jump)), notes
 
-    def _flags(self, table: _Table, speed: FloatArray) -> dict[str, BoolArray]:
+    def _flags(self, table: Samples, speed: FloatArray) -> dict[str, BoolArray]:
         """What the train did at each sample."""
         values, found = table.values, dict[str, BoolArray]()
         active = values.get("active")
@@ -655,7 +488,7 @@ class _Reduction:
         if effort is None or not np.isfinite(effort).any():
             return found
         effort = np.nan_to_num(effort)
-        braking = [np.nan_to_num(values[name]) for name in _EFFORTS[1:] if name in values]
+        braking = [np.nan_to_num(values[name]) for name in EFFORTS[1:] if name in values]
         largest = float(np.max(effort)) if self.train is None else self.train.max_tractive_effort
         idle = np.maximum.reduce([np.abs(effort), *map(np.abs, braking)]) < COASTING_SHARE * largest
         found["coasting"] = idle & (speed > 1.0)

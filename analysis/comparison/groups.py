@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from rich.console import Group
 
 from analysis.adhesion.events import protection_onsets
-from analysis.comparison.driven import described, driven_trip, pieces_of
+from analysis.comparison.driven import driven_trip
+from analysis.comparison.reading import described, pieces_of
 from analysis.given import Given, each_given
 from analysis.tables import kwh, new_table
 from trainlog.display import as_text, counted

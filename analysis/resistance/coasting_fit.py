@@ -273,9 +273,11 @@ def coasting_recording(
     nothing = np.zeros(time.size)
     usable = motion.usable & np.isfinite(motion.position)
     between = np.interp(time, motion.time, usable.astype(np.float64))
+    speed = np.interp(time, motion.time, motion.speed)
     return Recording(
         time=time,
-        speed=np.interp(time, motion.time, motion.speed),
+        speed=speed,
+        air_square=speed**2,
         effort=-line.track_acceleration(position, strip_length),
         braking=nothing,
         rotating_momentum=nothing,

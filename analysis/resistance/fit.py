@@ -47,7 +47,7 @@ from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
 
-TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion")
+TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion", "/environment")
 """What is read of each log."""
 
 LOWEST_SPEED = 10.0
@@ -277,17 +277,25 @@ def curve_words(fit: Curve) -> str:
     )
 
 
-def fit_trip(trip: Given, speeds: tuple[float, float] | None = None) -> TripFit:
+def fit_trip(
+    trip: Given,
+    speeds: tuple[float, float] | None = None,
+    *,
+    largest_std: float = LARGEST_STD,
+) -> TripFit:
     """Fit running resistance and mass to a trip.
 
     Parameters
     ----------
     trip : Trip or path
         A trip at hand, or a log, with ``/train/state`` and ``/train/controls``, its line and its
-        train; ``/train/axles`` and ``/gnss/motion`` make the fit sharper.
+        train; ``/train/axles`` and ``/gnss/motion`` make the fit sharper. A head wind in ``/environment``
+        is a part of the speed that the quadratic term counts: the curve is that of calm air.
     speeds : (float, float) [m/s], optional
         Speeds between which the curve is asked for, at most the highest that the line or the
         train allows; default 10 m/s to the line's highest speed that the train can do.
+    largest_std : float, optional
+        Standard deviation over the curve, at any of these speeds, beyond which a trip is refused.
 
     Returns
     -------
@@ -317,7 +325,7 @@ def fit_trip(trip: Given, speeds: tuple[float, float] | None = None) -> TripFit:
     known = effort_passport(trip)
     corrected = with_calibrated_efforts(trip, known)
     evidence = Evidence.of([part_of(corrected, line, train, scale, origin)])
-    fit = fit_evidence(evidence, known, line, train, scale, origin, speeds)
+    fit = fit_evidence(evidence, known, line, train, scale, origin, speeds, largest_std)
     return replace(fit, identity=text_of(identity_of(trip)))
 
 
@@ -362,6 +370,7 @@ def fit_evidence(
     scale: SpeedScale,
     origin: pd.Timestamp,
     speeds: tuple[float, float] | None = None,
+    largest_std: float = LARGEST_STD,
 ) -> TripFit:
     """Fit what a trip says; see `fit_trip`, which is this for a trip at hand.
 
@@ -375,6 +384,7 @@ def fit_evidence(
     origin : Timestamp
         From which the times of the evidence count.
     speeds : (float, float) [m/s], optional
+    largest_std : float, optional
 
     Raises
     ------
@@ -401,7 +411,7 @@ def fit_evidence(
         ) from error
     gain_std = known.effort_gain.std / known.effort_gain.value
     covariance = _with_scale(regression, scale)
-    _check_curve(name, regression, covariance, asked, timeline)
+    _check_curve(name, regression, covariance, asked, timeline, largest_std)
     covariance = _with_gain(regression.beta, covariance, gain_std)
     used = windows.select(regression.kept)
     merged = used.merged()
@@ -588,6 +598,7 @@ def _check_curve(
     covariance: FloatArray,
     asked: tuple[float, float],
     timeline: Timeline,
+    largest_std: float,
 ) -> None:
     if regression.condition > LARGEST_CONDITION:
         raise TripRefusedError(
@@ -603,12 +614,12 @@ def _check_curve(
     curve = RunningResistance(*regression.beta[:3].tolist())(speed)
     share = np.where(curve > 0.0, std / np.maximum(curve, 1e-9), np.inf)
     worst = int(np.argmax(share))
-    if share[worst] > LARGEST_STD:
+    if share[worst] > largest_std:
         known = f"{100.0 * share[worst]:.0f} %" if np.isfinite(share[worst]) else "the whole"
         raise TripRefusedError(
             "excitation",
             f"trip '{name}': at {KMH * speed[worst]:.0f} km/h the curve is known to {known}"
-            f" of itself only (standard deviation, at most {100.0 * LARGEST_STD:.0f} %)",
+            f" of itself only (standard deviation, at most {100.0 * largest_std:.0f} %)",
             remedy="ask for a narrower range of speeds, or give a longer or more varied trip",
             timeline=timeline,
         )

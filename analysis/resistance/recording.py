@@ -183,6 +183,9 @@ class Recording:
         Strictly increasing.
     speed : array [m/s]
         Measured, true to scale.
+    air_square : array [m²/s²]
+        Square of the speed through the air, negative where the wind is faster from behind; that of
+        `speed` where no wind is recorded.
     effort : array [N]
         At the wheel rims: traction less braking less what tunnels add to the resistance.
     braking : array [N]
@@ -203,6 +206,7 @@ class Recording:
 
     time: FloatArray
     speed: FloatArray
+    air_square: FloatArray
     effort: FloatArray
     braking: FloatArray
     rotating_momentum: FloatArray
@@ -254,7 +258,8 @@ def prepare(
     Parameters
     ----------
     trip : Trip
-        With ``/train/state`` and ``/train/controls``; ``/train/axles`` and ``/gnss/motion`` help.
+        With ``/train/state`` and ``/train/controls``; ``/train/axles`` and ``/gnss/motion`` help,
+        and so does a head wind in ``/environment``.
     line : Line
         As travelled.
     train : Train
@@ -308,6 +313,7 @@ def prepare(
     recording = Recording(
         time=time,
         speed=speed,
+        air_square=_air_square(trip, index, speed),
         effort=traction - dynamic - np.nan_to_num(pneumatic) - tunnel * speed**2,
         braking=dynamic,
         rotating_momentum=_rotating_momentum(train, speed, wheels),
@@ -318,6 +324,31 @@ def prepare(
         usable=~bad,
     )
     return Prepared(recording, index, scale, smooth, position, masks)
+
+
+def _air_square(trip: Trip, index: pd.DatetimeIndex, speed: FloatArray) -> FloatArray:
+    """Square of the speed through the air [m²/s²], with its sign."""
+    wind = recorded_head_wind(trip, index)
+    if wind is None:
+        return np.asarray(speed**2)
+    return np.asarray((speed + wind) * np.abs(speed + wind))
+
+
+def recorded_head_wind(trip: Trip, index: pd.DatetimeIndex) -> FloatArray | None:
+    """Recorded head wind [m/s] at some times; its mean where it is missing.
+
+    None where less than half of it is recorded: the rest may be unlike.
+    """
+    frame = trip["/environment"] if "/environment" in trip else None
+    if frame is None or "head_wind" not in frame or len(frame) < 2:
+        return None
+    if not np.isfinite(frame["head_wind"].to_numpy()).any():
+        return None
+    wind = interpolated(frame, "head_wind", index)
+    known = np.isfinite(wind)
+    if 2 * int(known.sum()) < known.size:
+        return None
+    return np.where(known, wind, wind[known].mean())
 
 
 def check_recorded(trip: Trip, *, part: bool = False) -> None:

@@ -63,7 +63,8 @@ class Windows:
     y : (n,) array [m/s]
         Speed change plus integral of the track's deceleration.
     x : (n, 4) array
-        Impulse of the effort [N s], and minus the integrals of 1, v and v².
+        Impulse of the effort [N s], and minus the integrals of 1, v and v² (of a
+        speed through the air, where wind is recorded).
     end_speed : (n,) array [m/s]
         Averaged at the end.
     braking : (n,) array [N s]
@@ -206,7 +207,7 @@ def build_windows(recording: Recording, width: float | None = None) -> Windows:
                 recording.effort,
                 np.ones(time.size),
                 recording.speed,
-                recording.speed**2,
+                recording.air_square,
                 recording.track,
                 recording.braking,
             ]
