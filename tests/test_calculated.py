@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.comparison.calculated import calculate
+from analysis.comparison.calculated import Calculation, calculate, judged_together
 from analysis.comparison.calculated_table import calculation_figure, calculation_tables
+from analysis.resistance import fit_trip
 from analysis.tables import as_page
 from trainlog import read_line, read_train
 from trainlog.cli import main as cli
@@ -19,7 +20,7 @@ from trainlog.errors import InputError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import write_train
 from trainlog.mcap import read_log
-from trainlog.railway import Configuration, ParameterSet, Train
+from trainlog.railway import Configuration, ParameterSet, RunningResistance, Train
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.simulation.scenario import Scenario
 from trainlog.trip import Trip
@@ -76,16 +77,80 @@ def test_the_true_model_calculates_the_true_work_and_time() -> None:
         np.diag(np.array([OWN.r0, OWN.r1, OWN.r2]) * 0.005) ** 2,
         (0.0, 40.0),
     )
-    found = calculate(driven(), sure)
+    found = calculate(driven(), sure, wind_std=3.0)
     assert found.outside == []
     assert found.total("calculated_work") == pytest.approx(true_work(driven()), rel=0.01)
     assert 1.96 * found.total_std("work_std") < 0.3 * true_work(driven())
+    calm = calculate(driven(), sure, wind_std=0.0)
+    assert calm.outside == []
+    assert calm.total_std("time_std") < 0.6 * found.total_std("time_std")
 
 
-@pytest.mark.parametrize("name", ["r0", "r1", "r2"])
+def wrong_file(name: str) -> Train:
+    return replace(TRAIN, resistance=replace(OWN, **{name: 4.0 * getattr(OWN, name)}))
+
+
+WIND = 6.0
+
+
+@cache
+def windy(recorded: bool) -> Trip:
+    """The same trip against a head wind, of which a recorder may keep what it measures."""
+    own = scenario().resistance
+    against = RunningResistance(own.r0 + own.r2 * WIND**2, own.r1 + 2.0 * own.r2 * WIND, own.r2)
+    trip = simulate(replace(scenario(), resistance=against)) if not recorded else windy(False)
+    if not recorded:
+        return trip
+    frame = trip["/environment"]
+    rng = np.random.default_rng(5)
+    changed = frame.assign(head_wind=WIND - 0.6 + 1.5 * rng.standard_normal(len(frame)))
+    changed.attrs = frame.attrs
+    return trip.with_topic(changed)
+
+
+@cache
+def against_the_file(recorded: bool) -> Calculation:
+    return calculate(windy(recorded), TRAIN)
+
+
+def test_a_wind_that_is_not_recorded_is_no_error_of_the_file() -> None:
+    unknown, known = against_the_file(False), against_the_file(True)
+    assert unknown.diagnosis.wrong == known.diagnosis.wrong == ()
+    assert unknown.outside == known.outside == []
+    assert "head wind not recorded" in as_page(*calculation_tables(unknown))
+
+
+def test_a_recorded_wind_makes_bands_narrower_and_times_truer() -> None:
+    unknown, known = against_the_file(False), against_the_file(True)
+    assert known.total_std("time_std") < 0.6 * unknown.total_std("time_std")
+    off = [abs(each.total("calculated_time") - each.total("time")) for each in (unknown, known)]
+    assert off[1] < 0.4 * off[0]
+    fits = [fit_trip(windy(recorded)).resistance for recorded in (False, True)]
+    truth = scenario().resistance(25.0)
+    assert abs(fits[1](25.0) - truth) < 0.4 * abs(fits[0](25.0) - truth)
+
+
+def test_a_linear_term_is_separated_from_wind_where_wind_is_recorded() -> None:
+    """Four times the linear term is to one trip a head wind of 8 m/s."""
+    wrong = wrong_file("r1")
+    assert calculate(windy(True), wrong).diagnosis.wrong[0].name == "r1"
+
+
+def test_trips_together_contradict_what_one_leaves_open() -> None:
+    logs = [sample("stopping.mcap"), sample("nonstop.mcap")]
+    trips = [calculate(log, wrong_file("r2")) for log in logs]
+    together = judged_together(trips)
+    assert [each.name for each in together.wrong] == ["r2"]
+    assert together.trips == 2
+    stds = [each.diagnosis.wrong[0].std for each in trips]
+    assert together.wrong[0].std < max(stds)
+    with pytest.raises(InputError, match="one train"):
+        judged_together([])
+
+
+@pytest.mark.parametrize("name", ["r0", "r2"])
 def test_a_coefficient_that_is_four_times_too_large_is_named(name: str) -> None:
-    wrong = replace(TRAIN, resistance=replace(OWN, **{name: 4.0 * getattr(OWN, name)}))
-    found = calculate(driven(), wrong)
+    found = calculate(driven(), wrong_file(name), wind_std=3.0)
     (named,) = found.diagnosis.wrong
     assert named.name == name
     assert named.factor - 1.96 * named.std < 4.0 < named.factor + 2.5 * named.std
@@ -117,7 +182,7 @@ def test_without_efforts_the_energy_is_calculated_with_a_band_that_holds_the_tru
     topics = {
         k: v for k, v in driven().topics.items() if k not in ("/train/controls", "/train/axles")
     }
-    found = calculate(replace(driven(), topics=topics), TRAIN)
+    found = calculate(replace(driven(), topics=topics), TRAIN, wind_std=3.0)
     assert not found.efforts
     assert found.table["work"].isna().all()
     energy = true_work(driven())

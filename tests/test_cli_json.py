@@ -53,13 +53,16 @@ optimise parameters.json --cells 60 -o trajectory.json
 settings show
 show sample_logs/nonstop.mcap
 cut sample_logs/nonstop.mcap -o part.mcap --km 3:5
+cut sample_logs/nonstop.mcap -o rest.mcap --km 5:8
+merge part.mcap rest.mcap -o whole-again.mcap
 convert part.mcap -o part.parquet
 compare sample_logs
+compare sample_logs/nonstop.mcap --calculated sample_logs/CH_Stadler_FLIRT_TPF.train.json
 advise sample_logs/nonstop.mcap --trajectory trajectory.json -o advised.mcap
 """
 """Run one after the other, with the samples at hand."""
 
-NAMED = {"layers", "repairs", "counts", "rms", "topics", "metadata", "rows"}
+NAMED = {"layers", "repairs", "counts", "rms", "topics", "metadata", "rows", "explained"}
 """Keys of objects whose own keys are names that the data give."""
 
 Schema = dict[str, Any]
@@ -185,7 +188,8 @@ PURE = {
     *("chunks", "messages_lost", "losses_beyond", "start", "end", "rows_read", "rows_kept", "gap"),
     *("maximum", "maximum_std", "points", "optimal_slip", "probability", "share_of_power", "bins"),
     *("share_of_adhesion", "over_weight_std", "speed", "optimal_band"),
-    *("coasting", "covered", "slips"),
+    *("coasting", "covered", "slips", "factor", "factor_std", "false_alarms", "judged_trips"),
+    "explained",
 }
 """Numbers without a unit, beside those of the commands of the map."""
 

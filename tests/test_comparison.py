@@ -23,12 +23,13 @@ from trainlog.errors import InputError
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log, write_log
-from trainlog.railway import Line, StepProfile
+from trainlog.railway import Configuration, Line, StepProfile, Trajectory
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.simulation.drivers import Habits, Stop, plan
 from trainlog.simulation.scenario import Scenario
 from trainlog.spans import runs_of
-from trainlog.trip import LINE_ATTACHMENT, Trip
+from trainlog.topics import TRAIN_SUPPLY
+from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of
 
 LINE = read_line(sample(DEFAULT_LINE))
 TRAIN = read_train(sample(DEFAULT_TRAIN))
@@ -314,6 +315,62 @@ def test_energies_of_unlike_loads_are_alike_at_one_load() -> None:
     assert abs(found.value - truth) < 1.96 * found.std
     assert abs(found.value - truth) < 0.5 * (found.recorded - truth)
     assert found.std < 0.03 * truth
+
+
+def test_energy_from_the_line_is_what_voltage_and_current_recorded() -> None:
+    """A supply at 15 kV, whose current is drawn at 80 %, and one that fails for a while."""
+    controls, state = stopping()["/train/controls"], stopping()["/train/state"]
+    power = controls["tractive_effort"].to_numpy() * state["speed"].to_numpy() / 0.8
+    time = state.index.as_unit("ns").asi8
+    supply = frame_of(
+        TRAIN_SUPPLY,
+        time,
+        {"line_voltage": np.full(power.size, 15e3), "line_current": power / 15e3},
+    )
+    drawn = float(np.sum(0.5 * (power[1:] + power[:-1]) * np.diff(time) * 1e-9))
+    found = compare(stopping().with_topic(supply)).trip("trip-03").table
+    assert found["line"].sum() == pytest.approx(drawn, rel=1e-3)
+    by_file = compare(stopping()).trip("trip-03").table
+    assert by_file["line"].sum() < 0.99 * found["line"].sum()
+    failed = supply.copy()
+    failed.iloc[1500:1700, failed.columns.get_loc("line_current")] = np.nan
+    failed.attrs = supply.attrs
+    table = compare(stopping().with_topic(failed)).trip("trip-03").table
+    assert table["line"].isna().tolist() == [True, False, False, False]
+
+
+def test_a_trajectory_is_a_reference_whose_times_and_work_are_its_own() -> None:
+    """Half a minute of acceleration, three of 20 m/s, half of braking: everything is known."""
+    mass, metres = 150_000.0, 14_476.0
+    nodes = np.array([0.0, 300.0, metres - 300.0, metres])
+    configuration = Configuration("plan", mass, 0.0, TRAIN.resistance, TRAIN.max_traction_power)
+    duration = 30.0 + (metres - 600.0) / 20.0 + 30.0
+    plan = Trajectory(
+        LINE.name,
+        TRAIN.name,
+        nodes,
+        (configuration,),
+        np.array([[0.0, 20.0, 20.0, 0.0]]),
+        np.array([[0.0, 30.0, duration - 30.0, duration]]),
+        np.array([100e3, 12e3, 0.0]),
+        np.array([[0.0, 0.0, 100e3]]),
+        duration,
+    )
+    found = compare([stopping(), nonstop()], plan)
+    (direction,) = found.directions
+    assert direction.reference.planned
+    reference = direction.reference
+    assert reference.duration == pytest.approx(duration, abs=0.1)
+    assert reference.sums["traction"][-1] == pytest.approx(100e3 * 300 + 12e3 * 13_876.0, rel=5e-3)
+    for name in ("trip-03", "trip-01"):
+        lost = found.trip(name).lost
+        assert lost is not None
+        assert found.trip(name).common == pytest.approx((0.0, metres), abs=20.0)
+        assert sum(each.seconds for each in lost.losses) == pytest.approx(lost.total, abs=1e-9)
+    # To Flawil and no further: what the trip took until it arrived there, less the plan's time.
+    own = driven_trip(stopping())
+    until = float(own.time[np.searchsorted(own.position, metres - 20.0)])
+    assert found.trip("trip-03").lost.total == pytest.approx(until - duration, abs=15.0)
 
 
 def test_the_figure_and_the_data_hold_every_trip() -> None:

@@ -4,13 +4,15 @@ The recorded efforts, in time and size by the trip's passport, drive the train o
 the recorded positions. Between the stops the speed follows from the equation of motion by
 position,
 
-    d(v²)/ds = 2 (F - R(v) - m a_track(s)) / (m + m_rot),
+    d(v²)/ds = 2 (F - R(v, w) - m a_track(s)) / (m + m_rot),
 
-started with the recorded speed in each section, and with it the running time. The energy at the
+started with the recorded speed in each section, and with it the running time; w is the head wind
+where it is recorded. The energy at the
 wheels follows from the recorded speeds instead: what the efforts must have done is the change of
 kinetic energy, the work against the track and the work against the running resistance.
 
-Both have bands of what is not known: the running resistance of a trip that was not seen, the mass,
+Both have bands of what is not known: the running resistance of a trip that was not seen, a wind
+that is not recorded, the mass,
 the gain of the efforts, the gradients, the speed itself.
 """
 
@@ -24,21 +26,30 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from analysis.comparison.diagnosis import Diagnosis, diagnosed, wrong_mass
+from analysis.comparison.diagnosis import Diagnosis, Evidence, diagnosed, wrong_mass
 from analysis.comparison.driven import DrivenTrip, driven_trip
-from analysis.comparison.energy import ForceModel, resistance_of, smooth_speed, trip_spread
+from analysis.comparison.energy import (
+    HEAD_WIND,
+    RECORDED_WIND,
+    ForceModel,
+    resistance_of,
+    smooth_speed,
+    trip_spread,
+)
 from analysis.comparison.sections import sections_between
 from analysis.given import Given, trip_of
 from analysis.passports import estimated_passport, with_effort_delay
 from analysis.resistance.fit import scale_of
+from analysis.resistance.recording import recorded_head_wind
 from trainlog.display import as_text
+from trainlog.errors import InputError
 from trainlog.formats.attached import largest_load, recorded_load, train_of
 from trainlog.formats.train import train_to_bytes
 from trainlog.railway import ParameterSet, RunningResistance, Train
 from trainlog.railway.passport import Quantity
 from trainlog.spans import runs_of
 from trainlog.trip import TRAIN_ATTACHMENT, Trip
-from trainlog.units import JOULES_PER_KWH
+from trainlog.units import JOULES_PER_KWH, NANOSECONDS
 
 FloatArray = NDArray[np.float64]
 
@@ -85,6 +96,11 @@ class Calculation:
         Root mean square of the residual work in a window.
     diagnosis : Diagnosis
         What of the model is wrong, as far as the trip shows it.
+    evidence : Evidence
+        On which that rests; for `judged_together`.
+    wind_std : float [m/s]
+        Of the head wind, as far as it is not recorded, that the bands assume.
+    wind_recorded : bool
     efforts : bool
         Whether efforts are recorded; without, there is a calculated energy alone.
     notes : tuple of str
@@ -100,6 +116,9 @@ class Calculation:
     explained: dict[str, float]
     residual: float
     diagnosis: Diagnosis
+    evidence: Evidence
+    wind_std: float
+    wind_recorded: bool = False
     efforts: bool = True
     notes: tuple[str, ...] = ()
 
@@ -123,8 +142,15 @@ class Calculation:
             rows["running time"] = f"{times[0]:.0f} s calculated, {times[1]:.0f} s measured"
             shares = sorted(self.explained.items(), key=lambda item: -item[1])
             rows["residuals"] = ", ".join(f"{name} {share:.0%}" for name, share in shares[:4])
+        rows["wind"] = self.wind_words
         rows["model"] = self.diagnosis.words
         return rows
+
+    @property
+    def wind_words(self) -> str:
+        """What the bands assume of the wind, in words."""
+        known = "recorded" if self.wind_recorded else "not recorded"
+        return f"head wind {known}, ± {1.96 * self.wind_std:.1f} m/s assumed"
 
     def total(self, column: str) -> float:
         """Sum of a column of the table."""
@@ -145,7 +171,9 @@ class Calculation:
         return table.index[times | works].tolist()
 
 
-def calculate(trip: Given, model: ParameterSet | Train) -> Calculation:
+def calculate(
+    trip: Given, model: ParameterSet | Train, *, wind_std: float | None = None
+) -> Calculation:
     """What a fit or a train's file predicts for a recorded trip, section by section.
 
     Parameters
@@ -155,6 +183,9 @@ def calculate(trip: Given, model: ParameterSet | Train) -> Calculation:
     model : ParameterSet or Train
         A fit: its common curve, with what trips differ by. A train's file: at its word, with
         what trips differ by (`analysis.comparison.energy.trip_spread`); its mass counts as well.
+    wind_std : float [m/s], optional
+        Standard deviation of the head wind as far as it is not recorded, as for a day of known
+        weather. Default: `RECORDED_WIND` where it is recorded, else `HEAD_WIND`.
 
     Returns
     -------
@@ -163,7 +194,7 @@ def calculate(trip: Given, model: ParameterSet | Train) -> Calculation:
     Raises
     ------
     InputError
-        If the fit is of another train.
+        If the fit is of another train, or the wind's standard deviation is negative.
     LogError
         If the trip lacks line, train or chainage.
 
@@ -182,14 +213,21 @@ def calculate(trip: Given, model: ParameterSet | Train) -> Calculation:
         whole = replace(
             whole, attachments={**whole.attachments, TRAIN_ATTACHMENT: train_to_bytes(model)}
         )
-    inputs = _inputs(whole, model)
+    if wind_std is not None and not 0.0 <= wind_std < np.inf:
+        raise InputError(
+            f"a standard deviation of the head wind of {wind_std:g} m/s",
+            remedy="give 0 or more, in m/s",
+        )
+    inputs = _inputs(whole, model, wind_std)
     cells = _Cells.of(inputs)
     variants = _variants(inputs)
     table, speeds, spread = _predicted(inputs, cells, variants)
     efforts = inputs.efforts
     explained, residual = _explained(inputs, cells) if efforts else ({}, 0.0)
     of_file = isinstance(model, Train)
-    found = diagnosed(inputs.trip, inputs.model, inputs.shown_gain, of_file=of_file)
+    evidence = Evidence.of(
+        inputs.trip, inputs.model, inputs.shown_gain, inputs.wind_std, of_file=of_file
+    )
     return Calculation(
         trip=inputs.driven.name,
         model=inputs.model.name,
@@ -200,10 +238,24 @@ def calculate(trip: Given, model: ParameterSet | Train) -> Calculation:
         speed_std=np.where(cells.fast, spread, np.nan),
         explained=explained,
         residual=residual,
-        diagnosis=found,
+        diagnosis=diagnosed([evidence]),
+        evidence=evidence,
+        wind_std=inputs.wind_std,
+        wind_recorded=inputs.windy,
         efforts=efforts,
         notes=inputs.driven.notes,
     )
+
+
+def judged_together(found: Sequence[Calculation]) -> Diagnosis:
+    """What several trips contradict of the model that calculated them.
+
+    Raises
+    ------
+    InputError
+        If there is none, or they are of different trains.
+    """
+    return diagnosed([each.evidence for each in found])
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,6 +269,11 @@ class _Inputs:
     gain: Quantity
     shown_gain: Quantity
     scale_std: float
+    wind_std: float
+
+    @property
+    def windy(self) -> bool:
+        return "head_wind" in self.driven.signals
 
     @property
     def efforts(self) -> bool:
@@ -227,7 +284,7 @@ class _Inputs:
         return self.mass.value + self.model.train.rotating_mass
 
 
-def _inputs(trip: Trip, model: ParameterSet | Train) -> _Inputs:
+def _inputs(trip: Trip, model: ParameterSet | Train, wind_std: float | None) -> _Inputs:
     train = train_of(trip)
     known = estimated_passport(trip)
     delay = known.effort_delay.value if known.effort_delay.source == "estimated" else 0.0
@@ -240,14 +297,17 @@ def _inputs(trip: Trip, model: ParameterSet | Train) -> _Inputs:
     scale = scale_of(trip) if "/train/state" in trip else None
     factor = 1.0 if scale is None else scale.factor
     gain = known.effort_gain if known.effort_gain.known else UNCALIBRATED
-    if wrong_mass(trip, train, gain) is not None:
+    load = recorded_load(trip, train)
+    if wrong_mass(train, [(None if load is None else load.value, gain)]) is not None:
         gain = UNCALIBRATED  # found with that mass, it would hide what is wrong
     sums = {
         name: values / (gain.value * factor) if "unknown" not in name else values
         for name, values in driven.sums.items()
     }
-    driven = replace(driven, speed=driven.speed / factor, sums=sums)
-    forces = _forces(driven, train, model)
+    driven = replace(driven, speed=driven.speed / factor, sums=sums, signals=_signals(bare, driven))
+    windy = "head_wind" in driven.signals
+    wind_std = (RECORDED_WIND if windy else HEAD_WIND) if wind_std is None else wind_std
+    forces = _forces(driven, train, model, wind_std)
     return _Inputs(
         bare,
         driven,
@@ -256,16 +316,27 @@ def _inputs(trip: Trip, model: ParameterSet | Train) -> _Inputs:
         gain,
         known.effort_gain,
         0.0 if scale is None else scale.std,
+        wind_std,
     )
 
 
-def _forces(trip: DrivenTrip, train: Train, model: ParameterSet | Train) -> ForceModel:
+def _signals(trip: Trip, driven: DrivenTrip) -> dict[str, FloatArray]:
+    """The signals, with the head wind at all samples or not at all, as the fit takes it."""
+    signals = {name: values for name, values in driven.signals.items() if name != "head_wind"}
+    stamps = driven.departure + np.rint(driven.time * NANOSECONDS).astype(np.int64)
+    wind = recorded_head_wind(trip, pd.DatetimeIndex(stamps, tz="UTC"))
+    return signals if wind is None else signals | {"head_wind": wind}
+
+
+def _forces(
+    trip: DrivenTrip, train: Train, model: ParameterSet | Train, wind_std: float
+) -> ForceModel:
     if isinstance(model, ParameterSet):
         model.check_train(train.name)
-        common, covariance = resistance_of(model)
+        common, covariance = resistance_of(model, wind_std)
         return ForceModel("fit", train, trip.line, common, covariance)
     own = model.resistance
-    return ForceModel("train's file", model, trip.line, own, trip_spread(own))
+    return ForceModel("train's file", model, trip.line, own, trip_spread(own, wind_std))
 
 
 def _mass(trip: Trip, train: Train, model: ParameterSet | Train) -> Quantity:
@@ -294,6 +365,7 @@ class _Cells:
     braking: FloatArray
     track: FloatArray
     tunnels: FloatArray
+    wind: FloatArray
     section: NDArray[np.int64]
     edges: FloatArray
     names: tuple[str, ...]
@@ -315,6 +387,9 @@ class _Cells:
             return np.diff(trip.at(trip.sums[name], nodes))
 
         braking = of_cells("dynamic_braking") + of_cells("pneumatic_braking")
+        wind = np.zeros(middle.size)
+        if inputs.windy:
+            wind = trip.at(trip.signals["head_wind"], middle)
         section = np.clip(np.searchsorted(sections.edges, middle) - 1, 0, sections.edges.size - 2)
         return _Cells(
             nodes,
@@ -325,6 +400,7 @@ class _Cells:
             braking,
             model.train.track_force(trip.line, middle, 1.0) * step,
             model.tunnels(middle),
+            wind,
             section.astype(np.int64),
             sections.edges,
             tuple(sections.names),
@@ -338,6 +414,12 @@ class _Cells:
     def squared(self) -> FloatArray:
         """Mean speed squared of each cell [m²/s²]."""
         return 0.5 * (self.speed[1:] ** 2 + self.speed[:-1] ** 2)
+
+    def resisting(self, resistance: RunningResistance) -> FloatArray:
+        """Running resistance, that of tunnels and of the recorded wind included [N]."""
+        speed = np.sqrt(self.squared)
+        through_wind = resistance.r2 * self.wind * (2.0 * speed + self.wind)
+        return np.asarray(resistance(speed) + self.tunnels * self.squared + through_wind)
 
     def runs(self) -> list[tuple[int, int]]:
         """First cell and one past the last of each run above `SLOWEST` within a section."""
@@ -360,9 +442,26 @@ class _Variant:
     slope: float = 0.0
     start: float = 0.0
 
+    def mirrored(self, own: _Variant) -> _Variant:
+        """As far to the other side of the model as it is."""
+        names = ("r0", "r1", "r2")
+        resistance = [
+            2.0 * getattr(own.resistance, name) - getattr(self.resistance, name) for name in names
+        ]
+        return _Variant(
+            RunningResistance(*resistance),
+            2.0 * own.mass - self.mass,
+            2.0 - self.gain,
+            -self.slope,
+            -self.start,
+        )
+
 
 def _variants(inputs: _Inputs) -> list[_Variant]:
-    """The model as it is, and with one standard deviation of each thing that is not known."""
+    """The model as it is, and with one standard deviation of each thing that is not known.
+
+    First all to one side, then all to the other.
+    """
     model, mass = inputs.model, inputs.mass.value
     own = _Variant(model.resistance, mass)
     gain_std = inputs.gain.std / inputs.gain.value if np.isfinite(inputs.gain.std) else 0.06
@@ -371,7 +470,8 @@ def _variants(inputs: _Inputs) -> list[_Variant]:
     found += [replace(own, mass=mass + inputs.mass.std), replace(own, gain=1.0 + gain_std)]
     survey = inputs.driven.line.survey
     slope = GRADIENT_STD if survey is None else survey.gradient_std
-    return [*found, replace(own, slope=slope), replace(own, start=SPEED_STD)]
+    found += [replace(own, slope=slope), replace(own, start=SPEED_STD)]
+    return found + [each.mirrored(own) for each in found[1:]]
 
 
 def _predicted(
@@ -411,8 +511,13 @@ def _predicted(
 
 
 def _spread(values: FloatArray) -> FloatArray:
-    """Standard deviation of the first row from the rows one standard deviation off."""
-    return np.asarray(np.sqrt(np.sum((values[1:] - values[0]) ** 2, axis=0)))
+    """Standard deviation of the first row from the rows one standard deviation off, either way.
+
+    Of both sides the larger: more resistance costs more time than less of it saves.
+    """
+    off = np.abs(values[1:] - values[0])
+    sides = off.reshape(2, off.shape[0] // 2, *off.shape[1:])
+    return np.asarray(np.sqrt(np.sum(sides.max(axis=0) ** 2, axis=0)))
 
 
 def _slope_length(inputs: _Inputs) -> float:
@@ -425,8 +530,7 @@ def _work(inputs: _Inputs, cells: _Cells, variant: _Variant, count: int) -> Floa
     """Tractive work [J] that the recorded motion of each section needs."""
     inertia = variant.mass + inputs.model.train.rotating_mass
     kinetic = 0.5 * inertia * np.diff(cells.speed**2)
-    speed = np.sqrt(cells.squared)
-    resisting = (variant.resistance(speed) + cells.tunnels * cells.squared) * cells.step
+    resisting = cells.resisting(variant.resistance) * cells.step
     needed = kinetic + resisting + variant.mass * cells.track
     if inputs.efforts:
         needed = needed + cells.braking * (2.0 - variant.gain)
@@ -462,29 +566,35 @@ def _driven(
         push = force[part] - variant.mass * cells.track[part] / step
         lost = variant.slope * 9.81 * variant.mass * uneven * np.sqrt(ran) / ran
         first = (cells.speed[begin] + variant.start) ** 2
-        found = _speeds(first, push - lost, step, variant.resistance, cells.tunnels[part], inertia)
+        wind, resistance = cells.wind[part], variant.resistance
+        air = _Air(resistance.r1 + 2.0 * resistance.r2 * wind, resistance.r2 + cells.tunnels[part])
+        still = resistance.r0 + resistance.r2 * wind**2
+        found = _speeds(first, push - lost - still, step, air, inertia)
         speed[begin + 1 : end + 1] = found[1:]
         times[cells.section[begin]] += float(np.sum(2.0 * step / (found[1:] + found[:-1])))
     return times, speed
 
 
+@dataclass(frozen=True, slots=True)
+class _Air:
+    """Linear and quadratic term of the running resistance in each cell."""
+
+    linear: FloatArray
+    quadratic: FloatArray
+
+
 def _speeds(
-    first: float,
-    push: FloatArray,
-    step: FloatArray,
-    resistance: RunningResistance,
-    tunnels: FloatArray,
-    inertia: float,
+    first: float, push: FloatArray, step: FloatArray, air: _Air, inertia: float
 ) -> FloatArray:
-    """Speeds [m/s] at the nodes of a run.
+    """Speeds [m/s] at the nodes of a run; `push` is what does not depend on speed [N].
 
     The quadratic term decays exponentially in position, exactly; the linear one is iterated.
     """
-    decay = np.concatenate(([0.0], np.cumsum(2.0 * (resistance.r2 + tunnels) / inertia * step)))
+    decay = np.concatenate(([0.0], np.cumsum(2.0 * air.quadratic / inertia * step)))
     growth = np.exp(np.minimum(0.5 * (decay[1:] + decay[:-1]), 500.0))
     speed = np.full(step.size, np.sqrt(first))
     for _ in range(8):
-        drive = 2.0 / inertia * (push - resistance.r0 - resistance.r1 * speed) * step
+        drive = 2.0 / inertia * (push - air.linear * speed) * step
         squared = np.exp(-decay) * (first + np.concatenate(([0.0], np.cumsum(drive * growth))))
         nodes = np.sqrt(np.maximum(squared, (0.5 * SLOWEST) ** 2))
         speed = 0.5 * (nodes[1:] + nodes[:-1])
@@ -507,7 +617,7 @@ def _explained(inputs: _Inputs, cells: _Cells) -> tuple[dict[str, float], float]
 
     kinetic = 0.5 * np.diff(cells.speed**2)
     net = cells.work - cells.braking
-    resisting = (model.resistance(speed) + cells.tunnels * cells.squared) * step
+    resisting = cells.resisting(model.resistance) * step
     expected = inputs.inertia * kinetic + resisting + inputs.mass.value * cells.track
     residual = summed(net - expected)
     mass_std = inputs.mass.std

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,10 @@ from rich.console import RenderableType
 from rich.table import Table
 
 from analysis.comparison.calculated import Calculation
+from analysis.comparison.diagnosis import Diagnosis
 from analysis.plotting import BLUE, GREY, INK, ORANGE, dress, headline, legend, new_figure
 from analysis.tables import new_table
+from trainlog.display import counted
 from trainlog.units import JOULES_PER_KWH, KMH
 
 
@@ -24,8 +27,23 @@ def calculation_tables(found: Calculation) -> list[RenderableType]:
     outside = ", ".join(found.outside)
     if found.efforts:
         parts.append(f"outside of the 95 % band: {outside or 'no section'}")
-    parts.append(f"{found.model} against trip '{found.trip}': {found.diagnosis.words}")
+    parts.append(f"bands: {found.wind_words}")
+    parts.append(
+        f"{found.model} against trip '{found.trip}': {found.diagnosis.words}"
+        f" ({alarms_words(found.diagnosis)})"
+    )
     return parts + [f"{found.trip}: {note}" for note in found.notes]
+
+
+def alarms_words(found: Diagnosis) -> str:
+    """How often a right model is contradicted by chance."""
+    return f"at most {found.false_alarms:.0%} contradict a right one"
+
+
+def together_words(found: Sequence[Calculation], together: Diagnosis) -> str:
+    """What several trips together contradict of the model."""
+    trips = counted(len(found), "trip")
+    return f"{found[0].model} against {trips} together: {together.words}"
 
 
 def sections_table(found: Calculation) -> Table:
@@ -89,16 +107,27 @@ def calculation_data(found: Calculation) -> dict[str, Any]:
         "outside": found.outside,
         "explained": found.explained,
         "residual_rms_J": found.residual,
+        "wind_recorded": found.wind_recorded,
+        "wind_std_m_s": found.wind_std,
+        **diagnosis_data(found.diagnosis),
+    }
+
+
+def diagnosis_data(found: Diagnosis) -> dict[str, Any]:
+    """What of a model is wrong as data for JSON."""
+    return {
+        "judged_trips": found.trips,
         "wrong": [
             {
                 "name": each.name,
-                "factor": each.factor,
-                "factor_std": each.std,
+                "factor": each.factor if np.isfinite(each.factor) else None,
+                "factor_std": each.std if np.isfinite(each.std) else None,
                 "alternatives": list(each.alternatives),
             }
-            for each in found.diagnosis.wrong
+            for each in found.wrong
         ],
-        "not_judged": found.diagnosis.reason,
+        "not_judged": found.reason,
+        "false_alarms": found.false_alarms,
     }
 
 

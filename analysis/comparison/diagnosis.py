@@ -1,23 +1,26 @@
 """What of a model is wrong: one coefficient of the resistance, or the mass, named with its factor.
 
 A trip with efforts is fitted by itself (`analysis.resistance.fit.fit_trip`): its curve hardly
-depends on the resistance of the train's file. The difference from the model is explained by a
-change of one coefficient at a time; the change that leaves least is named, with those that explain
-it nearly as well: of the linear term also a steady wind. The mass shows in the gain of the efforts,
-by which both are found in one.
+depends on the resistance of the train's file. What trips differ by beside that, a head wind that is
+not recorded above all, is a part of the difference that is no error of the file. What is left is
+explained by a change of one coefficient at a time; the change that leaves least is named, with
+those that explain it nearly as well: of the linear term also a steady wind. The mass shows in the
+gain of the efforts, by which both are found in one. Several trips are taken together: their winds
+differ, an error of the file does not.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.stats import f as f_distribution
 
 from analysis.comparison.energy import TRIP_SPREAD, ForceModel
-from analysis.resistance.fit import fit_trip
-from trainlog.errors import TrainlogError
+from analysis.resistance.fit import TripFit, fit_trip
+from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.attached import recorded_load
 from trainlog.railway import Train
 from trainlog.railway.passport import Quantity
@@ -26,7 +29,10 @@ from trainlog.trip import Trip
 FloatArray = NDArray[np.float64]
 
 SURE = 0.999
-"""Probability with which a difference must not be chance."""
+"""Probability with which a difference of the curve must not be chance."""
+
+FALSE_ALARMS = 0.05
+"""At most so many trips contradict a right file, by the mass or by the curve: measured."""
 
 ALIKE = 3.84
 """Rise of chi-squared up to which another coefficient explains as well."""
@@ -37,8 +43,9 @@ OWN_SPREAD = 0.1
 LEAST_FACTOR = 1.25
 """Smaller factors of a coefficient are within what trains of a kind and days differ by."""
 
-MASS_SHARE = 0.05
-"""Gains that differ from 1 by more than this, beyond their band, are those of a wrong mass."""
+CONVERTER_STD, MASS_SURE = 0.03, 2.4
+"""Standard deviation of the gain of an ordinary recorder's efforts, and how many of it, together
+with what the trip leaves open, a gain must differ from 1 by to be that of a wrong mass."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +84,16 @@ class Diagnosis:
     wrong : tuple of Wrong
     reason : str
         Why nothing can be said, if so.
+    trips : int
+        How many trips it rests on.
+    false_alarms : float
+        Share of trips, at most, that contradict a right file by chance.
     """
 
     wrong: tuple[Wrong, ...] = ()
     reason: str = ""
+    trips: int = 1
+    false_alarms: float = FALSE_ALARMS
 
     @property
     def words(self) -> str:
@@ -92,73 +105,152 @@ class Diagnosis:
         return "; ".join(each.words for each in self.wrong)
 
 
-def diagnosed(trip: Trip, model: ForceModel, gain: Quantity, *, of_file: bool) -> Diagnosis:
-    """What a trip contradicts of a model.
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What a trip shows of a model.
+
+    Attributes
+    ----------
+    model : ForceModel
+    of_file : bool
+        The model is the train's file, whose coefficients have no covariance of their own.
+    wind_std : float [m/s]
+        Of the head wind as far as it is not recorded.
+    gain : Quantity
+        Of the efforts, as the passport finds it with the train's mass.
+    load : float or None [kg]
+        As recorded.
+    fit : TripFit or None
+        Of the trip by itself.
+    reason : str
+        Why there is none, if so.
+    """
+
+    model: ForceModel
+    of_file: bool
+    wind_std: float
+    gain: Quantity
+    load: float | None
+    fit: TripFit | None
+    reason: str = ""
+
+    @staticmethod
+    def of(
+        trip: Trip, model: ForceModel, gain: Quantity, wind_std: float, *, of_file: bool
+    ) -> Evidence:
+        """What a trip shows that carries the train of the model."""
+        load = recorded_load(trip, model.train)
+        found = Evidence(model, of_file, wind_std, gain, None if load is None else load.value, None)
+        try:
+            # A curve that is known roughly still contradicts one that is far off.
+            return replace(found, fit=fit_trip(trip, largest_std=np.inf))
+        except TrainlogError as error:
+            return replace(found, reason=str(error).partition(";")[0])
+
+
+def diagnosed(evidence: Sequence[Evidence]) -> Diagnosis:
+    """What trips contradict of a model.
+
+    Raises
+    ------
+    InputError
+        If there is none, or they are of different trains.
+    """
+    if len({each.model.train.name for each in evidence}) != 1:
+        raise InputError(
+            "trips of one train are judged together",
+            remedy="give those of one train",
+        )
+    train = evidence[0].model.train
+    heavy = wrong_mass(train, [(each.load, each.gain) for each in evidence])
+    wrong = () if heavy is None else (heavy,)
+    fitted = [each for each in evidence if each.fit is not None]
+    if not fitted:
+        return Diagnosis(wrong, "" if wrong else evidence[0].reason, len(evidence))
+    # A wrong mass makes the gain, and with it all forces, wrong by its factor.
+    coefficient = _wrong_coefficient(fitted, 1.0 if heavy is None else heavy.factor)
+    wrong = wrong if coefficient is None else (*wrong, coefficient)
+    return Diagnosis(wrong, "", len(fitted))
+
+
+def wrong_mass(train: Train, weighed: Sequence[tuple[float | None, Quantity]]) -> Wrong | None:
+    """The mass of the train's file, if motions with it need efforts of another size.
 
     Parameters
     ----------
-    trip : Trip
-        Carrying the train of the model.
-    model : ForceModel
-    gain : Quantity
-        Of the efforts, as the passport finds it with the train's mass.
-    of_file : bool
-        The model is the train's file, whose coefficients have no covariance of their own.
+    train : Train
+    weighed : sequence of (float or None, Quantity)
+        The recorded load [kg] and gain of the efforts of each trip.
     """
-    train = model.train
-    try:
-        fit = fit_trip(trip)
-    except TrainlogError as error:
-        heavy = wrong_mass(trip, train, gain)
-        return Diagnosis((heavy,)) if heavy else Diagnosis((), str(error).partition(";")[0])
-    found = []
-    heavy = wrong_mass(trip, train, gain)
-    # A wrong mass makes the gain, and with it all forces, wrong by its factor.
-    factor = 1.0 if heavy is None else heavy.factor
-    if heavy is not None:
-        found.append(heavy)
-    own = np.array([model.resistance.r0, model.resistance.r1, model.resistance.r2])
-    spread = fit.covariance[:3, :3] / factor**2
-    if not of_file:
-        spread = spread + model.covariance
-    else:
-        # Of the coefficients as they may be: those of a wrong file are too large or too small.
-        size = np.minimum(own, np.maximum(fit.beta, 0.1 * own))
-        spread = spread + np.diag((OWN_SPREAD * size) ** 2)
-        spread = spread + TRIP_SPREAD**2 * np.outer(size, size)
-    coefficient = _coefficient(own, fit.beta / factor, spread)
-    if coefficient is not None:
-        found.append(coefficient)
-    return Diagnosis(tuple(found))
-
-
-def wrong_mass(trip: Trip, train: Train, gain: Quantity) -> Wrong | None:
-    """The mass of the train's file, if the motion with it needs efforts of another size."""
-    load = recorded_load(trip, train)
-    if load is None or gain.source != "estimated":
+    known = [
+        (load, gain) for load, gain in weighed if load is not None and gain.source == "estimated"
+    ]
+    if not known:
         return None
-    off = abs(1.0 / gain.value - 1.0)
-    if off < MASS_SHARE or off < 2.6 * gain.std / gain.value:
+    weights = np.array([(gain.value / gain.std) ** 2 for _, gain in known])
+    ratios = np.array([1.0 / gain.value for _, gain in known])
+    # One recorder's efforts err alike on all trips.
+    std = float(np.hypot(weights.sum() ** -0.5, CONVERTER_STD))
+    if abs(float(np.average(ratios, weights=weights)) - 1.0) < MASS_SURE * std:
         return None
     # The recorded load is no part of what may be wrong.
-    shown = (train.mass + load.value + train.rotating_mass) * gain.value - load.value
-    factor = (train.mass + train.rotating_mass) / shown
-    return Wrong("mass", factor, factor * gain.std / gain.value, ("recorded efforts",))
+    own = train.mass + train.rotating_mass
+    shown = np.array([(own + load) * gain.value - load for load, gain in known])
+    factor = own / float(np.average(shown, weights=weights))
+    return Wrong("mass", factor, factor * std, ("recorded efforts",))
 
 
-def _coefficient(own: FloatArray, shown: FloatArray, spread: FloatArray) -> Wrong | None:
+def _wrong_coefficient(fitted: Sequence[Evidence], factor: float) -> Wrong | None:
+    """The coefficient that trips contradict, their efforts and curves over a factor."""
+    model = fitted[0].model
+    own = np.array([model.resistance.r0, model.resistance.r1, model.resistance.r2])
+    fits = [each.fit for each in fitted if each.fit is not None]
+    betas = np.array([fit.beta for fit in fits]) / factor
+    single = np.array([fit.covariance[:3, :3] for fit in fits]) / factor**2
+    if fitted[0].of_file:
+        rough = _mean(betas, single)[0]
+        # Of the coefficients as they may be: those of a wrong file are too large or too small.
+        size = np.minimum(own, np.maximum(rough, 0.1 * own))
+        single = single + TRIP_SPREAD**2 * np.outer(size, size)
+        for row, each in enumerate(fitted):
+            single[row, 1, 1] += (2.0 * size[2] * each.wind_std) ** 2
+            single[row, 0, 0] += 2.0 * (size[2] * each.wind_std**2) ** 2
+        common = np.diag((OWN_SPREAD * size) ** 2)
+    else:
+        common = model.covariance
+    shown, variance = _mean(betas, single)
+    if len(fits) > 1:
+        off = betas - shown
+        scatter = np.einsum("ni,nij,nj", off, np.linalg.inv(single), off) / (3 * (len(fits) - 1))
+        variance = variance * max(1.0, float(scatter))
+        # Trips over one line share the errors of its gradients.
+        variance = variance + np.mean([fit.survey[:3, :3] for fit in fits], axis=0) / factor**2
+    freedom = float(sum(fit.freedom for fit in fits))
+    return _coefficient(own, shown, common + variance, freedom)
+
+
+def _mean(values: FloatArray, variances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Weighted mean (3,) of values (n, 3), and its covariance."""
+    weights = np.linalg.inv(variances)
+    variance = np.linalg.inv(weights.sum(axis=0))
+    return variance @ np.einsum("nij,nj->i", weights, values), variance
+
+
+def _coefficient(
+    own: FloatArray, shown: FloatArray, spread: FloatArray, freedom: float
+) -> Wrong | None:
     """The coefficient whose change explains most of the difference; None if there is none."""
     precision = np.linalg.inv(spread)
     off = own - shown
     whole = float(off @ precision @ off)
-    if whole < chi2.ppf(SURE, 3):
+    if whole < 3.0 * f_distribution.ppf(SURE, 3, freedom):
         return None
     changes = (precision @ off) / np.diag(precision)
     left = whole - changes**2 * np.diag(precision)
     best = int(np.argmin(left))
     true = own - changes
     names = ("r0", "r1", "r2")
-    if left[best] > chi2.ppf(SURE, 2):
+    if left[best] > 2.0 * f_distribution.ppf(SURE, 2, freedom):
         scale = float(own @ precision @ shown / (own @ precision @ own))
         std = float(1.0 / np.sqrt(own @ precision @ own))
         return Wrong("running resistance", 1.0 / scale, std / scale**2)

@@ -123,7 +123,7 @@ class DrivenTrip:
         ``coasting``, ``full_effort``, ``slip``, ``doubtful`` (position); what is not recorded is
         missing.
     signals : dict of str to array
-        ``limit`` [m/s] as recorded, ``reference_speed`` [m/s], ``lateness`` [s].
+        ``limit``, ``head_wind`` [m/s] as recorded, ``reference_speed`` [m/s], ``lateness`` [s].
     slips : array [s] or None
         When the slip protection began to act, since departure; None where that is not recorded.
     gain : Quantity
@@ -503,6 +503,7 @@ class _Reduction:
 
 _SIGNALS = {
     "limit": "speed_limit",
+    "head_wind": "head_wind",
     "reference_speed": "reference_speed",
     "lateness": "reference_lateness",
 }

@@ -25,8 +25,11 @@ RESISTANCE_SHARE = 0.3
 TRIP_SPREAD = 0.05
 """Standard deviation of the resistance from trip to trip, over its value, without the wind."""
 
-HEAD_WIND = 3.0
+HEAD_WIND = 5.0
 """Standard deviation of a trip's head wind that is not known [m/s]."""
+
+RECORDED_WIND = 1.0
+"""Standard deviation of a recorded head wind [m/s]: gusts, and the train in its own air."""
 
 PRIOR_TRIPS = 4
 """Trips that what is known of such differences beforehand counts for."""
@@ -112,18 +115,21 @@ class ForceModel:
         return self.train.tunnel_coefficient(self.line.tunnel_cross_section(position))
 
 
-def trip_spread(resistance: RunningResistance) -> FloatArray:
-    """Covariance of r0, r1 and r2 from trip to trip: `TRIP_SPREAD` and a head wind.
+def trip_spread(resistance: RunningResistance, wind_std: float = HEAD_WIND) -> FloatArray:
+    """Covariance of r0, r1 and r2 from trip to trip: `TRIP_SPREAD` and a head wind [m/s].
 
     Air resistance is that of the speed and the wind together: ``r2 (v + w)²``.
     """
     own = np.array([resistance.r0, resistance.r1, resistance.r2])
     covariance = TRIP_SPREAD**2 * np.outer(own, own)
-    covariance[1, 1] += (2.0 * resistance.r2 * HEAD_WIND) ** 2
+    covariance[1, 1] += (2.0 * resistance.r2 * wind_std) ** 2
+    covariance[0, 0] += 2.0 * (resistance.r2 * wind_std**2) ** 2
     return np.asarray(covariance)
 
 
-def resistance_of(model: ParameterSet) -> tuple[RunningResistance, FloatArray]:
+def resistance_of(
+    model: ParameterSet, wind_std: float = HEAD_WIND
+) -> tuple[RunningResistance, FloatArray]:
     """Common running resistance of a fit, and its covariance for one more trip.
 
     A trip differs from the common curve by what trips differ among each other.
@@ -138,7 +144,7 @@ def resistance_of(model: ParameterSet) -> tuple[RunningResistance, FloatArray]:
     off = betas - np.array([common.r0, common.r1, common.r2])
     # Few trips hardly show how much they differ: what trips differ by anyway counts as some.
     weight = PRIOR_TRIPS + len(betas) - 1
-    between = (PRIOR_TRIPS * trip_spread(common) + off.T @ off) / weight
+    between = (PRIOR_TRIPS * trip_spread(common, wind_std) + off.T @ off) / weight
     covariance = known + between * weight / (weight - 2)
     return common, covariance
 

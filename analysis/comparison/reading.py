@@ -47,7 +47,7 @@ EFFORTS = tuple(_WORKS)
 
 COLUMNS: dict[str, tuple[str, ...]] = {
     TRAIN_CONTROLS.name: (*EFFORTS, "tractive_effort_demand", "lever"),
-    ENVIRONMENT.name: ("speed_limit",),
+    ENVIRONMENT.name: ("speed_limit", "head_wind"),
     REFERENCE.name: ("speed", "lateness"),
     TRAIN_SLIP_PROTECTION.name: ("active",),
     TRAIN_SUPPLY.name: ("line_voltage", "line_current"),

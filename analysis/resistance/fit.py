@@ -289,8 +289,9 @@ def fit_trip(
     ----------
     trip : Trip or path
         A trip at hand, or a log, with ``/train/state`` and ``/train/controls``, its line and its
-        train; ``/train/axles`` and ``/gnss/motion`` make the fit sharper. A head wind in ``/environment``
-        is a part of the speed that the quadratic term counts: the curve is that of calm air.
+        train; ``/train/axles`` and ``/gnss/motion`` make the fit sharper. A head wind in
+        ``/environment`` is a part of the speed that the quadratic term counts: the curve is that
+        of calm air.
     speeds : (float, float) [m/s], optional
         Speeds between which the curve is asked for, at most the highest that the line or the
         train allows; default 10 m/s to the line's highest speed that the train can do.

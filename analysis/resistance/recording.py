@@ -335,12 +335,15 @@ def _air_square(trip: Trip, index: pd.DatetimeIndex, speed: FloatArray) -> Float
 
 
 def recorded_head_wind(trip: Trip, index: pd.DatetimeIndex) -> FloatArray | None:
-    """Recorded head wind [m/s] at some times; its mean where it is missing.
+    """Recorded head wind [m/s] at some times: its mean.
 
-    None where less than half of it is recorded: the rest may be unlike.
+    A gust at the instrument is not that of the whole train, and noise of a regressor makes its
+    coefficient wrong. None where less than half of it is recorded: the rest may be unlike.
     """
-    frame = trip["/environment"] if "/environment" in trip else None
-    if frame is None or "head_wind" not in frame or len(frame) < 2:
+    if "/environment" not in trip:
+        return None
+    frame = trip["/environment"]
+    if "head_wind" not in frame or len(frame) < 2:
         return None
     if not np.isfinite(frame["head_wind"].to_numpy()).any():
         return None
@@ -348,7 +351,7 @@ def recorded_head_wind(trip: Trip, index: pd.DatetimeIndex) -> FloatArray | None
     known = np.isfinite(wind)
     if 2 * int(known.sum()) < known.size:
         return None
-    return np.where(known, wind, wind[known].mean())
+    return np.full(wind.size, wind[known].mean())
 
 
 def check_recorded(trip: Trip, *, part: bool = False) -> None:

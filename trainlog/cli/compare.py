@@ -55,6 +55,13 @@ def compare(
             " instead."
         ),
     ] = None,
+    wind: Annotated[
+        float | None,
+        typer.Option(
+            help="Standard deviation [m/s] of the head wind that calculated bands assume, as for a"
+            " known calm day. Default: 1 where the head wind is recorded, else 5."
+        ),
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Save a picture (.png), one a direction or a trip.")
     ] = None,
@@ -64,7 +71,8 @@ def compare(
     Stopping or not, recorded or simulated, over any part of the line; directions are kept apart.
     With --with, groups of trips instead: drivers' trips and trips that followed a trajectory,
     configuration by configuration. With --calculated, each trip beside what a fit or a train's
-    file predicts for it: speed, time and energy with bands, and what of the model is wrong.
+    file predicts for it: speed, time and energy with bands, and what of the model is wrong, by each
+    trip and by all together.
 
     Example: trainlog compare sample_logs --picture compared.png
     """
@@ -78,7 +86,7 @@ def compare(
         _groups(logs, followed)
         return
     if calculated is not None:
-        _calculated(logs, calculated, picture)
+        _calculated(logs, calculated, wind, picture)
         return
     found = compare_trips(
         logs_in(logs),
@@ -128,21 +136,25 @@ def _groups(logs: list[Path], followed: list[Path]) -> None:
         console.print(savings_table(compare_groups(logs_in(logs), logs_in([each]))))
 
 
-def _calculated(logs: list[Path], file: Path, picture: Path | None) -> None:
-    from analysis.comparison.calculated import calculate
+def _calculated(logs: list[Path], file: Path, wind: float | None, picture: Path | None) -> None:
+    from analysis.comparison.calculated import calculate, judged_together
     from analysis.comparison.calculated_table import (
         calculation_data,
         calculation_figure,
         calculation_tables,
+        diagnosis_data,
+        together_words,
     )
     from analysis.plotting import write_figure
 
     model, trips = _model(file), list(logs_in(logs))
-    every = []
+    every, calculations = [], []
     for log in track(trips, "calculating", "trip"):
-        found = calculate(log, model)
+        found = calculate(log, model, wind_std=wind)
+        calculations.append(found)
         every.append(calculation_data(found))
-        if not state({"trips": every}):
+        together = judged_together(calculations)
+        if not state({"trips": every, "together": diagnosis_data(together)}):
             for part in calculation_tables(found):
                 console.print(part, highlight=False)
         if picture is not None:
@@ -150,6 +162,8 @@ def _calculated(logs: list[Path], file: Path, picture: Path | None) -> None:
             path = picture.with_stem(f"{picture.stem}-{log.stem}") if several else picture
             write_figure(calculation_figure(found), path)
             wrote(path)
+    if len(calculations) > 1:
+        console.print(together_words(calculations, together), highlight=False)
 
 
 def _model(path: Path) -> ParameterSet | Train:
