@@ -37,7 +37,7 @@ def calculation_tables(found: Calculation) -> list[RenderableType]:
 
 def alarms_words(found: Diagnosis) -> str:
     """How often a right model is contradicted by chance."""
-    return f"at most {found.false_alarms:.0%} contradict a right one"
+    return f"about {found.false_alarms:.0%} of trips contradict a right one"
 
 
 def together_words(found: Sequence[Calculation], together: Diagnosis) -> str:

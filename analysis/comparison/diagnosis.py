@@ -31,8 +31,9 @@ FloatArray = NDArray[np.float64]
 SURE = 0.999
 """Probability with which a difference of the curve must not be chance."""
 
-FALSE_ALARMS = 0.05
-"""At most so many trips contradict a right file, by the mass or by the curve: measured."""
+FALSE_ALARMS = 0.1
+"""Share of trips that contradicted a right file, by the mass or by the curve, when less was asked for
+than `SURE`."""
 
 ALIKE = 3.84
 """Rise of chi-squared up to which another coefficient explains as well."""
@@ -87,7 +88,7 @@ class Diagnosis:
     trips : int
         How many trips it rests on.
     false_alarms : float
-        Share of trips, at most, that contradict a right file by chance.
+        Share of trips that contradict a right file by chance, about.
     """
 
     wrong: tuple[Wrong, ...] = ()
