@@ -32,8 +32,7 @@ SURE = 0.999
 """Probability with which a difference of the curve must not be chance."""
 
 FALSE_ALARMS = 0.1
-"""Share of trips that contradicted a right file, by the mass or by the curve, when less was asked for
-than `SURE`."""
+"""Share of trips that contradicted a right file, by the mass or by the curve, as measured."""
 
 ALIKE = 3.84
 """Rise of chi-squared up to which another coefficient explains as well."""
