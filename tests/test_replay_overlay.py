@@ -78,11 +78,13 @@ def test_a_trajectory_is_the_reference_of_trips_in_its_direction(tmp_path: Path)
     path, plan = tmp_path / "plan.rrd", trajectory_of()
     trip = unlike("up", 20.0)
     made = write_replay([trip, made_trip("down", "reverse")], path, trajectory=plan)
-    assert made.references == ("the trajectory (configuration heavy)",)
+    assert made.references == (
+        f"the trajectory (configuration {plan.configurations[plan.latest].name})",
+    )
     found = rows(path, "/trips/up/behind/speed")
     place = found["position_m"][1:].astype(float)
     middle = np.isin(place, (600.0, 1000.0, 1400.0))
-    planned = plan.speed_at(1, place[middle])
+    planned = plan.speed_at(plan.latest, place[middle])
     assert found["Scalars:scalars"][1:, 0][middle] == pytest.approx(
         3.6 * (20.0 - planned), abs=0.02
     )

@@ -129,9 +129,8 @@ def _is_of(trajectory: Trajectory, group: tuple[str, str]) -> bool:
 
 
 def _planned(trajectory: Trajectory, group: tuple[str, str]) -> Reference:
-    """The trajectory in the configuration whose running time is in the middle."""
-    last = trajectory.times[:, -1]
-    row = int(np.argsort(last, kind="stable")[last.size // 2])
+    """The trajectory in the configuration that arrives last, which trains follow."""
+    row = trajectory.latest
     curve = planned_time_distance(trajectory, row)
     grid = grid_over([curve], GRID_STEP)
     speed = trajectory.speed_at(row, grid)
