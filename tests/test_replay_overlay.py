@@ -15,6 +15,7 @@ from trainlog.cli.main import run
 from trainlog.errors import InputError
 from trainlog.formats.line import line_to_bytes
 from trainlog.mcap import stream_log, write_log
+from trainlog.railway import LineReference
 from trainlog.replay import ReplayOptions, write_replay
 from trainlog.replay.clock import clock_of
 from trainlog.replay.overlay import OVERVIEW, PIECE_LENGTH, extremes, thinned_trip, thinned_trips
@@ -190,7 +191,7 @@ def bare_trip(**changes: object) -> Trip:
     """As ingested from a recorder that knows speed and chainage alone."""
     trip = made_trip()
     kept = {"/train/state": trip["/train/state"], "/gnss/fix": trip["/gnss/fix"]}
-    return replace(trip, topics=kept, **changes)
+    return replace(trip, **{"topics": kept, **changes})
 
 
 def test_limit_and_gradient_of_the_line_stand_in_for_those_not_recorded(tmp_path: Path) -> None:
@@ -249,6 +250,39 @@ def test_lanes_name_kilometres_and_sections(tmp_path: Path) -> None:
     assert names[:3] == ["km 0", "km 0.2", "km 0.4"]
     assert found["position_m"].tolist()[:3] == [0, 200, 400]
     assert rows(path, "/trips/up/section")["StateChange:state"].tolist() == ["A – B town"]
+
+
+def test_blocks_are_named_by_the_operators_kilometre_at_which_they_begin(tmp_path: Path) -> None:
+    """On a line that begins at km 61.33: what is too short for its kilometre has no name."""
+    course = replace(
+        LINE, reference=LineReference("850", *np.array([[0.0], [61.33e3], [61.33e3 + LENGTH]]))
+    )
+    for direction, firsts in (("forward", ["", "km 61.4"]), ("reverse", ["km 63.3", "km 63.2"])):
+        path, trip = tmp_path / f"{direction}.rrd", made_trip("up", direction)
+        attached = trip.attachments | {LINE_ATTACHMENT: line_to_bytes(course)}
+        write_replay([replace(trip, attachments=attached)], path)
+        assert rows(path, "/trips/up/kilometre")["StateChange:state"].tolist()[:2] == firsts
+
+
+def test_before_a_trip_the_cursor_states_where_it_begins(tmp_path: Path) -> None:
+    """The position timeline begins on a whole kilometre, where no trip has been yet."""
+    state = made_trip()["/train/state"]
+    moved = state.assign(position=np.linspace(420.0, LENGTH, len(state)))
+    moved.attrs.update(state.attrs)
+    path = tmp_path / "one.rrd"
+    write_replay([bare_trip(topics={"/train/state": moved})], path)
+    found = rows(path, "/trips/up/cursor")
+    assert found["position_m"].tolist()[:2] == [0, 420]
+    assert str(found["TextDocument:text"][0]) == "# km 0.420\n\nThe trip begins there."
+
+
+def test_particulars_are_listed_with_units_and_fit_a_narrow_panel(tmp_path: Path) -> None:
+    path, trip = tmp_path / "one.rrd", made_trip()
+    known = {**trip.metadata, "load": "17700", "not_used": "columns " * 20}
+    write_replay([replace(trip, metadata=known)], path)
+    (text,) = static(path, "/trips/up/about", "TextDocument:text")
+    assert "- **load**: 17.7 t\n" in text
+    assert "|" not in text
 
 
 # --------------------------------------------------------------------------------- the command

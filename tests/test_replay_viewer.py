@@ -205,8 +205,10 @@ def drawn_pixels(viewer: HeadlessViewer, image: Path) -> dict[str, int]:
     return counts
 
 
+PHASES = "Kilometre, driving phase (T traction, C coasting, B braking, S standstill), section"
+
 EXPECTED = {
-    "overview": {"up: speed [km/h]", "Kilometre, driving phase, section", "Events", "Trip up"},
+    "overview": {"up: speed [km/h]", PHASES, "Events", "Trip up"},
     "driving": {"Efforts at the wheel rims [kN], braking downwards", "At the cursor: up"},
     "traction": {"Slip: wheel less train speed [km/h]", "Adhesion in use and maximum adhesion [1]"},
     "identification": {"Running resistance [kN]", "Gradient [‰], uphill positive"},

@@ -250,6 +250,17 @@ def observed(condition: TrackConditionMap | None) -> list[str]:
     return [name for name, layer in layers.items() if layer.observed.any()]
 
 
+def top_of(condition: TrackConditionMap | None) -> float:
+    """Upper end of an axis over nearly all bands of a map, in tenths."""
+    highest = 0.0
+    for name in observed(condition):
+        assert condition is not None
+        layer = condition.layers[name]
+        upper = layer.maximum_adhesion * (1.0 + 2.0 * layer.log_std)
+        highest = max(highest, float(np.nanquantile(upper, 0.95)))
+    return max(0.4, 0.1 * float(np.ceil(10.0 * highest)))
+
+
 def check_line(condition: TrackConditionMap, line: Line, trip: str) -> None:
     """Refuse a track-condition map of another line.
 

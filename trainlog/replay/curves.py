@@ -69,6 +69,15 @@ TRIPS: tuple[Colour, ...] = (
 )
 
 
+PHASES: dict[str, Colour] = {
+    "traction": (45, 140, 75),
+    "coasting": (95, 100, 120),
+    "braking": (185, 85, 45),
+    "standstill": (45, 45, 50),
+}
+"""Driving phases and their colours."""
+
+
 @dataclass(frozen=True, slots=True)
 class Stroke:
     """One field of a topic as a line; a field ``per_axle`` gives one line an axle or coupler.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from trainlog.replay.condition import (
     observed,
 )
 from trainlog.replay.curves import (
+    PHASES,
     PLANNED,
     SATELLITES,
     SPEEDS_SHOWN,
@@ -31,7 +33,7 @@ from trainlog.replay.curves import (
     legend,
     panels_of,
 )
-from trainlog.replay.layout import Shown
+from trainlog.replay.layout import PHASE_LETTERS, Shown
 from trainlog.replay.overlay import Reference, draw_difference
 from trainlog.replay.samples import (
     Pen,
@@ -130,19 +132,14 @@ def _send_span(
 LEVELS = {1: "DEBUG", 2: "INFO", 3: "WARN", 4: "ERROR", 5: "CRITICAL"}
 """Levels of foxglove.Log and their names in Rerun."""
 
-PHASES: dict[str, Colour] = {
-    "traction": (45, 140, 75),
-    "coasting": (95, 100, 120),
-    "braking": (185, 85, 45),
-    "standstill": (45, 45, 50),
-}
-"""Driving phases and their colours."""
-
 KEYS = ("train", "line", "direction", "load", "weather", "start")
 """Keys of a trip's metadata that are listed first."""
 
 SMALL, LARGE = 5.0, 9.0
 """Radius of a satellite fix and of a train on the map, in points."""
+
+EVENT_WIDTH = 44
+"""Characters of an event's text that have space beside its time."""
 
 HEADROOM = 1.1
 """Top of a plot over nearly all of its values."""
@@ -301,7 +298,8 @@ class Drawing:
         entity = f"{self._root}/phase"
         if "phase" not in self._entities:
             colours = np.array(list(PHASES.values()), dtype=np.uint8)
-            style = rr.StateConfiguration(values=list(PHASES), colors=colours)
+            letters = [PHASE_LETTERS[phase] for phase in PHASES]
+            style = rr.StateConfiguration(values=list(PHASES), labels=letters, colors=colours)
             send_static(self._recording, entity, style)
         elif phase[0] == self._phase:
             time, phase = time[1:], phase[1:]
@@ -319,8 +317,9 @@ class Drawing:
         if EVENTS.name not in piece or piece[EVENTS.name].empty:
             return
         frame = piece[EVENTS.name]
+        # Rerun cuts what is wider than the panel, and shows several lines as they are.
         texts = [
-            f"{name}: {message}" if name else message
+            "\n".join(textwrap.wrap(f"{name}: {message}" if name else message, EVENT_WIDTH))
             for name, message in zip(frame["name"], frame["message"], strict=True)
         ]
         levels = [LEVELS.get(level, "INFO") for level in frame["level"]]
@@ -415,7 +414,17 @@ def _about(trip: Trip, name: str) -> str:
     keys = sorted(
         trip.metadata, key=lambda key: (KEYS.index(key) if key in KEYS else len(KEYS), key)
     )
-    rows = [f"| {key} | {trip.metadata[key]} |" for key in keys if key != "trip"]
+    # A list, not a table: next to one long value a table's columns leave the narrow panel.
+    shown = trip.metadata | ({"load": _tonnes(trip.metadata["load"])} if "load" in keys else {})
+    rows = [f"- **{key}**: {shown[key]}" for key in keys if key != "trip"]
     steps = [f"{i}. {step['step']}" for i, step in enumerate(trip.provenance, start=1)]
-    table = "\n".join([f"# {name}", "", "| | |", "|---|---|", *rows])
-    return table + ("\n\nMade by\n\n" + "\n".join(steps) if steps else "") + "\n"
+    parts = [f"### {name}", "\n".join(rows), *(["Made by", "\n".join(steps)] if steps else [])]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _tonnes(load: str) -> str:
+    """A load [kg] as it is shown; as it stands if it is no number."""
+    try:
+        return f"{float(load) / 1e3:.1f} t"
+    except ValueError:
+        return load

@@ -18,7 +18,7 @@ import rerun.blueprint as rrb
 from trainlog.errors import InputError
 from trainlog.replay.chart import Chart
 from trainlog.replay.clock import ELAPSED, POSITION, TIME, FloatArray
-from trainlog.replay.curves import PANELS, SPEEDS_SHOWN, Colour, Panel
+from trainlog.replay.curves import PANELS, PHASES, SPEEDS_SHOWN, Colour, Panel
 from trainlog.replay.overlay import BEHIND, SLOWER
 from trainlog.replay.samples import path_of
 
@@ -50,7 +50,12 @@ DIFFERENCES: dict[tuple[str, ...], int] = {OVERVIEW: 1, DRIVING: 2}
 NEEDED = {"traction": ("slip", "adhesion"), "identification": ("resistance",)}
 """A view of one trip is there if one of these panels is."""
 
-LANES = {"kilometre": "kilometre", "phase": "driving phase", "section": "section"}
+PHASE_LETTERS = {phase: phase[0].upper() for phase in PHASES}
+"""What stands in the blocks of the driving phases: many are too short for their names."""
+
+_NAMED = ", ".join(f"{letter} {phase}" for phase, letter in PHASE_LETTERS.items())
+
+LANES = {"kilometre": "kilometre", "phase": f"driving phase ({_NAMED})", "section": "section"}
 """Entities of a trip that are drawn as blocks under the plots, in Rerun's order; their titles."""
 
 LANE_HEIGHT, LANES_HEIGHT, COMMON_HEIGHT = 40.0, 56.0, 800.0
@@ -120,6 +125,8 @@ class Contents:
         Of the track-condition map.
     chart : Chart
         What places are drawn on.
+    adhesion : float
+        Upper end of the axis of that map.
     live : bool
         Whether the trip is still recorded: the cursor stays at its end.
     """
@@ -127,11 +134,21 @@ class Contents:
     planned: str | None = None
     layers: Sequence[str] = field(default=())
     chart: Chart = field(default_factory=Chart)
+    adhesion: float = 0.4
     live: bool = False
 
 
-SIDE_MAP, LARGE_MAP = (350.0, 330.0), (800.0, 1000.0)
-"""Height and width that the map has beside plots, and alone, on a common screen [points]."""
+SIDE_MAP, LARGE_MAP = (350.0, 330.0), (460.0, 1100.0)
+"""Greatest height and width of the map beside plots, and alone, on a common screen [points]."""
+
+LEAST_MAP, TITLE = 90.0, 30.0
+"""Least height of a map, and that of the title of a panel [points]."""
+
+CURSOR_HEIGHT, EVENTS_HEIGHT, ABOUT_HEIGHT = 190.0, 200.0, 260.0
+"""Of the panels beside the plots, on a common screen [points]; what is left over they share."""
+
+Side = tuple[Any, float] | None
+"""A panel beside the plots and its height [points]; None where there is nothing to show."""
 
 
 MARGIN = 0.12
@@ -214,16 +231,15 @@ def _views(trips: Sequence[Shown], contents: Contents) -> dict[str, Any]:
     """The views that these trips have, each a container with its name."""
     whole = [trip for trip in trips if not trip.brief]
     one = len(trips) == 1
-    views = {"overview": _alone(trips[0], contents) if one else _together(trips, contents)}
+    first = _page(trips[0], OVERVIEW, contents) if one else _together(trips, contents)
+    views = {"overview": first}
     for name, panels in (
         ("driving", DRIVING),
         ("traction", TRACTION),
         ("identification", IDENTIFICATION),
     ):
         held = [trip for trip in whole if any(map(trip.shows, NEEDED.get(name, panels)))]
-        driving = name == "driving"
-        pages = [_page(trip, panels, contents, whole=driving) for trip in held]
-        views[name] = _tabbed(pages, name)
+        views[name] = _tabbed([_page(trip, panels, contents) for trip in held], name)
     views["map"] = _places(trips, contents)
     views["recorder"] = _tabbed([_recorder(trip) for trip in whole], "recorder")
     made = {name: view for name, view in views.items() if view is not None}
@@ -240,20 +256,12 @@ def _tabbed(pages: Sequence[Any], name: str) -> Any | None:
     return found[0] if len(found) == 1 else rrb.Tabs(*found, active_tab=0, name=name)
 
 
-def _page(trip: Shown, panels: tuple[str, ...], contents: Contents, *, whole: bool) -> Any:
-    """Some panels of a trip, with lanes under the first, and where it is.
-
-    Of the whole trip its particulars, too.
-    """
+def _page(trip: Shown, panels: tuple[str, ...], contents: Contents) -> Any:
+    """Some panels of a trip, with lanes under the first; where it is, its events, particulars."""
     rows, shares = _rows(trip, panels, DIFFERENCES.get(panels, 0))
     place = _chart([trip], contents, trip.layer, SIDE_MAP)
-    side = [place, _cursor(trip), _events(trip), *([_about(trip)] if whole else [])]
+    side = [place, _cursor(trip), _events(trip), _about([trip])]
     return _beside(rows, shares, side, trip.name)
-
-
-def _alone(trip: Shown, contents: Contents) -> Any:
-    """What a trip did at a glance, where it is, its events and particulars."""
-    return _page(trip, OVERVIEW, contents, whole=True)
 
 
 def _rows(trip: Shown, panels: Sequence[str], differences: int) -> tuple[list[Any], list[float]]:
@@ -280,16 +288,17 @@ def _differences(reference: str) -> tuple[tuple[str, str], ...]:
     )
 
 
-def _beside(rows: list[Any], shares: list[float], side: Sequence[Any | None], name: str) -> Any:
+def _beside(rows: list[Any], shares: list[float], side: Sequence[Side], name: str) -> Any:
     """Plots on the left, the rest on the right."""
     found = [each for each in side if each is not None]
+    views, heights = [view for view, _ in found], [height for _, height in found]
     if not rows:
-        return rrb.Vertical(*found, name=name)
+        return rrb.Vertical(*views, name=name)
     plots = rrb.Vertical(*rows, row_shares=shares)
     if not found:
         return rrb.Vertical(plots, name=name)
-    right = rrb.Vertical(*found, row_shares=[3.0, 1.8, 2.0, 2.0][: len(found)])
-    return rrb.Horizontal(plots, right, column_shares=[3.0, 1.0], name=name)
+    right = rrb.Vertical(*views, row_shares=heights)
+    return rrb.Horizontal(plots, right, column_shares=[2.6, 1.0], name=name)
 
 
 def _add_lanes(
@@ -356,7 +365,7 @@ def _together(trips: Sequence[Shown], contents: Contents) -> Any:
     first = next((trip for trip in trips if trip.shows("kilometre")), trips[0])
     _add_lanes(rows, shares, len(rows), first, ("kilometre", "section"))
     place = _chart(trips, contents, trips[0].layer, SIDE_MAP)
-    return _beside(rows, shares, [place, _cursor(first), _about(first)], "All trips")
+    return _beside(rows, shares, [place, _cursor(first), _about(trips)], "All trips")
 
 
 def _places(trips: Sequence[Shown], contents: Contents) -> Any | None:
@@ -365,20 +374,25 @@ def _places(trips: Sequence[Shown], contents: Contents) -> Any | None:
         plot(
             [f"{line}/maximum_adhesion/{path_of(layer)[1:]}/**" for layer in contents.layers],
             "Maximum adhesion along the line, in its own direction [1]",
+            contents.adhesion,
         )
         for line in dict.fromkeys(trip.line for trip in trips if trip.layer)
     ]
-    place = _chart(trips, contents, trips[0].layer, LARGE_MAP)
+    layer = next((trip.layer for trip in trips if trip.layer), "")
+    place = _chart(trips, contents, layer, LARGE_MAP)
     if place is None and not rows:
         return None
     first = next((trip for trip in trips if trip.shows("cursor")), None)
     shares = [1.0] * len(rows)
     if place is not None:
-        rows.insert(0, place)
-        shares.insert(0, 2.2)
+        view, height = place
+        rows.insert(0, view)
+        shares.insert(0, height * max(len(shares), 1) / (COMMON_HEIGHT - height))
+    side: list[Side] = [_about(trips)]
     if first is not None:
         _add_lanes(rows, shares, len(rows), first, ("kilometre", "section"))
-    return _beside(rows, shares, [None if first is None else _cursor(first)], "Map")
+        side = [_cursor(first), _events(first), *side]
+    return _beside(rows, shares, side, "Map")
 
 
 def plot(
@@ -428,8 +442,11 @@ def _speed(trip: Shown) -> str:
 
 def _chart(
     trips: Sequence[Shown], contents: Contents, layer: str, size: tuple[float, float]
-) -> Any | None:
-    """The line, the stations and the trains from above; None without a place."""
+) -> Side:
+    """The line, the stations and the trains from above; None without a place.
+
+    As high as it needs in its width, and at most as `size` has it.
+    """
     placed = [trip for trip in trips if trip.extent is not None]
     if not placed:
         return None
@@ -448,8 +465,10 @@ def _chart(
         bounds = rrb.VisualBounds2D(
             x_range=(x[0] - margin, x[1] + margin), y_range=(y[0] - margin, y[1] + margin)
         )
-        return rrb.Spatial2DView(contents=drawn, name=title, visual_bounds=bounds)
-    return rrb.MapView(contents=drawn, name=title, zoom=_zoom(whole, size))
+        view = rrb.Spatial2DView(contents=drawn, name=title, visual_bounds=bounds)
+        high = size[1] * (np.ptp(y) + 2.0 * margin) / (np.ptp(x) + 2.0 * margin)
+        return view, TITLE + float(np.clip(high, LEAST_MAP, size[0]))
+    return rrb.MapView(contents=drawn, name=title, zoom=_zoom(whole, size)), size[0]
 
 
 def _zoom(extent: FloatArray, size: tuple[float, float]) -> float:
@@ -464,26 +483,29 @@ def _zoom(extent: FloatArray, size: tuple[float, float]) -> float:
     return float(np.clip(levels.min(), 1.0, 18.0))
 
 
-def _events(trip: Shown) -> Any | None:
+def _events(trip: Shown) -> Side:
     if not trip.shows("events"):
         return None
-    return rrb.TextLogView(
-        origin=f"{trip.root}/events",
-        name="Events",
-        columns=rrb.TextLogColumns(
-            timeline_columns=[ELAPSED, POSITION],
-            text_log_columns=["LogLevel", "Body"],
-        ),
-    )
+    # Where the train was then the cursor's panel states; the texts need the width.
+    columns = rrb.TextLogColumns(timeline_columns=[ELAPSED], text_log_columns=["LogLevel", "Body"])
+    view = rrb.TextLogView(origin=f"{trip.root}/events", name="Events", columns=columns)
+    return view, EVENTS_HEIGHT
 
 
-def _cursor(trip: Shown) -> Any | None:
+def _cursor(trip: Shown) -> Side:
     if not trip.shows("cursor"):
         return None
-    return rrb.TextDocumentView(origin=f"{trip.root}/cursor", name=f"At the cursor: {trip.name}")
+    name = f"At the cursor: {trip.name}"
+    return rrb.TextDocumentView(origin=f"{trip.root}/cursor", name=name), CURSOR_HEIGHT
 
 
-def _about(trip: Shown) -> Any | None:
-    if not trip.shows("about"):
+def _about(trips: Sequence[Shown]) -> Side:
+    """Particulars of trips, of several one tab each."""
+    views = [
+        rrb.TextDocumentView(origin=f"{trip.root}/about", name=f"Trip {trip.name}")
+        for trip in trips
+        if trip.shows("about")
+    ]
+    if not views:
         return None
-    return rrb.TextDocumentView(origin=f"{trip.root}/about", name=f"Trip {trip.name}")
+    return views[0] if len(views) == 1 else rrb.Tabs(*views, active_tab=0), ABOUT_HEIGHT

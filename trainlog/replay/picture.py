@@ -43,7 +43,7 @@ def take_picture(
     size: tuple[int, int] = (1600, 1000),
     view: str | None = None,
     timeline: str | None = None,
-    at: int = 0,
+    at: int | None = None,
     layout: str | Path | None = None,
     settle: float = SETTLING,
 ) -> list[str]:
@@ -61,8 +61,9 @@ def take_picture(
         One of the replay's named views, instead of the one that it opens with.
     timeline : str, optional
         To show instead of the layout's own.
-    at : int
-        Where on that timeline: nanoseconds or, on the position timeline, metres.
+    at : int, optional
+        Where on that timeline: nanoseconds or, on the position timeline, metres. Default: its
+        middle.
     layout : path, optional
         Instead of the recording's own, see `trainlog.replay.log_layout`.
     settle : float [s]
@@ -87,8 +88,7 @@ def take_picture(
     with headless_viewer(recording, size=size, layout=layout, settle=settle) as viewer:
         if view is not None:
             viewer.show(view)
-        if timeline is not None:
-            viewer.set_time(timeline, at)
+        viewer.set_time(timeline, at)
         viewer.picture(image)
         return viewer.panels()
 
@@ -131,8 +131,10 @@ class HeadlessViewer:
         self.client.set_blueprint(blueprint, "recording")
         self._wait()
 
-    def set_time(self, timeline: str, at: int) -> None:
+    def set_time(self, timeline: str | None = None, at: int | None = None) -> None:
         """Put the cursor at an instant [ns], or a position [m], of a timeline.
+
+        Without one in its middle, of the timeline that is shown if none is named.
 
         Raises
         ------
@@ -140,13 +142,16 @@ class HeadlessViewer:
             If the recording has no such timeline.
         """
         state = self.client.get_state()
-        kinds = {each.name: each.time_type for one in state.recordings for each in one.timelines}
-        if timeline not in kinds:
+        known = {each.name: each for one in state.recordings for each in one.timelines}
+        if timeline is None:
+            timeline = next(one.current_timeline for one in state.recordings if one.timelines)
+        if timeline not in known:
             raise InputError(
-                f"the recording has no timeline '{timeline}'", remedy=f"it has: {', '.join(kinds)}"
+                f"the recording has no timeline '{timeline}'", remedy=f"it has: {', '.join(known)}"
             )
-        kind = kinds[timeline]
-        shown: Any = at if kind == "sequence" else at / NANOSECONDS
+        kind = known[timeline].time_type
+        place = (known[timeline].start + known[timeline].end) // 2 if at is None else at
+        shown: Any = place if kind == "sequence" else place / NANOSECONDS
         self.client.set_time(timeline, play_state="paused", **{kind: shown})
         self._wait()
 

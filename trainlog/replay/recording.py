@@ -21,7 +21,7 @@ from trainlog.formats.line import line_to_bytes
 from trainlog.progress import track
 from trainlog.railway import Line, TrackConditionMap, Trajectory
 from trainlog.replay.chart import chart_of
-from trainlog.replay.condition import check_line, observed
+from trainlog.replay.condition import check_line, observed, top_of
 from trainlog.replay.curves import TRIPS
 from trainlog.replay.drawing import Drawing, draw_line_of, draw_trajectory
 from trainlog.replay.layout import Contents, blueprint, check_view
@@ -192,7 +192,7 @@ def write_replay(
         if trajectory is not None and len(trips) > 1:
             draw_trajectory(recording, trajectory, surveys[0].clock.start)
         planned = None if trajectory is None else trajectory.direction
-        contents = Contents(planned, observed(condition_map), chart)
+        contents = Contents(planned, observed(condition_map), chart, top_of(condition_map))
         recording.send_blueprint(blueprint(shown, contents, asked.view))
     stated = tuple(each.name for each in compared.values())
     return Replay(tuple(names), stated, thinned)

@@ -331,19 +331,24 @@ def _from_whole_kilometre(instants: Instants, points: Samples) -> tuple[Instants
 
     Rerun counts a plot's ticks from its first sample: they fall on whole kilometres with it.
     """
-    first = np.floor(instants.position.min() / 1e3) * 1e3
     variances = points.variances
     return (
-        Instants(
-            instants.start,
-            np.insert(instants.time, 0, instants.time[0]),
-            np.insert(instants.position, 0, first),
-        ),
+        from_whole_kilometre(instants),
         Samples(
             np.insert(points.time, 0, points.time[0]),
             np.insert(points.ordinates, 0, np.nan, axis=0),
             None if variances is None else np.insert(variances, 0, np.nan, axis=0),
         ),
+    )
+
+
+def from_whole_kilometre(instants: Instants) -> Instants:
+    """The same with one more, before them, at the whole kilometre before the first position."""
+    first = np.floor(instants.position.min() / 1e3) * 1e3
+    return Instants(
+        instants.start,
+        np.insert(instants.time, 0, instants.time[0]),
+        np.insert(instants.position, 0, first),
     )
 
 

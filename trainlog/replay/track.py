@@ -18,7 +18,13 @@ from trainlog.railway import Line
 from trainlog.railway.line import StepProfile
 from trainlog.replay.clock import Clock, FloatArray, Instants, Nanoseconds, nanoseconds
 from trainlog.replay.curves import LIMIT, TERRAIN, Colour
-from trainlog.replay.samples import Samples, send_curve, send_rows, send_static
+from trainlog.replay.samples import (
+    Samples,
+    from_whole_kilometre,
+    send_curve,
+    send_rows,
+    send_static,
+)
 from trainlog.topics import ESTIMATED_STATE, GNSS_MOTION, TRAIN_STATE
 from trainlog.trip import Trip
 from trainlog.units import KMH, NANOSECONDS, PER_MILLE
@@ -31,6 +37,9 @@ BLOCKS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 MOST_BLOCKS = 15
 """More have no place for their kilometres under a plot."""
+
+SHORTEST_NAMED = 0.7
+"""Share of its length from which a block has space for its kilometre."""
 
 KILOMETRE_STEP = 10.0
 """How finely the operator's kilometre is sampled [m]."""
@@ -118,7 +127,12 @@ def _kilometre_blocks(line: Line | None, first: float, last: float) -> tuple[Flo
     kilometre = (places if line is None else line.kilometre(places)) / 1e3
     number = np.floor(kilometre / length + 1e-9)
     begins = np.concatenate(([0], np.flatnonzero(np.diff(number)) + 1))
-    return places[begins], [f"km {number[i] * length:g}" for i in begins]
+    names = [f"km {round(kilometre[i], 1):g}" for i in begins]
+    # What the trip has of its first block may be too short for its kilometre.
+    ends = np.append(places[begins[1:]], last)
+    if ends[0] - first < SHORTEST_NAMED * 1e3 * length and len(names) > 1:
+        names[0] = ""
+    return places[begins], names
 
 
 def _section_blocks(line: Line, first: float, last: float) -> tuple[FloatArray, list[str]]:
@@ -190,6 +204,10 @@ class Whereabouts:
         self._last = int(second[-1])
         instants = self._clock.instants(time[first])
         texts = self.texts(instants.position, speed[first])
+        if not begun and instants.position.size:
+            begins, text = from_whole_kilometre(instants), texts[0].partition("\n")[0]
+            if begins.position[0] < begins.position[1]:
+                instants, texts = begins, [f"{text}\n\nThe trip begins there.", *texts]
         if not begun:
             style = rr.TextDocument.from_fields(media_type="text/markdown")
             send_static(self._recording, self._entity, style)
