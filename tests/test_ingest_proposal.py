@@ -91,6 +91,7 @@ def test_every_column_is_used_or_listed(verdicts: list[Verdict]) -> None:
         assert proposal.profile.time is not None
         used = {n for c in proposal.profile.columns.values() for n in c.names}
         used |= set(proposal.profile.time.names)
+        used |= set(proposal.profile.trip.columns.names)
         assert used | set(proposal.not_used) == set(proposal.names)
 
 

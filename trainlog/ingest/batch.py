@@ -509,6 +509,11 @@ class _Batch:
             for name, made in before.items():
                 yield self._unchanged(file, name, made)
             return
+        copied = [] if before else self._copies(file, digest)
+        for made in copied:
+            yield self._copy(file, made)
+        if copied:
+            return
         for name, outcome in ingested(file, given):
             if isinstance(outcome, TrainlogError):
                 yield Outcome(file, "refused", name, reason=str(outcome))
@@ -523,6 +528,21 @@ class _Batch:
             return {}
         known = self._by_content.get(digest, [])
         return {made.step.get("recording", ""): made for made in known if made.is_of(mark, file)}
+
+    def _copies(self, file: Path, digest: str) -> list[_Made]:
+        """Logs of the same content that a file of another name gave, however it was read."""
+        known = [made for made in self._by_content.get(digest, []) if made.log.exists()]
+        return [] if any(file.name in made.recorded for made in known) else known
+
+    def _copy(self, file: Path, made: _Made) -> Outcome:
+        self._note_inputs(file, made.recorded)
+        first = next(iter(made.recorded), made.log.name)
+        reason = (
+            f"of the same content as {first}, of which {made.log.name} is made; not made again"
+            f" (to make it anew in another way, give {first}; or another folder)"
+        )
+        name, known = made.step.get("recording", ""), made.trip.metadata
+        return Outcome(file, "unchanged", name, made.log, reason, report_of(made.trip), known)
 
     def _unchanged(self, file: Path, name: str, made: _Made) -> Outcome:
         first = self._taken.setdefault(made.log, file)

@@ -55,13 +55,14 @@ def wanted_columns(profile: Profile, present: tuple[str, ...], file: Path) -> li
     for column in profile.columns.values():
         if not (column.optional and not set(column.names) <= set(present)):
             names += column.names
-    return names
+    return list(dict.fromkeys([*names, *profile.trip.columns.names]))
 
 
 def columns_left(profile: Profile, present: Iterable[str]) -> dict[str, int]:
     """The columns of a file that a profile does not use, as a `Recording` states them."""
     used = {name for column in profile.columns.values() for name in column.names}
     used |= set(profile.time.names) if profile.time is not None else set()
+    used |= set(profile.trip.columns.names)
     left = [name for name in dict.fromkeys(present) if name and name not in used]
     return {f"columns that the profile does not map: {', '.join(left)}": len(left)} if left else {}
 
@@ -124,7 +125,15 @@ def recording_of(
         )
     _name_slip_protection(profile, texts, constants)
     table = Table(time, cells.rows, values, texts)
-    return Recording((table,), cells.rows_read, tuple(findings), constants, raw=tuple(raw))
+    everywhere = np.ones(len(cells.table), dtype=np.bool_)
+    about = {
+        name: np.asarray([word.strip() for word in _text(cells, name, everywhere)], np.object_)
+        for name in profile.trip.columns.names
+        if name in present
+    }
+    return Recording(
+        (table,), cells.rows_read, tuple(findings), constants, raw=tuple(raw), about=about
+    )
 
 
 def _name_slip_protection(

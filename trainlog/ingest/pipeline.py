@@ -21,6 +21,7 @@ from trainlog.identity import source_of
 from trainlog.ingest.chainage import AgainstLineError
 from trainlog.ingest.estimates import Estimate, estimated_state, position_offset
 from trainlog.ingest.limits import LIMITS
+from trainlog.ingest.parts import parts_of
 from trainlog.ingest.profile import (
     Limits,
     MismatchError,
@@ -349,6 +350,10 @@ def _opened(path: str | Path, profile: str | Path | Profile | None, format: str 
                 error.problem, file=error.file, place=error.place, remedy=remedy
             ) from error
     recordings = (read,) if isinstance(read, Recording) else tuple(read)
+    options = rules or chosen.profile or default_profile()
+    recordings = tuple(
+        part for recording in recordings for part in parts_of(recording, options, source.stem)
+    )
     if not recordings:
         raise InputError(
             "holds no recording", file=source, remedy="was the recorder stopped at once?"
@@ -401,7 +406,7 @@ def _finished(
         trip, report, raw = _trip(recording, profile, line, train, direction)
         if line is not None:
             _check_on_line(trip, line)
-        stated = {**profile.metadata, **(metadata or {})}.get("load")
+        stated = {**trip.metadata, **(metadata or {})}.get("load")
         if stated is not None:
             _check_stated_load(stated, train)
     named = {"trip": source.path.stem} | trip.metadata | dict(metadata or {}) | report.metadata()

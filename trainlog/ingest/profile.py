@@ -390,6 +390,60 @@ class RideOptions(_Strict):
         return self
 
 
+class LoadColumn(_Strict):
+    """A column that holds the load of the trip, and its unit."""
+
+    column: str
+    unit: str
+
+    @pydantic.model_validator(mode="after")
+    def _units(self) -> Self:
+        _check_unit("load", self.unit, "kg")
+        return self
+
+
+class WeatherColumn(_Strict):
+    """A column that holds the rail's condition.
+
+    Attributes
+    ----------
+    column : str
+    words : dict of str to str
+        The condition, such as ``"dry"``, that each of the file's words means; others are taken as
+        they are.
+    """
+
+    column: str
+    words: dict[str, str] = Field(default_factory=dict)
+
+    @pydantic.model_validator(mode="after")
+    def _known(self) -> Self:
+        _refuse(_problem_of(check_condition, word) for word in self.words.values())
+        return self
+
+
+class TripColumns(_Strict):
+    """Columns that state what holds for a trip ([trip.columns]).
+
+    Attributes
+    ----------
+    number : str, optional
+        Column that numbers the trips: each block of rows of one number is a trip of its own.
+    load : LoadColumn, optional
+    weather : WeatherColumn, optional
+    """
+
+    number: str | None = None
+    load: LoadColumn | None = None
+    weather: WeatherColumn | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The columns of the file that are needed."""
+        found = (self.number, self.load and self.load.column, self.weather and self.weather.column)
+        return tuple(dict.fromkeys(name for name in found if name))
+
+
 class TripOptions(_Strict):
     """What holds for the whole trip ([trip]).
 
@@ -404,6 +458,8 @@ class TripOptions(_Strict):
         Load, or mass of the loaded train without the rotating part (needs the train).
     start_position : Quantity, optional
         Where the first row's position is; the recorded one then counts from an arbitrary 0.
+    columns : TripColumns
+        Columns that state facts of each trip.
     """
 
     name: str | None = None
@@ -415,6 +471,7 @@ class TripOptions(_Strict):
     load: Quantity | None = None
     mass: Quantity | None = None
     start_position: Quantity | None = None
+    columns: TripColumns = TripColumns()
 
     @pydantic.model_validator(mode="after")
     def _units(self) -> Self:
@@ -455,7 +512,7 @@ class Limits(_Strict):
     sort_within : float [s]
         Rows out of order by no more than this are sorted in, others dropped.
     pause : float [s]
-        A pause beyond it is not within one trip.
+        A pause beyond it, without rows or at standstill, parts two trips.
     gap : float [s], optional
         Time between two rows that counts as a gap; default five usual steps, at least 1 s.
     not_before : date, optional

@@ -220,6 +220,9 @@ class Recording:
         Files to be carried along with the trip.
     raw : tuple of Raw
         What stood where the reader met no number, no time or no whole row.
+    about : dict of str to (n,) object array
+        Cells of the columns that state facts of a trip, such as its number or load, by column; one
+        a row of the first table.
 
     Examples
     --------
@@ -238,6 +241,7 @@ class Recording:
     inputs: tuple[Path, ...] = ()
     attachments: dict[str, bytes] = field(default_factory=dict)
     raw: tuple[Raw, ...] = ()
+    about: dict[str, NDArray[np.object_]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         rows = {f"table {number}": repr(table) for number, table in enumerate(self.tables)}

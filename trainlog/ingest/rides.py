@@ -21,16 +21,15 @@ from numpy.typing import NDArray
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.ingest.mapping import recording_of, wanted_columns
+from trainlog.ingest.parts import part_of, with_cut_lines
 from trainlog.ingest.profile import Profile, RideOptions
 from trainlog.ingest.recording import (
     METRES_PER_DEGREE,
     NO_TIME,
     BoolArray,
-    Finding,
     IntArray,
     Recording,
     Table,
-    base_name,
 )
 from trainlog.ingest.tabular import open_text
 
@@ -117,7 +116,7 @@ def read_rides(path: Path, profile: Profile | None) -> list[Recording]:
     lost = Counter(f"{what}: {reason}" for reason in reasons if reason)
     not_used = {f"rides not {options.selection}".strip(): len(table) - len(rides)} | dict(lost)
     attached = {RIDES_ATTACHMENT: _listed(rides, counts, reasons, options)}
-    found[0] = _with_cut_lines(found[0], fixes)
+    found[0] = with_cut_lines(found[0], fixes)
     return [replace(item, not_used=not_used, attachments=attached) for item in found]
 
 
@@ -227,18 +226,6 @@ def _movement(fixes: Table) -> float:
 
 def _recording(ride: _Ride, fixes: Table, every: Recording, options: RideOptions) -> Recording:
     """The recording of a ride, with what was met in its cells."""
-    raw = tuple(
-        item.take(mine)
-        for item in every.raw
-        if item.column and (mine := np.isin(item.rows, fixes.rows)).any()
-    )
-    findings: list[Finding] = []
-    for name, values in fixes.signals.items():
-        absent = np.isnan(values)
-        garbled = [item.rows for item in raw if item.column == name]
-        words = np.isin(fixes.rows, garbled[0]) if garbled else np.zeros_like(absent)
-        findings += fixes.found("empty", absent & ~words, base_name(name))
-        findings += fixes.found("not_a_number", absent & words, base_name(name))
     metadata = {key: ride.cells[column].strip() for key, column in options.metadata.items()}
     # Words by which rides are selected may be in capitals or not.
     selecting = [key for key, column in options.metadata.items() if column in options.only]
@@ -252,18 +239,7 @@ def _recording(ride: _Ride, fixes: Table, every: Recording, options: RideOptions
     if ride.overlaps:
         metadata["cut_at"] = _iso(ride.last)
     known = {key: text for key, text in metadata.items() if text}
-    return Recording((fixes,), len(fixes), tuple(findings), every.constants, known, raw=raw)
-
-
-def _with_cut_lines(recording: Recording, every: Recording) -> Recording:
-    """The recording with the lines that are no rows: they belong to no ride, and count once."""
-    cut = tuple(finding for finding in every.findings if not finding.column)
-    return replace(
-        recording,
-        rows_read=recording.rows_read + sum(finding.count for finding in cut),
-        findings=(*cut, *recording.findings),
-        raw=(*(item for item in every.raw if not item.column), *recording.raw),
-    )
+    return part_of(every, np.isin(every.tables[0].rows, fixes.rows), known)
 
 
 def _listed(

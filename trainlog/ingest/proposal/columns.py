@@ -24,6 +24,7 @@ from trainlog.ingest.proposal.fixes import FASTEST, Position, positions_of
 from trainlog.ingest.proposal.layout import Layout, Reading
 from trainlog.ingest.proposal.motion import AMBIGUOUS, Answer, Question, Units, units_of
 from trainlog.ingest.proposal.times import Clock
+from trainlog.ingest.proposal.trips import facts_of
 from trainlog.ingest.proposal.vocabulary import Meaning
 from trainlog.ingest.proposal.work import Proposed, Work, unit_reason
 from trainlog.ingest.recording import FloatArray
@@ -85,6 +86,7 @@ def columns_of(
     place_lever(work)
     place_demands(work)
     place_rest(work)
+    work.trips = facts_of(work)
     keep_others(work)
     if not {roles.POSITION, roles.SPEED, roles.GNSS_SPEED, roles.LATITUDE} & set(work.proposed):
         shown = "; ".join(f"{name}: {why}" for name, why in list(work.left.items())[:8])

@@ -217,7 +217,8 @@ def keep_others(work: Work) -> None:
     taken: set[str] = set()
     for name, why in list(work.left.items()):
         meaning = work.meanings[name]
-        if name not in work.numbers or meaning.unit is None or not why.startswith(roles.NO_FIELD):
+        unknown = why.startswith((roles.NO_FIELD, roles.UNKNOWN))
+        if name not in work.numbers or meaning.unit is None or not unknown:
             continue
         slug = re.sub(r"[^a-z0-9]+", "_", plain(split_unit(name)[0])).strip("_")
         if not re.match(r"[a-z]", slug) or slug in taken:

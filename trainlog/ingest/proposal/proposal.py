@@ -12,13 +12,15 @@ import pandas as pd
 
 from trainlog.display import as_html, as_text, counted
 from trainlog.errors import InputError
+from trainlog.ingest.parts import parts_of
 from trainlog.ingest.profile import MISSING, Limits, Profile, Repair, TimeOptions, parse_profile
 from trainlog.ingest.proposal.columns import columns_of
 from trainlog.ingest.proposal.layout import Layout, Reading, layout_of
 from trainlog.ingest.proposal.times import Clock, clock_of
 from trainlog.ingest.proposal.vocabulary import meaning_of
-from trainlog.ingest.proposal.work import Proposed
-from trainlog.ingest.recording import Recording, base_name, field_of
+from trainlog.ingest.proposal.work import Proposed, Work
+from trainlog.ingest.proposal.trips import PAUSE, trip_lines
+from trainlog.ingest.recording import NO_TIME, Recording, base_name, field_of
 from trainlog.ingest.registry import format_of, own_profile
 from trainlog.ingest.rules import repaired
 from trainlog.ingest.tabular import read_delimited, read_parquet
@@ -183,12 +185,21 @@ def propose_profile(path: str | Path, train: Train | None = None) -> Proposal:
     not_used = layout.unnamed | {
         name: work.left[name] for name in layout.names if name in work.left
     }
-    readings = (*layout.readings, *clock.readings, *work.readings)
-    text = _toml(layout, clock, proposed, readings, not_used)
-    profile = parse_profile(text.encode(), file=f"the profile proposed for {source.name}")
+    readings = (*layout.readings, *clock.readings, *work.readings, *work.trips.readings)
     read = read_parquet if layout.format == "parquet" else read_delimited
+
+    def stated(more: list[str]) -> tuple[str, Profile]:
+        text = "\n".join([_toml(work, proposed, readings, not_used), *more, ""])
+        name = f"the profile proposed for {source.name}"
+        return text, parse_profile(text.encode(), file=name)
+
+    text, profile = stated([])
     recording = read(source, profile)
-    refused = _refused(recording)
+    pauses = _pauses(recording, profile, source.stem)
+    if pauses is not None:
+        readings = (*readings, pauses)
+        text, profile = stated(_pause_lines(pauses))
+    refused = _refused(parts_of(recording, profile, source.stem))
     if refused is not None:
         readings = (*readings, refused)
     return Proposal(
@@ -229,9 +240,39 @@ def _evidence(proposed: list[Proposed]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["column", "field", "unit", "why", "check", "alternative"])
 
 
-def _refused(recording: Recording) -> Reading | None:
+def _pauses(recording: Recording, profile: Profile, stem: str) -> Reading | None:
+    """The trips that pauses part; None if there are no such pauses."""
+    limits = profile.limits.model_copy(update={"pause": PAUSE})
+    parts = parts_of(recording, profile.model_copy(update={"limits": limits}), stem)
+    if len(parts) == len(parts_of(recording, profile, stem)):
+        return None
+    spans = [part.tables[0].time for part in parts]
+    known = [time[time != NO_TIME] for time in spans]
+    shown = ", ".join(
+        f"{pd.Timestamp(time.min()):%H:%M} to {pd.Timestamp(time.max()):%H:%M}"
+        for time in known[:6]
+    )
+    shown += ", ..." if len(known) > 6 else ""
+    return Reading(
+        "pauses", f"{len(parts)} trips (UTC): {shown}",
+        f"no rows, or standstill, for more than {PAUSE / 60.0:.0f} min between them",
+        "one trip: leave out pause under [limits]",
+    )  # fmt: skip
+
+
+def _pause_lines(pauses: Reading) -> list[str]:
+    return [
+        "",
+        "[limits]",
+        *_wrapped(f"{pauses.why}: {pauses.taken}"),
+        *_wrapped(f"open: or {pauses.alternative}"),
+        f"pause = {PAUSE:.0f}  # s",
+    ]
+
+
+def _refused(parts: list[Recording]) -> Reading | None:
     """What the rules of repair would refuse of the file, read so."""
-    for table in recording.tables:
+    for table in [table for part in parts for table in part.tables]:
         try:
             repaired(table, Limits(), Repair())
         except InputError as error:
@@ -271,13 +312,10 @@ def _preview(recording: Recording) -> pd.DataFrame:
 
 
 def _toml(
-    layout: Layout,
-    clock: Clock,
-    proposed: list[Proposed],
-    readings: tuple[Reading, ...],
-    not_used: dict[str, str],
+    work: Work, proposed: list[Proposed], readings: tuple[Reading, ...], not_used: dict[str, str]
 ) -> str:
     """The profile as commented TOML."""
+    layout, clock = work.layout, work.clock
     found = {reading.what: reading for reading in readings}
     lines = [
         *_wrapped(
@@ -291,6 +329,7 @@ def _toml(
     ]
     if layout.format == "csv" and layout.options.header and not clock.one_file:
         used = [*clock.options.names, *(name for each in proposed for name in each.columns)]
+        used += work.trips.columns.names
         lines += [
             "# Files with these columns are recognised (folder TRAINLOG_PROFILES).",
             "[detect]",
@@ -318,7 +357,7 @@ def _toml(
     zone = found.get("time zone")
     if zone is not None and zone.alternative:
         lines.append(f"clock = {_quoted(f'{zone.taken} assumed: {zone.why}')}")
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *trip_lines(work.trips)])
 
 
 def _file_section(layout: Layout, found: dict[str, Reading]) -> list[str]:

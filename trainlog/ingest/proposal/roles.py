@@ -22,6 +22,9 @@ GNSS_SPEED = "/gnss/motion.speed"
 NO_FIELD = "no field for"
 """Begin of the reason why a column of a known quantity is not used."""
 
+UNKNOWN = "its name is not known"
+"""Reason why a column is not used whose name holds no known word."""
+
 SIGNED = "effort of both signs"
 """Role of a column that holds traction and braking, or does not say which."""
 
@@ -81,7 +84,7 @@ def role_of(meaning: Meaning) -> tuple[str | None, str]:
     """
     quantity = meaning.quantity
     if quantity is None:
-        return None, "its name is not known"
+        return None, UNKNOWN
     if meaning.coverage < 0.5:
         return None, f"its name is hardly known ('{quantity}' is a part of it)"
     if quantity in ("speed", "rotation", "distance", "effort", "torque", "lever"):

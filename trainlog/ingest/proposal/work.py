@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from trainlog.ingest.profile import TripColumns
 from trainlog.ingest.proposal.checks import Motion
 from trainlog.ingest.proposal.layout import Layout, Reading
 from trainlog.ingest.proposal.times import Clock
@@ -46,6 +47,14 @@ class Proposed:
     alternative: str = ""
 
 
+@dataclass(frozen=True)
+class TripFacts:
+    """The columns that state facts of each trip, and what they rest on."""
+
+    columns: TripColumns = TripColumns()
+    readings: tuple[Reading, ...] = ()
+
+
 @dataclass
 class Work:
     """What is known so far of a table.
@@ -69,6 +78,8 @@ class Work:
         Why what is scaled by it is open, if its own unit is.
     rivals : dict of str to list of str
         Columns of the same role as one that is used, and as well named.
+    trips : TripFacts
+        Columns that state facts of each trip.
     """
 
     layout: Layout
@@ -84,6 +95,7 @@ class Work:
     speed: FloatArray | None = None
     speed_open: str = ""
     rivals: dict[str, list[str]] = field(default_factory=dict)
+    trips: TripFacts = field(default_factory=TripFacts)
 
     def first(self, role: str) -> str | None:
         """The column of a role; the others of that role are not used."""

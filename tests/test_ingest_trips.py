@@ -1,0 +1,173 @@
+"""A file of several trips becomes several logs, each with its number, load, weather and place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trainlog import read
+from trainlog.errors import InputError
+from trainlog.ingest import ingest, ingest_all, propose_profile, report_of
+
+
+BEGIN = np.datetime64("2025-03-11T05:30:00", "ms")
+
+
+@dataclass(frozen=True)
+class Run:
+    """A trip of the generator: a day's second, stops [m] from its start, facts."""
+
+    number: str
+    begin: int
+    stops: tuple[float, ...]
+    payload: float
+    weather: str
+    top: float = 22.0
+
+
+RUNS = (
+    Run("RE 3105", 0, (3100.0, 7400.0, 9800.0), 9400.0, "trocken"),
+    Run("RE 3109", 4_200, (3100.0, 7400.0, 9800.0), 3100.0, "nass", 17.0),
+    Run("RE 3113", 9_000, (3100.0, 9800.0), 12250.0, "nass", 25.0),
+)
+
+
+def driven(run: Run, step: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Distance [m] and speed [m/s]: constant rates, one minute at every stop."""
+    distance, speed = [0.0] * 20, [0.0] * 20
+    for stop in run.stops:
+        while (left := stop - distance[-1]) > 0.5:
+            most = min(speed[-1] + 0.6 * step, run.top, np.sqrt(2.0 * 0.5 * left))
+            speed.append(max(most, 0.3))
+            distance.append(min(distance[-1] + 0.5 * (speed[-1] + speed[-2]) * step, stop))
+        distance += [stop] * 60
+        speed += [0.0] * 60
+    return np.array(distance), np.array(speed)
+
+
+def table(runs: tuple[Run, ...], *, numbered: bool = True, counter: float = 54_321.0) -> str:
+    """Comma-separated, English names, miles an hour: another recorder than in other tests."""
+    names = ["Timestamp", *(["Train no."] if numbered else []), "Odometer (m)", "Speed (mph)"]
+    lines = [",".join([*names, "Payload [kg]", "Wetter", "Cabin noise [dB]", "Oil level [mm]"])]
+    for run in runs:
+        distance, speed = driven(run)
+        for second, (way, fast) in enumerate(zip(distance, speed, strict=True)):
+            time = BEGIN + np.timedelta64(1000 * (run.begin + second), "ms")
+            cells = [str(time).replace("T", " "), *([run.number] if numbered else [])]
+            cells += [f"{counter + way:.1f}", f"{fast / 0.44704:.2f}", f"{run.payload:.0f}"]
+            cells += [run.weather, "61", f"{40 + second % 7}"]
+            lines.append(",".join(cells))
+        counter += distance[-1]
+    return "\n".join(lines) + "\n"
+
+
+def written(folder: Path, text: str, name: str = "week.csv") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_numbered_trips_become_logs_with_their_load_and_weather(tmp_path: Path) -> None:
+    file = written(tmp_path, table(RUNS))
+    proposal = propose_profile(file)
+    assert any("RE 3105, RE 3109, RE 3113" in line for line in proposal.lines())
+    result = ingest_all(file, tmp_path / "logs", proposal.profile)
+    assert [each.log.name for each in result.outcomes if each.log] == [
+        "week-RE_3105.mcap",
+        "week-RE_3109.mcap",
+        "week-RE_3113.mcap",
+    ]
+    for run, each in zip(RUNS, result.outcomes, strict=True):
+        assert each.log is not None
+        trip = read(each.log)
+        assert trip.metadata["trip_number"] == run.number
+        assert float(trip.metadata["load"]) == run.payload
+        assert trip.metadata["weather"] == {"trocken": "dry", "nass": "wet"}[run.weather]
+        assert np.ptp(trip["/train/state"].position) == pytest.approx(run.stops[-1], abs=0.2)
+    # No row of the file is lost between the trips.
+    assert sum(each.report.rows_read for each in result.outcomes if each.report) == sum(
+        len(driven(run)[0]) for run in RUNS
+    )
+
+
+def test_pauses_part_trips_that_no_column_numbers(tmp_path: Path) -> None:
+    file = written(tmp_path, table(RUNS, numbered=False))
+    proposal = propose_profile(file)
+    assert proposal.profile.limits.pause == 900.0
+    assert any("3 trips" in line for line in proposal.lines())
+    result = ingest_all(file, tmp_path / "logs", proposal.profile)
+    assert [each.recording for each in result.outcomes] == ["week-01", "week-02", "week-03"]
+    assert [each.metadata["load"] for each in result.outcomes] == ["9400", "3100", "12250"]
+
+
+def test_a_standstill_with_rows_parts_trips_and_keeps_every_row(tmp_path: Path) -> None:
+    distance, speed = driven(RUNS[0])
+    still = 2_400
+    rows = ["Time,Speed (km/h),Distance (m)"]
+    way = np.concatenate([distance, np.full(still, distance[-1]), distance[-1] + distance])
+    fast = np.concatenate([speed, np.zeros(still), speed])
+    for second, (s, v) in enumerate(zip(way, fast, strict=True)):
+        rows.append(f"{BEGIN + np.timedelta64(1000 * second, 'ms')},{3.6 * v:.2f},{s:.1f}")
+    file = written(tmp_path, "\n".join(rows), "day.csv")
+    result = ingest_all(file, tmp_path / "logs", propose_profile(file).profile)
+    assert [each.recording for each in result.outcomes] == ["day-01", "day-02"]
+    reports = [each.report for each in result.outcomes if each.report]
+    assert sum(report.rows_kept for report in reports) == way.size
+    lengths = [report.rows_kept for report in reports]
+    assert abs(lengths[0] - lengths[1]) < 120
+
+
+def test_a_clock_that_leaps_while_the_train_runs_parts_no_trip(tmp_path: Path) -> None:
+    text = table(RUNS[:1], numbered=False).splitlines()
+    late = [line.replace("2025-03-11", "2025-03-12") for line in text[180:]]
+    file = written(tmp_path, "\n".join([*text[:180], *late]))
+    result = ingest_all(file, tmp_path / "logs", propose_profile(file).profile)
+    assert len(result.outcomes) == 1
+
+
+def test_a_quantity_without_a_field_is_kept(tmp_path: Path) -> None:
+    file = written(tmp_path, table(RUNS[:1]))
+    profile = propose_profile(file).profile
+    trip = ingest(file, profile)
+    assert "/recorded/other" in trip
+    assert trip["/recorded/other"]["oil_level"].max() == pytest.approx(0.046)
+    assert trip.metadata["load"] == "9400"
+
+
+def test_a_load_that_changes_within_a_trip_is_not_used(tmp_path: Path) -> None:
+    file = written(tmp_path, table(RUNS))
+    profile = propose_profile(file).profile
+    columns = profile.trip.columns.model_copy(update={"number": None})
+    whole = profile.model_copy(
+        update={"trip": profile.trip.model_copy(update={"columns": columns})}
+    )
+    trip = ingest(file, whole)
+    assert "load" not in trip.metadata
+    assert any("changes within the trip" in what for what in report_of(trip).not_used)
+
+
+def test_a_copy_under_another_name_is_skipped(tmp_path: Path) -> None:
+    file = written(tmp_path, table(RUNS))
+    profile = propose_profile(file).profile
+    logs = tmp_path / "logs"
+    ingest_all(file, logs, profile)
+    copy = written(tmp_path, file.read_text(encoding="utf-8"), "copy.csv")
+    other = profile.model_copy(update={"name": "read in another way"})
+    again = ingest_all(copy, logs, other)
+    assert [each.state for each in again.outcomes] == ["unchanged"] * 3
+    assert "same content as week.csv" in again.outcomes[0].reason
+    assert len(list(logs.glob("*.mcap"))) == 3
+    # The file itself may be read in another way.
+    assert {each.state for each in ingest_all(file, logs, other).outcomes} <= {"made", "repaired"}
+
+
+def test_an_unknown_column_of_a_trip_is_refused(tmp_path: Path) -> None:
+    file = written(tmp_path, table(RUNS))
+    profile = propose_profile(file).profile
+    columns = profile.trip.columns.model_copy(update={"number": "Trip number"})
+    trip = profile.trip.model_copy(update={"columns": columns})
+    with pytest.raises(InputError, match="Trip number"):
+        ingest(file, profile.model_copy(update={"trip": trip}))
