@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,6 @@ import pytest
 from trainlog import read
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, ingest_all, propose_profile, report_of
-
 
 BEGIN = np.datetime64("2025-03-11T05:30:00", "ms")
 

@@ -17,9 +17,9 @@ from trainlog.ingest.profile import MISSING, Limits, Profile, Repair, TimeOption
 from trainlog.ingest.proposal.columns import columns_of
 from trainlog.ingest.proposal.layout import Layout, Reading, layout_of
 from trainlog.ingest.proposal.times import Clock, clock_of
+from trainlog.ingest.proposal.trips import PAUSE, trip_lines
 from trainlog.ingest.proposal.vocabulary import meaning_of
 from trainlog.ingest.proposal.work import Proposed, Work
-from trainlog.ingest.proposal.trips import PAUSE, trip_lines
 from trainlog.ingest.recording import NO_TIME, Recording, base_name, field_of
 from trainlog.ingest.registry import format_of, own_profile
 from trainlog.ingest.rules import repaired
