@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,19 +68,19 @@ def parts_of(recording: Recording, profile: Profile, stem: str) -> list[Recordin
     table = recording.tables[0]
     labels = _labels(recording, columns)
     edges = _edges(labels)
-    for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+    for first, last in pairwise(edges.tolist()):
         inside = table.take(np.arange(first, last))
         cuts = first + pauses_in(inside, profile.limits.pause)
         edges = np.union1d(edges, cuts)
-    spans = list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+    spans = list(pairwise(edges.tolist()))
     if len(spans) == 1:
         return [_with_facts(recording, columns, profile.file.decimal, labels)]
     found: list[Recording] = []
     names = _names([str(labels[first]) for first, _ in spans], recording.metadata.get("trip", stem))
     for (first, last), name in zip(spans, names, strict=True):
-        inside = np.zeros(len(table), dtype=np.bool_)
-        inside[first:last] = True
-        part = part_of(recording, inside, {**recording.metadata, "trip": name})
+        rows = np.zeros(len(table), dtype=np.bool_)
+        rows[first:last] = True
+        part = part_of(recording, rows, {**recording.metadata, "trip": name})
         found.append(_with_facts(part, columns, profile.file.decimal, labels[first:last]))
     return [with_cut_lines(found[0], recording), *found[1:]]
 
@@ -177,12 +178,10 @@ def pauses_in(table: Table, pause: float) -> IntArray:
     edges = np.concatenate(([0], leaps, [known.size]))
     # A few rows between two leaps are a defect of the clock.
     groups = [
-        (int(first), int(last))
-        for first, last in zip(edges[:-1], edges[1:], strict=True)
-        if last - first >= LEAST_GROUP
+        (int(first), int(last)) for first, last in pairwise(edges) if last - first >= LEAST_GROUP
     ]
     cuts = []
-    for (_, end), (begin, _) in zip(groups[:-1], groups[1:], strict=True):
+    for (_, end), (begin, _) in pairwise(groups):
         step = int(time[begin]) - int(time[end - 1])
         stands = speed is None or (
             _stands(speed[: known[end - 1] + 1][::-1]) and _stands(speed[known[begin] :])
@@ -215,13 +214,14 @@ def _standstills(time: IntArray, speed: FloatArray, known: IntArray, longest: in
     if moves.size < 2:
         return []
     found = []
-    for before, after in zip(moves[:-1], moves[1:], strict=True):
-        if after - before > 2 and longest < time[after] - time[before] < LONGEST_PAUSE:
-            inside = time[before : after + 1]
-            if np.any(np.abs(np.diff(inside)) > longest):
-                continue  # a time without rows, which is cut where it is
-            middle = int(np.searchsorted(inside, (int(inside[0]) + int(inside[-1])) // 2))
-            found.append(int(known[before + max(middle, 1)]))
+    lasts = np.diff(time[moves])
+    still = np.flatnonzero((np.diff(moves) > 2) & (lasts > longest) & (lasts < LONGEST_PAUSE))
+    for before, after in zip(moves[still].tolist(), moves[still + 1].tolist(), strict=True):
+        inside = time[before : after + 1]
+        if np.any(np.abs(np.diff(inside)) > longest):
+            continue  # a time without rows, which is cut where it is
+        middle = int(np.searchsorted(inside, (int(inside[0]) + int(inside[-1])) // 2))
+        found.append(int(known[before + max(middle, 1)]))
     return found
 
 
@@ -289,4 +289,4 @@ def _values(words: NDArray[np.object_], decimal: str) -> FloatArray:
         except ValueError:
             continue
     values = np.array(found)
-    return values[np.isfinite(values)]
+    return np.asarray(values[np.isfinite(values)])

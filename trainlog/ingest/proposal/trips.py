@@ -68,7 +68,7 @@ def _cells(work: Work, name: str) -> NDArray[np.object_]:
 
 
 def _changes(cells: NDArray[np.object_]) -> NDArray[np.int64]:
-    return (cells[1:] != cells[:-1]).astype(np.int64)
+    return np.asarray(cells[1:] != cells[:-1]).astype(np.int64)
 
 
 def _number(work: Work) -> tuple[str | None, list[Reading]]:

@@ -51,7 +51,7 @@ class Proposed:
 class TripFacts:
     """The columns that state facts of each trip, and what they rest on."""
 
-    columns: TripColumns = TripColumns()
+    columns: TripColumns = field(default_factory=TripColumns)
     readings: tuple[Reading, ...] = ()
 
 
