@@ -102,7 +102,10 @@ def test_places_are_the_operators_and_named_in_the_direction_of_travel(
         assert abs(ahead) / 1e3 == pytest.approx(float(before[1]), abs=0.051)
     coasting = [row for row in found.rows if row.words.startswith("coast")]
     assert coasting
-    pattern = r"coast from km \d+\.\d{3}, .*(before|after|at) .+, (until \d+ km/h|to a stand)"
+    pattern = (
+        r"coast from km \d+\.\d{3}, .*(before|after|at) .+, to km \d+\.\d{3}"
+        r"(: speed (falls|rises) to \d+(, (falls|rises) to \d+)* km/h)?(; at most \d+ km/h)?"
+    )
     assert all(re.fullmatch(pattern, row.sentence) for row in coasting)
 
 

@@ -21,10 +21,11 @@ from rich.table import Table
 from analysis.adhesion.condition_table import near
 from analysis.comparison.driven import station_at
 from analysis.tables import new_table
+from analysis.trajectory.instructions import instructions
 from analysis.trajectory.phases import AdvicePoint, Phase, advice
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write
-from trainlog.railway import Line, Trajectory
+from trainlog.railway import Line, StepProfile, Trajectory
 from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
@@ -38,10 +39,17 @@ HEADER = (
     "seconds",
     "timetable",
     "speed_kmh",
+    "permitted_kmh",
     "advice",
-    "until_kmh",
+    "target_kmh",
+    "to_km",
+    "lowest_kmh",
+    "highest_kmh",
 )
 """Columns of the advice as CSV."""
+
+NOTICED = 1.0 / KMH
+"""Change of speed that the advice states [m/s]."""
 
 JOINS = 1.0
 """So near [m] a section begins to where the one before ends."""
@@ -73,7 +81,11 @@ class AdviceRow:
         When the timetable has it; None where it says nothing.
     speed, until : float [m/s]
         There, and where the next change is.
+    permitted : float or None [m/s]
+        The lowest permitted speed up to the next change; None without the line.
     point : AdvicePoint or None
+    to_km : float
+        The operator's kilometre of the next change.
     """
 
     event: Event
@@ -85,30 +97,36 @@ class AdviceRow:
     timetable: float | None
     speed: float
     until: float
+    permitted: float | None = None
     point: AdvicePoint | None = None
+    to_km: float = np.nan
 
     @property
     def words(self) -> str:
-        """What is to be done, in a few words: ``"coast until 90 km/h"``."""
+        """What is to be done, in a few words: ``"brake to 90 km/h by km 18.679"``."""
         point = self.point
         if point is None:
             return "" if self.event == "passes" else self.event
-        until = f"{KMH * point.until:.0f} km/h" if point.until > 0.1 else "a stand"
         if point.hold:
             return point.words
+        to, by = f"{KMH * point.target:.0f} km/h", f"by km {self.to_km:.3f}"
         if point.phase is Phase.COASTING:
-            return f"coast until {until}" if point.until > 0.1 else "coast to a stand"
-        verb = {
-            Phase.MAXIMUM_TRACTION: "full traction to",
-            Phase.CRUISING: "partial traction to",
-            Phase.PARTIAL_BRAKING: "brake gently to",
-            Phase.MAXIMUM_BRAKING: "brake to",
-        }[point.phase]
-        return f"{verb} {until}"
+            most = f"; at most {to}" if point.capped else ""
+            return f"coast to km {self.to_km:.3f}{_course(point)}{most}"
+        if point.phase is Phase.MAXIMUM_TRACTION:
+            falls = point.highest - point.until > NOTICED
+            most = f"full traction, at most {to}{_course(point)}"
+            return most if falls else f"full traction to {to}"
+        if point.phase is Phase.CRUISING:
+            return f"partial traction to {to} {by}"
+        if 0.0 < point.target >= point.speed - NOTICED:
+            return f"brake, if faster, to {to} {by}"
+        verb = "brake gently" if point.phase is Phase.PARTIAL_BRAKING else "brake"
+        return f"{verb} to {to} {by}" if point.target > 0.0 else f"{verb} to a stand"
 
     @property
     def sentence(self) -> str:
-        """The same with its place: ``"coast from km 1.230, 1.2 km before A, until 9 km/h"``."""
+        """The same with its place: ``"coast from km 1.230, 1.2 km before A, to km 2.000"``."""
         where = f"km {self.km:.3f}" + (f", {self.place}" if self.place else "")
         if self.point is None:
             return f"{self.event} {self.station or where}"
@@ -293,7 +311,7 @@ def _rows(section: Trajectory, departure: float, line: Line | None) -> Iterator[
     row = section.latest
     times, places, speeds = section.times[row], section.positions, section.speeds[row]
     first, last = float(places[0]), float(places[-1])
-    points = advice(section)
+    points = instructions(section, row, advice(section), limits_of(section, line))
     yield _row("departs", first, departure, departure, (float(speeds[0]), 0.0), line)
     found = [
         _row("changes", each.position, departure + each.time, None, (each.speed, each.until), line,
@@ -314,6 +332,25 @@ def _rows(section: Trajectory, departure: float, line: Line | None) -> Iterator[
     )
 
 
+def limits_of(section: Trajectory, line: Line | None) -> StepProfile | None:
+    """The line's limits [m/s], as the section was planned for them; None without the line."""
+    if line is None:
+        return None
+    protected = section.provenance.get("settings", {}).get("protected_length", 0.0)
+    return line.limits_over(float(protected))
+
+
+def _course(point: AdvicePoint) -> str:
+    """How the speed falls and rises up to the next point: ``": speed falls to 8 km/h"``."""
+    turns = [
+        ("falls" if after < before else "rises", after)
+        for before, after in pairwise(point.course)
+        if abs(after - before) > NOTICED
+    ]
+    words = ", ".join(f"{verb} to {KMH * speed:.0f}" for verb, speed in turns)
+    return f": speed {words} km/h" if words else ""
+
+
 def _row(
     event: Event,
     position: float,
@@ -326,7 +363,13 @@ def _row(
     km = position if line is None else float(line.kilometre(position))
     station = "" if line is None or event == "changes" else station_at(line, position)
     place = near(line, [position])[0]
-    return AdviceRow(event, position, km / 1e3, station, place, time, timetable, *speeds, point)
+    permitted = None if point is None else point.permitted
+    to = position if point is None else point.end
+    to = to if line is None else float(line.kilometre(to))
+    return AdviceRow(
+        event, position, km / 1e3, station, place, time, timetable, *speeds, permitted, point,
+        to / 1e3,
+    )  # fmt: skip
 
 
 def write_journey_advice(found: JourneyAdvice, path: str | Path) -> None:
@@ -338,7 +381,12 @@ def write_journey_advice(found: JourneyAdvice, path: str | Path) -> None:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(HEADER)
         for row in found.rows:
-            until = f"{KMH * row.until:.1f}" if row.point is not None else ""
+            permitted = "" if row.permitted is None else f"{KMH * row.permitted:.1f}"
+            ahead = ["", "", "", ""]
+            if row.point is not None:
+                lowest, highest = KMH * row.point.lowest, KMH * row.point.highest
+                ahead = [f"{KMH * row.point.target:.0f}", f"{row.to_km:.3f}", f"{lowest:.1f}",
+                         f"{highest:.1f}"]  # fmt: skip
             table.writerow(
                 (
                     row.event,
@@ -349,15 +397,16 @@ def write_journey_advice(found: JourneyAdvice, path: str | Path) -> None:
                     f"{row.time:.1f}",
                     found.time(row.timetable),
                     f"{KMH * row.speed:.1f}",
+                    permitted,
                     row.words,
-                    until,
+                    *ahead,
                 )
             )
 
 
 def stations_table(found: JourneyAdvice) -> Table:
     """Arrivals, departures and passing times of a journey, a row a station."""
-    table = new_table("", "station", "km", "arrives", "departs", "")
+    table = new_table("", "station", "km", "arrives", "departs", "notes")
     calls: dict[float, dict[str, AdviceRow]] = {}
     for row in found.rows:
         if row.event != "changes":
@@ -380,7 +429,7 @@ def stations_table(found: JourneyAdvice) -> Table:
 
 def driver_table(found: JourneyAdvice) -> Table:
     """The journey as a driver reads it: kilometre, place, time, what to do."""
-    table = new_table("", "km", "where", "time", "at", "advice")
+    table = new_table("", "km", "where", "time", "speed", "permitted", "advice")
     begins: AdviceRow | None = None
     for row in found.rows:
         if row.event == "departs":
@@ -391,7 +440,9 @@ def driver_table(found: JourneyAdvice) -> Table:
             place, words, speed = begins.station or begins.place, f"departs: {words}", ""
         begins = None
         speed = "" if row.event == "arrives" else speed
-        table.add_row(f"{row.km:.3f}", place, found.time(row.time), speed, words or "passes")
+        permitted = "" if row.permitted is None else f"{KMH * row.permitted:.0f} km/h"
+        when = found.time(row.time)
+        table.add_row(f"{row.km:.3f}", place, when, speed, permitted, words or "passes")
         if row.event == "arrives":
             table.add_section()
     return table

@@ -171,7 +171,33 @@ HELD = 2.0 / KMH
 _STEADY = 20.0
 """Time from which a speed that stays within a longer phase is one to hold [s]."""
 
-HEADER = ("position_m", "time_s", "speed_kmh", "phase", "until_kmh")
+HEADER = (
+    "position_m",
+    "time_s",
+    "speed_kmh",
+    "phase",
+    "until_kmh",
+    "to_m",
+    "target_kmh",
+    "lowest_kmh",
+    "highest_kmh",
+    "permitted_kmh",
+)
+
+
+_WHOLE = 1e-2
+"""What a whole number of km/h may lack for rounding errors."""
+
+
+def rounded_down(speed: float) -> float:
+    """A speed [m/s] in whole km/h, never more than it is.
+
+    Examples
+    --------
+    >>> round(3.6 * rounded_down(25.2 + 0.25), 3)
+    91.0
+    """
+    return float(np.floor(KMH * speed + _WHOLE)) / KMH
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,6 +216,18 @@ class AdvicePoint:
         Speed at which it ends.
     hold : bool
         Whether the speed stays.
+    end : float [m]
+        Where the next one begins.
+    target : float [m/s]
+        Speed to hold, to reach or to brake to, and not to exceed; in whole km/h, rounded down.
+    lowest, highest : float [m/s]
+        Speeds of the configuration until then.
+    permitted : float or None [m/s]
+        Lowest permitted speed until then; None without the line.
+    capped : bool
+        Whether coasting alone might exceed the target.
+    course : tuple of float [m/s]
+        Speeds between which it rises and falls, from the first to that at the end.
     """
 
     position: float
@@ -198,12 +236,19 @@ class AdvicePoint:
     phase: Phase
     until: float
     hold: bool = False
+    end: float = np.nan
+    target: float = np.nan
+    lowest: float = np.nan
+    highest: float = np.nan
+    permitted: float | None = None
+    capped: bool = False
+    course: tuple[float, ...] = ()
 
     @property
     def words(self) -> str:
         """The advice as a driver reads it: the phase, or the speed to hold."""
         if self.hold:
-            return f"hold {KMH * self.speed:.0f} km/h"
+            return f"hold {KMH * self.target:.0f} km/h"
         return "partial traction" if self.phase is Phase.CRUISING else self.phase.label
 
 
@@ -272,15 +317,29 @@ def advice(
     pieces = _held(speeds, times, [(start, Phase(phases[start])) for start in kept], held)
     ends = [*(piece.start for piece in pieces[1:]), phases.size]
     return tuple(
-        AdvicePoint(
-            float(trajectory.positions[piece.start]),
-            float(times[piece.start]),
-            float(speeds[piece.start]),
-            piece.phase,
-            float(speeds[end]),
-            piece.hold,
-        )
-        for piece, end in zip(pieces, ends, strict=True)
+        _point(trajectory, chosen, piece, end) for piece, end in zip(pieces, ends, strict=True)
+    )
+
+
+def _point(trajectory: Trajectory, row: int, piece: _Piece, end: int) -> AdvicePoint:
+    """Where a piece begins, and what happens up to the node `end`."""
+    places, times, speeds = trajectory.positions, trajectory.times[row], trajectory.speeds[row]
+    start, inside = piece.start, speeds[piece.start : end + 1]
+    until = float(speeds[end])
+    steady = float(min(inside[0], np.median(inside)))
+    highest = float(inside.max())
+    target = steady if piece.hold else until if piece.phase > Phase.MAXIMUM_TRACTION else highest
+    return AdvicePoint(
+        float(places[start]),
+        float(times[start]),
+        float(speeds[start]),
+        piece.phase,
+        until,
+        piece.hold,
+        float(places[end]),
+        rounded_down(target) if target > 0.0 else 0.0,
+        float(inside.min()),
+        highest,
     )
 
 
@@ -368,10 +427,11 @@ def write_advice(points: tuple[AdvicePoint, ...], path: str | Path) -> None:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(HEADER)
         for point in points:
-            speeds = (f"{KMH * speed:.1f}" for speed in (point.speed, point.until))
-            speed, until = speeds
             place = (f"{point.position:.1f}", f"{point.time:.1f}")
-            table.writerow((*place, speed, point.phase.label, until))
+            speeds = (point.until, point.target, point.lowest, point.highest, point.permitted)
+            until, *others = ("" if each is None else f"{KMH * each:.1f}" for each in speeds)
+            speed, phase = f"{KMH * point.speed:.1f}", point.phase.label
+            table.writerow((*place, speed, phase, until, f"{point.end:.1f}", *others))
 
 
 def with_advice(trip: Trip, trajectory: Trajectory, row: int | None = None) -> Trip:

@@ -261,12 +261,13 @@ def _refuse(why: str, given: Mapping[str, object], remedy: str = "") -> None:
 def _write(trajectory: Trajectory, problem: TrajectoryProblem, output: Path) -> None:
     """Write a trajectory, its picture and its advice, and print what it is."""
     from analysis.trajectory.adhesion import adhesion_words
+    from analysis.trajectory.instructions import instructions
     from analysis.trajectory.phases import advice, write_advice
     from analysis.trajectory.plot import draw_trajectory
     from analysis.trajectory.table import advice_table, certified, trajectory_table
     from trainlog.formats.trajectory import write_trajectory
 
-    points = advice(trajectory)
+    points = instructions(trajectory, trajectory.latest, advice(trajectory), problem.limits)
     write_trajectory(trajectory, output)
     draw_trajectory(trajectory, problem.line, output.with_suffix(".png"))
     write_advice(points, output.with_suffix(".csv"))
