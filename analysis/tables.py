@@ -299,8 +299,8 @@ def with_band(value: float, std: float, unit: str = "") -> str:
 
 
 def kwh(energy: float) -> str:
-    """An energy [J] in kilowatt hours."""
-    return f"{energy / JOULES_PER_KWH:.2f} kWh"
+    """An energy [J] in kilowatt hours; a dash for one that is not known."""
+    return "-" if energy != energy else f"{energy / JOULES_PER_KWH:.2f} kWh"
 
 
 def overspeed(speed: float) -> str:

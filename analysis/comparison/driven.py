@@ -66,6 +66,12 @@ FULL_EFFORT, FULL_LEVER = 0.97, 0.99
 COASTING_SHARE = 0.01
 """Of the largest tractive effort: with less effort of either sign the train coasts."""
 
+UNKNOWN_TIME = 1.0
+"""Time without a recorded effort [s] from which the energy of a section is not stated."""
+
+LISTED_GAPS = 6
+"""Gaps of a recording that are listed one by one."""
+
 SLIP_LASTS = 2.0
 """Time after an onset [s] that counts as slip where only onsets are recorded."""
 
@@ -117,11 +123,11 @@ class DrivenTrip:
         Between the lowest and the highest position recorded.
     sums : dict of str to array
         Cumulated since the recording began: work ``traction``, ``dynamic_braking``,
-        ``pneumatic_braking`` at the wheel rims and ``supply`` from the line [J], time of
-        ``unknown_effort`` [s]; what is not recorded is missing.
+        ``pneumatic_braking`` at the wheel rims and ``supply`` from the line [J], time in motion of
+        ``unknown_effort`` or braking [s]; what is not recorded is missing.
     flags : dict of str to bool array
-        ``coasting``, ``full_effort``, ``slip``, ``doubtful`` (position); what is not recorded is
-        missing.
+        ``coasting``, ``full_effort``, ``slip``, ``doubtful`` (position), ``unknown_speed``
+        (neither recorded nor bridged before the sample); what is not recorded is missing.
     signals : dict of str to array
         ``limit``, ``head_wind`` [m/s] as recorded, ``reference_speed`` [m/s], ``lateness`` [s].
     slips : array [s] or None
@@ -158,6 +164,20 @@ class DrivenTrip:
     def covered(self) -> tuple[float, float]:
         """First and last position [m]."""
         return float(self.position[0]), float(self.position[-1])
+
+    def unknown(self, work: str = "traction") -> bool:
+        """Whether a work is not known for more than `UNKNOWN_TIME` of the trip."""
+        time = self.sums["unknown_effort" if work == "traction" else f"unknown_{work}"]
+        return bool(time[-1] - time[0] > UNKNOWN_TIME)
+
+    @property
+    def drawn_speed(self) -> FloatArray:
+        """Speed [m/s] with breaks (NaN) where it is not known."""
+        unknown = self.flags.get("unknown_speed")
+        if unknown is None:
+            return self.speed
+        # The line from a sample to the one behind a gap is no speed.
+        return np.where(unknown, np.nan, self.speed)
 
     @property
     def duration(self) -> float:
@@ -363,15 +383,19 @@ class _Reduction:
         time = table.time[kept] - table.time[first]
         standing = np.cumsum(rest[kept])
         doubtful, more = self._doubtful(table, recorded, speed)
-        flags = self._flags(table, speed) | {"doubtful": doubtful}
+        more += self._gap_notes(table, position)
+        flags = self._flags(table, speed) | {"doubtful": doubtful, "unknown_speed": _within(table)}
         gain = self.gain.value if self.gain.known else 1.0
         sums = {
             name: values[kept] / (1.0 if "supply" in name or "unk" in name else gain)
             for name, values in table.sums.items()
         }
-        if "traction" in sums and sums["unknown_effort"][-1] > 0.5 * time[-1]:
+        if "traction" in sums and sums["unknown_effort"][-1] > 0.5 * (time[-1] - standing[-1]):
             sums = {name: values for name, values in sums.items() if "supply" in name}
-            flags = {name: flag for name, flag in flags.items() if name in ("slip", "doubtful")}
+            flags = {name: flag for name, flag in flags.items() if name in _OF_MOTION}
+        for name in ("dynamic_braking", "pneumatic_braking"):
+            if name in sums and sums[f"unknown_{name}"][-1] > 0.5 * (time[-1] - standing[-1]):
+                del sums[name]
         return DrivenTrip(
             name=self.bare.name,
             direction=self.bare.metadata.get("direction", "forward"),
@@ -478,6 +502,18 @@ class _Reduction:
         ]
         return np.concatenate(([False], gap | jump)), notes
 
+    def _gap_notes(self, table: Samples, position: FloatArray) -> list[str]:
+        """What was not recorded for longer while the train moved, and what stands for it."""
+        found = []
+        for gap in table.gaps:
+            times = (np.array([gap.first, gap.last]) - table.origin) / NANOSECONDS
+            place = np.interp(times, table.time, position)
+            silent = gap.missing == "sample" and gap.seconds > LONGEST_GAP  # stated as no position
+            if place[1] - place[0] > GAP_DISTANCE and not silent:
+                found.append(f"{gap.words}: km {place[0] / 1e3:.3f} to {place[1] / 1e3:.3f}")
+        rest = len(found) - LISTED_GAPS
+        return found[:LISTED_GAPS] + ([f"and {counted(rest, 'more gap')}"] if rest > 0 else [])
+
     def _flags(self, table: Samples, speed: FloatArray) -> dict[str, BoolArray]:
         """What the train did at each sample."""
         values, found = table.values, dict[str, BoolArray]()
@@ -500,6 +536,19 @@ class _Reduction:
         found["full_effort"] = full & (effort > 0.0)
         return found
 
+
+def _within(table: Samples) -> BoolArray:
+    """Samples before which the speed is neither recorded nor bridged."""
+    found = np.zeros(table.time.size, dtype=np.bool_)
+    for gap in table.gaps:
+        if not gap.bridge and gap.missing in ("speed", "sample"):
+            first, last = (np.array([gap.first, gap.last]) - table.origin) / NANOSECONDS
+            found |= (table.time > first) & (table.time <= last + 1e-6)
+    return found
+
+
+_OF_MOTION = ("slip", "doubtful", "unknown_speed")
+"""Flags that do not rest on efforts."""
 
 _SIGNALS = {
     "limit": "speed_limit",

@@ -188,6 +188,8 @@ def normalised_energy(
     """
     if "traction" not in trip.sums or not (trip.mass.known and reference.mass.known):
         return None
+    if trip.unknown():
+        return None
     recorded = float(trip.sums["traction"][-1])
     ratio = float(trip.running[-1] / reference.running[-1])
     if abs(ratio - 1.0) > LARGEST_TIME_CHANGE:

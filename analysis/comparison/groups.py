@@ -43,7 +43,8 @@ class TripCost:
     mass : float [kg]
         Train and load, by the stored passport or the recorded load; NaN without either.
     traction : float [J]
-        Work of the tractive effort at the wheel rims.
+        Work of the tractive effort at the wheel rims; NaN where efforts, or the speed and what
+        would bridge it, are missing for more than a second.
     dynamic_braking : float [J]
         Work taken by the dynamic brake at the wheel rims.
     line : float [J]
@@ -53,6 +54,8 @@ class TripCost:
         How often the slip protection acted; None where that is not recorded.
     late : float or None [s]
         On arrival, behind the trajectory that was followed; None if there was none.
+    notes : tuple of str
+        What of the recording was repaired, or is not known.
     """
 
     name: str
@@ -67,6 +70,12 @@ class TripCost:
     top_speed: float
     slips: int | None = None
     late: float | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def unknown(self) -> bool:
+        """Whether the energy of a part of the trip is not known."""
+        return self.traction != self.traction
 
 
 Recorded = Trip | Path
@@ -102,6 +111,10 @@ def trip_cost(trip: Recorded) -> TripCost:
         float(driven.sums[name][-1]) if name in driven.sums else 0.0
         for name in ("traction", "dynamic_braking")
     )
+    if driven.unknown():
+        traction = float("nan")
+    if "dynamic_braking" in driven.sums and driven.unknown("dynamic_braking"):
+        dynamic = float("nan")
     return TripCost(
         name=bare.name,
         direction=driven.direction,
@@ -115,6 +128,7 @@ def trip_cost(trip: Recorded) -> TripCost:
         top_speed=float(driven.speed.max()),
         slips=_slips(trip),
         late=_late(trip),
+        notes=driven.notes,
     )
 
 
@@ -380,6 +394,9 @@ def _unlike(driver: TripCost, followed: TripCost) -> tuple[int, str] | None:
             f"{names[0]} ran {driver.distance / 1e3:.1f} km, {names[1]}"
             f" {followed.distance / 1e3:.1f} km"
         )
+    unknown = [n for n, each in zip(names, (driver, followed), strict=True) if each.unknown]
+    if unknown:
+        return 3, f"the energy of {' and '.join(unknown)} is not known throughout"
     if driver.stops or followed.stops:
         each = zip(names, (driver.stops, followed.stops), strict=True)
         return 3, " and ".join(f"{name} stopped {stops}x" for name, stops in each if stops)

@@ -107,7 +107,7 @@ def _speeds(axes: Axes, found: ComparedDirection, shown: list[ComparedTrip]) -> 
     for row, each in enumerate(shown):
         axes.plot(
             each.trip.position / 1e3,
-            KMH * each.trip.speed,
+            KMH * each.trip.drawn_speed,
             color=_colour(row),
             linewidth=1.2,
             label=each.name,

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from analysis.comparison.driven import STATION_REACH, DrivenTrip, Stand, station_at
+from analysis.comparison.driven import STATION_REACH, UNKNOWN_TIME, DrivenTrip, Stand, station_at
 from trainlog.railway import Line
 
 FloatArray = NDArray[np.float64]
@@ -18,9 +18,6 @@ EXCESS = 1.0 / 3.6
 
 STOPPING_REACH = 50.0
 """A trip that goes so far into a section [m] stopped at the station before it."""
-
-UNKNOWN_TIME = 1.0
-"""Time without a recorded effort [s] from which the energy of a section is not stated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,17 +150,23 @@ def _energies(trip: DrivenTrip, between: object) -> dict[str, FloatArray]:
     found = dict.fromkeys(("traction", "braking", "dynamic_braking", "line"), unknown)
     if "traction" in sums:
         gaps = between(sums["unknown_effort"]) > UNKNOWN_TIME
-        brakes = [between(sums[n]) for n in ("dynamic_braking", "pneumatic_braking") if n in sums]
+        brakes = {
+            name: np.where(
+                between(sums[f"unknown_{name}"]) > UNKNOWN_TIME, np.nan, between(sums[name])
+            )
+            for name in ("dynamic_braking", "pneumatic_braking")
+            if name in sums
+        }
         found["traction"] = np.where(gaps, np.nan, between(sums["traction"]))
         if "dynamic_braking" in sums:
-            found["dynamic_braking"] = np.where(gaps, np.nan, brakes[0])
+            found["dynamic_braking"] = brakes["dynamic_braking"]
         if len(brakes) == 2:
-            found["braking"] = np.where(gaps, np.nan, np.sum(brakes, axis=0))
+            found["braking"] = np.sum(list(brakes.values()), axis=0)
     if "supply" in sums:
         gaps = between(sums["unknown_supply"]) > UNKNOWN_TIME
         found["line"] = np.where(gaps, np.nan, between(sums["supply"]))
     elif trip.train is not None and "traction" in sums:
-        fed_back = np.nan_to_num(found["dynamic_braking"])
+        fed_back = found["dynamic_braking"] if "dynamic_braking" in sums else 0.0
         found["line"] = (
             found["traction"] / trip.train.efficiency_traction
             - trip.train.efficiency_regeneration * fed_back

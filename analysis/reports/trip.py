@@ -473,14 +473,14 @@ def _energy(cost: object) -> list[Part]:
         ("from the line, with the train's efficiencies, less what is fed back", kwh(cost.line)),
         ("mass, loaded", mass),
     ]
-    if cost.distance > 0.0 and not np.isnan(cost.mass):
+    if cost.distance > 0.0 and not np.isnan(cost.mass) and not cost.unknown:
         work = cost.mass / 1e3 * cost.distance / 1e3
         rows.append(
             ("traction per tonne and kilometre", f"{cost.traction / 3.6e3 / work:.1f} Wh/(t km)")
         )
     if cost.late is not None:
         rows.append(("behind the trajectory on arrival", f"{cost.late:+.1f} s"))
-    return [facts_table(rows)]
+    return [facts_table(rows), *cost.notes]
 
 
 def _slip(trip: Trip, zone: Zone) -> list[Part]:

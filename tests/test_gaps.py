@@ -1,0 +1,160 @@
+"""What is missing for 20 s of a trip: bridged by what else is recorded, or stated as unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from analysis.comparison.compare import ComparedTrip, compare
+from analysis.comparison.driven import driven_trip
+from analysis.comparison.groups import trip_cost
+from analysis.comparison.table import comparison_tables
+from analysis.tables import as_page
+from trainlog import read
+from trainlog.formats.samples import sample
+from trainlog.trip import Trip
+
+
+@cache
+def whole() -> Trip:
+    return read(sample("stopping.mcap"))
+
+
+@cache
+def compared_whole() -> ComparedTrip:
+    return compare(whole()).trip("trip-03")
+
+
+def true_work(trip: Trip) -> float:
+    """Of the simulated efforts over the true way [J], by the truth that no analysis reads."""
+    speed, effort = trip["/truth"]["speed"], trip["/train/controls"]["tractive_effort"]
+    return float((effort.to_numpy() * speed.to_numpy()).sum() * 0.1)
+
+
+def without(trip: Trip, topic: str, *columns: str, first: float) -> Trip:
+    """A trip without some columns for 20 s; without columns, without rows."""
+    frame = trip[topic]
+    since = (frame.index - trip["/train/state"].index[0]).total_seconds().to_numpy()
+    inside = (since > first) & (since < first + 20.0)
+    changed = frame.copy() if columns else frame[~inside]
+    for column in columns:
+        changed.loc[inside, column] = np.nan
+    changed.attrs = frame.attrs
+    return trip.with_topic(changed)
+
+
+def less(trip: Trip, *topics: str) -> Trip:
+    return replace(trip, topics={k: v for k, v in trip.topics.items() if k not in topics})
+
+
+def no_speed(first: float) -> Trip:
+    return without(whole(), "/train/state", "speed", first=first)
+
+
+def no_speed_and_no_wheels(first: float) -> Trip:
+    return less(no_speed(first), "/train/axles", "/gnss/motion")
+
+
+def no_position(first: float) -> Trip:
+    return without(whole(), "/train/state", "position", first=first)
+
+
+def wheels_alone(first: float) -> Trip:
+    return less(without(whole(), "/train/state", "speed", "position", first=first), "/gnss/motion")
+
+
+def satellites_alone(first: float) -> Trip:
+    return less(without(whole(), "/train/state", "speed", "position", first=first), "/train/axles")
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "first", "words"),
+    [
+        (no_speed, 25.0, "no speed for 20 s, bridged by"),
+        (no_speed_and_no_wheels, 150.0, "no speed for 20 s, bridged by position"),
+        (no_speed_and_no_wheels, 600.0, "no speed for 20 s, bridged by position"),
+        (no_position, 600.0, "no position for 20 s, bridged by speed"),
+        (wheels_alone, 150.0, "no speed for 20 s, bridged by wheel speeds"),
+        (satellites_alone, 25.0, "no speed for 20 s, bridged by satellites' speed"),
+    ],
+)
+def test_work_over_a_bridged_gap_is_that_of_the_true_motion(
+    spoilt: Callable[[float], Trip], first: float, words: str
+) -> None:
+    trip = spoilt(first)
+    found, own = compare(trip).trip("trip-03"), compared_whole()
+    assert found.trip.sums["traction"][-1] == pytest.approx(true_work(trip), rel=0.01)
+    np.testing.assert_allclose(found.table["traction"], own.table["traction"], rtol=0.01)
+    np.testing.assert_allclose(found.table["running_time"], own.table["running_time"], atol=0.5)
+    assert any(words in note for note in found.trip.notes)
+    assert not found.trip.flags["unknown_speed"].any()
+
+
+def nothing_bridges(first: float) -> Trip:
+    return less(wheels_alone(first), "/train/axles")
+
+
+def no_effort_rows(first: float) -> Trip:
+    return without(whole(), "/train/controls", first=first)
+
+
+def no_efforts(first: float) -> Trip:
+    return without(whole(), "/train/controls", "tractive_effort", first=first)
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "words"),
+    [
+        (nothing_bridges, "no speed for 20 s, not known there"),
+        (no_effort_rows, "no effort for 20 s, not known there"),
+        (no_efforts, "no effort for 20 s, not known there"),
+    ],
+)
+def test_work_over_a_gap_that_nothing_bridges_is_not_stated(
+    spoilt: Callable[[float], Trip], words: str
+) -> None:
+    trip = spoilt(600.0)
+    cost = trip_cost(trip)
+    assert np.isnan(cost.traction)
+    assert cost.unknown
+    assert np.isnan(cost.line)
+    compared = compare(trip)
+    found, own = compared.trip("trip-03"), compared_whole()
+    lacks = found.table["traction"].isna().to_numpy()
+    assert lacks.sum() == 1
+    np.testing.assert_allclose(
+        found.table["traction"][~lacks], own.table["traction"][~lacks], rtol=2e-3
+    )
+    assert words in as_page(*comparison_tables(compared))
+
+
+def test_wheels_that_slip_around_a_gap_do_not_bridge_it() -> None:
+    assert any("not known there" in note for note in driven_trip(wheels_alone(25.0)).notes)
+
+
+def test_a_speed_that_is_not_known_is_not_drawn() -> None:
+    trip = driven_trip(nothing_bridges(600.0))
+    assert np.isnan(trip.drawn_speed).any()
+    assert np.isfinite(driven_trip(no_speed(600.0)).drawn_speed).all()
+
+
+def test_a_trip_with_position_alone_has_its_speed_from_there() -> None:
+    frame = whole()["/train/state"].assign(speed=np.nan)
+    frame.attrs = whole()["/train/state"].attrs
+    trip = whole().with_topic(frame)
+    assert trip_cost(trip).traction == pytest.approx(true_work(trip), rel=0.01)
+
+
+def test_wheels_that_spin_do_not_bridge_a_gap() -> None:
+    trip = no_speed(150.0)
+    frame = trip["/train/axles"].copy()
+    since = (frame.index - frame.index[0]).total_seconds().to_numpy()
+    wheels = [name for name in frame if name.startswith("wheel_speed")]
+    frame.loc[(since > 155.0) & (since < 165.0), wheels] *= 1.3
+    frame.attrs = trip["/train/axles"].attrs
+    found = driven_trip(less(trip.with_topic(frame), "/gnss/motion"))
+    assert any("bridged by position" in note for note in found.notes)
