@@ -160,7 +160,7 @@ def test_a_gap_in_the_recording_is_stated_and_loses_no_time() -> None:
     assert any("no position for 40 s" in note for note in found.trip.notes)
     # What is in the gap is not known: it is not taken for slow or fast driving.
     assert set(found.lost.by_cause()) <= {"recording"}
-    # Work in the gap would be a guess between two efforts: it is not stated. All other is as it was.
+    # Work in the gap would be a guess between two efforts: it is not stated. Other work is.
     assert found.table["traction"].isna().tolist() == [True, False, False, False]
     own = compare(stopping()).trip("trip-03").table["traction"]
     np.testing.assert_allclose(found.table["traction"][1:], own[1:], rtol=1e-3)
