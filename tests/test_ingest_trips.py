@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from trainlog import read
+from trainlog import DEFAULT_LINE, DEFAULT_TRAIN, read, read_line, read_train, sample
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, ingest_all, propose_profile, report_of
+from trainlog.ingest.placing import placed
+from trainlog.ingest.recording import Table
+from trainlog.railway.line import Line, Station
+from trainlog.railway.profiles import StepProfile
 
 BEGIN = np.datetime64("2025-03-11T05:30:00", "ms")
 
@@ -170,3 +174,80 @@ def test_an_unknown_column_of_a_trip_is_refused(tmp_path: Path) -> None:
     trip = profile.trip.model_copy(update={"columns": columns})
     with pytest.raises(InputError, match="Trip number"):
         ingest(file, profile.model_copy(update={"trip": trip}))
+
+
+STATIONS = (500.0, 3600.0, 7900.0, 10_300.0)
+
+
+def railway(length: float = 11_000.0, *, level: bool = False) -> Line:
+    """A line of four stations that lie otherwise from its other end, rising and falling."""
+    base = read_line(sample(DEFAULT_LINE))
+    slopes = [0.0, 0.0] if level else [0.004, -0.009, 0.012, -0.002, 0.007]
+    places = np.linspace(0.0, length, len(slopes), endpoint=False)
+    return replace(
+        base,
+        name="valley",
+        length=length,
+        stations=tuple(Station(f"S{number}", at) for number, at in enumerate(STATIONS)),
+        gradients=StepProfile(places, np.array(slopes)),
+        speed_limits=StepProfile(np.array([0.0]), np.array([40.0])),
+        curvatures=None,
+        reference=None,
+        survey=None,
+        tunnels=(),
+        geometry=None,
+    )
+
+
+def test_a_counter_that_starts_elsewhere_is_placed_by_the_stops_of_each_trip(
+    tmp_path: Path,
+) -> None:
+    back = replace(RUNS[1], number="RE 3110", stops=(2400.0, 6700.0, 9800.0))
+    file = written(tmp_path, table((RUNS[0], back)))
+    line = railway()
+    proposal = propose_profile(file, line=line)
+    assert proposal.profile.trip.start_position == "stations"
+    result = ingest_all(file, tmp_path / "logs", proposal.profile, line=line)
+    trips = [read(each.log) for each in result.outcomes if each.log]
+    assert [trip.metadata["direction"] for trip in trips] == ["forward", "reverse"]
+    assert [round(trip["/train/state"].position.min()) for trip in trips] == [500, 700]
+    assert "4 of 4 stops at stations reverse" in trips[1].metadata["direction_evidence"]
+
+
+def test_stops_that_match_no_station_leave_the_start_open(tmp_path: Path) -> None:
+    other = replace(RUNS[0], stops=(1500.0, 4000.0, 8_800.0))
+    file = written(tmp_path, table((other,)))
+    line = railway()
+    proposal = propose_profile(file, line=line)
+    assert proposal.profile.trip.start_position is None
+    assert any("start_position" in question for question in proposal.open)
+    with pytest.raises(InputError, match=r"start_position=0\.2km"):
+        ingest(file, proposal.profile, line=line)
+    trip = ingest(file, proposal.profile, line=line, metadata={"start_position": "150"})
+    assert trip["/train/state"].position.min() == pytest.approx(150.0)
+
+
+@pytest.mark.parametrize("way", ["forward", "reverse"])
+def test_the_direction_of_a_trip_without_stops_shows_in_its_gradients(way: str) -> None:
+    line, train = railway(), read_train(sample(DEFAULT_TRAIN))
+    travelled = line if way == "forward" else line.reversed()
+    rng = np.random.default_rng(3)
+    time = np.arange(0.0, 420.0, 0.5)
+    speed = 24.0 + 5.0 * np.sin(time / 23.0) + 2.0 * np.sin(time / 7.0)
+    place = 400.0 + np.cumsum(speed) * 0.5
+    # Mass, resistance and scale of the efforts are not those of the train's file.
+    mass = 1.13 * train.mass
+    slope = travelled.gradient(np.clip(place - 40.0, 0.0, line.length))
+    force = mass * (1.06 * np.gradient(speed, time) + 9.81 * slope)
+    force = 1.05 * (force + 3e3 + 90.0 * speed + 7.0 * speed**2) + rng.normal(0.0, 2e3, time.size)
+    signals = {
+        "/train/state.position": place,
+        "/train/state.speed": speed + rng.normal(0.0, 0.05, time.size),
+        "/train/controls.tractive_effort": np.maximum(force, 0.0),
+        "/train/controls.dynamic_braking_effort": np.maximum(-force, 0.0),
+    }
+    samples = Table((time * 1e9).astype(np.int64), np.arange(time.size), signals)
+    assert placed(samples, line, train, None, by_stations=False).direction == way
+    level = placed(samples, railway(level=True), train, None, by_stations=False)
+    assert level.direction == ""
+    assert "assumed" in level.evidence

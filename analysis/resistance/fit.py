@@ -616,12 +616,13 @@ def _check_curve(
     share = np.where(curve > 0.0, std / np.maximum(curve, 1e-9), np.inf)
     worst = int(np.argmax(share))
     if share[worst] > largest_std:
-        known = f"{100.0 * share[worst]:.0f} %" if np.isfinite(share[worst]) else "the whole"
+        known = f"{100.0 * min(share[worst], 1.0):.0f} %"
+        known += " or more" if share[worst] > 1.0 else ""
         raise TripRefusedError(
             "excitation",
-            f"trip '{name}': at {KMH * speed[worst]:.0f} km/h the curve is known to {known}"
+            f"trip '{name}': at {KMH * speed[worst]:.0f} km/h the curve is known to ±{known}"
             f" of itself only (standard deviation, at most {100.0 * largest_std:.0f} %)",
-            remedy="ask for a narrower range of speeds, or give a longer or more varied trip",
+            remedy="a longer trip, or one with more speeds and coasting",
             timeline=timeline,
         )
 

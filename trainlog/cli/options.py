@@ -323,7 +323,7 @@ def logs_in(paths: list[Path]) -> list[Path]:
     return [log for path in paths for log in logs_of(path)]
 
 
-FACTS = ("trip", "weather", "load", "clock")
+FACTS = ("trip", "weather", "load", "clock", "start_position")
 """What can be said of a recorded trip that its file does not state."""
 
 
@@ -341,7 +341,21 @@ def pairs(given: list[str]) -> dict[str, str]:
         if key == "weather":
             check_condition(value)
         found[key] = _load(value) if key == "load" else value
+        if key == "start_position" and value != "stations":
+            found[key] = f"{_metres(value):g}"
     return found
+
+
+def _metres(word: str) -> float:
+    """A distance [m], from a number in metres or one with its unit, ``0.2km``."""
+    number, unit = (word.removesuffix("km"), 1e3) if word.endswith("km") else (word, 1.0)
+    try:
+        return float(number.removesuffix("m")) * unit
+    except ValueError:
+        raise InputError(
+            f"start_position '{word}' is no distance",
+            remedy="give it in m, as 0.2km, or as stations: where the stops match them",
+        ) from None
 
 
 def load_of(word: str) -> float:

@@ -14,6 +14,7 @@ from trainlog.errors import InputError
 
 if TYPE_CHECKING:
     from trainlog.ingest import Proposal
+    from trainlog.railway.line import Line
     from trainlog.railway.train import Train
 
 
@@ -32,6 +33,8 @@ class Proposals:
         Whether they are used without asking.
     quiet : bool
         Nothing is shown, nobody is asked.
+    line : Line, optional
+        On whose stations the trips are put where their counter starts elsewhere.
     """
 
     def __init__(
@@ -42,7 +45,9 @@ class Proposals:
         *,
         accept: bool,
         quiet: bool,
+        line: Line | None = None,
     ) -> None:
+        self._line = line
         self._output, self._train, self._format = output, train, format
         self._accept, self._quiet = accept, quiet
         self._made: list[tuple[Proposal, Path, bool]] = []
@@ -67,7 +72,7 @@ class Proposals:
         for proposal, path, agreed in self._made:
             if proposal.fits(file):
                 return self._used(file, path, agreed)
-        proposal = propose_profile(file, self._train)
+        proposal = propose_profile(file, self._train, self._line)
         path = self._written(proposal)
         agreed = self._accept or self._asked(proposal, path)
         self._made.append((proposal, path, agreed))

@@ -284,7 +284,9 @@ def ingest(
     facts: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", help="What the file does not state: weather=wet, load=12000 (kg) or 12t."
+            "--set",
+            help="What the file does not state, of all its trips: weather=wet, load=12000 (kg) or"
+            " 12t, start_position=0.2km, or =stations: where the stops match them.",
         ),
     ] = None,
     accept: Annotated[
@@ -318,14 +320,15 @@ def ingest(
     found: list[Outcome] = []
     the_train = None if train is None else read_train(train)
     as_json = current().as_json
-    proposals = Proposals(output, the_train, format, accept=accept, quiet=as_json)
+    the_line = None if line is None else read_line(line)
+    proposals = Proposals(output, the_train, format, accept=accept, quiet=as_json, line=the_line)
     try:
         result = ingest_all(
             recordings,
             output,
             profile,
             format=format,
-            line=None if line is None else read_line(line),
+            line=the_line,
             train=the_train,
             direction="reverse" if reverse else None,
             metadata=pairs(facts or []),
@@ -364,6 +367,9 @@ def _print_ingested(result: Ingested, *, alone: bool) -> None:
             console.print(f"kept {each.log}", highlight=False, soft_wrap=True)
             continue
         console.print(about(each.metadata, each.duration), highlight=False, markup=False)
+        if "direction_evidence" in each.metadata:
+            words = f"    direction {each.metadata['direction_evidence']}"
+            console.print(words, highlight=False, markup=False, soft_wrap=True)
         lines = [line for line in each.report.lines() if line not in shown]
         console.print(*(f"    {line}" for line in lines), sep="\n", highlight=False, markup=False)
         # What the file holds besides its trips is shown with the first of them.

@@ -15,7 +15,7 @@ from estimators.motion import SmoothedMotion, smooth_motion
 from trainlog.ingest.chainage import Matched, chainage_of
 from trainlog.ingest.clock import Result
 from trainlog.ingest.fixes import Fixes, held_fixes
-from trainlog.ingest.profile import Profile
+from trainlog.ingest.profile import Profile, Quantity
 from trainlog.ingest.recording import BoolArray, Finding, FloatArray, IntArray, Table
 from trainlog.ingest.rules import LONGEST_GAP_IN_CHORD, POSITION, quantum
 from trainlog.railway.line import Line
@@ -104,7 +104,7 @@ def estimated_state(trip: Trip, line: Line | None, profile: Profile) -> Estimate
         frame = _smoothed_fixes(fixes, matched) if usable else None
         return Estimate(frame, _findings(fixes, matched), metadata)
     start = profile.trip.start_position
-    if start is None or "/train/state" not in trip:
+    if not isinstance(start, Quantity) or "/train/state" not in trip:
         return Estimate()
     state = trip["/train/state"]
     if state["position"].notna().any() or not state["speed"].notna().any():

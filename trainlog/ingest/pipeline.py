@@ -22,10 +22,12 @@ from trainlog.ingest.chainage import AgainstLineError
 from trainlog.ingest.estimates import Estimate, estimated_state, position_offset
 from trainlog.ingest.limits import LIMITS
 from trainlog.ingest.parts import parts_of
+from trainlog.ingest.placing import OVERRUN, placed
 from trainlog.ingest.profile import (
     Limits,
     MismatchError,
     Profile,
+    Quantity,
     TripOptions,
     own_topics,
     parse_profile,
@@ -111,9 +113,6 @@ PROFILE_OBJECT_ATTACHMENT = "profile.json"
 
 SPEED_MARGIN = 1.5
 """Speeds beyond this multiple of what line and train allow are impossible."""
-
-OVERRUN = 500.0
-"""How far recorded positions may leave the line [m]: odometers drift, lines end at platforms."""
 
 Direction = Literal["forward", "reverse"]
 
@@ -403,6 +402,7 @@ def _finished(
     """The trip of a recording, with what is known of its files."""
     with _naming(source.path):
         profile = source.profile or source.chosen.profile or default_profile()
+        profile = _with_start(profile, (metadata or {}).get("start_position"))
         trip, report, raw = _trip(recording, profile, line, train, direction)
         if line is not None:
             _check_on_line(trip, line)
@@ -443,8 +443,17 @@ def _check_on_line(trip: Trip, line: Line) -> None:
                 f" {line.length / 1e3:.3f}",
                 remedy="give the line it was driven on, or check the unit of the position; if the"
                 " counter starts elsewhere than the line, give start_position under [trip] of the"
-                " profile",
+                " profile, or --set start_position=0.2km (or =stations: where the stops match)",
             )
+
+
+def _with_start(profile: Profile, stated: str | None) -> Profile:
+    """The profile with the start position [m] that is given, or ``"stations"``."""
+    if stated is None:
+        return profile
+    start = stated if stated == "stations" else Quantity(value=float(stated), unit="m")
+    trip = profile.trip.model_copy(update={"start_position": start})
+    return profile.model_copy(update={"trip": trip})
 
 
 def _check_stated_load(stated: str, train: Train | None) -> None:
@@ -492,10 +501,23 @@ def _trip(
     for number, table in enumerate(recording.tables):
         kept, found, changed = repaired(table, limits, profile.repair, least)
         repairs.add(number, changed)
-        tables.append(_from_start(kept, profile.trip))
+        tables.append(_from_start(kept, profile.trip.start_position))
         findings += found
     trip = Trip(_topics(recording, profile, tables), {})
-    heading, estimate = _estimated(trip, line, profile, direction or profile.trip.direction)
+    stated = direction or profile.trip.direction
+    place = None
+    if line is not None and "/gnss/fix" not in trip and len(tables) == 1:
+        by_stations = profile.trip.start_position == "stations"
+        place = placed(tables[0], line, train, stated, by_stations=by_stations)
+        if by_stations and place.start is not None:
+            tables[0] = _from_start(tables[0], Quantity(value=place.start, unit="m"))
+            trip = Trip(_topics(recording, profile, tables), {})
+        if stated and place.direction not in ("", stated):
+            note_of = f"'{stated}' is stated, but {place.evidence}"
+            findings.append(Finding("direction", 1, (), "", note_of))
+        driven: Direction = "reverse" if place.direction == "reverse" else "forward"
+        stated = stated or driven
+    heading, estimate = _estimated(trip, line, profile, stated)
     findings += estimate.findings
     if estimate.frame is not None and profile.repair.position_offset:
         before = list(tables)
@@ -509,6 +531,8 @@ def _trip(
         trip = trip.with_topic(estimate.frame)
     trip.metadata.update(metadata_of(recording, profile, line, train, heading))
     trip.metadata.update(estimate.metadata)
+    if place is not None:
+        trip.metadata["direction_evidence"] = place.evidence
     trip.metadata["start"] = trip.start.isoformat()
     if line is not None:
         trip.attachments[LINE_ATTACHMENT] = line_to_bytes(line)
@@ -599,13 +623,13 @@ def bounded_limits(limits: Limits, line: Line | None, train: Train | None) -> Li
     return limits.model_copy(update={"columns": bounded | limits.columns})
 
 
-def _from_start(table: Table, options: TripOptions) -> Table:
+def _from_start(table: Table, start: Quantity | str | None) -> Table:
     """The table with its position counted so that the first is the profile's start position."""
     position = table.signals.get("/train/state.position")
-    if options.start_position is None or position is None or not np.isfinite(position).any():
+    if not isinstance(start, Quantity) or position is None or not np.isfinite(position).any():
         return table
     first = position[np.isfinite(position)][0]
-    moved = position - first + options.start_position.si("m")
+    moved = position - first + start.si("m")
     return Table(
         table.time, table.rows, {**table.signals, "/train/state.position": moved}, table.texts
     )

@@ -456,8 +456,9 @@ class TripOptions(_Strict):
         The rail's condition, such as ``"dry"``, ``"wet"`` or ``"leaves"``.
     load, mass : Quantity, optional
         Load, or mass of the loaded train without the rotating part (needs the train).
-    start_position : Quantity, optional
+    start_position : Quantity or "stations", optional
         Where the first row's position is; the recorded one then counts from an arbitrary 0.
+        ``"stations"``: where the stops lie at stations of the line that is given.
     columns : TripColumns
         Columns that state facts of each trip.
     """
@@ -470,15 +471,15 @@ class TripOptions(_Strict):
     weather: str | None = None
     load: Quantity | None = None
     mass: Quantity | None = None
-    start_position: Quantity | None = None
+    start_position: Quantity | Literal["stations"] | None = None
     columns: TripColumns = TripColumns()
 
     @pydantic.model_validator(mode="after")
     def _units(self) -> Self:
         problems: list[str | None] = []
         for name, unit in (("load", "kg"), ("mass", "kg"), ("start_position", "m")):
-            quantity: Quantity | None = getattr(self, name)
-            if quantity is not None:
+            quantity: Quantity | Literal["stations"] | None = getattr(self, name)
+            if isinstance(quantity, Quantity):
                 problems.append(_problem_of(_check_unit, name, quantity.unit, unit))
         if self.weather is not None:
             problems.append(_problem_of(check_condition, self.weather))

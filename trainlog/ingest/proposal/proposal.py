@@ -13,6 +13,7 @@ import pandas as pd
 from trainlog.display import as_html, as_text, counted
 from trainlog.errors import InputError
 from trainlog.ingest.parts import parts_of
+from trainlog.ingest.placing import OVERRUN, placed
 from trainlog.ingest.profile import MISSING, Limits, Profile, Repair, TimeOptions, parse_profile
 from trainlog.ingest.proposal.columns import columns_of
 from trainlog.ingest.proposal.layout import Layout, Reading, layout_of
@@ -24,6 +25,7 @@ from trainlog.ingest.recording import NO_TIME, Recording, base_name, field_of
 from trainlog.ingest.registry import format_of, own_profile
 from trainlog.ingest.rules import repaired
 from trainlog.ingest.tabular import read_delimited, read_parquet
+from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.topics import RECORDED, TOPICS
 from trainlog.units import KMH, PER_MILLE
@@ -144,7 +146,9 @@ class Proposal:
         return rows
 
 
-def propose_profile(path: str | Path, train: Train | None = None) -> Proposal:
+def propose_profile(
+    path: str | Path, train: Train | None = None, line: Line | None = None
+) -> Proposal:
     """Propose a profile for a table of an unknown layout.
 
     Encoding, delimiter, decimal mark, header and units are read from the cells; columns by their
@@ -158,6 +162,8 @@ def propose_profile(path: str | Path, train: Train | None = None) -> Proposal:
         Delimited text or Parquet.
     train : Train, optional
         Whose mass the efforts must accelerate; without it, any train's.
+    line : Line, optional
+        At whose stations the trips must stop, where their counter starts elsewhere.
 
     Raises
     ------
@@ -199,6 +205,10 @@ def propose_profile(path: str | Path, train: Train | None = None) -> Proposal:
     if pauses is not None:
         readings = (*readings, pauses)
         text, profile = stated(_pause_lines(pauses))
+    start = None if line is None else _start(parts_of(recording, profile, source.stem), line, train)
+    if start is not None:
+        readings = (*readings, start)
+        text, profile = stated([] if pauses is None else _pause_lines(pauses))
     refused = _refused(parts_of(recording, profile, source.stem))
     if refused is not None:
         readings = (*readings, refused)
@@ -238,6 +248,31 @@ def _evidence(proposed: list[Proposed]) -> pd.DataFrame:
         for each in proposed
     ]
     return pd.DataFrame(rows, columns=["column", "field", "unit", "why", "check", "alternative"])
+
+
+def _start(parts: list[Recording], line: Line, train: Train | None) -> Reading | None:
+    """Where the trips begin on the line, if their counter starts elsewhere; None if it does not."""
+    shown = []
+    for part in parts:
+        try:
+            table = repaired(part.tables[0], Limits(), Repair())[0]
+        except InputError:
+            continue
+        position = table.signals.get("/train/state.position")
+        if position is None or not np.isfinite(position).any():
+            return None
+        low, high = np.nanmin(position), np.nanmax(position)
+        if low > -OVERRUN and high < line.length + OVERRUN:
+            return None
+        try:
+            place = placed(table, line, train, None, by_stations=True)
+        except InputError as error:
+            return Reading(
+                "start position", "as the counter has it", error.problem, error.remedy or ""
+            )
+        shown.append(place.evidence)
+    why = f"the counter starts elsewhere than line '{line.name}'; {'; '.join(shown[:4])}"
+    return Reading("start position", "stations", why) if shown else None
 
 
 def _pauses(recording: Recording, profile: Profile, stem: str) -> Reading | None:
@@ -354,6 +389,16 @@ def _toml(
         '# weather = "dry"',
         '# direction = "forward"',
     ]
+    start = found.get("start position")
+    if start is not None:
+        lines += _wrapped(f"{start.what}: {start.taken}: {start.why}")
+        lines += _wrapped(f"open: {start.alternative}") if start.alternative else []
+    if start is not None and not start.alternative:
+        lines.append('start_position = "stations"  # of each trip; or { value = 0.2, unit = "km" }')
+    else:
+        lines.append(
+            '# start_position = { value = 0.2, unit = "km" }  # or "stations": by its stops'
+        )
     zone = found.get("time zone")
     if zone is not None and zone.alternative:
         lines.append(f"clock = {_quoted(f'{zone.taken} assumed: {zone.why}')}")
