@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -270,3 +271,43 @@ def test_a_clock_of_a_slipped_unit_is_refused() -> None:
     start = pd.Timestamp("2025-01-01", tz="UTC")
     with pytest.raises(InputError, match=r"steps of 1e-09 s has 3,600,000,000,000 instants"):
         regular_clock(start, start + pd.Timedelta(hours=1), 1e-9)
+
+
+def two_topics() -> Trip:
+    both = state([0.0, 1.0, 2.0], [0.0, 1.0, 2.0]), controls([0.0, 2.0], [0.0, 1.0])
+    return Trip({frame.attrs["topic"]: frame for frame in both})
+
+
+def test_times_are_a_clock_to_join_on() -> None:
+    trip = two_topics()
+    table = joined(trip, ["/train/state.speed"], on=clock(0.5, 1.5), max_gap=1.0)
+    assert table["/train/state.speed"].tolist() == [0.5, 1.5]
+
+
+@pytest.mark.parametrize(
+    "step", [pd.Timedelta("500ms"), np.timedelta64(500, "ms"), 0.5, np.float32(0.5)]
+)
+def test_a_step_is_a_duration_or_seconds(step: Any) -> None:
+    steady = resampled(two_topics(), step, max_gap=None)
+    assert len(steady["/train/state"]) == 5
+    assert len(joined(two_topics(), ["/train/state.speed"], on=step, max_gap=None)) == 5
+    assert steady.provenance[-1]["seconds"] == 0.5
+
+
+@pytest.mark.parametrize(
+    "wrong", ["500ms", [0, 1], np.arange(3), None, True, pd.Timedelta("-1s"), pd.NaT]
+)
+def test_what_is_no_clock_is_refused(wrong: Any) -> None:
+    with pytest.raises(InputError, match="clock"):
+        resampled(two_topics(), wrong, max_gap=1.0)
+    if not isinstance(wrong, str):
+        with pytest.raises(InputError, match="clock"):
+            joined(two_topics(), ["/train/state.speed"], on=wrong, max_gap=1.0)
+
+
+@pytest.mark.parametrize("wrong", [-1, 0, float("nan"), "1", pd.Timedelta("1s")])
+def test_a_longest_gap_that_is_no_positive_number_is_refused(wrong: Any) -> None:
+    with pytest.raises(InputError, match="max_gap is"):
+        resampled(two_topics(), 0.5, max_gap=wrong)
+    with pytest.raises(InputError, match="max_gap is"):
+        joined(two_topics(), ["/train/state.speed"], on=0.5, max_gap=wrong)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 MOST_LISTED = 20
 """Problems of one file that a message lists."""
@@ -51,6 +52,15 @@ class TrainlogError(Exception):
         where = ", ".join(str(part) for part in (file, place) if part is not None)
         message = f"{where}: {problem}" if where else problem
         super().__init__(f"{message}; {remedy}" if remedy else message)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Children take other arguments than the message: pickle what they became."""
+        return _restored, (type(self), self.args), self.__dict__
+
+
+def _restored(kind: type[TrainlogError], args: tuple[Any, ...]) -> TrainlogError:
+    """An error as it was pickled, without calling its constructor again."""
+    return kind.__new__(kind, *args)
 
 
 class InputError(TrainlogError):

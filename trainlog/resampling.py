@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from datetime import timedelta
+from numbers import Real
 
 import numpy as np
 import pandas as pd
@@ -23,8 +25,8 @@ from trainlog.version import __version__
 
 FloatArray = NDArray[np.float64]
 
-Clock = pd.DatetimeIndex | float
-"""The times to resample to: as they are, or the step between them [s]."""
+Clock = pd.DatetimeIndex | pd.Timedelta | float
+"""The times to resample to: as they are, or the step between them, a duration or in [s]."""
 
 
 def interpolated(
@@ -97,7 +99,7 @@ def resampled(trip: Trip, clock: Clock, *, max_gap: float | None) -> Trip:
     Parameters
     ----------
     trip : Trip
-    clock : DatetimeIndex, or float [s]
+    clock : DatetimeIndex, Timedelta, or float [s]
         The times; or the step between them, from the first sample of the trip to its last.
     max_gap : float [s] or None
         Samples of a topic further apart than this have nothing between them; None: no limit.
@@ -110,7 +112,8 @@ def resampled(trip: Trip, clock: Clock, *, max_gap: float | None) -> Trip:
     Raises
     ------
     InputError
-        If the step is not positive, or the clock's times do not increase.
+        If the clock is neither times nor a step, the step not positive, or its times do not
+        increase; if `max_gap` is not positive.
     LogError
         If the trip holds no samples.
 
@@ -122,13 +125,14 @@ def resampled(trip: Trip, clock: Clock, *, max_gap: float | None) -> Trip:
     >>> len(steady["/gnss/fix"]), len(steady["/train/state"])
     (2828, 2828)
     """
+    check_max_gap(max_gap)
     times = _times(trip, clock)
     texts = {name for name, frame in trip.topics.items() if _is_text(topic_of_frame(frame.attrs))}
     topics = {
         name: frame if name in texts else resampled_frame(frame, times, max_gap=max_gap)
         for name, frame in trip.topics.items()
     }
-    step = None if isinstance(clock, pd.DatetimeIndex) else float(clock)
+    step = None if isinstance(clock, pd.DatetimeIndex) else _step(clock)
     return replace(trip, topics=topics).with_step(
         "resample", software=f"trainlog {__version__}", seconds=step, max_gap=max_gap
     )
@@ -169,7 +173,7 @@ def joined(
     columns : iterable of str
         As ``"/train/state.speed"``. A field with one value for each axle gives all its columns:
         ``"/train/axles.wheel_speed"``.
-    on : str, DatetimeIndex, or float [s]
+    on : str, DatetimeIndex, Timedelta, or float [s]
         Topic whose times are the clock; or the times; or the step between them.
     max_gap : float [s] or None
         Samples of a topic further apart than this have nothing between them; None: no limit.
@@ -185,7 +189,7 @@ def joined(
         If the trip has no such topic, or the topic no such column.
     InputError
         If a name is not of the form ``topic.column``, comes twice, or its values cannot be
-        interpolated; if the clock cannot be used.
+        interpolated; if the clock cannot be used; if `max_gap` is not positive.
 
     Examples
     --------
@@ -196,6 +200,8 @@ def joined(
     >>> table.shape, table.attrs["units"]["/train/state.speed"]
     ((14140, 2), 'm/s')
     """
+    check_max_gap(max_gap)
+    clock_topic = on if isinstance(on, str) else None
     times = pd.DatetimeIndex(trip[on].index) if isinstance(on, str) else _times(trip, on)
     found: dict[str, FloatArray] = {}
     units: dict[str, str] = {}
@@ -207,7 +213,8 @@ def joined(
                 raise InputError(f"{full} is joined twice", remedy="name it once")
             values = interpolated(frame, column, times, max_gap)
             # At its own times a topic is what it was, though one come twice.
-            found[full] = frame[column].to_numpy(np.float64).copy() if topic == on else values
+            own = topic == clock_topic
+            found[full] = frame[column].to_numpy(np.float64).copy() if own else values
             units[full] = frame.attrs["units"][column]
     result = pd.DataFrame(found, index=_named(times), columns=list(found), dtype=np.float64)
     result.attrs = {"units": units}
@@ -344,10 +351,38 @@ def _on_line(
 def _times(trip: Trip, clock: Clock) -> pd.DatetimeIndex:
     """The clock's times in UTC, checked."""
     if not isinstance(clock, pd.DatetimeIndex):
-        return regular_clock(trip.start, trip.end, clock)
+        return regular_clock(trip.start, trip.end, _step(clock))
     if not clock.is_monotonic_increasing or clock.hasnans:
         raise InputError("the times of the clock do not increase", remedy="sort them")
     return clock.tz_localize("UTC") if clock.tz is None else clock.tz_convert("UTC")
+
+
+def _step(clock: object) -> float:
+    """The step of a clock [s]."""
+    if isinstance(clock, timedelta | np.timedelta64):  # a Timedelta is a timedelta
+        return pd.Timedelta(clock).total_seconds()
+    if isinstance(clock, Real) and not isinstance(clock, bool):
+        return float(clock)
+    raise InputError(
+        f"{clock!r:.80} is no clock",
+        remedy="give the times as a DatetimeIndex, or the step between them in seconds",
+    )
+
+
+def check_max_gap(max_gap: float | None) -> None:
+    """Refuse a longest gap that is not a positive number of seconds.
+
+    Raises
+    ------
+    InputError
+    """
+    if max_gap is None:
+        return
+    if not isinstance(max_gap, Real) or isinstance(max_gap, bool) or not max_gap > 0:
+        raise InputError(
+            f"max_gap is {max_gap!r}",
+            remedy="give seconds above 0, or None for gaps of any length",
+        )
 
 
 def _named(time: pd.DatetimeIndex) -> pd.DatetimeIndex:

@@ -1,0 +1,83 @@
+"""Errors cross processes: what a worker raises is what its caller meets."""
+
+from __future__ import annotations
+
+import copy
+import importlib
+import inspect
+import pickle
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import analysis
+import trainlog
+from trainlog.errors import TrainlogError
+
+CHECKOUT = Path(__file__).parents[1]
+GIVEN: dict[str, Any] = {
+    "problem": "is wrong",
+    "file": "a.mcap",
+    "place": "byte 3",
+    "remedy": "mend it",
+    "reason": "too short",
+    "refused": {"run": analysis.TripRefusedError("too short", "only 90 s", place="km 1.0")},
+}
+
+
+def kinds() -> list[type[TrainlogError]]:
+    """Every error of the three packages."""
+    for package in ("trainlog", "analysis", "estimators"):
+        for path in (CHECKOUT / package).rglob("*.py"):
+            if re.search(r"^class \w+Error\(", path.read_text("utf-8"), re.MULTILINE):
+                module = path.relative_to(CHECKOUT).with_suffix("").parts
+                importlib.import_module(".".join(module))
+    waiting, seen = [TrainlogError], []
+    while waiting:
+        kind = waiting.pop()
+        seen.append(kind)
+        waiting += kind.__subclasses__()
+    return seen
+
+
+def an_error(kind: type[TrainlogError]) -> TrainlogError:
+    """Of a kind, with all that its constructor takes."""
+    arguments = []
+    named = {}
+    for name, parameter in inspect.signature(kind).parameters.items():
+        if parameter.kind is parameter.KEYWORD_ONLY:
+            if name in GIVEN:
+                named[name] = GIVEN[name]
+        else:
+            arguments.append(GIVEN.get(name, name))
+    return kind(*arguments, **named)
+
+
+def test_every_error_survives_pickling_and_copying() -> None:
+    found = kinds()
+    assert len(found) >= 11
+    for kind in found:
+        error = an_error(kind)
+        for again in (pickle.loads(pickle.dumps(error)), copy.copy(error)):
+            assert type(again) is kind
+            assert str(again) == str(error)
+            assert list(vars(again)) == list(vars(error))
+            assert again.place == error.place
+            assert again.remedy == error.remedy
+
+
+def test_several_problems_survive_pickling() -> None:
+    two = [trainlog.InputError("is missing", place=place) for place in ("mass", "length")]
+    error = pickle.loads(pickle.dumps(trainlog.InputError.listing(two, file="train.json")))
+    assert [each.place for each in error.each] == ["mass", "length"]
+
+
+def test_a_refused_trip_is_refused_across_processes() -> None:
+    trip = trainlog.read(trainlog.sample("nonstop.mcap")).within(3_200.0, 3_300.0)
+    with pytest.raises(analysis.TripRefusedError) as met:
+        analysis.fit_trip(trip)
+    again = pickle.loads(pickle.dumps(met.value))
+    assert (again.reason, str(again)) == (met.value.reason, str(met.value)) != ("", "")
+    assert again.reason == "too short"
