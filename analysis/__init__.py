@@ -101,4 +101,5 @@ _NAMES = {
 }
 """Public names by the module that defines them."""
 
-__all__, __getattr__, __dir__ = names_on_first_use(__name__, _NAMES)
+if not TYPE_CHECKING:  # type checkers refuse names that are not listed above
+    __all__, __getattr__, __dir__ = names_on_first_use(__name__, _NAMES)

@@ -419,6 +419,7 @@ def record_with_resets(
     --------
     A constant that jumps after the third sample:
 
+    >>> import numpy as np
     >>> recursion = RecursiveLeastSquares(prior_std=[10.0])
     >>> estimates, _ = record_with_resets(
     ...     recursion, np.arange(6) == 3, np.ones((6, 1)), [1.0, 1.0, 1.0, 4.0, 4.0, 4.0]

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import ast
+import builtins
+import doctest
 import importlib
+import inspect
 import subprocess
+import symtable
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,12 +30,23 @@ def test_every_public_name_is_there_and_documented(name: str) -> None:
 def test_type_checkers_see_the_same_names(name: str) -> None:
     package = importlib.import_module(name)
     tree = ast.parse(Path(str(package.__file__)).read_text("utf-8"))
-    (block,) = [node for node in tree.body if isinstance(node, ast.If)]
-    seen = {}
+    block, at_runtime = [node for node in tree.body if isinstance(node, ast.If)]
+    seen, private = {}, {}
     for node in block.body:
+        if isinstance(node, ast.Assign):  # an explicit export under another name
+            (target,) = node.targets
+            assert isinstance(target, ast.Name)
+            assert isinstance(node.value, ast.Name)
+            seen[target.id] = private.pop(node.value.id)
+            continue
         assert isinstance(node, ast.ImportFrom)
-        seen |= {alias.asname or alias.name: (node.module, alias.name) for alias in node.names}
+        for alias in node.names:
+            # mypy --strict exports "name as name" only.
+            assert alias.asname in (None, alias.name)
+            (seen if alias.asname else private)[alias.name] = (node.module, alias.name)
+    assert not private
     assert sorted(seen) == package.__all__
+    assert ast.unparse(at_runtime.test) == "not TYPE_CHECKING", "__getattr__ hides misspellings"
     for public, (module, defined) in seen.items():
         assert getattr(package, public) is getattr(importlib.import_module(str(module)), defined)
 
@@ -52,6 +68,59 @@ def test_every_public_function_and_class_has_an_example(name: str) -> None:
     public = {each: getattr(package, each) for each in package.__all__}
     without = [each for each, it in public.items() if callable(it) and ">>> " not in it.__doc__]
     assert without == []
+
+
+def public_examples() -> list[Any]:
+    """Name and docstring of every public name, and of its public methods."""
+    found = []
+    for package in (*PACKAGES, "estimators"):
+        for name in importlib.import_module(package).__all__:
+            each = getattr(importlib.import_module(package), name)
+            found.append((f"{package}.{name}", each.__doc__ or ""))
+            if isinstance(each, type):
+                methods = {key: it for key, it in vars(each).items() if not key.startswith("_")}
+                docs = {
+                    key: it.__doc__ or "" for key, it in methods.items() if hasattr(it, "__doc__")
+                }
+                found += [(f"{package}.{name}.{key}", text) for key, text in docs.items()]
+    return [(name, text) for name, text in found if ">>> " in text]
+
+
+def test_examples_use_only_public_names_and_what_they_import() -> None:
+    """What a reader of the reference can type: no names of the module that defines it."""
+    examples = public_examples()
+    assert len(examples) > 100
+    wrong = {}
+    for name, text in examples:
+        parts = doctest.DocTestParser().get_examples(inspect.cleandoc(text))
+        code = symtable.symtable("".join(each.source for each in parts), name, "exec")
+        known = {*vars(builtins), *importlib.import_module(name.split(".")[0]).__all__}
+        used = {
+            symbol.get_name()
+            for table in (code, *code.get_children())
+            for symbol in table.get_symbols()
+            if symbol.is_referenced() and symbol.is_global()
+        }
+        bound = {each.get_name() for each in code.get_symbols() if each.is_assigned()}
+        bound |= {each.get_name() for each in code.get_symbols() if each.is_imported()}
+        unknown = used - known - bound
+        if unknown:
+            wrong[name] = unknown
+    assert wrong == {}
+
+
+@pytest.mark.long
+def test_mypy_accepts_public_names_and_refuses_others(tmp_path: Path) -> None:
+    names = [
+        f"{name}.{each}" for name in PACKAGES for each in importlib.import_module(name).__all__
+    ]
+    script = tmp_path / "script.py"
+    script.write_text("import analysis\nimport trainlog\n" + "\n".join(names) + "\ntrainlog.raed\n")
+    checker = [sys.executable, "-m", "mypy", "--strict", "--follow-imports", "silent", str(script)]
+    ended = subprocess.run(checker, capture_output=True, text=True, check=False)
+    errors = [each for each in ended.stdout.splitlines() if ": error:" in each]
+    assert [each for each in errors if '"raed"' not in each] == []
+    assert len(errors) == 1
 
 
 def test_objects_print_in_at_most_ten_lines() -> None:

@@ -71,7 +71,7 @@ if TYPE_CHECKING:
     )
     from trainlog.identity import identity_of as identity_of
     from trainlog.ingest import (
-        ingest as read_recording,
+        ingest,
         read_profile as read_profile,
         repairs_of as repairs_of,
         report_of as report_of,
@@ -79,14 +79,16 @@ if TYPE_CHECKING:
     from trainlog.mcap import (
         DamageWarning as DamageWarning,
         LogWriter as LogWriter,
-        account_of as check,
+        OverloadWarning as OverloadWarning,
+        Recording as Recording,
+        account_of,
         describe as describe,
-        frames_of as frames,
-        read_log as read,
+        frames_of,
+        read_log,
         record as record,
         recover as recover,
-        stream_log as stream,
-        write_log as write,
+        stream_log,
+        write_log,
     )
     from trainlog.railway import (
         AxleGeometry as AxleGeometry,
@@ -130,7 +132,7 @@ if TYPE_CHECKING:
     )
     from trainlog.resampling import joined as joined, resampled as resampled
     from trainlog.simulation.consist import ConsistPlant as ConsistPlant
-    from trainlog.simulation.rail import Change as RailChange, Rail as Rail
+    from trainlog.simulation.rail import Change, Rail as Rail
     from trainlog.simulation.recording import simulate as simulate
     from trainlog.simulation.scenario import (
         Scenario as Scenario,
@@ -138,13 +140,23 @@ if TYPE_CHECKING:
         draw_scenarios as draw_scenarios,
         trajectory_scenarios as trajectory_scenarios,
     )
-    from trainlog.topics import Field as TopicField, recorded_topic as recorded_topic
+    from trainlog.topics import Field, recorded_topic as recorded_topic
     from trainlog.trip import Trip as Trip, frame_of as frame_of
+
+    # Type checkers take an assigned name, not one imported under another, for a public one.
+    RailChange = Change
+    TopicField = Field
+    check = account_of
+    frames = frames_of
+    read = read_log
+    read_recording = ingest
+    stream = stream_log
+    write = write_log
 
 _NAMES = {
     "trainlog.mcap": (
         "read=read_log write=write_log record recover describe check=account_of "
-        "stream=stream_log frames=frames_of LogWriter DamageWarning"
+        "stream=stream_log frames=frames_of LogWriter Recording DamageWarning OverloadWarning"
     ),
     "trainlog.formats.parquet": "read_parquet write_parquet",
     "trainlog.trip": "Trip frame_of",
@@ -185,4 +197,5 @@ _NAMES = {
 }
 """Public names by the module that defines them; ``public=name`` where it has another name there."""
 
-__all__, __getattr__, __dir__ = names_on_first_use(__name__, _NAMES)
+if not TYPE_CHECKING:  # type checkers refuse names that are not listed above
+    __all__, __getattr__, __dir__ = names_on_first_use(__name__, _NAMES)

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import timedelta
-from numbers import Real
 
 import numpy as np
 import pandas as pd
@@ -357,11 +356,14 @@ def _times(trip: Trip, clock: Clock) -> pd.DatetimeIndex:
     return clock.tz_localize("UTC") if clock.tz is None else clock.tz_convert("UTC")
 
 
+_NUMBERS = (int, float, np.integer, np.floating)
+
+
 def _step(clock: object) -> float:
     """The step of a clock [s]."""
     if isinstance(clock, timedelta | np.timedelta64):  # a Timedelta is a timedelta
         return pd.Timedelta(clock).total_seconds()
-    if isinstance(clock, Real) and not isinstance(clock, bool):
+    if isinstance(clock, _NUMBERS) and not isinstance(clock, bool):
         return float(clock)
     raise InputError(
         f"{clock!r:.80} is no clock",
@@ -369,7 +371,7 @@ def _step(clock: object) -> float:
     )
 
 
-def check_max_gap(max_gap: float | None) -> None:
+def check_max_gap(max_gap: object) -> None:
     """Refuse a longest gap that is not a positive number of seconds.
 
     Raises
@@ -378,7 +380,8 @@ def check_max_gap(max_gap: float | None) -> None:
     """
     if max_gap is None:
         return
-    if not isinstance(max_gap, Real) or isinstance(max_gap, bool) or not max_gap > 0:
+    number = isinstance(max_gap, _NUMBERS) and not isinstance(max_gap, bool)
+    if not (number and float(str(max_gap)) > 0):
         raise InputError(
             f"max_gap is {max_gap!r}",
             remedy="give seconds above 0, or None for gaps of any length",

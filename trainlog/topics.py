@@ -44,7 +44,8 @@ class Field:
 
     Examples
     --------
-    >>> Field("pressure", "Pa", "of the oil").interpolation
+    >>> import trainlog
+    >>> trainlog.TopicField("pressure", "Pa", "of the oil").interpolation
     'linear'
     """
 
@@ -381,7 +382,9 @@ def recorded_topic(name: str, fields: Iterable[Field]) -> Topic:
 
     Examples
     --------
-    >>> pantograph = recorded_topic("/recorded/pantograph", [Field("force", "N", "contact force")])
+    >>> import trainlog
+    >>> force = trainlog.TopicField("force", "N", "contact force")
+    >>> pantograph = recorded_topic("/recorded/pantograph", [force])
     >>> pantograph.message
     'trainlog.recorded.Pantograph'
     """

@@ -170,6 +170,7 @@ def fit_adhesion_characteristic(
 
     Examples
     --------
+    >>> from trainlog import AdhesionPoints
     >>> import numpy as np
     >>> creepage = np.geomspace(0.001, 0.3, 25)
     >>> adhesion = 0.3 * np.sin(1.6 * np.arctan(60.0 * creepage))  # of another form

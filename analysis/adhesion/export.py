@@ -153,6 +153,7 @@ def export_map(
 
     Examples
     --------
+    >>> from pathlib import Path
     >>> import tempfile
     >>> import pandas, trainlog
     >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")

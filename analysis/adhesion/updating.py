@@ -211,6 +211,7 @@ def update_map(
 
     Examples
     --------
+    >>> from pathlib import Path
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     first = update_map("sample_logs", Path(folder) / "wil.map")

@@ -39,11 +39,13 @@ from analysis.comparison.energy import (
 from analysis.comparison.sections import sections_between
 from analysis.given import Given, trip_of
 from analysis.passports import estimated_passport, with_effort_delay
-from analysis.resistance.fit import scale_of
+from analysis.resistance.fit import TripFit, scale_of
+from analysis.resistance.observed import FitOfTrips, parameter_set
 from analysis.resistance.recording import recorded_head_wind
 from trainlog.display import as_text
 from trainlog.errors import InputError
 from trainlog.formats.attached import largest_load, recorded_load, train_of
+from trainlog.formats.files import check_kind
 from trainlog.formats.train import train_to_bytes
 from trainlog.railway import ParameterSet, RunningResistance, Train
 from trainlog.railway.passport import Quantity
@@ -172,7 +174,10 @@ class Calculation:
 
 
 def calculate(
-    trip: Given, model: ParameterSet | Train, *, wind_std: float | None = None
+    trip: Given,
+    model: ParameterSet | Train | FitOfTrips | TripFit,
+    *,
+    wind_std: float | None = None,
 ) -> Calculation:
     """What a fit or a train's file predicts for a recorded trip, section by section.
 
@@ -180,9 +185,10 @@ def calculate(
     ----------
     trip : Trip or path
         With its line and train; with efforts, or else only its energy is calculated.
-    model : ParameterSet or Train
-        A fit: its common curve, with what trips differ by. A train's file: at its word, with
-        what trips differ by (`analysis.comparison.energy.trip_spread`); its mass counts as well.
+    model : ParameterSet, Fits, TripFit or Train
+        A fit of trips or of one trip: its common curve, with what trips differ by. A train's
+        file: at its word, with what trips differ by
+        (`analysis.comparison.energy.trip_spread`); its mass counts as well.
     wind_std : float [m/s], optional
         Standard deviation of the head wind as far as it is not recorded, as for a day of known
         weather. Default: `RECORDED_WIND` where it is recorded, else `HEAD_WIND`.
@@ -208,6 +214,11 @@ def calculate(
     >>> bool(abs(found.total("work") / found.total("calculated_work") - 1.0) < 0.03)
     True
     """
+    check_kind(model, ParameterSet, Train, FitOfTrips, TripFit)
+    if isinstance(model, FitOfTrips):
+        model = model.parameters
+    elif isinstance(model, TripFit):
+        model = parameter_set([model])
     whole = trip_of(trip)
     if isinstance(model, Train):
         whole = replace(

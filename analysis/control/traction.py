@@ -104,6 +104,7 @@ class CooperativeTraction:
 
     Examples
     --------
+    >>> from trainlog.simulation.traction import DriveReading
     >>> import numpy as np
     >>> import trainlog
     >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
@@ -371,6 +372,7 @@ class ReadhesionControl:
 
     Examples
     --------
+    >>> from trainlog.simulation.traction import DriveReading
     >>> import numpy as np
     >>> import trainlog
     >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")

@@ -33,7 +33,15 @@ from trainlog import __version__
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.attached import line_of
-from trainlog.formats.files import LOOKED_AT, is_map, logs_of, read_bytes, refuse_reading, sha256_of
+from trainlog.formats.files import (
+    LOOKED_AT,
+    check_kind,
+    is_map,
+    logs_of,
+    read_bytes,
+    refuse_reading,
+    sha256_of,
+)
 from trainlog.formats.mapfile import MapFile
 from trainlog.mcap import read_log
 from trainlog.progress import note
@@ -68,6 +76,7 @@ class ReportOptions:
 
     Examples
     --------
+    >>> from analysis.reports.trip import Zone
     >>> ReportOptions(zone=Zone("Europe/Zurich")).zone.name
     'Europe/Zurich'
     """
@@ -99,17 +108,19 @@ def write_report(
     Raises
     ------
     InputError
-        If the source is no result, or the page cannot be written. In a folder a file that cannot
-        be read is listed in the report, and stops nothing.
+        If the source is no result or no path, or the page cannot be written. In a folder a file
+        that cannot be read is listed in the report, and stops nothing.
 
     Examples
     --------
+    >>> from pathlib import Path
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     page = write_report("sample_logs/nonstop.mcap", Path(folder) / "report.html")
     >>> [section.title for section in page.sections[:3]]
     ['Trip', 'Speed and efforts', 'Stops and stations']
     """
+    check_kind(source, str, Path)
     page = report_page(Path(source), options or ReportOptions())
     page.write(path)
     return page

@@ -25,6 +25,7 @@ from rich.text import Text
 
 from analysis.reports.pictures import DARK, DRAWN, LIGHT, Picture, inline
 from trainlog import __version__
+from trainlog.display import as_text
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write
 
@@ -73,7 +74,7 @@ Part = Any
 """A str, rich Table or Group, Picture, Interactive, Commands, Warned or Section."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Section:
     """A heading and what stands under it.
 
@@ -89,8 +90,11 @@ class Section:
     parts: Sequence[Part]
     whole_page: bool = False
 
+    def __repr__(self) -> str:
+        return f"Section {self.title!r} of {len(self.parts)} parts"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Page:
     """What a report shows.
 
@@ -106,6 +110,15 @@ class Page:
     subtitle: str
     sections: Sequence[Section]
     problems: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return as_text(
+            f"Report '{self.title}'",
+            {
+                "sections": ", ".join(section.title for section in self.sections) or "none",
+                "problems": str(len(self.problems) or "none"),
+            },
+        )
 
     def to_html(self, *, interactive: bool = True) -> str:
         """The page; the same content gives the same bytes.

@@ -44,6 +44,7 @@ from trainlog.railway.train import Train
 from trainlog.topics import ESTIMATED_RESISTANCE
 from trainlog.trip import Trip, frame_of, seconds
 from trainlog.units import KMH
+from trainlog.values import same_values
 
 FloatArray = NDArray[np.float64]
 
@@ -173,6 +174,11 @@ class TripFit:
     history: History
     identity: str = ""
     passport: Passport | None = None
+
+    def __eq__(self, other: object) -> bool:
+        return same_values(self, other) if isinstance(other, TripFit) else NotImplemented
+
+    __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
         return as_text(self._title, self._summary())

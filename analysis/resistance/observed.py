@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import pandas as pd
@@ -99,8 +99,21 @@ class Chosen:
     level: float
 
 
+@runtime_checkable
+class FitOfTrips(Protocol):
+    """What `analysis.fit` makes of trips."""
+
+    @property
+    def summaries(self) -> pd.DataFrame:
+        """All trips; see `trainlog.formats.summaries`."""
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """The observed configurations."""
+
+
 def parameter_set(
-    trips: pd.DataFrame | Sequence[TripFit],
+    trips: pd.DataFrame | Sequence[TripFit] | TripFit | FitOfTrips,
     *,
     cover: float = COVER,
     most: int | None = None,
@@ -110,7 +123,7 @@ def parameter_set(
 
     Parameters
     ----------
-    trips : DataFrame of summaries, or sequence of TripFit
+    trips : Fits, DataFrame of summaries, TripFit or sequence of them
         Refused trips are listed in the details. A trip that never was at its power limit, while
         others were, has the lower power of the two next in mass: so the set has the powers that
         were seen, and a few low ones more. Where none was, the train's file gives the power.
@@ -138,8 +151,7 @@ def parameter_set(
     ['trip-01']
     """
     check_choice(cover, most, all_trips=True)
-    every = trips if isinstance(trips, pd.DataFrame) else summarised(trips)
-    every = each_drive_once(every)
+    every = each_drive_once(_summaries_of(trips))
     rows = checked(every)
     common = common or combine(rows)
     betas = _spread_out(common)
@@ -195,6 +207,15 @@ def parameter_set(
             "between": common.between.tolist(),
         },
     )
+
+
+def _summaries_of(trips: pd.DataFrame | Sequence[TripFit] | TripFit | FitOfTrips) -> pd.DataFrame:
+    """The summaries of trips in whatever form a fit gives them."""
+    if isinstance(trips, pd.DataFrame):
+        return trips
+    if isinstance(trips, FitOfTrips):
+        return trips.summaries
+    return summarised([trips] if isinstance(trips, TripFit) else trips)
 
 
 def check_choice(cover: float, most: int | None, *, all_trips: bool = False) -> None:

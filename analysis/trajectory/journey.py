@@ -362,6 +362,7 @@ def optimise_journey(
 
     Examples
     --------
+    >>> from trainlog import Journey
     >>> from trainlog.formats.line import read_line
     >>> from trainlog.formats.train import read_train
     >>> from trainlog.railway import Configuration, TimingPoint

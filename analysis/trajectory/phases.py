@@ -123,6 +123,7 @@ def phases_of(trajectory: Trajectory, row: int) -> NDArray[np.int64]:
 
     Examples
     --------
+    >>> from analysis.trajectory.phases import Phase
     >>> from trainlog.formats.line import read_line
     >>> from trainlog.formats.train import read_train
     >>> from trainlog.railway import Configuration

@@ -210,6 +210,7 @@ def score_rolling(
 
     Examples
     --------
+    >>> from trainlog import InputError
     >>> from trainlog.formats.condition import read_map
     >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
     >>> try:
@@ -273,6 +274,7 @@ def score_map(
 
     Examples
     --------
+    >>> from trainlog import InputError
     >>> from trainlog.formats.condition import read_map
     >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
     >>> try:
@@ -322,6 +324,7 @@ def score_forecast(
 
     Examples
     --------
+    >>> from trainlog.railway.forecast import AdhesionForecast
     >>> import numpy as np
     >>> import pandas as pd
     >>> span = [np.array([pd.Timestamp(f"2024-10-{day}").value]) for day in ("07", "08", "06")]

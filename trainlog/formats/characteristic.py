@@ -194,6 +194,7 @@ def write_characteristic(
 
     Examples
     --------
+    >>> from pathlib import Path
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_characteristic(polach_curve("dry"), Path(folder) / "dry.json")

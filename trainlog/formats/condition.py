@@ -90,6 +90,7 @@ def write_map(condition: TrackConditionMap, path: str | Path) -> None:
 
     Examples
     --------
+    >>> from pathlib import Path
     >>> import tempfile
     >>> condition = read_map("sample_logs/CH_StGallen_Wil.map")
     >>> with tempfile.TemporaryDirectory() as folder:

@@ -57,6 +57,7 @@ def read_forecast(
 
     Examples
     --------
+    >>> from pathlib import Path
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "forecast.csv"
@@ -120,6 +121,9 @@ def write_forecast(forecast: AdhesionForecast, path: str | Path) -> None:
 
     Examples
     --------
+    >>> from pathlib import Path
+    >>> from trainlog.railway.forecast import AdhesionForecast
+    >>> import numpy as np
     >>> import tempfile
     >>> day = np.array([0]), np.array([86_400 * 10**9]), np.array([0])
     >>> forecast = AdhesionForecast(

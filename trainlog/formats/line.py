@@ -314,6 +314,7 @@ def write_line(line: Line, path: str | Path) -> None:
 
     Examples
     --------
+    >>> from pathlib import Path
     >>> import tempfile
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -440,6 +441,7 @@ def write_journey(journey: Journey, path: str | Path) -> None:
 
     Examples
     --------
+    >>> from pathlib import Path
     >>> import tempfile
     >>> journey = Journey("R 1", "short", (TimingPoint(0.0), TimingPoint(9e3, latest=600.0)))
     >>> with tempfile.TemporaryDirectory() as folder:

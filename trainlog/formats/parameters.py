@@ -200,6 +200,7 @@ def write_parameters(parameters: ParameterSet, path: str | Path) -> None:
 
     Examples
     --------
+    >>> from pathlib import Path
     >>> import tempfile
     >>> from trainlog.railway.resistance import RunningResistance
     >>> resistance = RunningResistance(2000.0, 50.0, 8.0)

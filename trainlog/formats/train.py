@@ -330,6 +330,7 @@ def write_train(train: Train, path: str | Path) -> None:
 
     Examples
     --------
+    >>> from pathlib import Path
     >>> import tempfile
     >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -508,6 +509,7 @@ def write_consist(consist: Consist, path: str | Path) -> None:
 
     Examples
     --------
+    >>> from pathlib import Path
     >>> import tempfile
     >>> consist = read_consist("sample_logs/freight_24_wagons.consist.json")
     >>> with tempfile.TemporaryDirectory() as folder:

@@ -68,6 +68,7 @@ def read_weather(path: str | Path) -> Weather:
 
     Examples
     --------
+    >>> from pathlib import Path
     >>> import tempfile
     >>> rows = "2026-10-24 06:00;wet;8,5\n2026-10-24 07:00;dry;9\n"
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -100,6 +101,8 @@ def write_weather(weather: Weather, path: str | Path) -> None:
 
     Examples
     --------
+    >>> from pathlib import Path
+    >>> import numpy as np
     >>> import tempfile
     >>> weather = Weather([0], [10**10], ("leaves",), [280.0], [0.9], [np.nan])
     >>> with tempfile.TemporaryDirectory() as folder:

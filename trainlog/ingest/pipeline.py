@@ -160,8 +160,10 @@ def ingest(
 
     Examples
     --------
+    >>> import trainlog
     >>> from trainlog.ingest import report_of
-    >>> trip = ingest("sample_logs/recorder.csv", profile="sample_logs/recorder.profile.toml")
+    >>> profile = "sample_logs/recorder.profile.toml"
+    >>> trip = trainlog.read_recording("sample_logs/recorder.csv", profile=profile)
     >>> list(trip.topics)
     ['/train/state', '/train/controls', '/train/axles']
     >>> report_of(trip).lines()[0]

@@ -148,7 +148,8 @@ def frames_of(path: str | Path, topics: Iterable[str] | None = None) -> ForeignF
 
     Examples
     --------
-    >>> found = frames_of("sample_logs/nonstop.mcap", topics=["/train/state"])
+    >>> import trainlog
+    >>> found = trainlog.frames("sample_logs/nonstop.mcap", topics=["/train/state"])
     >>> found.frames["/train/state"].attrs
     {'schema': 'trainlog.TrainState', 'encoding': 'protobuf'}
     >>> found.account.whole, found.skipped

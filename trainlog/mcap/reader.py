@@ -107,10 +107,11 @@ def read_log(
 
     Examples
     --------
+    >>> import trainlog
     >>> log = "sample_logs/nonstop.mcap"
-    >>> len(read_log(log)["/train/state"])
+    >>> len(trainlog.read(log)["/train/state"])
     11832
-    >>> stretch = read_log(log, {"/train/state": ["speed"]}, position=(1000.0, 1100.0))
+    >>> stretch = trainlog.read(log, {"/train/state": ["speed"]}, position=(1000.0, 1100.0))
     >>> len(stretch["/train/state"])
     32
     """
@@ -163,7 +164,8 @@ def stream_log(
 
     Examples
     --------
-    >>> pieces = stream_log("sample_logs/nonstop.mcap", ["/train/state"], rows=4000)
+    >>> import trainlog
+    >>> pieces = trainlog.stream("sample_logs/nonstop.mcap", ["/train/state"], rows=4000)
     >>> [len(piece["/train/state"]) for piece in pieces]
     [3600, 3600, 3600, 1032]
     """

@@ -48,7 +48,15 @@ _HEAD = 2
 
 
 class OverloadWarning(UserWarning):
-    """A recording was given more than it could write; the samples dropped are counted."""
+    """A recording was given more than it could write; the samples dropped are counted.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> import trainlog
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("error", trainlog.OverloadWarning)
+    """
 
 
 @dataclass(frozen=True)
@@ -131,6 +139,20 @@ class Recording:
     are kept nevertheless: within a flush they are sorted, and readers sort the rest. The sequence
     number of a message is the number of the sample in its topic as it arrived, those dropped
     included.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import trainlog
+    >>> start = 1_700_000_000 * 10**9
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with trainlog.record(f"{folder}/today.mcap") as recording:
+    ...         recording.write("/train/state", start, speed=21.3)
+    ...         recording.event(2, "doors closed")
+    ...         _ = recording.flush()
+    ...         written = recording.account().written
+    >>> written["/train/state"]
+    1
     """
 
     def __init__(

@@ -54,7 +54,8 @@ def account_of(path: str | Path) -> Account:
 
     Examples
     --------
-    >>> account_of("sample_logs/nonstop.mcap")
+    >>> import trainlog
+    >>> trainlog.check("sample_logs/nonstop.mcap")
     Account: is whole: 59,285 messages in 20 chunks
     """
     with Source(path) as source, in_file(path):
@@ -92,11 +93,12 @@ def recover(path: str | Path, output: str | Path) -> Account:
 
     Examples
     --------
+    >>> import trainlog
     >>> from pathlib import Path
     >>> data = Path("sample_logs/nonstop.mcap").read_bytes()
     >>> _ = Path("cut.mcap").write_bytes(data[:1_000_000])
     >>> account = recover("cut.mcap", "recovered.mcap")
-    >>> account.whole, account_of("recovered.mcap").messages == account.messages
+    >>> account.whole, trainlog.check("recovered.mcap").messages == account.messages
     (False, True)
     """
     with Source(path) as source:

@@ -95,11 +95,12 @@ def write_log(
 
     Examples
     --------
+    >>> import trainlog
     >>> import tempfile
     >>> from trainlog.mcap import read_log
     >>> trip = read_log("sample_logs/nonstop.mcap")
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_log(trip, f"{folder}/again.mcap")
+    ...     trainlog.write(trip, f"{folder}/again.mcap")
     ...     again = read_log(f"{folder}/again.mcap")
     >>> again["/train/state"].equals(trip["/train/state"])
     True

@@ -53,6 +53,7 @@ class AdhesionCharacteristic(ABC):
 
     Examples
     --------
+    >>> from trainlog.railway.adhesion import WET
     >>> rails: list[AdhesionCharacteristic] = [WET, polach_curve("wet")]
     >>> [round(float(rail.optimal_slip_speed(20.0)), 2) for rail in rails]
     [2.98, 1.0]
@@ -350,6 +351,7 @@ class AdhesionTable(AdhesionCharacteristic):
 
     Examples
     --------
+    >>> import numpy as np
     >>> points = [0.004, 0.010, 0.016, 0.05, 0.25], [0.201, 0.301, 0.312, 0.285, 0.188]
     >>> rail = AdhesionTable(*map(np.array, points), variable="creepage")
     >>> round(float(rail.maximum(10.0)), 3), round(float(rail.optimal_slip_speed(10.0)), 2)
@@ -421,6 +423,7 @@ class AdhesionPoints:
 
     Examples
     --------
+    >>> import numpy as np
     >>> points = AdhesionPoints(np.array([0.016, 0.004, 0.05]), np.array([0.31, 0.20, 0.28]))
     >>> points.table().slips.tolist()
     [0.004, 0.016, 0.05]

@@ -18,6 +18,7 @@ from pandas import Timestamp
 from trainlog.display import as_html, as_text, counted, picture, span
 from trainlog.errors import InputError
 from trainlog.railway.evidence import DailyEvidence
+from trainlog.values import same_values
 
 FloatArray = NDArray[np.float64]
 
@@ -47,6 +48,11 @@ class AdhesionEstimate:
     observed: NDArray[np.bool_]
     log_levels: FloatArray | None = None
     probability: FloatArray | None = None
+
+    def __eq__(self, other: object) -> bool:
+        return same_values(self, other) if isinstance(other, AdhesionEstimate) else NotImplemented
+
+    __hash__ = None  # type: ignore[assignment]
 
     @property
     def maximum_adhesion(self) -> FloatArray:
@@ -504,6 +510,11 @@ class TrackConditionMap:
     trips: tuple[dict[str, Any], ...] = ()
     settings: dict[str, float] = field(default_factory=dict)
 
+    def __eq__(self, other: object) -> bool:
+        return same_values(self, other) if isinstance(other, TrackConditionMap) else NotImplemented
+
+    __hash__ = None  # type: ignore[assignment]
+
     def __repr__(self) -> str:
         return as_text(self._title, self._summary())
 
@@ -610,6 +621,7 @@ class TrackConditionMap:
 
         Examples
         --------
+        >>> import numpy as np
         >>> from trainlog.formats.condition import read_map
         >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
         >>> seen = track.centres[track.layer("wet").observed][:2]

@@ -72,6 +72,7 @@ class StepProfile:
 
         Examples
         --------
+        >>> import numpy as np
         >>> profile = StepProfile(np.array([0.0, 100.0]), np.array([20.0, 30.0]))
         >>> profile.mean(np.array([50.0]), np.array([150.0])).tolist()
         [25.0]

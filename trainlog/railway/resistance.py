@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -58,10 +58,28 @@ class RunningResistance:
         if not all(np.isfinite((self.r0, self.r1, self.r2))):
             raise InputError("running resistance: coefficients must be finite numbers")
 
-    def __call__(self, speed: ArrayLike) -> NDArray[np.float64]:
-        """Resistance [N] at each speed [m/s], for positive speeds."""
+    @overload
+    def __call__(self, speed: float) -> np.float64: ...
+
+    @overload
+    def __call__(self, speed: ArrayLike) -> NDArray[np.float64]: ...
+
+    def __call__(self, speed: ArrayLike) -> NDArray[np.float64] | np.float64:
+        """Resistance [N] at each speed [m/s], a number at a single one.
+
+        The polynomial is evaluated at any speed. It is the resistance of a train that moves
+        forward: not below zero, and not far beyond the speeds that it was fitted to (the
+        ``speed_range`` of a fit or a parameter set).
+
+        Examples
+        --------
+        >>> curve = RunningResistance(2000.0, 50.0, 10.0)
+        >>> float(curve(20.0)), curve([0.0, 20.0]).tolist()
+        (7000.0, [2000.0, 7000.0])
+        """
         v = np.asarray(speed, dtype=np.float64)
-        return np.asarray(self.r0 + (self.r1 + self.r2 * v) * v)
+        value = np.asarray(self.r0 + (self.r1 + self.r2 * v) * v)
+        return value if value.ndim else np.float64(value)
 
     def __add__(self, other: RunningResistance) -> RunningResistance:
         """Both together."""

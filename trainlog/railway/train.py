@@ -490,6 +490,7 @@ class ParameterSet:
 
         Examples
         --------
+        >>> from trainlog.railway.train import POWER_OF_FILE
         >>> import trainlog
         >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
         >>> noted = [{"accepted": True, "max_power": POWER_OF_FILE}]

@@ -206,8 +206,10 @@ class Change:
 
     Examples
     --------
+    >>> import trainlog
     >>> import pandas as pd
-    >>> ground = Change(10e3, 14e3, pd.Timestamp("2026-10-15T02:00Z").value, factor=1.3)
+    >>> start = pd.Timestamp("2026-10-15T02:00Z").value
+    >>> ground = trainlog.RailChange(10e3, 14e3, start, factor=1.3)
     >>> ground.births
     1.0
     """
@@ -272,6 +274,7 @@ class Rail:
 
     Examples
     --------
+    >>> import pandas as pd
     >>> import trainlog
     >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> rail = Rail.draw(line, days=30, start="2026-10-01", seed=1)

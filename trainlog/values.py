@@ -1,0 +1,42 @@
+"""Whether two results hold the same values, arrays and frames among them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+
+def same_values(first: Any, second: Any) -> bool:
+    """Whether two values are of one type and equal, number for number; NaN equals NaN.
+
+    Examples
+    --------
+    >>> same_values({"speed": np.array([1.0, np.nan])}, {"speed": np.array([1.0, np.nan])})
+    True
+    >>> same_values(np.zeros(2), np.zeros(3))
+    False
+    """
+    if first is second:
+        return True
+    if type(first) is not type(second):
+        return False
+    if isinstance(first, np.ndarray):
+        return np.array_equal(first, second, equal_nan=first.dtype.kind in "fc")
+    if isinstance(first, pd.DataFrame | pd.Series | pd.Index):
+        return bool(first.equals(second))
+    if isinstance(first, Mapping):
+        return first.keys() == second.keys() and all(
+            same_values(value, second[key]) for key, value in first.items()
+        )
+    if isinstance(first, list | tuple):
+        return len(first) == len(second) and all(map(same_values, first, second))
+    if is_dataclass(first):
+        names = [each.name for each in fields(first) if each.compare]
+        return all(same_values(getattr(first, name), getattr(second, name)) for name in names)
+    if isinstance(first, float | np.floating) and np.isnan(first):
+        return bool(np.isnan(second))
+    return bool(first == second)
