@@ -148,7 +148,7 @@ class Recording:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     with trainlog.record(f"{folder}/today.mcap") as recording:
     ...         recording.write("/train/state", start, speed=21.3)
-    ...         recording.event(2, "doors closed")
+    ...         recording.event(2, "brakes released")
     ...         _ = recording.flush()
     ...         written = recording.account().written
     >>> written["/train/state"]
