@@ -277,6 +277,8 @@ def _draw_trip(axes: Any, trip: Trip) -> None:
 
 
 def _draw_line(figure: Any, line: Line) -> None:
+    from analysis.plotting import km_axis
+
     limit, gradient = figure.subplots(2, 1, sharex=True)
     places = np.unique(np.concatenate((line.breakpoints, [0.0, line.length])))
     for axes, values, label in (
@@ -292,4 +294,5 @@ def _draw_line(figure: Any, line: Line) -> None:
             station.name, (station.position / 1e3, 1.01), xycoords=("data", "axes fraction"),
             rotation=30, fontsize=8,
         )  # fmt: skip
-    gradient.set_xlabel(f"{line.name}, chainage [km]")
+    words = f"{line.name}, chainage [km]"
+    km_axis(gradient, line, words if line.reference is None else f"{line.name}, km")

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from analysis.adhesion.condition_map import own_line
 from analysis.adhesion.slip import TOPICS, slip
 from analysis.resistance.fit import estimated_resistance, fit_trip
 from analysis.resistance.logs import fit_log
@@ -315,7 +316,7 @@ def write_slip_table(logs: Iterable[str | Path], path: str | Path) -> int:
 def _adhesion(trip: Trip, result: Trip) -> Trip:
     """Adhesion in use and slip of every axle, and the slip events in words."""
     found = slip(trip)
-    events = found.events_frame()
+    events = found.events_frame(own_line(trip))
     if "/events" in trip:
         attrs = events.attrs
         events = pd.concat([trip["/events"], events]).sort_index(kind="stable")

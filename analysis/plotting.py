@@ -9,8 +9,11 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import Formatter, Locator
 
 from trainlog.formats.files import atomic_write
+from trainlog.railway.kilometres import km_ticks
+from trainlog.railway.line import Line
 
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY = (
     "#0072b2",
@@ -62,6 +65,43 @@ def dress(axes: Axes, *, x: str, y: str, title: str = "") -> Axes:
         axes.spines[side].set_color(GREY)
     axes.tick_params(colors=INK, labelsize=9)
     return axes
+
+
+class _Kilometres(Locator):
+    """Ticks at round operator's kilometres of an axis that holds chainage [km]."""
+
+    def __init__(self, line: Line) -> None:
+        self.line = line
+
+    def __call__(self) -> list[float]:
+        low, high = self.axis.get_view_interval()  # type: ignore[union-attr]
+        return self.tick_values(low, high)
+
+    def tick_values(self, vmin: float, vmax: float) -> list[float]:
+        places: list[float] = (km_ticks(self.line, 1e3 * vmin, 1e3 * vmax)[0] / 1e3).tolist()
+        return places
+
+
+class _KilometreLabels(Formatter):
+    """Labels of such ticks."""
+
+    def __init__(self, line: Line) -> None:
+        self.line = line
+
+    def __call__(self, x: float, pos: int | None = None) -> str:  # noqa: ARG002
+        low, high = self.axis.get_view_interval()  # type: ignore[union-attr]
+        places, labels = km_ticks(self.line, 1e3 * low, 1e3 * high)
+        return dict(zip((places / 1e3).tolist(), labels, strict=True)).get(x, "")
+
+
+def km_axis(axes: Axes, line: Line | None, label: str = "km") -> None:
+    """Label an axis of chainage [km] with the operator's kilometres, where the line has them."""
+    if line is None or line.reference is None:
+        axes.set_xlabel(label, color=INK)
+        return
+    axes.xaxis.set_major_locator(_Kilometres(line))
+    axes.xaxis.set_major_formatter(_KilometreLabels(line))
+    axes.set_xlabel(label.removesuffix(" in the direction of travel"), color=INK)
 
 
 def write_figure(figure: Figure, path: str | Path) -> None:

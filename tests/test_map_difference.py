@@ -22,7 +22,6 @@ import trainlog
 from analysis.adhesion import map_history, map_plot
 from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.map_difference import detectable_ratio, q_values
-from analysis.adhesion.map_history import position_of
 from analysis.adhesion.map_plot import draw_history
 from trainlog.cli.main import run
 from trainlog.condition import estimated
@@ -30,6 +29,7 @@ from trainlog.errors import InputError
 from trainlog.railway import Line, LineReference, Station, StepProfile, TrackConditionMap
 from trainlog.railway.condition import ConditionChange, ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
+from trainlog.railway.kilometres import position_of
 
 pytestmark = pytest.mark.usefixtures("remembered_estimates")
 
@@ -297,12 +297,12 @@ def test_a_place_is_named_by_the_operators_kilometre(whole: TrackConditionMap) -
         np.array([56_200.0, 51_000.0]),
     )
     line = replace(LINE, reference=reference)
-    assert position_of(whole, line, 61.2) == 0.0
-    assert position_of(whole, line, 57.2) == pytest.approx(4_000.0)
-    assert position_of(whole, line, 52.0) == pytest.approx(9_000.0)
-    assert position_of(whole, LINE, 4.0) == position_of(whole, None, 4.0) == 4_000.0
+    assert position_of(line, 61.2) == 0.0
+    assert position_of(line, 57.2) == pytest.approx(4_000.0)
+    assert position_of(line, 52.0) == pytest.approx(9_000.0)
+    assert position_of(LINE, 4.0) == position_of(None, 4.0) == 4_000.0
     with pytest.raises(InputError, match=r"has no km 56\.1; its kilometres are 61\.200 to 51\.000"):
-        position_of(whole, line, 56.1)
+        position_of(line, 56.1)
 
 
 def test_the_commands_draw_list_and_end_as_diff_does(

@@ -21,6 +21,7 @@ from trainlog.railway.condition import (
     PassingSpot,
     TrackConditionMap,
 )
+from trainlog.railway.kilometres import in_km
 from trainlog.railway.line import Line
 
 FloatArray = NDArray[np.float64]
@@ -421,12 +422,12 @@ def kilometres(line: Line | None, start: FloatArray, end: FloatArray) -> dict[st
     """Chainage, the operator's kilometres and nearest station of pieces of the line."""
     # The end of a piece belongs to it: where kilometres jump there, they do so behind it.
     inside = np.maximum(end - 1e-6, start)
-    ends = [at if line is None else line.kilometre(at) for at in (start, inside)]
+    ends = [in_km(line, at) for at in (start, inside)]
     return {
         "start_m": start,
         "end_m": end,
-        "start_km": (ends[0] / 1e3).round(6),
-        "end_km": (ends[1] / 1e3).round(6),
+        "start_km": ends[0].round(6),
+        "end_km": ends[1].round(6),
         "near": near(line, 0.5 * (start + end)),
     }
 

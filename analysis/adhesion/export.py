@@ -29,6 +29,7 @@ from trainlog.extras import load
 from trainlog.formats.files import atomic_write, write_bytes
 from trainlog.formats.ttobench_adhesion import AdhesionSections, write_adhesion
 from trainlog.railway import Line, TrackConditionMap
+from trainlog.railway.kilometres import in_km
 from trainlog.version import __version__
 
 FloatArray = NDArray[np.float64]
@@ -103,7 +104,7 @@ class _Export:
                 "line": self.track.line,
                 "name": [each.name for each in stations],
                 "position_m": at,
-                "position_km": at if self.line is None else self.line.kilometre(at) / 1e3,
+                "position_km": in_km(self.line, at),
             }
         )
         yield "stations", rows, [_point(self.line, each) for each in at.tolist()]

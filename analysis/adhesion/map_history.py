@@ -211,33 +211,6 @@ def map_history(
     )
 
 
-def position_of(track: TrackConditionMap, line: Line | None, km: float) -> float:
-    """Chainage [m] of the operator's kilometre; that is the chainage itself without a reference.
-
-    Where the kilometres come twice, the first.
-
-    Raises
-    ------
-    InputError
-        If the line has no such kilometre.
-    """
-    if line is None or line.reference is None:
-        return 1e3 * km
-    known = line.reference
-    ends = np.append(known.positions[1:], line.length)
-    growth = np.where(known.end == known.start, np.nan, known.end - known.start)
-    share = (1e3 * km - known.start) / growth
-    inside = np.flatnonzero((share >= 0.0) & (share <= 1.0))
-    if inside.size == 0:
-        raise InputError(
-            f"line '{track.line}' has no km {km:g}",
-            remedy=f"its kilometres are {known.start[0] / 1e3:.3f} to {known.end[-1] / 1e3:.3f}",
-        )
-    piece = int(inside[0])
-    width = ends[piece] - known.positions[piece]
-    return float(known.positions[piece] + share[piece] * width)
-
-
 def _dates(days: NDArray[np.int64]) -> NDArray[np.datetime64]:
     return days.astype("datetime64[D]").astype("datetime64[s]")
 

@@ -32,6 +32,7 @@ from analysis.plotting import (
     RED,
     dress,
     headline,
+    km_axis,
     new_figure,
     write_figure,
 )
@@ -131,7 +132,7 @@ def draw_map(
     _legend(figure, axes)
     if line is not None:
         _draw_stations(axes, every[-1], line, (start, end))
-    axes[-1].set_xlabel("km", color=INK)
+    km_axis(axes[-1], line)
     axes[-1].set_xlim(start / 1e3, end / 1e3)
     now = at or last_evidence(track)
     when = "" if now is None else f"; expected at {now:%Y-%m-%d %H:%M} UTC"
@@ -397,7 +398,7 @@ def draw_difference(found: MapDifference, path: str | Path, *, line: Line | None
     _legend(figure, axes)
     if line is not None:
         _draw_stations(axes, every[-1], line)
-    axes[-1].set_xlabel("km", color=INK)
+    km_axis(axes[-1], line)
     axes[-1].set_xlim(0.0, _reach(found, line))
     compared = f"{found.line}: {found.before}, and {found.after}"
     headline(figure, "\n".join([compared, *textwrap.wrap(found.sentence, 140)]))

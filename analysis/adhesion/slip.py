@@ -41,6 +41,8 @@ from trainlog.display import as_html, as_text, picture, span
 from trainlog.errors import LogError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.railway.axle_loads import axle_loads
+from trainlog.railway.kilometres import in_km
+from trainlog.railway.line import Line
 from trainlog.railway.passport import Passport
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
@@ -267,10 +269,13 @@ class SlipAnalysis:
         frame.attrs["units"] = dict(zip(columns, ("1", "1", "s/m", "s/m"), strict=True))
         return frame
 
-    def events_frame(self) -> pd.DataFrame:
-        """The slip events as a frame of the topic ``/events``, one warning each."""
+    def events_frame(self, line: Line | None = None) -> pd.DataFrame:
+        """The slip events as a frame of the topic ``/events``, one warning each.
+
+        Their messages name the kilometres of the line, in its own direction.
+        """
         rows = self.events.join(self.creep_curves()).sort_values(["start", "axle"])
-        rows["km"], rows["kmh"] = rows["position"] / 1e3, rows["speed"] * KMH
+        rows["km"], rows["kmh"] = in_km(line, rows["position"]), rows["speed"] * KMH
         messages = [_words(each) for each in rows.to_dict("records")]
         return frame_of(
             EVENTS,

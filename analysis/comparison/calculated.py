@@ -47,7 +47,7 @@ from trainlog.errors import InputError
 from trainlog.formats.attached import largest_load, recorded_load, train_of
 from trainlog.formats.files import check_kind
 from trainlog.formats.train import train_to_bytes
-from trainlog.railway import ParameterSet, RunningResistance, Train
+from trainlog.railway import Line, ParameterSet, RunningResistance, Train
 from trainlog.railway.passport import Quantity
 from trainlog.spans import runs_of
 from trainlog.trip import TRAIN_ATTACHMENT, Trip
@@ -106,6 +106,8 @@ class Calculation:
     efforts : bool
         Whether efforts are recorded; without, there is a calculated energy alone.
     notes : tuple of str
+    line : Line or None
+        As travelled: its kilometres are shown.
     """
 
     trip: str
@@ -123,6 +125,7 @@ class Calculation:
     wind_recorded: bool = False
     efforts: bool = True
     notes: tuple[str, ...] = ()
+    line: Line | None = None
 
     def __repr__(self) -> str:
         return as_text(f"Trip '{self.trip}' against the {self.model}", self._summary())
@@ -255,6 +258,7 @@ def calculate(
         wind_recorded=inputs.windy,
         efforts=efforts,
         notes=inputs.driven.notes,
+        line=inputs.driven.line,
     )
 
 

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from analysis.comparison.calculated import Calculation
 from analysis.comparison.diagnosis import Diagnosis
-from analysis.plotting import BLUE, GREY, INK, ORANGE, dress, headline, legend, new_figure
+from analysis.plotting import BLUE, GREY, INK, ORANGE, dress, headline, km_axis, legend, new_figure
 from analysis.tables import new_table
 from trainlog.display import counted
 from trainlog.units import JOULES_PER_KWH, KMH
@@ -139,7 +139,9 @@ def calculation_figure(found: Calculation) -> Figure:
     place = found.position / 1e3
     dress(speeds, x="", y="speed [km/h]")
     speeds.plot(place, KMH * found.speed, color=INK, linewidth=1.4, label="measured")
-    dress(off, x="km in the direction of travel", y="calculated less\nmeasured [km/h]")
+    dress(off, x="", y="calculated less\nmeasured [km/h]")
+    for each in (speeds, off):
+        km_axis(each, found.line, "km in the direction of travel" if each is off else "")
     off.axhline(0.0, color=INK, linewidth=0.8)
     if found.efforts:
         low, high = (found.calculated_speed + sign * 1.96 * found.speed_std for sign in (-1, 1))

@@ -28,6 +28,7 @@ from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import line_of, passport_of, recorded_load, train_of
 from trainlog.mcap import read_log
 from trainlog.railway import Line, Train, Trajectory
+from trainlog.railway.kilometres import km_words
 from trainlog.railway.passport import Quantity
 from trainlog.spans import runs_of
 from trainlog.topics import (
@@ -428,15 +429,15 @@ class _Reduction:
         if moved[worst] > LARGEST_SETBACK:
             raise LogError(
                 f"trip '{self.bare.name}' runs backwards by {2.0 * moved[worst]:.0f} m",
-                place=f"km {recorded[worst] / 1e3:.3f}",
+                place=km_words(self.line, float(recorded[worst])),
                 remedy="cut it into trips of one direction (trainlog cut --from --to), or"
                 " ingest it again with its line: a counter that starts anew is repaired there",
             )
         notes = []
         if moved[worst] > NOTED_SETBACK:
             notes.append(
-                f"chainage set back at km {recorded[worst] / 1e3:.3f}: moved by up to"
-                f" {moved[worst]:.1f} m"
+                f"chainage set back at {km_words(self.line, float(recorded[worst]))}:"
+                f" moved by up to {moved[worst]:.1f} m"
             )
         beyond = float(position[-1] - self.line.length)
         if beyond > STATION_REACH:
@@ -457,7 +458,9 @@ class _Reduction:
             return recorded, []
         where = float(run[spikes][0] + usual[spikes][0])
         note = f"chainage: {counted(int(spikes.sum()), 'sample')} far off left out"
-        return np.where(spikes, run + usual, recorded), [f"{note}, first at km {where / 1e3:.3f}"]
+        return np.where(spikes, run + usual, recorded), [
+            f"{note}, first at {km_words(self.line, where)}"
+        ]
 
     def _speed(self, table: Samples) -> FloatArray:
         """Recorded speed; where it is not known, between its neighbours."""
@@ -493,11 +496,12 @@ class _Reduction:
         expected = 0.5 * (speed[1:] + speed[:-1]) * step
         jump = ~gap & (np.abs(moved - expected) > JUMP + 0.2 * expected)
         notes = [
-            f"no position for {step[row]:.0f} s before km {recorded[row + 1] / 1e3:.3f}"
+            f"no position for {step[row]:.0f} s before"
+            f" {km_words(self.line, float(recorded[row + 1]))}"
             for row in np.flatnonzero(gap)[:3].tolist()
         ] + [
-            f"chainage jumps by {moved[row] - expected[row]:+.0f} m at km"
-            f" {recorded[row + 1] / 1e3:.3f}"
+            f"chainage jumps by {moved[row] - expected[row]:+.0f} m at"
+            f" {km_words(self.line, float(recorded[row + 1]))}"
             for row in np.flatnonzero(jump)[:3].tolist()
         ]
         return np.concatenate(([False], gap | jump)), notes

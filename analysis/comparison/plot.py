@@ -22,6 +22,7 @@ from analysis.plotting import (
     SKY,
     dress,
     headline,
+    km_axis,
     legend,
     new_figure,
 )
@@ -71,7 +72,7 @@ def comparison_figure(found: ComparedDirection) -> Figure:
         each.set_xlim(*(found.sections.edges[[0, -1]] / 1e3))
     for each in axes[:-1]:
         each.tick_params(labelbottom=False)
-    axes[-1].set_xlabel("km in the direction of travel", color=INK)
+    km_axis(axes[-1], found.line, "km in the direction of travel")
     _causes(figure.add_subplot(grid[-1]), shown)
     reference = "the trajectory" if found.reference.planned else f"'{found.reference.name}'"
     more = f", {len(shown)} of them shown" if len(shown) < len(found.trips) else ""

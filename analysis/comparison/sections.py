@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from analysis.comparison.driven import STATION_REACH, UNKNOWN_TIME, DrivenTrip, Stand, station_at
 from trainlog.railway import Line
+from trainlog.railway.kilometres import km_words
 
 FloatArray = NDArray[np.float64]
 
@@ -76,7 +77,7 @@ def sections_between(line: Line, first: float, last: float) -> Sections:
     edges = np.array([first, *within, last])
     # A station comes twice where two are nearer to each other than trains are to their stops.
     edges = edges[np.concatenate(([True], np.diff(edges) > 0.0))]
-    names = [station_at(line, float(edge)) or f"km {edge / 1e3:.3f}" for edge in edges]
+    names = [station_at(line, float(edge)) or km_words(line, float(edge)) for edge in edges]
     return Sections(edges, tuple(names))
 
 

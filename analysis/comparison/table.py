@@ -12,6 +12,7 @@ from rich.table import Table
 
 from analysis.comparison.compare import ComparedDirection, ComparedTrip, Comparison
 from analysis.tables import new_table
+from trainlog.railway.kilometres import in_km
 from trainlog.units import JOULES_PER_KWH, KMH
 
 LISTED = 12
@@ -55,7 +56,7 @@ def trips_table(found: ComparedDirection) -> Table:
         dwell = float(rows["dwell"].sum() + rows["stood"].sum())
         table.add_row(
             trip.name,
-            f"{trip.covered[0] / 1e3:.1f} to {trip.covered[1] / 1e3:.1f}",
+            _km_span(found, *trip.covered),
             _minutes(float(rows["running_time"].sum())),
             f"{dwell:.0f}",
             *_lost(each, found),
@@ -76,8 +77,13 @@ def _lost(each: ComparedTrip, found: ComparedDirection) -> tuple[str, str]:
     assert each.common is not None
     low, high = each.trip.covered
     parted = each.common[0] > low + 200.0 or each.common[1] < high - 200.0
-    part = f" (km {each.common[0] / 1e3:.1f} to {each.common[1] / 1e3:.1f})" if parted else ""
+    part = f" (km {_km_span(found, *each.common)})" if parted else ""
     return f"{each.lost.total:+.1f}", ", ".join(biggest) + part
+
+
+def _km_span(found: ComparedDirection, first: float, last: float) -> str:
+    start, end = in_km(found.line, [first, last]).tolist()
+    return f"{start:.1f} to {end:.1f}"
 
 
 def _normalised(each: ComparedTrip) -> str:
@@ -106,7 +112,7 @@ def sections_table(found: ComparedDirection) -> Table:
     )
     for name, low in zip(found.sections.names, found.sections.edges[:-1], strict=True):
         cells = [_section_cell(each, name) for each in found.trips]
-        table.add_row(name, f"{low / 1e3:.1f}", *cells)
+        table.add_row(name, f"{float(in_km(found.line, low)):.1f}", *cells)
     return table
 
 
@@ -144,8 +150,9 @@ def losses_table(found: ComparedDirection, listed: int = LISTED) -> Table:
     }
     shown = pd.concat([lost.head(listed), gained.tail(max(1, listed // 4)).iloc[::-1]])
     for row in shown.to_dict("records"):
-        first, last = row["first"] / 1e3, row["last"] / 1e3
-        where = f"{first:.1f}" if last - first < 0.1 else f"{first:.1f} to {last:.1f}"
+        first, last = row["first"], row["last"]
+        short = last - first < 100.0
+        where = f"{float(in_km(found.line, first)):.1f}" if short else _km_span(found, first, last)
         cause = words[row["trip"], row["place"], row["cause"]]
         table.add_row(f"{row['lost']:+.1f}", row["trip"], row["place"], where, cause)
     return table

@@ -21,13 +21,14 @@ from analysis.plotting import (
     PALE,
     RED,
     dress,
+    km_axis,
     new_figure,
     write_figure,
 )
 from trainlog.errors import LogError
 from trainlog.formats.attached import line_of
 from trainlog.railway import Line, TrackConditionMap
-from trainlog.trip import Trip
+from trainlog.trip import LINE_ATTACHMENT, Trip
 from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
@@ -78,7 +79,7 @@ def draw_following(trips: Sequence[Trip], path: str | Path) -> None:
     dress(places[3], x="", y="km/h", title="Speed, as measured, less the reference's")
     for axes in places[2:]:
         axes.axhline(0.0, color=INK, linewidth=0.6)
-    places[-1].set_xlabel("km", color=INK)
+    km_axis(places[-1], line)
     places[-1].set_xlim(0.0, line.length / 1e3)
     figure.align_ylabels(places)
     write_figure(figure, path)
@@ -151,7 +152,8 @@ def draw_traction(
     dress(places[0], x="", y="km/h", title=f"Speed; traction control: {known_as}")
     dress(places[1], x="", y="m/s", title="Slip speed of each powered axle")
     dress(places[2], x="", y="kN", title="Effort of each powered axle")
-    dress(rail, x="km", y="", title=adhesion)
+    dress(rail, x="", y="", title=adhesion)
+    km_axis(rail, line_of(trip) if LINE_ATTACHMENT in trip.attachments else None)
     rail.set_ylim(0.0, None)
     rail.legend(fontsize=8, frameon=False, ncols=7, loc="upper center", bbox_to_anchor=(0.5, -0.2))
     rail.set_xlim(float(km.min()), float(km.max()))

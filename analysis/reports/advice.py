@@ -23,6 +23,7 @@ from analysis.trajectory.advice import (
 )
 from trainlog.formats.trajectory import read_trajectory
 from trainlog.railway import Line
+from trainlog.railway.kilometres import in_km
 from trainlog.units import KMH, clock
 
 
@@ -114,7 +115,7 @@ def _chart(found: JourneyAdvice, line: Line | None) -> Chart:
         row = section.latest
         km, speed = section.positions / 1e3, KMH * section.speeds[row]
         hover = {
-            "km": [f"{each:.3f}" for each in km.tolist()],
+            "km": [f"{each:.3f}" for each in in_km(line, section.positions).tolist()],
             "time": [found.time(departure + each) for each in section.times[row].tolist()],
             "speed": [f"{each:.0f} km/h" for each in speed.tolist()],
         }
@@ -128,4 +129,5 @@ def _chart(found: JourneyAdvice, line: Line | None) -> Chart:
         "Planned speed over kilometres, with the permitted speed and the stations.",
         "",
         () if line is None else [(each.position / 1e3, each.name) for each in line.stations],
+        line=line,
     )

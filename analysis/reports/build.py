@@ -46,6 +46,7 @@ from trainlog.formats.mapfile import MapFile
 from trainlog.mcap import read_log
 from trainlog.progress import note
 from trainlog.railway import Line
+from trainlog.railway.kilometres import in_km
 from trainlog.trip import POSITION_TOPICS
 from trainlog.units import KMH, clock
 
@@ -408,6 +409,7 @@ def _add_trip(
         )  # fmt: skip
     if not motion.position.size:
         return None
+    line: Line | None = None
     try:
         line = line_of(trip)
         lines.setdefault(f"{line.name} {trip.metadata.get('direction', 'forward')}", line)
@@ -417,7 +419,7 @@ def _add_trip(
     x, y = motion.position[rows] / 1e3, KMH * motion.speed[rows]
     hover = {
         "trip": [trip.name] * rows.size,
-        "km": [f"{each:.3f}" for each in x.tolist()],
+        "km": [f"{each:.3f}" for each in in_km(line, motion.position[rows]).tolist()],
         "speed": [f"{each:.1f} km/h" for each in y.tolist()],
     }
     return Curve("each trip" if first else "", x, y, BLUE, "line", hover=hover, width=0.8)
@@ -431,7 +433,7 @@ def _overlaid(group: str, curves: Sequence[Curve], lines: Mapping[str, Line]) ->
     alt = f"Speeds of {counted(len(curves), 'trip')} in {group} over kilometres."
     places = () if line is None else [(each.position / 1e3, each.name) for each in line.stations]
     panels = [Panel("km/h", [*limits, *curves], 1.6, from_zero=True)]
-    return as_part(Chart("km in the direction of travel", panels, alt, "", places))
+    return as_part(Chart("km in the direction of travel", panels, alt, "", places, line=line))
 
 
 # --------------------------------------------------------------------------------- provenance

@@ -18,14 +18,19 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import ArrayLike, NDArray
 
-from analysis.plotting import BLUE, GREY, INK, PALE, dress, new_figure, write_figure
+from analysis.plotting import BLUE, GREY, INK, PALE, dress, km_axis, new_figure, write_figure
 from analysis.reports.page import Interactive
 from analysis.reports.pictures import PAPER, drawn
+from trainlog.railway.kilometres import km_ticks
+from trainlog.railway.line import Line
 
 FloatArray = NDArray[np.float64]
 
 MOST_POINTS = 2_500
 """Of a curve in a chart, about: more than there are pixels show nothing more."""
+
+FINE_TICKS = 60
+"""Of an axis with the operator's kilometres in a chart that can be enlarged."""
 
 WITHOUT_BOKEH = (
     "The charts stand still here: with the extra report (pip install 'trainlog[report]') they show"
@@ -104,6 +109,8 @@ class Chart:
         Stations, marked in all panels and named in the first.
     span : (float, float), optional
         Ends of the axis; default: those of the curves.
+    line : Line, optional
+        The axis is its chainage [km], labelled with the operator's kilometres if it has them.
     """
 
     x: str
@@ -112,6 +119,11 @@ class Chart:
     caption: str = ""
     places: Sequence[tuple[float, str]] = ()
     span: tuple[float, float] | None = None
+    line: Line | None = None
+
+    def __post_init__(self) -> None:
+        if self.line is not None and self.line.reference is not None:
+            object.__setattr__(self, "x", "km")
 
 
 def rows_to_draw(*curves: ArrayLike, most: int = MOST_POINTS) -> NDArray[np.int64]:
@@ -175,7 +187,7 @@ def draw_chart(chart: Chart, path: str | Path) -> None:
             axes.legend(
                 fontsize=8, frameon=False, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0)
             )
-    places[-1].set_xlabel(chart.x, color=INK)
+    km_axis(places[-1], chart.line, chart.x)
     span = _span(chart)
     places[-1].set_xlim(*span)
     _name_places(places[0], chart, span)
@@ -294,6 +306,7 @@ def _plot(chart: Chart, panel: Panel, shared: Any, *, first: bool, last: bool) -
         )  # fmt: skip
     for grid in (*plot.xgrid, *plot.ygrid):
         grid.grid_line_color = PALE
+    _label_kilometres(plot, chart)
     for curve in panel.curves:
         _add(plot, curve)
     if panel.from_zero:
@@ -317,6 +330,21 @@ def _plot(chart: Chart, panel: Panel, shared: Any, *, first: bool, last: bool) -
         )  # fmt: skip
         plot.add_layout(each, "above")
     return plot
+
+
+def _label_kilometres(plot: Any, chart: Chart) -> None:
+    """Ticks at the operator's kilometres; when enlarged, those between as far as they fit."""
+    if chart.line is None or chart.line.reference is None:
+        return
+    models: Any = import_module("bokeh.models")
+    low, high = (1e3 * each for each in _span(chart))
+    coarse, _ = km_ticks(chart.line, low, high)
+    fine, labels = km_ticks(chart.line, low, high, FINE_TICKS)
+    places = (fine / 1e3).tolist()
+    plot.xaxis.ticker = models.FixedTicker(ticks=places)
+    plot.xaxis.major_label_overrides = dict(zip(places, labels, strict=True))
+    plot.xaxis.major_label_policy = models.NoOverlap(min_distance=40)
+    plot.xgrid.ticker = models.FixedTicker(ticks=(coarse / 1e3).tolist())
 
 
 def _plain(text: str) -> str:

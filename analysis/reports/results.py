@@ -40,6 +40,7 @@ from trainlog.formats.summaries import SUFFIX
 from trainlog.formats.trajectory import read_trajectory
 from trainlog.progress import note
 from trainlog.railway import Line, ParameterSet, TrackConditionMap, Trajectory
+from trainlog.railway.kilometres import in_km
 from trainlog.units import KMH, clock
 
 FloatArray = NDArray[np.float64]
@@ -334,6 +335,7 @@ def _map_charts(track: TrackConditionMap, state: MapState, line: Line | None) ->
         " observed.",
         [(each.position / 1e3, each.name) for each in stations],
         (0.0, track.length / 1e3),
+        line,
     )
     return [as_part(chart)]
 
@@ -437,7 +439,7 @@ def _trajectory_chart(trajectory: Trajectory, line: Line | None) -> Chart:
     km = trajectory.positions / 1e3
     speeds, times = KMH * trajectory.speeds, trajectory.times
     hover = {
-        "km": [f"{each:.3f}" for each in km.tolist()],
+        "km": [f"{each:.3f}" for each in in_km(line, trajectory.positions).tolist()],
         "time": [clock(each) for each in times[row].tolist()],
         "speed": [f"{each:.1f} km/h" for each in speeds[row].tolist()],
         "of all configurations": [
@@ -476,6 +478,7 @@ def _trajectory_chart(trajectory: Trajectory, line: Line | None) -> Chart:
         " of all configurations, the permitted speed, efforts and gradient.",
         "",
         () if line is None else [(each.position / 1e3, each.name) for each in line.stations],
+        line=line,
     )
 
 

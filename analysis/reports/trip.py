@@ -13,6 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from rich.table import Table
 
+from analysis.adhesion.condition_map import own_line
 from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.comparison.driven import SHORTEST_STOP, station_at
 from analysis.comparison.groups import TripCost, trip_cost
@@ -27,6 +28,7 @@ from trainlog.ingest.report import report_of
 from trainlog.mcap import describe, read_log
 from trainlog.mcap.description import render
 from trainlog.railway import Line
+from trainlog.railway.kilometres import in_km
 from trainlog.resampling import interpolated
 from trainlog.topics import REFERENCE, STANDSTILL, TRAIN_CONTROLS
 from trainlog.trip import POSITION_TOPICS, Trip
@@ -355,6 +357,7 @@ def _course(trip: Trip, motion: Motion, line: Line | None, zone: Zone) -> list[P
         " with its efforts and the gradient below.",
         "Speed against the permitted speed; tractive effort above, braking effort below zero.",
         () if line is None else [(each.position / 1e3, each.name) for each in line.stations],
+        line=line,
     )
     minutes = (part.time - motion.time[0]).total_seconds().to_numpy() / 60.0
     start = zone.time(motion.time[0])
@@ -368,9 +371,8 @@ def _course(trip: Trip, motion: Motion, line: Line | None, zone: Zone) -> list[P
 
 
 def _speed_curve(x: FloatArray, part: Motion, line: Line | None, zone: Zone) -> Curve:
-    kilometre = part.position if line is None else line.kilometre(part.position)
     hover = {
-        "km": [f"{each:.3f}" for each in (kilometre / 1e3).tolist()],
+        "km": [f"{each:.3f}" for each in in_km(line, part.position).tolist()],
         "time": zone.times(part.time),
         "speed": [f"{each:.1f} km/h" for each in (KMH * part.speed).tolist()],
     }
@@ -449,7 +451,7 @@ def _stops_part(motion: Motion, line: Line | None, zone: Zone) -> list[Part]:
         return []
     table = new_table("", "station", "km", f"arrival ({zone.name})", "departure", "dwell", "")
     for call in calls:
-        place = call.position if line is None else float(line.kilometre(call.position))
+        place = float(in_km(line, call.position))
         name = call.name or "on the line"
         arrival, departure = (
             "" if each is None else zone.time(each) for each in (call.arrival, call.departure)
@@ -458,7 +460,7 @@ def _stops_part(motion: Motion, line: Line | None, zone: Zone) -> list[Part]:
         if not call.stopped:
             arrival = ""
         note = "" if call.stopped else "passes"
-        table.add_row(name, f"{place / 1e3:.3f}", arrival, departure, dwell, note)
+        table.add_row(name, f"{place:.3f}", arrival, departure, dwell, note)
     return [table]
 
 
@@ -491,11 +493,11 @@ def _slip(trip: Trip, zone: Zone) -> list[Part]:
     rows = [(name, words) for name, words in found._summary().items()]
     parts: list[Part] = [facts_table(rows)]
     if len(found.events):
-        parts.append(_slip_table(found, zone))
+        parts.append(_slip_table(found, own_line(trip), zone))
     return parts
 
 
-def _slip_table(found: SlipAnalysis, zone: Zone) -> Table:
+def _slip_table(found: SlipAnalysis, line: Line, zone: Zone) -> Table:
     events = found.events
     worst = events["peak_slip"].abs().nlargest(MOST_EVENTS).index
     chosen = events.loc[worst].sort_values("start")
@@ -507,7 +509,7 @@ def _slip_table(found: SlipAnalysis, zone: Zone) -> Table:
         caption_justify="left",
     )  # fmt: skip
     for each in chosen.to_dict("records"):
-        place, slipped = each["position"] / 1e3, KMH * abs(each["peak_slip"])
+        place, slipped = float(in_km(line, each["position"])), KMH * abs(each["peak_slip"])
         adhesion = f"{abs(each['adhesion']):.3f} ± {1.96 * each['adhesion_std']:.3f}"
         table.add_row(
             zone.time(each["start"]),

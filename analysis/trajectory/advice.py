@@ -26,6 +26,7 @@ from analysis.trajectory.phases import AdvicePoint, Phase, advice
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write
 from trainlog.railway import Line, StepProfile, Trajectory
+from trainlog.railway.kilometres import in_km
 from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
@@ -360,16 +361,14 @@ def _row(
     line: Line | None,
     point: AdvicePoint | None = None,
 ) -> AdviceRow:
-    km = position if line is None else float(line.kilometre(position))
+    km = float(in_km(line, position))
     station = "" if line is None or event == "changes" else station_at(line, position)
     place = near(line, [position])[0]
     permitted = None if point is None else point.permitted
-    to = position if point is None else point.end
-    to = to if line is None else float(line.kilometre(to))
+    to = float(in_km(line, position if point is None else point.end))
     return AdviceRow(
-        event, position, km / 1e3, station, place, time, timetable, *speeds, permitted, point,
-        to / 1e3,
-    )  # fmt: skip
+        event, position, km, station, place, time, timetable, *speeds, permitted, point, to
+    )
 
 
 def write_journey_advice(found: JourneyAdvice, path: str | Path) -> None:

@@ -19,6 +19,7 @@ from analysis.trajectory.discretisation import DiscreteProblem, discretise
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InfeasibleError
 from trainlog.railway.effort import arrays_of
+from trainlog.railway.kilometres import km_words
 from trainlog.railway.motion import (
     Brakes,
     Motion,
@@ -136,8 +137,8 @@ def fastest_run(run: TrajectoryProblem, cruising: float = np.inf) -> Envelope:
     for a in np.flatnonzero(stands.any(axis=1)).tolist():
         raise InfeasibleError(
             f"configuration '{run.configurations[a].name}' comes to a stand at"
-            f" km {problem.positions[np.argmax(stands[a])] / 1e3:.3f}: full traction does not"
-            " overcome the line there",
+            f" {km_words(run.line, problem.positions[np.argmax(stands[a])])}: full traction"
+            " does not overcome the line there",
             remedy="less load, more adhesion, or a run that begins elsewhere"
             + run.steepness(float(problem.positions[np.argmax(stands[a])])),
         )
@@ -200,7 +201,7 @@ def _check_brakes(run: TrajectoryProblem, problem: DiscreteProblem, curve: Float
         if curve[a, low[a]] <= 0.0 and low[a] < curve.shape[1] - 1:
             raise InfeasibleError(
                 f"configuration '{configuration.name}' cannot brake on the slope at"
-                f" km {problem.positions[low[a]] / 1e3:.3f}",
+                f" {km_words(run.line, problem.positions[low[a]])}",
                 remedy="check its mass, the gradient there and the braking effort"
                 + run.steepness(float(problem.positions[low[a]])),
             )

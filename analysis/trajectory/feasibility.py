@@ -16,6 +16,7 @@ from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.sqp import minimise
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Line, TimingPoint
+from trainlog.railway.kilometres import km_words
 from trainlog.units import KMH, clock
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +34,7 @@ _NEARLY = 0.98
 def place_of(line: Line, position: float) -> str:
     """A place on the line as people call it: its km, and the station that is there."""
     name = next((s.name for s in line.stations if abs(s.position - position) <= _AT_STATION), "")
-    return f"km {position / 1e3:.3f}" + (f" ({name})" if name else "")
+    return km_words(line, position) + (f" ({name})" if name else "")
 
 
 def seconds(time: float) -> str:

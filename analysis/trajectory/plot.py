@@ -21,6 +21,7 @@ from analysis.plotting import (
     RED,
     SKY,
     dress,
+    km_axis,
     new_figure,
     write_figure,
 )
@@ -76,7 +77,7 @@ def draw_trajectory(
     if switching:
         _draw_switching(places[2], trajectory, np.asarray(switching))
     _draw_gradient(places[-1], trajectory, line)
-    places[-1].set_xlabel("km", color=INK)
+    km_axis(places[-1], line)
     km = trajectory.positions / 1e3
     places[-1].set_xlim(km[0], km[-1])
     figure.align_ylabels(places)

@@ -16,6 +16,7 @@ from analysis.adhesion.demonstrated import UsableAdhesion, usable_adhesion
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.railway import Configuration, Line, StepProfile, TimingPoint, TrackConditionMap, Train
+from trainlog.railway.kilometres import km_words
 from trainlog.units import GRAVITY, KMH, PER_MILLE
 
 FloatArray = NDArray[np.float64]
@@ -183,7 +184,7 @@ class TrajectoryProblem:
         if self.windows:
             rows["passing points"] = f"{len(self.windows)}"
         title = f"Trajectory problem: {self.train.name} on {self.line.name}"
-        return as_text(f"{title}, km {self.start / 1e3:.3f} to km {self.end / 1e3:.3f}", rows)
+        return as_text(f"{title}, {self._km(self.start)} to {self._km(self.end)}", rows)
 
     def __post_init__(self) -> None:
         for name in ("configurations", "weights", "windows"):
@@ -221,7 +222,7 @@ class TrajectoryProblem:
         if self.initial_speed > limit:
             raise InputError(
                 f"{where}: the initial speed {KMH * self.initial_speed:.1f} km/h is above the"
-                f" {KMH * limit:.1f} km/h permitted at km {self.start / 1e3:.3f}"
+                f" {KMH * limit:.1f} km/h permitted at {self._km(self.start)}"
             )
         if self.condition_map is not None and self.condition_map.line != line.name:
             raise InputError(
@@ -250,6 +251,10 @@ class TrajectoryProblem:
                 remedy="7 per cent over the least time are 0.07 in Python, 7 on the command line",
             )
 
+    def _km(self, position: float) -> str:
+        """A place of the run in words."""
+        return km_words(self.line, position)
+
     def _check_windows(self, where: str) -> None:
         """Refuse passing points outside the run, or out of order."""
         places = [self.start, *(point.position for point in self.windows), self.end]
@@ -259,14 +264,14 @@ class TrajectoryProblem:
         for before, place in pairwise(places):
             if not before < place:
                 raise InputError(
-                    f"{where}: the passing point at km {place / 1e3:.3f} does not come after"
-                    f" km {before / 1e3:.3f}",
+                    f"{where}: the passing point at {self._km(place)} does not come after"
+                    f" {self._km(before)}",
                     remedy="order the points by position, between the start and the end",
                 )
         for point in self.windows:
             if point.highest_speed == 0.0:
                 raise InputError(
-                    f"{where}: the train stands at km {point.position / 1e3:.3f}, in the run",
+                    f"{where}: the train stands at {self._km(point.position)}, in the run",
                     remedy="a stop is where one run ends and the next begins: give a journey",
                 )
 
@@ -325,7 +330,7 @@ class TrajectoryProblem:
         if limit.min() < _SLOWEST:
             raise InputError(
                 f"{where}: {KMH * limit.min():.2f} km/h permitted at"
-                f" km {positions[int(np.argmin(limit))] / 1e3:.3f} is no speed to run at",
+                f" {self._km(positions[int(np.argmin(limit))])} is no speed to run at",
                 remedy=f"permit at least {KMH * _SLOWEST:.0f} km/h, or end the run there",
             )
         if self.condition_map is None:
@@ -343,7 +348,7 @@ class TrajectoryProblem:
         if wrong.size:
             raise InputError(
                 f"{where}: the track-condition map holds no adhesion at"
-                f" km {self.condition_map.centres[wrong[0]] / 1e3:.3f}, which it marks as observed",
+                f" {self._km(self.condition_map.centres[wrong[0]])}, which it marks as observed",
                 remedy="build the map again; places not observed are left out, not guessed",
             )
 

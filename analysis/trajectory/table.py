@@ -26,7 +26,8 @@ from analysis.tables import (
     overspeed,
 )
 from trainlog.display import counted, lateness
-from trainlog.railway import Trajectory
+from trainlog.railway import Line, Trajectory
+from trainlog.railway.kilometres import in_km
 from trainlog.units import clock
 
 if TYPE_CHECKING:
@@ -176,8 +177,11 @@ def front_table(front: Front) -> Table:
     return table
 
 
-def journey_table(plan: JourneyPlan) -> Table:
-    """Sections of a journey: when, how much, and what a second is worth in each."""
+def journey_table(plan: JourneyPlan, line: Line | None = None) -> Table:
+    """Sections of a journey: when, how much, and what a second is worth in each.
+
+    With its line, as travelled, in the operator's kilometres.
+    """
     certificate, first = plan.certificate, plan.sections[0]
     costliest, mixed = certificate["costliest"], bool(certificate["mixture"])
     title = (
@@ -205,9 +209,9 @@ def journey_table(plan: JourneyPlan) -> Table:
         found = each.certificate
         price = sum(found["time_price"].values())
         table.add_cells(
-            float(each.positions[0]),
+            _km(line, each.positions[0]),
             float(departs),
-            float(each.positions[-1]),
+            _km(line, each.positions[-1]),
             float(arrives),
             float(found["line_energy"][row] if mixed else found["energy"]),
             found["total_gap"],
@@ -216,8 +220,8 @@ def journey_table(plan: JourneyPlan) -> Table:
     return table
 
 
-def advice_table(points: Sequence[AdvicePoint]) -> Table:
-    """Driver advice: where to do what."""
+def advice_table(points: Sequence[AdvicePoint], line: Line | None = None) -> Table:
+    """Driver advice: where to do what; with the line as travelled in the operator's kilometres."""
     table = new_table(
         "Driver advice",
         Column("km", FROM_START, key="position"),
@@ -229,13 +233,18 @@ def advice_table(points: Sequence[AdvicePoint]) -> Table:
     )
     for point in points:
         table.add_cells(
-            point.position,
+            _km(line, point.position),
             Said(point.time, clock(point.time)),
             point.speed,
             point.words,
             point.until,
         )
     return table
+
+
+def _km(line: Line | None, position: float) -> Said:
+    """A position, shown by its kilometre."""
+    return Said(float(position), FROM_START.words(1e3 * float(in_km(line, position)), unit=False))
 
 
 def _share(adhesion: float) -> str:

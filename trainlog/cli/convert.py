@@ -14,6 +14,7 @@ from trainlog.cli.options import (
     ToOption,
     TopicOption,
     destination,
+    line_of_log,
     source_span,
     stretch,
     times,
@@ -84,7 +85,7 @@ def cut(
         output,
         topics=topic or None,
         time=times(start, end, source_span(source)),
-        position=stretch(km),
+        position=None if km is None else stretch(km, line_of_log(source)),
     )
 
 

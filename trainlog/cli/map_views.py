@@ -68,9 +68,9 @@ def map_show(
     if ends is not None and picture is None:
         raise InputError("--km chooses what a picture shows", remedy="name it with --picture")
 
-    from analysis.adhesion.map_history import position_of
     from analysis.adhesion.map_state import map_state, state_table
     from trainlog.formats.condition import read_map
+    from trainlog.railway.kilometres import position_of
 
     track = read_map(condition)
     known = course(track, line, condition)
@@ -80,7 +80,7 @@ def map_show(
     if picture is not None:
         from analysis.adhesion.map_plot import draw_map
 
-        positions = [position_of(track, known, each) for each in ends or ()]
+        positions = [position_of(known, each) for each in ends or ()]
         part = (positions[0], positions[1]) if positions else None
         draw_map(shown.track, picture, line=known, at=when, part=part)
     if not state(shown.as_json()):
@@ -189,13 +189,14 @@ def map_history(
     if picture is not None:
         destination(picture, ".png")
 
-    from analysis.adhesion.map_history import MOST_DAYS, history_table, map_history, position_of
+    from analysis.adhesion.map_history import MOST_DAYS, history_table, map_history
     from analysis.adhesion.map_plot import draw_history
     from trainlog.formats.condition import read_map
+    from trainlog.railway.kilometres import position_of
 
     track = read_map(condition)
     known = course(track, line, condition)
-    position = position_of(track, known, km)
+    position = position_of(known, km)
     names = list(track.layers) if layer is None else layer
     most = MOST_DAYS if days is None else days
     found = [map_history(track, position, name, line=known, days=most) for name in names]

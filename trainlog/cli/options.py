@@ -76,7 +76,12 @@ FromOption = Annotated[
 ]
 ToOption = Annotated[str | None, typer.Option("--to", help="Only up to this time.")]
 KilometreOption = Annotated[
-    str | None, typer.Option("--km", help="Only while the train was between: 3.2:7.5, 3.2:, :7.5.")
+    str | None,
+    typer.Option(
+        "--km",
+        help="Only while the train was between these kilometres, the operator's where the line has"
+        " them: 3.2:7.5, 3.2:, :7.5.",
+    ),
 ]
 
 SECONDS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0}
@@ -111,31 +116,48 @@ def times(
     return _moment(start, span), _moment(end, span)
 
 
-def stretch(text: str | None) -> tuple[float | None, float | None] | None:
+def stretch(text: str | None, line: Line | None = None) -> tuple[float | None, float | None] | None:
     """The positions asked for [m], from kilometres as ``3.2:7.5``; None if all.
 
     Raises
     ------
     InputError
-        If the text is not of that form.
+        If the text is not of that form, or the line has no such kilometre.
     """
+    from trainlog.railway.kilometres import section_of_km
+
     if text is None:
         return None
     start, colon, end = text.partition(":")
     try:
         if not colon:
             raise ValueError(text)
-        limits = tuple(float(word) * 1000.0 if word.strip() else None for word in (start, end))
+        limits = [float(word) if word.strip() else None for word in (start, end)]
         if not all(limit is None or math.isfinite(limit) for limit in limits):
             raise ValueError(text)
     except ValueError as error:
         raise InputError(
             f"'{text}' must be a section of the line in km", remedy="write kilometres as 3.2:7.5"
         ) from error
-    return limits[0], limits[1]
+    return section_of_km(line, limits[0], limits[1])
 
 
-def lasting_change(word: str) -> Change:
+def line_of_log(log: Path, given: Line | None = None) -> Line | None:
+    """The line that a log carries, or else the one given, as travelled; None without."""
+    from trainlog.formats.attached import line_of
+    from trainlog.mcap import read_log
+    from trainlog.trip import LINE_ATTACHMENT
+
+    if log.suffix != ".mcap":
+        return given
+    bare = read_log(log, [])
+    if LINE_ATTACHMENT in bare.attachments:
+        return line_of(bare)
+    backwards = bare.metadata.get("direction") == "reverse"
+    return given.reversed() if backwards and given is not None else given
+
+
+def lasting_change(word: str, line: Line | None = None) -> Change:
     """A change of the rail, from ``km=10:14,date=2026-10-15,factor=1.3``, ``spots=0.2`` besides.
 
     Raises
@@ -157,7 +179,7 @@ def lasting_change(word: str) -> Change:
     for names in (("km",), ("date",), ("factor", "spots")):
         if not given.keys() & set(names):
             raise InputError(f"change '{word}' has no {' or '.join(names)}", remedy=remedy)
-    km = stretch(re.sub(r"(?<=[0-9.])-", ":", given["km"], count=1))
+    km = stretch(re.sub(r"(?<=[0-9.])-", ":", given["km"], count=1), line)
     if km is None or km[0] is None or km[1] is None:
         raise InputError(f"change '{word}': km needs both ends", remedy=remedy)
     try:
@@ -283,10 +305,12 @@ def part_of(
     km: str | None,
     rows: int,
     topics: Any = None,
+    line: Line | None = None,
 ) -> Iterator[Trip]:
     """The part of a log that is asked for, in pieces of at most `rows` rows.
 
-    `topics` as for `trainlog.mcap.stream_log`.
+    `topics` as for `trainlog.mcap.stream_log`; `line` counts the kilometres of a log that carries
+    none.
 
     Raises
     ------
@@ -296,7 +320,8 @@ def part_of(
     from trainlog.mcap import stream_log
     from trainlog.mcap.records import nothing_of
 
-    time, position = times(start, end, source_span(log)), stretch(km)
+    known = None if km is None else line_of_log(log, line)
+    time, position = times(start, end, source_span(log)), stretch(km, known)
     empty = True
     for piece in stream_log(log, topics, time=time, position=position, rows=rows):
         empty = empty and not any(map(len, piece.topics.values()))

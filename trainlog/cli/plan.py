@@ -105,7 +105,11 @@ def optimise(
     ] = None,
     km: Annotated[
         str | None,
-        typer.Option("--km", help="Only between, in the direction of travel: 3.2:7.5, 3.2:, :7.5."),
+        typer.Option(
+            "--km",
+            help="Only between these kilometres, the operator's where the line has them, else in"
+            " the direction of travel: 3.2:7.5, 3.2:, :7.5.",
+        ),
     ] = None,
     initial_speed: Annotated[
         float | None, typer.Option(help="Speed where it begins, in km/h; default: standstill.")
@@ -185,7 +189,7 @@ def optimise(
         running_time = fastest_nonstop(logs_in([as_fast_as]), the_line)
     if reverse:
         the_line = the_line.reversed()
-    start, end = stretch(km) or (None, None)
+    start, end = stretch(km, the_line) or (None, None)
     track, time = (None, None) if condition is None else map_of_run(condition, at)
     if track is not None and layer is None:
         console.print("  no --layer is given: wet", highlight=False)
@@ -273,7 +277,7 @@ def _write(trajectory: Trajectory, problem: TrajectoryProblem, output: Path) -> 
     write_advice(points, output.with_suffix(".csv"))
     made = current().content.setdefault("trajectories", [])
     made.append({"trajectory": output, **certified(trajectory)})
-    console.print(trajectory_table(trajectory), advice_table(points))
+    console.print(trajectory_table(trajectory), advice_table(points, problem.line))
     for words in adhesion_words(problem, trajectory):
         console.print(f"  {words}", highlight=False, soft_wrap=True)
     wrote(output, output.with_suffix(".png"), output.with_suffix(".csv"))
@@ -298,7 +302,7 @@ def _journey(
     files = [output.with_name(f"{output.stem}-{n + 1}.json") for n in range(len(sections))]
     for section, file in zip(sections, files, strict=True):
         _write(section, problem, file)
-    console.print(journey_table(plan))
+    console.print(journey_table(plan, problem.line))
     names = " ".join(map(str, files))
     words = f"Advice for all of it: trainlog driver-advice {names} --departure 07:12 -o advice.html"
     console.print(words, highlight=False, soft_wrap=True)

@@ -167,7 +167,7 @@ def simulate(
             raise InputError(
                 f"--days and --{other} are different kinds of trips", remedy="give one of them"
             )
-        changes = [lasting_change(word) for word in change or []]
+        changes = [lasting_change(word, the_line) for word in change or []]
         over_days = Rail.draw(the_line, days, start or "2026-10-01", seed, changes)
         scenarios = draw_days(over_days, [the_train], trips_per_day or 4)
     elif trajectory is None:

@@ -125,7 +125,8 @@ def replay(
         tiles=tiles,
         line=None if line is None else read_line(line),
     )
-    sources = [partial(part_of, log, start, end, km, PIECE) for log in found]
+    part = partial(part_of, start=start, end=end, km=km, rows=PIECE, line=options.line)
+    sources = [partial(part, log) for log in found]
     with interruptible(), TemporaryDirectory(prefix="trainlog-") as folder:
         recording = Path(folder) / "replay.rrd" if output is None else output
         made = write_replay(

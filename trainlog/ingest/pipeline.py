@@ -37,6 +37,7 @@ from trainlog.ingest.registry import Format, format_called, format_of, is_regist
 from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report, changes
 from trainlog.ingest.rules import refuse_switched_off, repaired
 from trainlog.progress import note
+from trainlog.railway.kilometres import km_words
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.topics import EVENTS, TOPICS, Topic
@@ -440,9 +441,12 @@ def _check_on_line(trip: Trip, line: Line) -> None:
             continue
         furthest = float(trip[topic]["position"].max())
         if furthest > line.length + OVERRUN:
+            reached = f"km {furthest / 1e3:.3f}"
+            if line.reference is not None:
+                reached = f"{(furthest - line.length) / 1e3:.3f} km further"
             raise InputError(
-                f"positions reach km {furthest / 1e3:.3f}, line '{line.name}' ends at km"
-                f" {line.length / 1e3:.3f}",
+                f"positions reach {reached}, line '{line.name}' ends at"
+                f" {km_words(line, line.length)}",
                 remedy="give the line it was driven on, or check the unit of the position; if the"
                 " counter starts elsewhere than the line, give start_position under [trip] of the"
                 " profile, or --set start_position=0.2km (or =stations: where the stops match)",

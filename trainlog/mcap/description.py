@@ -15,8 +15,9 @@ from mcap.records import Channel
 from numpy.typing import NDArray
 
 from trainlog.display import counted
-from trainlog.errors import LogError
+from trainlog.errors import LogError, TrainlogError
 from trainlog.formats.files import sha256
+from trainlog.formats.line import line_from_bytes
 from trainlog.mcap.account import Account
 from trainlog.mcap.codec import UNIT, axles_of
 from trainlog.mcap.index import ChunkPlace, Contents, MisplacedError, index_in
@@ -24,8 +25,10 @@ from trainlog.mcap.reader import attachments_of, bare_trip, metadata_of
 from trainlog.mcap.records import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD, Source, in_file
 from trainlog.mcap.scan import contents_used
 from trainlog.mcap.selection import position_span
+from trainlog.railway.kilometres import in_km
+from trainlog.railway.line import Line
 from trainlog.topics import EVENTS, TOPICS, TRAIN_STATE, Topic
-from trainlog.trip import Trip
+from trainlog.trip import LINE_ATTACHMENT, Trip
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -121,6 +124,8 @@ class LogDescription:
         Kinds in use, ``""`` for none.
     stored_size, content_size : int
         Length of the messages as stored and when decompressed [bytes].
+    line : Line or None
+        That the log carries, as travelled: its kilometres are shown.
     """
 
     path: Path
@@ -137,13 +142,14 @@ class LogDescription:
     compression: tuple[str, ...]
     stored_size: int
     content_size: int
+    line: Line | None = None
 
     def __repr__(self) -> str:
         lines = [str(self.path)]
         if self.first is not None and self.last is not None:
             lines.append(f"  time      {self.first:{_TIME}} to {self.last:{_TIME}} UTC")
         if self.position_span is not None:
-            lines.append(f"  position  {_stretch(*self.position_span)}")
+            lines.append(f"  position  {_stretch(*self.position_span, self.line)}")
         lines.append(f"  messages  {self.count:,} of {counted(len(self.topics), 'topic')}")
         lines.append(f"  state     {self.account.sentence}")
         return "\n".join(lines)
@@ -204,10 +210,12 @@ def describe(path: str | Path) -> LogDescription:
             _topic(contents, channel, found[number])
             for number, channel in contents.channels.items()
         )
-        attachments = tuple(
-            AttachmentDescription(place.name, place.media_type, place.size, sha256(data))
-            for place, data in attachments_of(source, contents)
-        )
+        attachments, lines = list[AttachmentDescription](), list[bytes]()
+        for place, data in attachments_of(source, contents):
+            attachments.append(
+                AttachmentDescription(place.name, place.media_type, place.size, sha256(data))
+            )
+            lines += [data] * (place.name == LINE_ATTACHMENT)
     account = contents.account
     problem = problem or refusal
     if not account.whole:
@@ -222,13 +230,24 @@ def describe(path: str | Path) -> LogDescription:
         topics=topics,
         metadata=_metadata(records),
         provenance=trip.provenance if trip is not None else (),
-        attachments=attachments,
+        attachments=tuple(attachments),
         position_span=span if trip is not None else None,
         chunks=len(contents.chunks),
         compression=tuple(sorted({chunk.compression for chunk in contents.chunks})),
         stored_size=sum(chunk.stored for chunk in contents.chunks),
         content_size=sum(chunk.size for chunk in contents.chunks),
+        line=_travelled(lines[-1], records) if lines else None,
     )
+
+
+def _travelled(data: bytes, records: dict[str, dict[str, str]]) -> Line | None:
+    """The line attached to a log in the direction of travel; None if it cannot be read."""
+    try:
+        line = line_from_bytes(data)
+    except TrainlogError:
+        return None
+    backwards = records.get(TRIP_RECORD, {}).get("direction") == "reverse"
+    return line.reversed() if backwards else line
 
 
 def _span(source: Source, contents: Contents) -> tuple[tuple[float, float] | None, str | None]:
@@ -442,8 +461,8 @@ def render(description: LogDescription) -> RenderableType:
     return Group(_plain(str(description.path), "bold"), *parts)
 
 
-def _stretch(start: float, end: float) -> str:
-    first, last = (round(position / 1e3, 3) + 0.0 for position in (start, end))  # no -0.000
+def _stretch(start: float, end: float, line: Line | None = None) -> str:
+    first, last = (round(float(in_km(line, each)), 3) + 0.0 for each in (start, end))  # no -0.000
     return f"km {first:.3f} to km {last:.3f}"
 
 
@@ -459,7 +478,9 @@ def _overview(description: LogDescription) -> Table:
         table.add_row("time", f"{_time(first)} to {_time(last)} UTC ({duration})")
     if description.position_span is not None:
         start, end = description.position_span
-        table.add_row("position", f"{_stretch(start, end)} ({(end - start) / 1e3:.3f} km)")
+        table.add_row(
+            "position", f"{_stretch(start, end, description.line)} ({(end - start) / 1e3:.3f} km)"
+        )
     table.add_row("messages", f"{description.count:,} in {_chunks(description)}")
     table.add_row("file", _size(description.size))
     if description.schema_version is not None:

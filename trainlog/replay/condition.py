@@ -12,6 +12,7 @@ from matplotlib import colormaps
 from trainlog.errors import InputError
 from trainlog.railway import Geometry, Line, TrackConditionMap
 from trainlog.railway.condition import ConditionLayer, PassingSpot
+from trainlog.railway.kilometres import km_words
 from trainlog.replay.chart import Chart
 from trainlog.replay.clock import Clock, FloatArray, Instants, Nanoseconds
 from trainlog.replay.curves import LIMIT, PLANNED, TRUE, Colour
@@ -207,7 +208,7 @@ def draw_spots_on_map(
     own = line.reversed() if passage.backwards else line
     assert own.geometry is not None
     for spot, chance in passage.spots:
-        name = f"km {float(own.kilometre(spot.start)) / 1e3:.3f}, {_date(spot.last)}, {chance:.0%}"
+        name = f"{km_words(own, spot.start)}, {_date(spot.last)}, {chance:.0%}"
         places = np.column_stack(own.geometry.at(np.linspace(spot.start, spot.end, 5)))
         path = f"{entity}{path_of(name)}"
         chart.strips(recording, path, [places], SPOT, SPOT_WIDTH)

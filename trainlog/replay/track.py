@@ -15,6 +15,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from trainlog.railway import Line
+from trainlog.railway.kilometres import in_km
 from trainlog.railway.line import StepProfile
 from trainlog.replay.clock import Clock, FloatArray, Instants, Nanoseconds, nanoseconds
 from trainlog.replay.curves import LIMIT, TERRAIN, Colour
@@ -124,7 +125,7 @@ def _kilometre_blocks(line: Line | None, first: float, last: float) -> tuple[Flo
     fit = [each for each in BLOCKS if (last - first) / (1e3 * each) <= MOST_BLOCKS]
     length = fit[0] if fit else BLOCKS[-1]
     places = np.append(np.arange(first, last, KILOMETRE_STEP), last)
-    kilometre = (places if line is None else line.kilometre(places)) / 1e3
+    kilometre = in_km(line, places)
     number = np.floor(kilometre / length + 1e-9)
     begins = np.concatenate(([0], np.flatnonzero(np.diff(number)) + 1))
     names = [f"km {round(kilometre[i], 1):g}" for i in begins]
@@ -220,7 +221,7 @@ class Whereabouts:
     def texts(self, position: FloatArray, speed: FloatArray) -> list[str]:
         """What is written at each position [m], at each speed [m/s]; Markdown."""
         line = self._line
-        kilometre = (position if line is None else line.kilometre(position)) / 1e3
+        kilometre = in_km(line, position)
         speeds = [
             "speed not known" if np.isnan(each) else f"{each:.1f} km/h"
             for each in (KMH * speed).tolist()
