@@ -91,7 +91,8 @@ class _KilometreLabels(Formatter):
     def __call__(self, x: float, pos: int | None = None) -> str:  # noqa: ARG002
         low, high = self.axis.get_view_interval()  # type: ignore[union-attr]
         places, labels = km_ticks(self.line, 1e3 * low, 1e3 * high)
-        return dict(zip((places / 1e3).tolist(), labels, strict=True)).get(x, "")
+        known: dict[float, str] = dict(zip((places / 1e3).tolist(), labels, strict=True))
+        return known.get(x, "")
 
 
 def km_axis(axes: Axes, line: Line | None, label: str = "km") -> None:
