@@ -1,0 +1,235 @@
+"""Kilometres that people read and type are the operator's, the same everywhere."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from rich.table import Table
+
+from analysis import plotting
+from analysis.adhesion import map_plot
+from analysis.adhesion.slip import SlipAnalysis, slip
+from analysis.reports import charts, trip as report
+from trainlog.cli import main as cli
+from trainlog.cli.options import part_of
+from trainlog.errors import InputError
+from trainlog.formats.line import line_to_bytes, read_line, write_line
+from trainlog.formats.samples import DEFAULT_LINE, sample
+from trainlog.mcap import read_log, write_log
+from trainlog.railway import Line, LineReference
+from trainlog.railway.kilometres import in_km, km_ticks, position_of, section_of_km
+from trainlog.trip import LINE_ATTACHMENT
+
+PLAIN = read_line(sample(DEFAULT_LINE))
+LENGTH = PLAIN.length
+plotting_write = plotting.write_figure
+FLAWIL = 14_476.1
+JUMP = 12_000.0
+
+KILOMETRES: dict[str, tuple[LineReference, Callable[[float], float]]] = {
+    "rising": (
+        LineReference("412", [0.0], [61_200.0], [61_200.0 + LENGTH]),
+        lambda s: 61.2 + s / 1e3,
+    ),
+    "falling": (
+        LineReference("850", [0.0], [85_700.0], [85_700.0 - LENGTH]),
+        lambda s: 85.7 - s / 1e3,
+    ),
+    "jump": (
+        LineReference(
+            "11", [0.0, JUMP], [40_000.0, 53_500.0], [40_000.0 + JUMP, 41_500.0 + LENGTH]
+        ),
+        lambda s: (40.0 if s < JUMP else 41.5) + s / 1e3,
+    ),
+}
+"""How three operators count the same line, and the same by hand from the chainage [m]."""
+
+
+@pytest.fixture(scope="module", params=KILOMETRES)
+def counted(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, Line, Callable[[float], float]]:
+    """A folder with the sample trip that stops, and its line, counted in one of the ways."""
+    reference, expected = KILOMETRES[request.param]
+    line = replace(PLAIN, reference=reference)
+    folder = tmp_path_factory.mktemp(request.param)
+    trip = read_log(sample("stopping.mcap"))
+    attached = {**trip.attachments, LINE_ATTACHMENT: line_to_bytes(line)}
+    write_log(replace(trip, attachments=attached), folder / "trip.mcap")
+    write_line(line, folder / "own.line.json")
+    return folder, line, expected
+
+
+@pytest.fixture
+def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """Figures that commands write."""
+    found = list[Figure]()
+
+    def written(figure: Figure, path: str | Path) -> None:
+        found.append(figure)
+        plotting_write(figure, path)
+
+    for module in (plotting, map_plot, charts):
+        monkeypatch.setattr(module, "write_figure", written)
+    return found
+
+
+pytestmark = pytest.mark.usefixtures("remembered_estimates")
+
+
+def run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: object
+) -> tuple[int, str, str]:
+    monkeypatch.setattr(sys, "argv", ["trainlog", *map(str, words)])
+    monkeypatch.setenv("COLUMNS", "200")
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    captured = capsys.readouterr()
+    return int(ended.value.code or 0), captured.out, captured.err
+
+
+def ticks(figure: Figure) -> list[list[tuple[float, float]]]:
+    """Of each axis of a figure, what stands at each tick that is labelled: chainage, label [km]."""
+    figure.canvas.draw()
+    found = []
+    for axes in figure.axes:
+        low, high = axes.get_xlim()
+        labels = [each.get_text() for each in axes.get_xticklabels()]
+        if labels:  # of panels above each other the lowest has them
+            shown = zip(axes.get_xticks(), labels, strict=True)
+            found.append([(x, float(y)) for x, y in shown if y and low <= x <= high])
+    return found
+
+
+Counted = tuple[Path, Line, Callable[[float], float]]
+
+
+def test_tables_name_a_place_by_the_same_kilometre(
+    counted: Counted, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, _, expected = counted
+    log = folder / "trip.mcap"
+    _, shown, _ = run(monkeypatch, capsys, "show", log)
+    ends = re.search(r"km (\d+\.\d+) to km (\d+\.\d+) \((\d+\.\d+) km\)", shown)
+    assert ends is not None
+    assert float(ends[1]) == pytest.approx(expected(0.0), abs=0.06)
+    assert float(ends[2]) == pytest.approx(expected(LENGTH), abs=0.06)
+    assert float(ends[3]) == pytest.approx(LENGTH / 1e3, abs=0.1)
+    _, compared, _ = run(monkeypatch, capsys, "compare", log)
+    row = re.search(r"Flawil - Uzwil +(\d+\.\d)", compared)
+    assert row is not None
+    assert float(row[1]) == pytest.approx(expected(FLAWIL), abs=0.06)
+
+
+def test_a_report_names_a_place_by_the_same_kilometre(
+    counted: Counted, figures: list[Figure], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, _, expected = counted
+    found = list[SlipAnalysis]()
+    monkeypatch.setattr(report, "slip", lambda trip: found.append(slip(trip)) or found[-1])
+    tables = {
+        section.title: [part for part in section.parts if isinstance(part, Table)]
+        for section in report.trip_sections(folder / "trip.mcap")
+    }
+    (stops,) = tables["Stops and stations"]
+    names, kilometres = (list(stops.columns[row].cells) for row in (0, 1))
+    row = names.index("Flawil")
+    assert float(str(kilometres[row])) == pytest.approx(expected(FLAWIL), abs=0.02)
+    events = tables["Slip"][-1]
+    listed = [float(str(each)) for each in events.columns[1].cells]
+    places = [expected(each) for each in found[0].events["position"]]
+    assert listed
+    assert all(min(abs(each - place) for place in places) < 0.001 for each in listed)
+    (labelled,) = ticks(figures[0])
+    assert len(labelled) > 4
+    for place, label in labelled:
+        assert label == pytest.approx(expected(1e3 * place), abs=1e-6)
+
+
+def test_pictures_are_labelled_with_the_same_kilometres(
+    counted: Counted,
+    figures: list[Figure],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder, _, expected = counted
+    part = f"{expected(8_000.0):.3f}:{expected(18_000.0):.3f}"
+    status, listed, problem = run(
+        monkeypatch, capsys, "map", "show", sample("CH_StGallen_Wil.map"),
+        "--line", folder / "own.line.json", "--km", part, "--picture", folder / "map.png",
+    )  # fmt: skip
+    assert status == 0, problem
+    near = re.findall(r"(\d+\.\d{3}) +at Flawil", listed)
+    assert len(near) > 1
+    assert [float(each) for each in near] == pytest.approx([expected(14_475.0)] * len(near))
+    (figure,) = figures
+    low, high = figure.axes[0].get_xlim()
+    assert (low, high) == pytest.approx((8.0, 18.0), abs=0.002)
+    labelled = ticks(figure)[0]
+    assert len(labelled) > 4
+    for place, label in labelled:
+        assert label == pytest.approx(expected(1e3 * place), abs=1e-6)
+        assert label == round(label, 1)
+
+
+def test_a_part_of_a_log_is_chosen_by_the_same_kilometres(
+    counted: Counted, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, _, expected = counted
+    log, out = folder / "trip.mcap", folder / "part.mcap"
+    part = f"{expected(9_286.1):.3f}:{expected(FLAWIL):.3f}"
+    assert run(monkeypatch, capsys, "cut", log, "-o", out, "--km", part)[0] == 0
+    chosen = read_log(out)["/train/state"]["position"]
+    assert (chosen.min(), chosen.max()) == pytest.approx((9_286.1, FLAWIL), abs=10.0)
+    replayed = [each["/train/state"]["position"] for each in part_of(log, None, None, part, 10**6)]
+    assert replayed[0].min() == chosen.min()
+    assert replayed[-1].max() == chosen.max()
+    commands = (
+        ("cut", log, "-o", folder / "none.mcap", "--km", "3:7"),
+        ("replay", log, "-o", folder / "none.rrd", "--km", "3:7"),
+        ("optimise", "--line", folder / "own.line.json", "-o", folder / "t.json", "--km", "3:7"),
+    )
+    reach = f"its kilometres are {expected(0.0):.3f} to {expected(LENGTH):.3f}"
+    for words in commands:
+        status, _, problem = run(monkeypatch, capsys, *words)
+        assert status == 2, words
+        assert "has no km 3" in problem
+        assert reach in problem
+
+
+def test_without_the_operators_kilometres_they_are_the_chainage() -> None:
+    assert in_km(PLAIN, FLAWIL) == in_km(None, FLAWIL) == 14.4761
+    assert position_of(PLAIN, 14.4761) == position_of(None, 14.4761) == pytest.approx(FLAWIL)
+    assert section_of_km(PLAIN, 3.2, None) == (3_200.0, None)
+
+
+@pytest.mark.parametrize("name", KILOMETRES)
+def test_a_kilometre_gives_its_place_again(name: str) -> None:
+    reference, expected = KILOMETRES[name]
+    line = replace(PLAIN, reference=reference)
+    for place in np.linspace(0.0, LENGTH, 50).tolist():
+        assert float(in_km(line, place)) == pytest.approx(expected(place))
+        assert position_of(line, expected(place)) == pytest.approx(place, abs=1e-6)
+    places, labels = km_ticks(line, 0.0, LENGTH)
+    assert [float(each) for each in labels] == pytest.approx([expected(s) for s in places])
+
+
+def test_an_open_section_has_the_kilometres_above_or_below() -> None:
+    falling = replace(PLAIN, reference=KILOMETRES["falling"][0])
+    assert section_of_km(falling, 80.0, None) == (None, pytest.approx(5_700.0))
+    assert section_of_km(falling, None, 80.0) == (pytest.approx(5_700.0), None)
+    rising = replace(PLAIN, reference=KILOMETRES["rising"][0])
+    assert section_of_km(rising, 65.0, None) == (pytest.approx(3_800.0), None)
+
+
+def test_a_kilometre_that_a_jump_leaves_out_is_refused() -> None:
+    line = replace(PLAIN, reference=KILOMETRES["jump"][0])
+    with pytest.raises(InputError, match=r"no km 52\.7; .* jump from 52\.000 to 53\.500"):
+        position_of(line, 52.7)
