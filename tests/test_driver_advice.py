@@ -21,6 +21,7 @@ from analysis.trajectory.advice import (
     with_times,
 )
 from analysis.trajectory.optimiser import optimise
+from analysis.trajectory.phases import advice, write_advice
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InputError
 from trainlog.formats.line import read_line
@@ -155,7 +156,10 @@ def test_page_and_table_state_the_same(
     assert rows[0]["time"] == "07:12:00"
     assert "Driver&#x27;s advice: Wil to Gossau SG" in text
     assert "of 2 observed ones" in text
-    assert "trainlog optimise PARAMETERS -o plan-1.json and 1 more" in text
+    assert "plan-1.json, plan-2.json" in text
+    # Digests and settings of a solver are no matter for a driver.
+    assert "SHA-256" not in text
+    assert "sqp" not in text.lower().split("<script")[0]
     first = output.read_bytes()
     run(monkeypatch, capsys, *words)
     assert output.read_bytes() == first
@@ -200,3 +204,18 @@ def test_sections_planned_one_by_one_stand_as_long_as_is_asked_for(
     write_trajectory(sections[1], tmp_path / "plan.json")
     kept = read_trajectory(tmp_path / "plan.json").provenance["journey"]["departure"]
     assert kept == pytest.approx(sections[0].running_time + DWELL)
+
+
+def test_the_table_of_another_command_is_not_overwritten(
+    sections: tuple[Trajectory, ...], tmp_path: Path
+) -> None:
+    plan, table = tmp_path / "plan.json", tmp_path / "plan.csv"
+    write_trajectory(sections[0], plan)
+    write_advice(advice(sections[0]), table)
+    before = table.read_bytes()
+    with pytest.raises(InputError, match=r"plan\.csv.*is no advice of a journey"):
+        write_driver_advice([plan], tmp_path / "plan.html", table)
+    assert table.read_bytes() == before
+    assert not (tmp_path / "plan.html").exists()
+    for _ in range(2):
+        write_driver_advice([plan], tmp_path / "advice.html", tmp_path / "advice.csv")

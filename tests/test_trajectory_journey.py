@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -244,3 +245,15 @@ def test_the_library_journey_leaves_too_little_time_and_that_is_reported() -> No
     with pytest.raises(InfeasibleError, match=r"is at km 29\.556 .* 10\d\.\d s after"):
         optimised_journey(line, FLIRT, observed(FLIRT, 1.0), journey)
     assert max(line.speed_limits.values) * KMH < 145.0
+
+
+def test_two_points_at_one_position_are_a_stop_without_any_speed() -> None:
+    """As the template has them: arrival, then departure."""
+    points = (TimingPoint(0.0), TimingPoint(4e3, latest=300.0), TimingPoint(4e3, earliest=330.0))
+    journey = Journey("a stop", "level", (*points, TimingPoint(8e3)))
+    first, second = sections_of(journey)
+    assert (first.arrival.latest, second.departure.earliest) == (300.0, 330.0)
+    assert first.passing == second.passing == ()
+    running = replace(points[1], highest_speed=20.0)
+    with pytest.raises(InputError, match=r"stops at km 4\.000, where two points stand"):
+        sections_of(replace(journey, points=(points[0], running, *journey.points[2:])))

@@ -9,18 +9,20 @@ from pathlib import Path
 import numpy as np
 
 from analysis.plotting import BLUE
-from analysis.reports.build import origin
 from analysis.reports.charts import Chart, Curve, Panel, as_part
 from analysis.reports.page import Page, Part, Section, Warned
 from analysis.reports.results import line_of_trajectory
 from analysis.reports.trip import limit_curve
 from analysis.trajectory.advice import (
+    HEADER,
     JourneyAdvice,
     driver_table,
     journey_advice,
     stations_table,
     write_journey_advice,
 )
+from trainlog import __version__
+from trainlog.errors import InputError
 from trainlog.formats.trajectory import read_trajectory
 from trainlog.railway import Line
 from trainlog.railway.kilometres import in_km
@@ -54,8 +56,10 @@ def write_driver_advice(
     Raises
     ------
     InputError
-        If a file is no trajectory, or they are not sections of one journey.
+        If a file is no trajectory, they are not sections of one journey, or where the table goes
+        there is another one.
     """
+    _check_table(Path(table))
     sections = [read_trajectory(path) for path in files]
     last = max(sections, key=lambda each: float(each.positions[-1]))
     course = line_of_trajectory(last, line)
@@ -64,6 +68,21 @@ def write_driver_advice(
     whole.write(page)
     write_journey_advice(found, table)
     return found
+
+
+def _check_table(table: Path) -> None:
+    """Refuse to overwrite a table that another command wrote, such as that beside a plan."""
+    if not table.exists():
+        return
+    with table.open("rb") as file:
+        begins = file.readline(1000).decode("utf-8", "replace").strip()
+    if begins.split(",")[:5] != list(HEADER[:5]):
+        raise InputError(
+            "exists, and is no advice of a journey: 'trainlog optimise' writes such a file beside"
+            " its plan",
+            file=table,
+            remedy="give the page another name: the table takes it",
+        )
 
 
 def _title(found: JourneyAdvice) -> str:
@@ -97,7 +116,15 @@ def _parts(found: JourneyAdvice, line: Line | None, files: Sequence[Path]) -> li
         Section("Stations", [*doubts, stations_table(found)]),
         Section("Advice", [driver_table(found), words]),
         Section("Speed", [as_part(_chart(found, line))]),
-        origin(files, files[0].parent, _command(found, files)),
+        Section(
+            "Made of",
+            [
+                "Plans: " + ", ".join(path.name for path in files) + ". The permitted speed holds"
+                " everywhere, whatever the advice; the report of a plan (trainlog report) states"
+                " what it was made of.",
+                f"This page: {_command(found, files)}; trainlog {__version__}.",
+            ],
+        ),
     ]
 
 

@@ -314,16 +314,24 @@ def sections_of(journey: Journey) -> tuple[Section, ...]:
     sections: list[Section] = []
     departure, passing = journey.points[0], list[TimingPoint]()
     arrived = False
-    for number, point in enumerate(journey.points[1:], start=1):
+    following = [*(point.position for point in journey.points[2:]), journey.points[-1].position]
+    for point, ahead in zip(journey.points[1:], following, strict=True):
+        stands = ahead == point.position and point.position != departure.position
+        if stands and point is not journey.points[-1] and point.highest_speed not in (None, 0.0):
+            raise InputError(
+                f"journey '{journey.name}': the train stops at km {point.position / 1e3:.3f}, where"
+                " two points stand, but may arrive there at a speed",
+                remedy="leave out its highest speed, or one of the two points",
+            )
         if point.position == departure.position:
             if not arrived or passing:
                 raise InputError(
                     f"journey '{journey.name}': at km {point.position / 1e3:.3f} there is more than"
                     " an arrival and a departure",
-                    remedy="two points at one position, both with speed 0, are a stop",
+                    remedy="two points at one position are a stop",
                 )
             departure, arrived = point, False
-        elif point.highest_speed == 0.0 or number == len(journey.points) - 1:
+        elif stands or point.highest_speed == 0.0:
             sections.append(Section(departure, point, tuple(passing)))
             # Without a departure of its own the train leaves when it may.
             departure, passing, arrived = replace(point, latest=None), [], True

@@ -228,7 +228,7 @@ def advice_table(points: Sequence[AdvicePoint], line: Line | None = None) -> Tab
         Column("time", DURATION, each=True),
         Column("speed", replace(SPEED, digits=0), each=True),
         Column("advice"),
-        Column("until", replace(SPEED, digits=0), each=True),
+        Column("at its end", replace(SPEED, digits=0), each=True, key="until"),
         name="advice",
     )
     for point in points:
