@@ -19,6 +19,11 @@ def ingest_table(result: Ingested) -> Group:
         log = "" if each.log is None else each.log.name
         table.add_row(_name(each), log, kept, _repairs(each))
     words = [f"refused: {_place(each)}{each.reason}" for each in result.of("refused")]
+    words += [
+        f"{_name(each)}: direction {evidence}"
+        for each in result.of("made", "repaired", "unchanged")
+        if "assumed" in (evidence := each.metadata.get("direction_evidence", ""))
+    ]
     others = result.of("passed_over")
     words += [f"passed over: {each.file}: {each.reason}" for each in others[:MOST_PASSED_OVER]]
     if len(others) > MOST_PASSED_OVER:

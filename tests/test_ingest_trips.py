@@ -248,6 +248,8 @@ def test_the_direction_of_a_trip_without_stops_shows_in_its_gradients(way: str) 
     }
     samples = Table((time * 1e9).astype(np.int64), np.arange(time.size), signals)
     assert placed(samples, line, train, None, by_stations=False).direction == way
+    other = "reverse" if way == "forward" else "forward"
+    assert placed(samples, line, train, other, by_stations=False).direction == way
     level = placed(samples, railway(level=True), train, None, by_stations=False)
     assert level.direction == ""
     assert "assumed" in level.evidence

@@ -628,7 +628,6 @@ def _check_curve(
             "excitation",
             f"trip '{name}': at {KMH * speed[worst]:.0f} km/h the curve is known to ±{known}"
             f" of itself only (standard deviation, at most {100.0 * largest_std:.0f} %)",
-            remedy="a longer trip, or one with more speeds and coasting",
             timeline=timeline,
         )
 
