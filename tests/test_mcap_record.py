@@ -406,3 +406,29 @@ def test_a_disk_that_is_really_full(small_disk: Path) -> None:
     with pytest.raises(InputError, match="no space left"):
         write_log(trip_of(rows=5000), small_disk / "trip.mcap")
     assert [path.name for path in small_disk.iterdir()] == ["log.mcap"]
+
+
+@pytest.mark.parametrize("wrong", [float("inf"), -float("inf"), "12", np.inf])
+def test_infinite_values_and_text_are_refused_and_the_recording_goes_on(
+    wrong: object, tmp_path: Path
+) -> None:
+    path = tmp_path / "log.mcap"
+    at = 1_700_000_000 * 10**9
+    with trainlog.record(path) as log:
+        with pytest.raises(LogError, match=r"speed holds (text|an infinite number)"):
+            log.write("/train/state", at, speed=wrong)
+        with pytest.raises(LogError, match=r"speed holds (text|an infinite number)"):
+            log.write("/train/state", [at, at + 1], speed=[1.0, wrong])
+        with pytest.raises(LogError, match=r"wheel_speed holds (text|an infinite number)"):
+            log.write("/train/axles", at, wheel_speed=[1.0, wrong])
+        log.write("/train/state", at, speed=3.0)
+    assert trainlog.read(path)["/train/state"].speed.tolist() == [3.0]
+
+
+@pytest.mark.parametrize("seconds", [1_735_689_600, [1_735_689_600, 1_735_689_601]])
+def test_times_in_seconds_are_recorded_with_one_warning(seconds: Any, tmp_path: Path) -> None:
+    with trainlog.record(tmp_path / "log.mcap") as log:
+        speed = 1.0 if isinstance(seconds, int) else [1.0, 2.0]
+        with pytest.warns(UserWarning, match="1970-01-01.*nanoseconds"):
+            log.write("/train/state", seconds, speed=speed)
+        log.write("/train/state", seconds, speed=speed)

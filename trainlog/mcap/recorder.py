@@ -43,6 +43,11 @@ QUEUE = 2**26
 _WARNING = 3
 """foxglove.Log.WARNING."""
 
+_EARLY = 10**16
+"""Times [ns] before it, April 1970, are most likely seconds, milli- or microseconds."""
+
+_INFINITE = frozenset((float("inf"), float("-inf")))
+
 _HEAD = 2
 """Words of a row before its values: time and number."""
 
@@ -171,6 +176,7 @@ class Recording:
         self._closing = False
         self._failure: InputError | None = None
         self._waiting = 0
+        self._early = False
         self._declared: dict[str, Topic] = {}
         self._tables: dict[str, _Table] = {}
         self._forms: dict[tuple[str, ...], _Form] = {}
@@ -204,15 +210,23 @@ class Recording:
         Raises
         ------
         LogError
-            If it does not fit the table of topics. Nothing of it is recorded then.
+            If it does not fit the table of topics, or a value is text or infinite. Nothing of it
+            is recorded then.
         InputError
             If the file can no longer be written; the recording is at its end then.
+
+        Warns
+        -----
+        UserWarning
+            Once, if a topic begins before April 1970, as times in seconds do.
         """
         form = self._forms.get((topic, *values)) or self._form(topic, values)
         with self._lock:
             if self._failure or self._closing:
                 self._refuse()
             try:
+                if form.flat and not _INFINITE.isdisjoint(values.values()):
+                    raise ValueError(values)
                 row = (
                     form.pack(time, form.table.count, *values.values())
                     if form.flat
@@ -231,6 +245,15 @@ class Recording:
             form.rows += row
             form.table.count += count
             self._waiting += len(row)
+            early = form.table.count == count and not self._early
+            early = early and bool(np.min(nanoseconds(topic, time), initial=_EARLY) < _EARLY)
+            self._early |= early
+        if early:
+            warnings.warn(
+                f"{self._path}: {topic} begins at {pd.Timestamp(nanoseconds(topic, time).min())};"
+                " whole numbers are nanoseconds since 1970, not seconds",
+                stacklevel=2,
+            )
         if self._waiting > self._limit // 2:
             self._due.set()
 
@@ -604,6 +627,8 @@ class _Form:
                 numbers.extend(value)
             else:
                 raise ValueError(count)
+        if not _INFINITE.isdisjoint(numbers):
+            raise ValueError(numbers)
         return self.pack(time, self.table.count, *numbers)
 
     def block(self, time: Any, values: Mapping[str, Any]) -> bytes:
@@ -626,6 +651,10 @@ class _Form:
                 numbers = np.asarray(value, dtype=np.float64)
             except (TypeError, ValueError) as error:
                 raise self.table.refusal(f"{name} holds something that is not a number") from error
+            if np.asarray(value).dtype.kind in "US":
+                raise self.table.refusal(f"{name} holds text")
+            if np.any(np.isinf(numbers)):
+                raise self.table.refusal(f"{name} holds an infinite number")
             if numbers.shape != shape:
                 raise self.table.refusal(
                     f"{name} has the shape {numbers.shape}, where the time asks for {shape}"
