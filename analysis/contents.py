@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from trainlog.formats.files import LOOKED_AT, is_map, mistaken_json
 from trainlog.railway import Line
 from trainlog.trip import Trip, seconds
 from trainlog.units import KMH
+
+if TYPE_CHECKING:
+    from trainlog.mcap.description import LogDescription
 
 MCAP = b"\x89MCAP"
 
@@ -221,11 +224,21 @@ def folder_contents(folder: Path) -> list[tuple[str, str, str]]:
         words = contents.summary
         if contents.kind == "log":
             described = contents.value
-            words = f"{described.count:,} messages, {described.account.sentence}"
+            words = _log_in_words(described)
         found.append((path.name, contents.kind, words))
     if not found:
         raise InputError("is an empty folder", file=folder, remedy="name another one")
     return found
+
+
+def _log_in_words(log: LogDescription) -> str:
+    """Line, train, length and day of a log, and its messages if nothing of it is lost."""
+    known = [log.metadata.get(key, "") for key in ("line", "train", "direction")]
+    if log.position_span is not None:
+        known.append(f"{(log.position_span[1] - log.position_span[0]) / 1e3:.1f} km")
+    known += [] if log.first is None else [f"{log.first:%Y-%m-%d %H:%M} UTC"]
+    state = f"{log.count:,} messages" if log.complete else log.account.sentence
+    return ", ".join(filter(None, [*known, state]))
 
 
 def draw_contents(contents: Contents, path: Path) -> None:

@@ -189,12 +189,12 @@ PURE = {
     *("maximum", "maximum_std", "points", "optimal_slip", "probability", "share_of_power", "bins"),
     *("share_of_adhesion", "over_weight_std", "speed", "optimal_band"),
     *("coasting", "covered", "slips", "factor", "factor_std", "false_alarms", "judged_trips"),
-    "explained",
+    *("explained", "gaps", "axles"),
 }
 """Numbers without a unit, beside those of the commands of the map."""
 
 UNITS = re.compile(
-    r"_(m|km|s|m_s|m_s2|N|N_s_m|N_s2_m2|N_kg|kg|W|J|km_h|per_km|permil|lost)$|^(train_km|hours)"
+    r"_(m|km|s|m_s|m_s2|N|N_s_m|N_s2_m2|N_kg|kg|W|J|km_h|per_km|permil|lost|Hz|bytes)$|^(train_km|hours)"
 )
 
 

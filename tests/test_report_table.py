@@ -117,3 +117,11 @@ def test_results_of_any_name_are_summed_up_by_their_format(tmp_path: Path) -> No
     assert re.search(r"resistance [\d.]+ ± [\d.]+ kN at \d+ km/h", words)
     assert "resistance over inertia" in rows["coasted.json"][1]
     assert rows["ours.json"] == ("line", "CH_StGallen_Wil, 29.56 km")
+
+
+def test_trips_in_any_folder_are_summed_up(tmp_path: Path) -> None:
+    (tmp_path / "october").mkdir()
+    shutil.copy(sample("nonstop.mcap"), tmp_path / "october" / "a.mcap")
+    subject, words, place = report(tmp_path).rows[0]
+    assert (subject, words) == ("recorded", "1 trip, 0.3 h")
+    assert place == str(tmp_path / "october")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from analysis.contents import contents_of, folder_contents
 from trainlog.cli.main import run
 from trainlog.errors import TrainlogError
 from trainlog.formats.samples import sample
+from trainlog.mcap import write_log
 from trainlog.mcap.convert import convert
 
 KINDS = {
@@ -100,3 +102,48 @@ def test_trips_and_lines_have_a_picture(name: str, tmp_path: Path) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
     with pytest.raises(TrainlogError, match="no picture of a train"):
         run(["show", str(sample("CH_Stadler_FLIRT_TPF.train.json")), "--picture", str(picture)])
+
+
+def test_fields_without_any_value_are_not_listed_as_recorded(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A recorder without a lever; the JSON states the same, as numbers in SI units."""
+    trip = trainlog.read(sample("nonstop.mcap"))
+    frame = trip["/train/controls"]
+    empty = frame.assign(lever=float("nan"))
+    empty.attrs.update(frame.attrs)
+    log = tmp_path / "trip.mcap"
+    write_log(trip.with_topic(empty), log)
+    run(["show", str(log)])
+    shown = capsys.readouterr().out
+    assert "not recorded: lever" in shown
+    run(["show", str(log), "--json"])
+    (found,) = json.loads(capsys.readouterr().out)["logs"]
+    topics = {each["name"]: each for each in found["topics"]}
+    recorded = {each["name"]: each["recorded"] for each in topics["/train/controls"]["fields"]}
+    assert not recorded["lever"]
+    assert recorded["tractive_effort"]
+    assert topics["/train/controls"]["messages"] == len(frame)
+    assert topics["/train/controls"]["rate_Hz"] == pytest.approx(10.0, rel=1e-3)
+    assert found["position_end_m"] == pytest.approx(trip["/train/state"]["position"].max())
+
+
+def test_a_map_is_no_log_and_no_fit(tmp_path: Path) -> None:
+    """What is wrong with a file is stated before what is wrong with the display."""
+    track = str(sample("CH_StGallen_Wil.map"))
+    with pytest.raises(TrainlogError, match="not an MCAP file but a track-condition map"):
+        run(["replay", track])
+    with pytest.raises(TrainlogError, match="is a track-condition map; the parameters"):
+        run(["compare", str(sample("nonstop.mcap")), "--calculated", track])
+
+
+def test_settings_take_the_options_of_all_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    run(["settings", "--json"])
+    assert json.loads(capsys.readouterr().out)["settings"]["speed"]
+    run(["settings", "-q"])
+    assert capsys.readouterr().out == ""
+
+
+def test_a_conversion_makes_the_folder_that_is_named(tmp_path: Path) -> None:
+    run(["convert", str(sample("nonstop.mcap")), "-o", str(tmp_path / "new" / "trip.parquet")])
+    assert (tmp_path / "new" / "trip.parquet").is_dir()

@@ -157,7 +157,7 @@ def _draw_layer(
         axes.stairs(truth, edges, baseline=None, color=INK, linewidth=0.8, label="truth")
     used = np.fmax.reduce(np.where(layer.evidence.censored > 0.0, track.levels, np.nan), axis=1)
     axes.stairs(
-        used, edges, baseline=None, color=GREY, alpha=0.45, linewidth=0.6, label="used without slip"
+        used, edges, baseline=None, color=GREY, alpha=0.8, linewidth=1.0, label="used without slip"
     )
     # Bins are narrow on a long line: estimates are drawn as points with bars, side by side.
     expected = layer.expected(at)
@@ -498,10 +498,16 @@ def _title(track: TrackConditionMap, name: str, layer: ConditionLayer) -> str:
     trips = sum(trip["layer"] == name for trip in track.trips)
     share = float(np.mean(layer.observed))
     onsets = int(layer.events.sum())
-    lacking = sum(trip["layer"] == name and bool(trip.get("notes")) for trip in track.trips)
-    words = f", {lacking} with recorders that lack something" if lacking else ""
+    lacking = [trip["notes"] for trip in track.trips if trip["layer"] == name and trip.get("notes")]
+    words = f"\n{len(lacking)} of them: {_noted(lacking)}" if lacking else ""
     of = f"{counted(trips, 'trip')}, {counted(onsets, 'onset')} of slip"
     return f"{name}: {of}, {share:.1%} observed{words}"
+
+
+def _noted(notes: Sequence[Sequence[str]]) -> str:
+    """What recorders lacked, each note once, as long as there is space for it."""
+    each = dict.fromkeys(note for of_trip in notes for note in of_trip)
+    return textwrap.shorten("; ".join(each), 150, placeholder=" ...")
 
 
 def _top(track: TrackConditionMap, at: pd.Timestamp | None) -> float:

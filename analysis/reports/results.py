@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from functools import partial
+from itertools import combinations_with_replacement
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,12 +187,23 @@ def _trips_table(fits: Fits) -> Table:
         mass = with_band(row["mass"] / 1e3, float(np.sqrt(row["covariance_mass_mass"])) / 1e3, " t")
         power = row["max_power"]
         drag = row["r0"] + row["r1"] * at + row["r2"] * at**2
+        std = _drag_std(row, at)
         table.add_row(
             row["trip"], "yes", mass,
             "-" if not np.isfinite(power) else with_band(power / 1e3, row["max_power_std"] / 1e3),
-            f"{drag / 1e3:.2f}", "",
+            with_band(drag / 1e3, std / 1e3), "",
         )  # fmt: skip
     return table
+
+
+def _drag_std(row: dict[Hashable, Any], speed: float) -> float:
+    """Standard deviation of the running resistance of one trip at a speed [m/s], [N]."""
+    basis = dict(zip(("r0", "r1", "r2"), (1.0, speed, speed**2), strict=True))
+    pairs = combinations_with_replacement(basis, 2)
+    terms = {
+        (a, b): row[f"covariance_{a}_{b}"] * basis[a] * basis[b] * (1 + (a != b)) for a, b in pairs
+    }
+    return float(np.sqrt(max(sum(terms.values()), 0.0)))
 
 
 def _residuals(fits: Fits) -> list[Part]:
@@ -305,7 +318,7 @@ def map_sections(path: Path, line: Path | None = None) -> list[Section]:
 
 def _map_charts(track: TrackConditionMap, state: MapState, line: Line | None) -> list[Part]:
     """Expected maximum adhesion of each layer, with what stands under the pointer."""
-    panels = []
+    panels, empty = [], list[str]()
     for name in track.layers:
         rows = bins_table(track, line, state.at, [name])
         middle = 0.5 * (rows["start_m"] + rows["end_m"]).to_numpy(np.float64) / 1e3
@@ -314,6 +327,9 @@ def _map_charts(track: TrackConditionMap, state: MapState, line: Line | None) ->
             for each in ("expected", "expected_low", "expected_high")
         )
         seen = np.isfinite(value)
+        if not seen.any():
+            empty.append(name)
+            continue
         hover = {
             "km": [f"{each:.3f}" for each in rows["start_km"][seen]],
             "expected": [f"{each:.3f}" for each in value[seen].tolist()],
@@ -326,6 +342,9 @@ def _map_charts(track: TrackConditionMap, state: MapState, line: Line | None) ->
         points = Curve("", middle[seen], value[seen], RED, "points", low[seen], high[seen], hover)
         share = f"{name} rail: {seen.mean():.1%} of the line observed"
         panels.append(Panel("maximum adhesion", [points], 1.0, share, from_zero=True))
+    without: list[Part] = [f"On {name} rail nothing was observed: no slip." for name in empty]
+    if not panels:
+        return without
     stations = () if line is None else line.stations
     chart = Chart(
         "km",
@@ -337,7 +356,7 @@ def _map_charts(track: TrackConditionMap, state: MapState, line: Line | None) ->
         (0.0, track.length / 1e3),
         line,
     )
-    return [as_part(chart)]
+    return [as_part(chart), *without]
 
 
 def _histories(track: TrackConditionMap, state: MapState, line: Line | None) -> list[Part]:

@@ -57,7 +57,8 @@ def report(folder: str | Path) -> Report:
     ----------
     folder : path
         As ``trainlog demo`` leaves it: logs in ``trips`` and ``driven``, ``parameters.json``,
-        ``wil.map``, ``trajectory.json``; whatever there is of them. Parameter sets, maps,
+        ``wil.map``, ``trajectory.json``; whatever there is of them. Without ``trips`` logs count
+        wherever in the folder they are, and one folder deeper. Parameter sets, maps,
         trajectories, results of coast-down and lines may have any names: their format names them.
 
     Raises
@@ -69,8 +70,8 @@ def report(folder: str | Path) -> Report:
     --------
     >>> import shutil
     >>> _ = shutil.copy("sample_logs/CH_StGallen_Wil.map", "wil.map")
-    >>> print(report(".").rows[0][0])
-    track condition
+    >>> [row[0] for row in report(".").rows][-1]
+    'track condition'
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -79,12 +80,12 @@ def report(folder: str | Path) -> Report:
             file=folder,
             remedy="name the folder that holds the results",
         )
-    logs = sorted((folder / "trips").glob("*.mcap"))
+    logs = _logs_in(folder)
     # What a simulation knows is attached: no topic has to be read for it.
     found_truths = (truth_of(read_log(log, topics=[])) for log in logs)
     truths = [truth for truth in found_truths if truth is not None]
     rows = [
-        _recorded(folder, logs),
+        _recorded(logs),
         *(_fitted(path, truths) for path in _of_format(folder, "parameters", "parameters.json")),
         *(_coasted(path) for path in _of_format(folder, "coast-down")),
         *(_mapped(path, truths) for path in sorted(folder.glob("*.map"))),
@@ -116,12 +117,20 @@ def report_table(found: Report) -> Table:
     return table
 
 
-def _recorded(folder: Path, logs: Sequence[Path]) -> tuple[str, str, str] | None:
+def _logs_in(folder: Path) -> list[Path]:
+    """Logs of recorded trips: those in ``trips``, without them in the folder and in those in it."""
+    usual = sorted((folder / "trips").glob("*.mcap"))
+    every = [*sorted(folder.glob("*.mcap")), *sorted(folder.glob("*/*.mcap"))]
+    return usual or [path for path in every if not path.parent.name.startswith("driven")]
+
+
+def _recorded(logs: Sequence[Path]) -> tuple[str, str, str] | None:
     if not logs:
         return None
     spans = [span for span in map(span_of, logs) if span is not None]
     hours = sum((end - start).total_seconds() for start, end in spans) / 3600.0
-    return "recorded", f"{counted(len(logs), 'trip')}, {hours:.1f} h", str(folder / "trips")
+    places = dict.fromkeys(str(log.parent) for log in logs)
+    return "recorded", f"{counted(len(logs), 'trip')}, {hours:.1f} h", ", ".join(places)
 
 
 def _of_format(folder: Path, kind: str, usual: str = "") -> list[Path]:
@@ -199,7 +208,7 @@ def _mapped(path: Path, truths: Sequence[Truth]) -> tuple[str, str, str] | None:
     track = read_map(path)
     layers = summary(track)
     events = sum(layer.events for layer in layers)
-    words = f"{events} slip events, " + ", ".join(
+    words = f"{counted(events, 'onset')} of slip measured, " + ", ".join(
         f"{layer.observed_length / 1e3:.1f} km {layer.layer}" for layer in layers
     )
     if truths and events:

@@ -419,7 +419,8 @@ def fit_table(fits: Fits) -> Group:
         Said(None, ""),
         Said(None, ""),
         Band(float(common.resistance(at)), float(common.std(at))),
-        sum(fit.windows["used"] for fit in fits.trips),
+        # A fit of summaries alone does not know how many windows each trip had.
+        sum(fit.windows["used"] for fit in fits.trips) if fits.trips else Said(None, ""),
     )
     low, high = common.speed_range
     words = [

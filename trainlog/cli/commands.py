@@ -147,8 +147,8 @@ class Group(_Described, TyperGroup):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Show the help where nothing else is asked for, or what the group shows by itself."""
-        if not args and self.invoke_without_command:
-            args = ["show"]
+        if self.invoke_without_command and (not args or args[0] in ("--json", "--quiet", "-q")):
+            args = ["show", *args]
         if not args and not ctx.resilient_parsing:
             print(ctx.get_help(), end="")
             ctx.exit()

@@ -168,10 +168,11 @@ def _calculated(logs: list[Path], file: Path, wind: float | None, picture: Path 
 
 def _model(path: Path) -> ParameterSet | Train:
     """A parameters file, or a train's file."""
-    from trainlog.formats.files import read_json
+    from trainlog.formats.files import read_json, refuse_map
     from trainlog.formats.parameters import read_parameters
     from trainlog.formats.train import read_train
 
+    refuse_map(path, "the parameters that 'trainlog fit' wrote, or a train's file, are expected")
     content = read_json(path) if path.suffix == ".json" else None
     of_fit = isinstance(content, dict) and content.get("format") == "trainlog/parameters"
     return read_parameters(path) if of_fit else read_train(path)

@@ -123,6 +123,7 @@ def merge(
 def _write(source: Path, output: Path, **part: Any) -> None:
     from trainlog.mcap.convert import convert as write
 
+    output.parent.mkdir(parents=True, exist_ok=True)
     with task("converting", unit="row") as step:
         done: Converted = write(source, output, progress=step, **part)
     _summary(output, done.rows, [f"not converted: {reason}" for reason in done.left_out])

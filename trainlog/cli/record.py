@@ -513,7 +513,8 @@ def import_(
 @app.command(rich_help_panel="Record")
 def new(
     kind: Annotated[
-        Literal["line", "train", "journey", "profile"], typer.Argument(help="What to begin.")
+        Literal["line", "train", "journey", "profile"],
+        typer.Argument(help="What to begin: line, train, journey or profile."),
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", help="File to write, .toml; it must not exist.")

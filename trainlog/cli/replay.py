@@ -94,6 +94,7 @@ def replay(
     from trainlog.formats.condition import read_map
     from trainlog.formats.line import read_line
     from trainlog.formats.trajectory import read_trajectory
+    from trainlog.mcap import read_log
     from trainlog.replay import ReplayOptions, run_viewer, take_picture, write_replay
     from trainlog.replay.layout import check_view
     from trainlog.replay.viewer import check_display, interruptible
@@ -108,9 +109,11 @@ def replay(
                 "a picture is taken without the network, hence without map tiles",
                 remedy="leave out --tiles, or --picture",
             )
-    if opened and not web:
-        check_display()
     found = logs_in(logs)
+    if opened and not web:
+        for log in found:
+            read_log(log, topics=[])  # what is no log is refused before the lack of a display
+        check_display()
     if reference is not None and reference.suffix == ".json":
         if trajectory is not None and trajectory != reference:
             raise InputError(

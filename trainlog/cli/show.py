@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from datetime import date, timedelta
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
 
-from trainlog.cli.terminal import console, wrote
+from trainlog.cli.terminal import console, current, plain, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
+
+if TYPE_CHECKING:
+    from trainlog.mcap.description import LogDescription
 
 app = typer.Typer()
 
@@ -70,12 +74,16 @@ def _show(file: Path, trips: bool) -> None:
     from analysis.contents import contents_of
     from trainlog.formats.attached import passport_of
     from trainlog.mcap import read_log
-    from trainlog.mcap.description import render
+    from trainlog.mcap.description import recorded_fields, render
     from trainlog.trip import PASSPORT_ATTACHMENT
 
     found = contents_of(file)
     if found.kind == "log":
-        console.print(render(found.value))
+        recorded = recorded_fields(found.value)
+        if state({}):
+            current().content.setdefault("logs", []).append(_log_as_data(found.value, recorded))
+            return
+        console.print(render(found.value, recorded))
         if PASSPORT_ATTACHMENT in (each.name for each in found.value.attachments):
             console.print(repr(passport_of(read_log(file, []))), highlight=False, markup=False)
     elif found.kind == "consist":
@@ -87,6 +95,62 @@ def _show(file: Path, trips: bool) -> None:
     else:
         console.print(f"{file}: {found.kind}", highlight=False, soft_wrap=True)
         console.print(found.text, highlight=False, markup=False, soft_wrap=True)
+
+
+def _log_as_data(found: LogDescription, recorded: Mapping[str, frozenset[str]]) -> dict[str, Any]:
+    """What is in a log, in SI units; of each field whether it holds a value."""
+    start, end = found.position_span or (None, None)
+    topics = [
+        {
+            "name": each.name,
+            "message": each.message,
+            "encoding": each.encoding,
+            "messages": each.count,
+            "rate_Hz": each.rate,
+            "first": each.first,
+            "last": each.last,
+            "median_interval_s": each.median_interval,
+            "largest_gap_s": each.largest_gap,
+            "gaps": each.gaps,
+            "fields": [
+                {
+                    "name": name,
+                    "unit": unit,
+                    "axles": each.axles.get(name),
+                    "recorded": name in recorded.get(each.name, ()),
+                }
+                for name, unit in each.units.items()
+            ],
+        }
+        for each in found.topics
+    ]
+    return {
+        "file": found.path,
+        "kind": "log",
+        "first": found.first,
+        "last": found.last,
+        "position_start_m": start,
+        "position_end_m": end,
+        "messages": found.count,
+        "chunks": found.chunks,
+        "size_bytes": found.size,
+        "schema_version": found.schema_version,
+        "whole": found.complete,
+        "state": found.account.sentence,
+        "problem": found.problem,
+        "topics": topics,
+        "metadata": found.metadata,
+        "provenance": [json.dumps(plain(step), ensure_ascii=False) for step in found.provenance],
+        "attachments": [
+            {
+                "name": each.name,
+                "media_type": each.media_type,
+                "size_bytes": each.size,
+                "sha256": each.sha256,
+            }
+            for each in found.attachments
+        ],
+    }
 
 
 def _show_folder(folder: Path) -> None:

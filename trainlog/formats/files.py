@@ -661,6 +661,19 @@ def is_map(start: bytes) -> bool:
     return start.startswith(b"SQLite format 3\0") and start[68:72] == _MAP
 
 
+def refuse_map(path: Path, remedy: str) -> None:
+    """Refuse a track-condition map where another file is expected.
+
+    Raises
+    ------
+    InputError
+    """
+    if path.is_file():
+        with path.open("rb") as file:
+            if is_map(file.read(LOOKED_AT)):
+                raise InputError("is a track-condition map", file=path, remedy=remedy)
+
+
 def mistaken_map(start: bytes) -> tuple[str, str]:
     """What a file is that was given for a map and is none, from its beginning, and the remedy.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,13 +21,13 @@ from trainlog.formats.line import line_from_bytes
 from trainlog.mcap.account import Account
 from trainlog.mcap.codec import UNIT, axles_of
 from trainlog.mcap.index import ChunkPlace, Contents, MisplacedError, index_in
-from trainlog.mcap.reader import attachments_of, bare_trip, metadata_of
+from trainlog.mcap.reader import attachments_of, bare_trip, metadata_of, read_log
 from trainlog.mcap.records import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD, Source, in_file
 from trainlog.mcap.scan import contents_used
 from trainlog.mcap.selection import position_span
 from trainlog.railway.kilometres import in_km
 from trainlog.railway.line import Line
-from trainlog.topics import EVENTS, TOPICS, TRAIN_STATE, Topic
+from trainlog.topics import EVENTS, TOPICS, TRAIN_STATE, Field, Topic
 from trainlog.trip import LINE_ATTACHMENT, Trip
 
 if TYPE_CHECKING:
@@ -412,6 +412,48 @@ def _merged(
     return different, merged.astype(np.int64)
 
 
+_READ_WHOLE, _LOOKED_AT = 500_000, pd.Timedelta("60s")
+"""A log of so many messages is read for what its fields hold; of a larger one its first, middle and
+last minute."""
+
+
+def recorded_fields(description: LogDescription) -> dict[str, frozenset[str]]:
+    """The fields of each topic that hold a value, by topic.
+
+    Of a log of more than 500,000 messages the first, the middle and the last minute count. Nothing
+    of a log that `read_log` refuses.
+
+    Examples
+    --------
+    >>> found = recorded_fields(describe("sample_logs/nonstop.mcap"))
+    >>> sorted(found["/train/axles"])
+    ['wheel_effort', 'wheel_speed']
+    """
+    first, last = description.first, description.last
+    if description.problem is not None or first is None or last is None:
+        return {}
+    spans: list[tuple[Any, Any] | None] = [None]
+    if description.count > _READ_WHOLE:
+        middle = first + (last - first) / 2
+        begins = (first, middle, max(first, last - _LOOKED_AT))
+        spans = [(begin, begin + _LOOKED_AT) for begin in begins]
+    found: dict[str, frozenset[str]] = {}
+    for span in spans:
+        for name, frame in read_log(description.path, time=span).topics.items():
+            held = {str(column) for column in frame.columns[frame.notna().any()]}
+            fields = TOPICS[name].fields if name in TOPICS else ()
+            known = {each.name for each in fields if _holds(each, held)}
+            found[name] = found.get(name, frozenset()) | (known if fields else held)
+    return found
+
+
+def _holds(field: Field, columns: set[str]) -> bool:
+    """Whether one of the columns is of a field; those of several axles end in their numbers."""
+    if not field.each:
+        return field.name in columns
+    return any(re.fullmatch(rf"{field.name}_\d+", each) for each in columns)
+
+
 def topics_table() -> str:
     """Every topic with its fields, units, meanings and interpolation, as Markdown."""
     return "\n".join(_section(topic) for topic in TOPICS.values())
@@ -435,17 +477,26 @@ def _section(topic: Topic) -> str:
 
 # -------------------------------------------------------------------------------- for a terminal
 
-_LONGEST = 160
+_LONGEST = 400
 """Metadata values are cut to this many characters."""
 
 
-def render(description: LogDescription) -> RenderableType:
-    """What is in a log, as something that rich prints."""
+def render(
+    description: LogDescription, recorded: Mapping[str, frozenset[str]] | None = None
+) -> RenderableType:
+    """What is in a log, as something that rich prints.
+
+    Parameters
+    ----------
+    description : LogDescription
+    recorded : mapping of str to frozenset of str, optional
+        `recorded_fields` of the log: with them the fields without any value are set apart.
+    """
     from rich.console import Group
 
     parts: list[RenderableType] = [_overview(description), _topics(description)]
     if any(topic.units for topic in description.topics):
-        parts.append(_fields(description))
+        parts.append(_fields(description, recorded or {}))
     if description.metadata:
         parts.append(_pairs("Metadata", description.metadata))
     if description.provenance:
@@ -509,7 +560,7 @@ def _chunks(description: LogDescription) -> str:
 
 
 def _topics(description: LogDescription) -> Table:
-    numbers = ("Count", "Rate", "From", "To", "Gaps", "Longest")
+    numbers = ("Count", "Rate", "From, UTC", "To, UTC", "Gaps", "Longest")
     table = _table("Topic", "Message", numbers=numbers)
     for topic in description.topics:
         table.add_row(
@@ -526,14 +577,18 @@ def _topics(description: LogDescription) -> Table:
     return table
 
 
-def _fields(description: LogDescription) -> Table:
+def _fields(description: LogDescription, recorded: Mapping[str, frozenset[str]]) -> Table:
     table = _table("Topic", "Fields and units")
     for topic in description.topics:
         if topic.units:
             # Fields of no axle hold nothing.
             held = [name for name in topic.units if topic.axles.get(name) != 0]
-            fields = ", ".join(_field(topic, name) for name in held)
+            known = recorded.get(topic.name, frozenset(held))
+            fields = ", ".join(_field(topic, name) for name in held if name in known)
+            empty = ", ".join(name for name in held if name not in known)
             table.add_row(_plain(topic.name), _plain(fields))
+            if empty:
+                table.add_row("", _plain(f"not recorded: {empty}", "dim"))
     return table
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from typing import Any
 
 import numpy as np
@@ -137,9 +136,6 @@ KEYS = ("train", "line", "direction", "load", "weather", "start")
 
 SMALL, LARGE = 5.0, 9.0
 """Radius of a satellite fix and of a train on the map, in points."""
-
-EVENT_WIDTH = 44
-"""Characters of an event's text that have space beside its time."""
 
 HEADROOM = 1.1
 """Top of a plot over nearly all of its values."""
@@ -317,9 +313,8 @@ class Drawing:
         if EVENTS.name not in piece or piece[EVENTS.name].empty:
             return
         frame = piece[EVENTS.name]
-        # Rerun cuts what is wider than the panel, and shows several lines as they are.
         texts = [
-            "\n".join(textwrap.wrap(f"{name}: {message}" if name else message, EVENT_WIDTH))
+            f"{name}: {message}" if name else message
             for name, message in zip(frame["name"], frame["message"], strict=True)
         ]
         levels = [LEVELS.get(level, "INFO") for level in frame["level"]]
