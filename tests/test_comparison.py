@@ -79,7 +79,9 @@ def lost(found: Comparison, name: str) -> dict[str, float]:
 
 
 def test_a_trip_beside_itself_loses_nothing_anywhere() -> None:
-    found = compare([stopping(), replace(stopping(), metadata=stopping().metadata)], stopping())
+    day = pd.Timedelta("1d")
+    later = altered(stopping(), lambda frame: frame.set_axis(frame.index + day))
+    found = compare([stopping(), later], stopping())
     again = found.trip("trip-03 (2)")
     assert again.lost is not None
     assert again.lost.total == 0.0
@@ -88,6 +90,13 @@ def test_a_trip_beside_itself_loses_nothing_anywhere() -> None:
     assert (again.table["lost"] == 0.0).all()
     assert again.energy is not None
     assert again.energy.value == again.energy.recorded
+
+
+def test_the_same_drive_given_twice_counts_once_and_is_stated() -> None:
+    copy = altered(stopping(), lambda frame: frame, trip="copy")
+    found = compare([stopping(), copy])
+    assert [each.name for each in found.directions[0].trips] == ["trip-03"]
+    assert "trip 'copy' is the same drive as 'trip-03': counted once" in found.left_out
 
 
 def test_thirty_seconds_longer_at_a_station_are_lost_there_by_dwell() -> None:

@@ -9,14 +9,21 @@ from functools import cache
 import numpy as np
 import pytest
 
+from analysis.comparison.calculated import Calculation, calculate
+from analysis.comparison.calculated_table import calculation_figure, calculation_tables
 from analysis.comparison.compare import ComparedTrip, compare
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
 from analysis.comparison.table import comparison_tables
 from analysis.tables import as_page
-from trainlog.formats.samples import sample
+from trainlog import read_line, read_train
+from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log
+from trainlog.railway import RunningResistance
+from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
+
+TRAIN = read_train(sample(DEFAULT_TRAIN))
 
 
 @cache
@@ -158,3 +165,70 @@ def test_wheels_that_spin_do_not_bridge_a_gap() -> None:
     frame.attrs = trip["/train/axles"].attrs
     found = driven_trip(less(trip.with_topic(frame), "/gnss/motion"))
     assert any("bridged by position" in note for note in found.notes)
+
+
+@cache
+def simulated() -> Trip:
+    """Resistance, load and gradients are drawn: they are not those of the files."""
+    return simulate(draw_scenarios(read_line(sample(DEFAULT_LINE)), TRAIN, 3, seed=11)[2])
+
+
+def calculated(trip: Trip) -> Calculation:
+    return calculate(trip, TRAIN)
+
+
+@pytest.mark.parametrize("bridged", [True, False])
+def test_a_calculation_starts_anew_behind_a_gap(bridged: bool) -> None:
+    trip = without(simulated(), "/train/state", "speed", first=200.0)
+    if not bridged:
+        trip = without(trip, "/train/state", "position", first=200.0)
+        trip = less(trip, "/train/axles", "/gnss/motion")
+    found, own = calculated(trip), calculated(simulated())
+    sums = driven_trip(trip).unknown()
+    assert sums is not bridged
+    if bridged:
+        assert found.total("work") == pytest.approx(own.total("work"), rel=0.01)
+        assert found.total("calculated_work") == pytest.approx(
+            own.total("calculated_work"), rel=0.01
+        )
+        assert np.nanmax(np.abs(found.calculated_speed - own.calculated_speed)) < 1.0
+    else:
+        lacks = found.table["work"].isna()
+        assert lacks.sum() == 1
+        assert (found.table["calculated_work"].isna() == lacks).all()
+        assert np.isnan(found.speed).sum() > np.isnan(own.speed).sum()
+        behind = np.flatnonzero(np.isnan(found.speed[100:]))[-1]
+        assert behind > 0
+    np.testing.assert_allclose(
+        found.table["time"], compare(trip).directions[0].trips[0].table["running_time"], atol=1e-6
+    )
+    off = found.table["calculated_time"] - own.table["calculated_time"]
+    assert off.abs().max() < 3.0
+    assert f"{trip.name}: no speed for 20 s" in as_page(*calculation_tables(found))
+    assert len(calculation_figure(found).axes) == 3
+
+
+def test_sections_outside_of_the_band_contradict_the_model() -> None:
+    """A gain of the efforts that no resistance explains."""
+    found = calculated(simulated())
+    table = found.table.assign(calculated_work=1.5 * found.table["calculated_work"])
+    off = replace(found, table=table.assign(work_std=0.01 * table["work"]))
+    assert off.outside == off.table.index.tolist()
+    assert "contradicted in" in off.words
+    page = as_page(*calculation_tables(off))
+    assert "nothing that the trip contradicts" not in page
+    assert "contradicted in" in str(off)
+
+
+def test_what_a_model_does_not_determine_is_said_so() -> None:
+    found = calculated(simulated())
+    first = found.table.index[0]
+    table = found.table.copy()
+    table.loc[first, "time_determined"] = False
+    vague = as_page(*calculation_tables(replace(found, table=table)))
+    assert "not determined" in vague
+    assert f"does not determine the running time of {first}" in vague
+    # A resistance ten times the train's stops it before the section ends.
+    own = TRAIN.resistance
+    heavy = replace(TRAIN, resistance=RunningResistance(12 * own.r0, 12 * own.r1, 12 * own.r2))
+    assert calculate(simulated(), heavy).not_determined["running time"]

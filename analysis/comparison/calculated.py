@@ -70,6 +70,9 @@ GRADIENT_STD, GRADIENT_LENGTH = 0.2e-3, 1000.0
 UNCALIBRATED = Quantity(1.0, 0.06, "assumed", "no load is recorded")
 """Recorded over true effort of ordinary converters."""
 
+WIDEST = 0.5
+"""Half a band over its value from which on the model does not determine it."""
+
 WINDOW = 500.0
 """Length over which residuals are explained [m]."""
 
@@ -86,9 +89,12 @@ class Calculation:
     ----------
     trip, model : str
     table : DataFrame
-        By section, SI units: ``first``, ``last`` [m]; ``time``, ``calculated_time``, ``time_std``
-        [s] above `SLOWEST`; ``speed_rms`` [m/s] of the difference; ``work``,
-        ``calculated_work``, ``work_std`` [J]: tractive work at the wheel rims.
+        By section, SI units: ``first``, ``last`` [m]; ``time`` (in motion), ``calculated_time``,
+        ``time_std`` [s]: up to `SLOWEST` and in gaps of the recording the recorded time counts;
+        ``speed_rms`` [m/s] of the difference; ``work``, ``calculated_work``, ``work_std`` [J]:
+        tractive work at the wheel rims, NaN where speed or efforts are not known;
+        ``time_determined``, ``work_determined``: whether half a band is at most `WIDEST` of its
+        value, and for a time no speed on the way down to 0.
     position, speed, calculated_speed, speed_std : (n,) array [m], [m/s]
         Where `SLOWEST` was exceeded; NaN elsewhere.
     explained : dict of str to float
@@ -143,13 +149,38 @@ class Calculation:
         rows["tractive work"] += " kWh calculated"
         if self.efforts:
             rows["tractive work"] += f", {self.total('work') / JOULES_PER_KWH:.1f} kWh measured"
-            times = self.total("calculated_time"), self.total("time")
+            sure = self.table[self.table["time_determined"]]
+            times = float(sure["calculated_time"].sum()), float(sure["time"].sum())
             rows["running time"] = f"{times[0]:.0f} s calculated, {times[1]:.0f} s measured"
             shares = sorted(self.explained.items(), key=lambda item: -item[1])
             rows["residuals"] = ", ".join(f"{name} {share:.0%}" for name, share in shares[:4])
         rows["wind"] = self.wind_words
-        rows["model"] = self.diagnosis.words
+        rows["model"] = self.words
         return rows
+
+    @property
+    def words(self) -> str:
+        """What the trip contradicts of the model, in a sentence."""
+        if not self.outside:
+            return self.diagnosis.words
+        where = f"contradicted in {', '.join(self.outside)} (outside of the 95 % band)"
+        if self.diagnosis.wrong:
+            return f"{where}: {self.diagnosis.words}"
+        reason = self.diagnosis.reason
+        return where + (
+            f"; which coefficient is {self.diagnosis.words}"
+            if reason
+            else "; no coefficient or mass by itself explains it"
+        )
+
+    @property
+    def not_determined(self) -> dict[str, list[str]]:
+        """By quantity, the sections of which the model says less than half."""
+        found = {
+            words: self.table.index[~self.table[f"{name}_determined"]].tolist()
+            for name, words in (("time", "running time"), ("work", "tractive work"))
+        }
+        return {words: sections for words, sections in found.items() if sections}
 
     @property
     def wind_words(self) -> str:
@@ -247,7 +278,7 @@ def calculate(
         model=inputs.model.name,
         table=table,
         position=cells.nodes,
-        speed=np.where(cells.fast, cells.speed, np.nan),
+        speed=np.where(cells.fast & ~cells.inside_gap, cells.speed, np.nan),
         calculated_speed=np.where(cells.fast, speeds, np.nan),
         speed_std=np.where(cells.fast, spread, np.nan),
         explained=explained,
@@ -370,7 +401,10 @@ def _mass(trip: Trip, train: Train, model: ParameterSet | Train) -> Quantity:
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """The trip by position: nodes (n + 1,), and what happens between them (n,)."""
+    """The trip by position: nodes (n + 1,), and what happens between them (n,).
+
+    `unknown` are cells without efforts or speed, `speedless` those of them without speed.
+    """
 
     nodes: FloatArray
     speed: FloatArray
@@ -384,6 +418,8 @@ class _Cells:
     section: NDArray[np.int64]
     edges: FloatArray
     names: tuple[str, ...]
+    unknown: NDArray[np.bool_]
+    speedless: NDArray[np.bool_]
 
     @staticmethod
     def of(inputs: _Inputs) -> _Cells:
@@ -419,7 +455,14 @@ class _Cells:
             section.astype(np.int64),
             sections.edges,
             tuple(sections.names),
+            *_unknown(trip, nodes),
         )
+
+    @property
+    def inside_gap(self) -> NDArray[np.bool_]:
+        """Nodes at which the speed is not known."""
+        none = self.speedless
+        return np.append(none, False) & np.append(False, none)
 
     @property
     def step(self) -> FloatArray:
@@ -437,14 +480,32 @@ class _Cells:
         return np.asarray(resistance(speed) + self.tunnels * self.squared + through_wind)
 
     def runs(self) -> list[tuple[int, int]]:
-        """First cell and one past the last of each run above `SLOWEST` within a section."""
-        both = self.fast[1:] & self.fast[:-1]
+        """First cell and one past the last of each run above `SLOWEST` within a section.
+
+        Behind a gap of the recording another run begins, with the recorded speed.
+        """
+        both = self.fast[1:] & self.fast[:-1] & ~self.unknown
         found = []
         for begin, end in runs_of(both):
             cuts = begin + 1 + np.flatnonzero(np.diff(self.section[begin:end]))
             edges = [begin, *cuts.tolist(), end]
             found += list(pairwise(edges))
         return [each for each in found if each[1] - each[0] >= 3]
+
+
+def _unknown(trip: DrivenTrip, nodes: FloatArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Cells in which efforts or speed are not known, and those in which speed is not."""
+    speedless = np.zeros(nodes.size - 1, dtype=np.bool_)
+    if "unknown_speed" in trip.flags:
+        speedless = trip.share_of("unknown_speed", nodes) > 0.0
+    lacks = speedless.copy()
+    for name in ("effort", "dynamic_braking", "pneumatic_braking"):
+        if (
+            f"unknown_{name}" in trip.sums
+            and ("traction" if name == "effort" else name) in trip.sums
+        ):
+            lacks |= np.diff(trip.at(trip.sums[f"unknown_{name}"], nodes)) > 0.2
+    return lacks, speedless
 
 
 @dataclass(frozen=True, slots=True)
@@ -499,7 +560,10 @@ def _predicted(
     fast = np.zeros(cells.step.size, dtype=np.bool_)
     for begin, end in cells.runs():
         fast[begin:end] = True
-    measured = np.bincount(cells.section, cells.running * fast, count)
+    measured = np.bincount(cells.section, cells.running, count)
+    # Where nothing is calculated, the recorded time counts.
+    rest = np.bincount(cells.section, cells.running * ~fast, count)
+    lacks = np.bincount(cells.section, cells.unknown, count) > 0
     speed = np.array(speeds)
     squares = np.where(fast, (speed[0][1:] - cells.speed[1:]) ** 2 * cells.step, 0.0)
     length = np.maximum(np.bincount(cells.section, cells.step * fast, count), 1e-9)
@@ -511,18 +575,27 @@ def _predicted(
             "first": cells.edges[:-1],
             "last": cells.edges[1:],
             "time": measured,
-            "calculated_time": times[0],
+            "calculated_time": times[0] + rest,
             "time_std": _spread(np.array(times)),
             "speed_rms": np.sqrt(np.bincount(cells.section, squares, count) / length),
-            "work": recorded,
-            "calculated_work": works[0],
-            "work_std": _spread(works),
+            "work": np.where(lacks, np.nan, recorded),
+            "calculated_work": np.where(lacks, np.nan, works[0]),
+            "work_std": np.where(lacks, np.nan, _spread(works)),
         },
         index=pd.Index(cells.names, name="section"),
     )
     if not inputs.efforts:
         table[["calculated_time", "time_std", "speed_rms"]] = np.nan
-    return table, speed[0], _spread(speed)
+    spread = _spread(speed)
+    # Between runs nothing is calculated.
+    inside = np.append(fast, False) | np.append(False, fast)
+    calculated = np.where(inside, speed[0], np.nan)
+    wide = inside & (1.96 * spread >= calculated)  # down to a stand
+    wide_in = np.bincount(cells.section, wide[1:], count) > 0
+    for name, more in (("time", wide_in), ("work", False)):
+        reach, value = 1.96 * table[f"{name}_std"], table[f"calculated_{name}"].abs()
+        table[f"{name}_determined"] = ~((reach > WIDEST * value) | more)
+    return table, np.where(wide, np.nan, calculated), spread
 
 
 def _spread(values: FloatArray) -> FloatArray:
@@ -627,8 +700,10 @@ def _explained(inputs: _Inputs, cells: _Cells) -> tuple[dict[str, float], float]
     count = int(window[-1]) + 1
     speed, step = np.sqrt(cells.squared), cells.step
 
+    known = np.bincount(window, cells.unknown, count) == 0
+
     def summed(values: FloatArray) -> FloatArray:
-        return np.asarray(np.bincount(window, values, count), dtype=np.float64)
+        return np.asarray(np.bincount(window, values, count) * known, dtype=np.float64)
 
     kinetic = 0.5 * np.diff(cells.speed**2)
     net = cells.work - cells.braking
@@ -654,8 +729,9 @@ def _explained(inputs: _Inputs, cells: _Cells) -> tuple[dict[str, float], float]
         ),
         "gradients": tilt,
     }
-    edge = inputs.inertia * np.sqrt(2.0) * SPEED_STD * summed(step * speed) / summed(step)
-    noise = np.hypot(edge, 0.01 * summed(np.abs(net)))
+    length = np.maximum(summed(step), 1e-9)
+    edge = inputs.inertia * np.sqrt(2.0) * SPEED_STD * summed(step * speed) / length
+    noise = np.hypot(edge, 0.01 * summed(np.abs(net))) + 1.0 * ~known
     design = np.concatenate(list(causes.values()), axis=1) / noise[:, None]
     normal = design.T @ design + np.eye(design.shape[1])
     beta = np.linalg.solve(normal, design.T @ (residual / noise))

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from rich.console import RenderableType
 from rich.table import Table
 
-from analysis.comparison.calculated import Calculation
+from analysis.comparison.calculated import WIDEST, Calculation
 from analysis.comparison.diagnosis import Diagnosis
 from analysis.plotting import BLUE, GREY, INK, ORANGE, dress, headline, km_axis, legend, new_figure
 from analysis.tables import new_table
@@ -24,12 +24,14 @@ def calculation_tables(found: Calculation) -> list[RenderableType]:
     parts: list[RenderableType] = [sections_table(found)]
     if found.efforts:
         parts.append(explained_table(found))
-    outside = ", ".join(found.outside)
-    if found.efforts:
-        parts.append(f"outside of the 95 % band: {outside or 'no section'}")
+    for quantity, sections in found.not_determined.items():
+        parts.append(
+            f"the {found.model} does not determine the {quantity} of {', '.join(sections)}: half"
+            f" the 95 % band is more than {WIDEST:.0%} of the value, or reaches down to a stand"
+        )
     parts.append(f"bands: {found.wind_words}")
     parts.append(
-        f"{found.model} against trip '{found.trip}': {found.diagnosis.words}"
+        f"{found.model} against trip '{found.trip}': {found.words}"
         f" ({alarms_words(found.diagnosis)})"
     )
     return parts + [f"{found.trip}: {note}" for note in found.notes]
@@ -43,7 +45,10 @@ def alarms_words(found: Diagnosis) -> str:
 def together_words(found: Sequence[Calculation], together: Diagnosis) -> str:
     """What several trips together contradict of the model."""
     trips = counted(len(found), "trip")
-    return f"{found[0].model} against {trips} together: {together.words}"
+    words = f"{found[0].model} against {trips} together: {together.words}"
+    outside = [each.trip for each in found if each.outside]
+    of = f"{len(outside)} of them ({', '.join(outside)})" if outside else ""
+    return words + (f"; sections of {of} are outside of the 95 % band" if outside else "")
 
 
 def sections_table(found: Calculation) -> Table:
@@ -61,18 +66,27 @@ def sections_table(found: Calculation) -> Table:
     for name, row in found.table.iterrows():
         work = row["work"]
         off = work / row["calculated_work"] - 1.0 if row["calculated_work"] else math.nan
-        known = math.isfinite(row["calculated_time"])
+        sure = bool(row["work_determined"])
+        timed = bool(row["time_determined"])
+        known = math.isfinite(row["calculated_time"]) and timed
+        needed = _with_band(row["calculated_work"], row["work_std"], JOULES_PER_KWH, 2)
+        took = _with_band(row["calculated_time"], row["time_std"], 1.0, 1)
         table.add_row(
             str(name),
             f"{row['time']:.1f}",
-            f"{row['calculated_time']:.1f} ± {1.96 * row['time_std']:.1f}" if known else "-",
+            took if timed else "not determined",
             f"{KMH * row['speed_rms']:.1f} km/h" if known else "-",
             f"{work / JOULES_PER_KWH:.2f}" if math.isfinite(work) else "-",
-            f"{row['calculated_work'] / JOULES_PER_KWH:.2f}"
-            f" ± {1.96 * row['work_std'] / JOULES_PER_KWH:.2f}",
-            f"{off:+.1%}" if math.isfinite(off) else "-",
+            needed if sure else "not determined",
+            f"{off:+.1%}" if math.isfinite(off) and sure else "-",
         )
     return table
+
+
+def _with_band(value: float, std: float, unit: float, digits: int) -> str:
+    if not math.isfinite(value):
+        return "-"
+    return f"{value / unit:.{digits}f} ± {1.96 * std / unit:.{digits}f}"
 
 
 def explained_table(found: Calculation) -> Table:
@@ -105,6 +119,8 @@ def calculation_data(found: Calculation) -> dict[str, Any]:
         "model": found.model,
         "sections": found.table.rename(columns=names).reset_index().to_dict("records"),
         "outside": found.outside,
+        "verdict": found.words,
+        "notes": list(found.notes),
         "explained": found.explained,
         "residual_rms_J": found.residual,
         "wind_recorded": found.wind_recorded,
@@ -165,7 +181,7 @@ def calculation_figure(found: Calculation) -> Figure:
     _works(works, found)
     headline(
         figure,
-        f"Trip '{found.trip}' against the {found.model}: {found.diagnosis.words}",
+        f"Trip '{found.trip}' against the {found.model}: {found.words}",
     )
     return figure
 

@@ -247,7 +247,14 @@ def _driven(
     found, left_out = list[DrivenTrip](), list[str]()
     for given in each_given(trips):
         try:
-            found.append(driven_trip(given, line))
+            trip = driven_trip(given, line)
+            again = next((each for each in found if _same(each, trip)), None)
+            if again is None:
+                found.append(trip)
+            else:
+                left_out.append(
+                    f"trip '{trip.name}' is the same drive as '{again.name}': counted once"
+                )
         except TrainlogError as error:
             where = f"{given}: " if isinstance(given, Path) and error.file is None else ""
             left_out.append(where + str(error))
@@ -281,6 +288,7 @@ def _same(trip: DrivenTrip, other: DrivenTrip) -> bool:
         trip.departure == other.departure
         and np.array_equal(trip.time, other.time)
         and np.array_equal(trip.position, other.position)
+        and np.array_equal(trip.speed, other.speed)
     )
 
 
