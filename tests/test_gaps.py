@@ -9,8 +9,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from analysis.comparison.calculated import Calculation, calculate
-from analysis.comparison.calculated_table import calculation_figure, calculation_tables
+from analysis.comparison.calculated import Calculation, calculate, judged_together
+from analysis.comparison.calculated_table import (
+    calculation_figure,
+    calculation_tables,
+    together_words,
+)
 from analysis.comparison.compare import ComparedTrip, compare
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
@@ -206,6 +210,12 @@ def test_a_calculation_starts_anew_behind_a_gap(bridged: bool) -> None:
     assert off.abs().max() < 3.0
     assert f"{trip.name}: no speed for 20 s" in as_page(*calculation_tables(found))
     assert len(calculation_figure(found).axes) == 3
+
+
+def test_a_drive_given_twice_is_judged_once() -> None:
+    found = calculated(simulated())
+    assert judged_together([found, replace(found, trip="copy")]).trips == 1
+    assert "1 given twice, counted once" in together_words([found, found], found.diagnosis)
 
 
 def test_sections_outside_of_the_band_contradict_the_model() -> None:

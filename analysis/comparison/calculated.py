@@ -158,6 +158,11 @@ class Calculation:
         rows["model"] = self.words
         return rows
 
+    def same_drive(self, other: Calculation) -> bool:
+        """Whether two are of the same recording."""
+        pairs = (self.position, other.position), (self.speed, other.speed)
+        return all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
+
     @property
     def words(self) -> str:
         """What the trip contradicts of the model, in a sentence."""
@@ -296,12 +301,23 @@ def calculate(
 def judged_together(found: Sequence[Calculation]) -> Diagnosis:
     """What several trips contradict of the model that calculated them.
 
+    The same drive given twice counts once.
+
     Raises
     ------
     InputError
         If there is none, or they are of different trains.
     """
-    return diagnosed([each.evidence for each in found])
+    return diagnosed([each.evidence for each in distinct(found)])
+
+
+def distinct(found: Sequence[Calculation]) -> list[Calculation]:
+    """One calculation of each drive: recorded speeds of two are never alike throughout."""
+    kept: list[Calculation] = []
+    for each in found:
+        if not any(each.same_drive(other) for other in kept):
+            kept.append(each)
+    return kept
 
 
 @dataclass(frozen=True, eq=False)

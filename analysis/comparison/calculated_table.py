@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from rich.console import RenderableType
 from rich.table import Table
 
-from analysis.comparison.calculated import WIDEST, Calculation
+from analysis.comparison.calculated import WIDEST, Calculation, distinct
 from analysis.comparison.diagnosis import Diagnosis
 from analysis.plotting import BLUE, GREY, INK, ORANGE, dress, headline, km_axis, legend, new_figure
 from analysis.tables import new_table
@@ -44,7 +44,10 @@ def alarms_words(found: Diagnosis) -> str:
 
 def together_words(found: Sequence[Calculation], together: Diagnosis) -> str:
     """What several trips together contradict of the model."""
+    every, found = len(found), distinct(found)
     trips = counted(len(found), "trip")
+    if every > len(found):
+        trips += f" ({every - len(found)} given twice, counted once)"
     words = f"{found[0].model} against {trips} together: {together.words}"
     outside = [each.trip for each in found if each.outside]
     of = f"{len(outside)} of them ({', '.join(outside)})" if outside else ""
