@@ -79,7 +79,7 @@ def lost(found: Comparison, name: str) -> dict[str, float]:
 
 
 def test_a_trip_beside_itself_loses_nothing_anywhere() -> None:
-    day = pd.Timedelta("1d")
+    day = pd.Timedelta("1D")
     later = altered(stopping(), lambda frame: frame.set_axis(frame.index + day))
     found = compare([stopping(), later], stopping())
     again = found.trip("trip-03 (2)")

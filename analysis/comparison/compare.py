@@ -285,7 +285,7 @@ def _reference(given: Given | Trajectory, line: Line, trips: Sequence[DrivenTrip
 def _same(trip: DrivenTrip, other: DrivenTrip) -> bool:
     """Whether two are of the same recording."""
     return (
-        trip.departure == other.departure
+        (trip.direction, trip.departure) == (other.direction, other.departure)
         and np.array_equal(trip.time, other.time)
         and np.array_equal(trip.position, other.position)
         and np.array_equal(trip.speed, other.speed)
