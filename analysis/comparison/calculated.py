@@ -478,7 +478,7 @@ class _Cells:
     def inside_gap(self) -> NDArray[np.bool_]:
         """Nodes at which the speed is not known."""
         none = self.speedless
-        return np.append(none, False) & np.append(False, none)
+        return np.asarray(np.append(none, False) & np.append(False, none), dtype=np.bool_)
 
     @property
     def step(self) -> FloatArray:
