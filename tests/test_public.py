@@ -134,3 +134,10 @@ def test_objects_print_in_at_most_ten_lines() -> None:
         assert len(repr(each).splitlines()) <= 10
         assert len(repr(each)) < 800, type(each)
     assert repr(line.gradients) == "StepProfile of 153 steps, -0.0154 to 0.0159"
+
+
+def test_the_reference_as_a_whole_is_a_page() -> None:
+    from trainlog.documentation import SOURCES, Documentation
+
+    path, _ = Documentation(SOURCES[1], built=False).place("reference")
+    assert path.parts[-2:] == ("reference", "index.md")

@@ -86,6 +86,7 @@ class Documentation:
         pages = self.pages()
         name = "index" if wanted is None else wanted.removesuffix(self.suffix).strip("/")
         matching = [each for each in pages if each == name or each.endswith(f"/{name}")]
+        matching = matching or [each for each in pages if each == f"{name}/index"]
         if matching:
             return pages[min(matching, key=len)], ""
         for dotted in (name, *(f"{package}.{name}" for package in PACKAGES)):
