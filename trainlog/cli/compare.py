@@ -58,7 +58,7 @@ def compare(
     wind: Annotated[
         float | None,
         typer.Option(
-            help="Standard deviation [m/s] of the head wind that calculated bands assume, as for a"
+            help="Standard deviation in m/s of the head wind that calculated bands assume, as for a"
             " known calm day. Default: 1 where the head wind is recorded, else 5."
         ),
     ] = None,
