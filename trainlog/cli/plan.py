@@ -52,7 +52,6 @@ def optimise(
     reserve: Annotated[
         float | None,
         typer.Option(
-            min=0.0,
             help="Without --running-time: reserve over the least time in per cent; default: 7.",
         ),
     ] = None,
