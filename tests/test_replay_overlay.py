@@ -19,6 +19,7 @@ from trainlog.railway import LineReference
 from trainlog.replay import ReplayOptions, write_replay
 from trainlog.replay.clock import clock_of
 from trainlog.replay.overlay import OVERVIEW, PIECE_LENGTH, extremes, thinned_trip, thinned_trips
+from trainlog.replay.recording import MOST_WHOLE
 from trainlog.trip import LINE_ATTACHMENT, Trip
 
 
@@ -174,9 +175,9 @@ def test_of_a_thinned_trip_only_the_overview_is_read(tmp_path: Path) -> None:
         return stream_log(log, topics)
 
     path = tmp_path / "many.rrd"
-    made = write_replay([source] * 13, path)
+    made = write_replay([source] * (MOST_WHOLE + 1), path)
     assert made.thinned
-    assert asked == [OVERVIEW] * 13
+    assert asked == [OVERVIEW] * (MOST_WHOLE + 1)
     assert made.trips[:2] == ("up", "up (2)")
     found = entities(path)
     assert not [name for name in found if "/efforts" in name or "/slip" in name]

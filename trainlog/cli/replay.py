@@ -69,7 +69,7 @@ def replay(
         typer.Option(
             "--thin/--full",
             help="Only the overview, its samples thinned, or all. Default: thinned if there are"
-            " more than twelve trips and no part of them is asked for.",
+            " more than 16 trips and no part of them is asked for.",
         ),
     ] = None,
     tiles: Annotated[

@@ -37,7 +37,7 @@ APPLICATION = "trainlog"
 """Rerun's application id: a layout made for it fits every replay."""
 
 
-MOST_WHOLE = 12
+MOST_WHOLE = 16
 """Of more trips a replay is an overview, with their samples thinned, unless asked for otherwise."""
 
 
@@ -54,7 +54,7 @@ class ReplayOptions:
         if there is one, else the first trip of each line and direction.
     thinned : bool or None
         Only the overview, with the lowest and the highest speed of each 10 m of the line and each
-        0.4 s. Default: of more than twelve trips.
+        0.4 s. Default: of more than 16 trips.
     tiles : bool
         Places over the tiles of a map that the viewer asks a server for, instead of on a plan.
     line : Line or None
