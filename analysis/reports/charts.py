@@ -23,6 +23,7 @@ from analysis.reports.page import Interactive
 from analysis.reports.pictures import PAPER, drawn
 from trainlog.railway.kilometres import km_ticks
 from trainlog.railway.line import Line
+from trainlog.spans import runs_of
 
 FloatArray = NDArray[np.float64]
 
@@ -397,8 +398,7 @@ def _fill(
 ) -> None:
     """Fill between two curves, apart on either side of what is not known: BokehJS would join it."""
     known = np.isfinite(low) & np.isfinite(high)
-    edges = np.flatnonzero(np.diff(known.astype(np.int8), prepend=0, append=0))
-    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    for begin, end in runs_of(known):
         part = slice(begin, end)
         filled = plot.varea_step if curve.kind == "step" else plot.varea
         mode = {"step_mode": "after"} if curve.kind == "step" else {}

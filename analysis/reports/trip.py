@@ -30,6 +30,7 @@ from trainlog.mcap.description import render
 from trainlog.railway import Line
 from trainlog.railway.kilometres import in_km
 from trainlog.resampling import interpolated
+from trainlog.spans import runs_of
 from trainlog.topics import REFERENCE, STANDSTILL, TRAIN_CONTROLS
 from trainlog.trip import POSITION_TOPICS, Trip
 from trainlog.units import KMH, PER_MILLE, clock
@@ -201,9 +202,8 @@ def station_calls(motion: Motion, line: Line | None) -> tuple[StationCall, ...]:
 
 def _stops(motion: Motion, line: Line | None) -> Iterator[StationCall]:
     standing = motion.speed <= STANDSTILL
-    edges = np.flatnonzero(np.diff(standing.astype(np.int8), prepend=0, append=0))
     last = motion.time.size - 1
-    spans = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    spans = runs_of(standing)
     if not spans or spans[0][0] > 0:
         spans.insert(0, (0, 0))
     if spans[-1][1] <= last:

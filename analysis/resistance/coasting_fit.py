@@ -35,6 +35,7 @@ from trainlog.errors import NotIdentifiableError
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Train
+from trainlog.spans import runs_of
 from trainlog.units import GRAVITY, KMH
 
 FloatArray = NDArray[np.float64]
@@ -119,11 +120,7 @@ class Curve:
         """See above."""
         speed = np.linspace(*self.covered, 121)
         known = self.share(speed) <= LARGEST_STD
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], known.astype(np.int8), [0]))))
-        ranges = [
-            (float(speed[first]), float(speed[last - 1]))
-            for first, last in zip(edges[::2], edges[1::2], strict=True)
-        ]
+        ranges = [(float(speed[first]), float(speed[last - 1])) for first, last in runs_of(known)]
         widest = max(ranges, key=lambda ends: ends[1] - ends[0], default=(0.0, 0.0))
         return widest if widest[1] - widest[0] >= SHORTEST_RANGE else None
 

@@ -33,6 +33,7 @@ from trainlog.errors import NotIdentifiableError
 from trainlog.formats.attached import line_of
 from trainlog.formats.parameters import CoastDownResult, DragCurve, Identified
 from trainlog.railway.line import Line
+from trainlog.spans import runs_of
 from trainlog.trip import LINE_ATTACHMENT, Trip, seconds
 from trainlog.units import KMH
 
@@ -176,12 +177,8 @@ def lever_at_rest(trip: Trip, motion: Motion) -> list[tuple[float, float]]:
             remedy="give the line's gradients, or say when the train coasted",
         )
     time = seconds(controls, motion.start)
-    rest = (controls["lever"].to_numpy(dtype=np.float64) == 0.0).astype(np.int8)
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], rest, [0]))))
-    spans = [
-        (float(time[first]) + LAG, float(time[last - 1]))
-        for first, last in zip(edges[::2], edges[1::2], strict=True)
-    ]
+    rest = controls["lever"].to_numpy(dtype=np.float64) == 0.0
+    spans = [(float(time[first]) + LAG, float(time[last - 1])) for first, last in runs_of(rest)]
     return [span for span in spans if span[1] - span[0] >= SHORTEST]
 
 

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.trajectory.hamiltonian import Hamiltonian
+from trainlog.spans import runs_of
 
 FloatArray = NDArray[np.float64]
 
@@ -155,8 +156,7 @@ def riccati(
     drag = 2.0 * problem.drag1[0] / (v + fastest) + 2.0 * problem.drag2[0]
     kept, needed = 1.0 + 2.0 * problem.step * drag, -problem.step * secant
     begin, end = np.zeros(v.size), np.zeros(v.size)
-    edges = np.flatnonzero(np.diff(np.concatenate(([True], partial, [True])).astype(np.int64)))
-    for first, beyond in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    for first, beyond in runs_of(~partial):
         backward, forward = np.zeros(beyond - first + 1), np.zeros(beyond - first + 1)
         if first == 0:
             forward[0] = np.inf  # where a run begins its speed is given

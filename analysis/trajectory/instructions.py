@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.trajectory.phases import AdvicePoint, Phase, rounded_down
 from trainlog.railway import StepProfile, Trajectory
+from trainlog.spans import runs_of
 from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
@@ -136,8 +137,7 @@ class _Plan:
             ]  # fmt: skip
         else:
             for row, brakes in enumerate(self.brakes):
-                edge = np.flatnonzero(np.diff(np.concatenate(([0], brakes.astype(np.int8), [0]))))
-                for start, end in edge.reshape(-1, 2).tolist():
+                for start, end in runs_of(brakes):
                     if self.speeds[row, start] - self.speeds[row, end] > 2.0 / KMH:
                         found.append((float(self.places[end]), float(self.highest[end])))
             found = [each for each in sorted(set(found)) if each[0] < last]
