@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.csv
 
 from trainlog.errors import LogError
-from trainlog.formats.topic_parquet import TIME, described, table_of, times_of
+from trainlog.formats.topic_parquet import TIME, Pieces, times_of
 from trainlog.spans import Spans
 
 TYPES = {
@@ -43,9 +43,8 @@ class CsvTopicWriter:
 
     def __init__(self, topic: str, path: Path, frame: pd.DataFrame) -> None:
         self.topic, self.path = topic, path
-        self._schema = described(topic, table_of(topic, frame).schema, frame.attrs)
-        self._columns, self._attrs = list(frame.columns), frame.attrs
-        self._last = np.iinfo(np.int64).min
+        self._pieces, self._attrs = Pieces(topic, frame), frame.attrs
+        self._schema = self._pieces.schema
         for item in self._schema:
             if item.name != TIME and str(item.type) not in TYPES:
                 raise LogError(
@@ -75,17 +74,8 @@ class CsvTopicWriter:
         return {"columns": kinds, "attrs": dict(self._attrs)}
 
     def add(self, frame: pd.DataFrame) -> None:
-        """Append rows; LogError if their columns are not those of the first, or time runs back."""
-        if list(frame.columns) != self._columns:
-            raise LogError(
-                f"{self.topic} changes its columns on the way",
-                remedy=f"give every piece {', '.join(map(str, self._columns))}",
-            )
-        table = table_of(self.topic, frame, self._schema)
-        times = np.concatenate(([self._last], times_of(table)))
-        if np.any(times[1:] < times[:-1]):
-            raise LogError(f"time of {self.topic} runs backwards", remedy="sort the rows by time")
-        self._last = int(times[-1])
+        """Append rows; LogError as of `Pieces.table_of`."""
+        table = self._pieces.table_of(frame)
         self._file.write_table(
             table.select(self._names)
             .cast(

@@ -33,6 +33,43 @@ ROWS = 131_072
 """Rows of a row group: what is compressed, and read, at a time."""
 
 
+class Pieces:
+    """Pieces of one topic as tables: of the same columns and types, their times not decreasing.
+
+    Parameters
+    ----------
+    topic : str
+    frame : DataFrame
+        Whose columns and types all pieces have.
+    """
+
+    def __init__(self, topic: str, frame: pd.DataFrame) -> None:
+        self.topic, self.rows = topic, 0
+        self.schema = described(topic, table_of(topic, frame).schema, frame.attrs)
+        self._columns = list(frame.columns)
+        self._last = np.iinfo(np.int64).min
+
+    def table_of(self, frame: pd.DataFrame) -> pa.Table:
+        """The next piece; LogError if its columns are not those of the first, or time runs back."""
+        if list(frame.columns) != self._columns:
+            raise LogError(
+                f"{self.topic} changes its columns on the way",
+                remedy=f"give every piece {', '.join(map(str, self._columns))}",
+            )
+        table = table_of(self.topic, frame, self.schema)
+        times = np.concatenate(([self._last], times_of(table)))
+        if np.any(times[1:] < times[:-1]):
+            row = int(np.argmax(times[1:] < times[:-1]))
+            raise LogError(
+                f"time of {self.topic} runs backwards to {frame.index[row].isoformat()}",
+                place=f"row {self.rows + row}",
+                remedy="sort the rows by time",
+            )
+        self._last = int(times[-1])
+        self.rows += len(table)
+        return table
+
+
 class ParquetTopicWriter:
     """The Parquet file of one topic being written.
 
@@ -50,11 +87,9 @@ class ParquetTopicWriter:
     """
 
     def __init__(self, topic: str, path: Path, frame: pd.DataFrame) -> None:
-        self.topic, self.path, self.rows = topic, path, 0
-        self._columns = list(frame.columns)
-        self._schema = described(topic, table_of(topic, frame).schema, frame.attrs)
+        self.topic, self.path = topic, path
+        self._pieces = Pieces(topic, frame)
         self._waiting: list[pa.Table] = []
-        self._last = np.iinfo(np.int64).min
         self._file: pq.ParquetWriter | None = None
 
     @property
@@ -63,24 +98,8 @@ class ParquetTopicWriter:
         return {"footer": footer_digest(self.path)}
 
     def add(self, frame: pd.DataFrame) -> None:
-        """Append rows; LogError if their columns are not those of the first."""
-        if list(frame.columns) != self._columns:
-            raise LogError(
-                f"{self.topic} changes its columns on the way",
-                remedy=f"give every piece {', '.join(map(str, self._columns))}",
-            )
-        table = table_of(self.topic, frame, self._schema)
-        times = np.concatenate(([self._last], times_of(table)))
-        if np.any(times[1:] < times[:-1]):
-            row = int(np.argmax(times[1:] < times[:-1]))
-            raise LogError(
-                f"time of {self.topic} runs backwards to {frame.index[row].isoformat()}",
-                place=f"row {self.rows + row}",
-                remedy="sort the rows by time",
-            )
-        self._last = int(times[-1])
-        self.rows += len(table)
-        self._waiting.append(table)
+        """Append rows; LogError as of `Pieces.table_of`."""
+        self._waiting.append(self._pieces.table_of(frame))
         waiting = sum(map(len, self._waiting))
         if waiting >= ROWS:
             full = waiting - waiting % ROWS
@@ -93,7 +112,7 @@ class ParquetTopicWriter:
         """Write the rows that wait for a full row group, and close the file."""
         rest, self._waiting = self._waiting, []
         if rest or self._file is None:
-            self._write(pa.concat_tables([self._schema.empty_table(), *rest]))
+            self._write(pa.concat_tables([self._pieces.schema.empty_table(), *rest]))
         if self._file is not None:
             self._file.close()
 
@@ -106,10 +125,10 @@ class ParquetTopicWriter:
 
     def _opened(self, first: pa.Table) -> pq.ParquetWriter:
         """The file begun; the first row group decides how each column is best stored."""
-        encodings = {field.name: _encoding(first[field.name]) for field in self._schema}
+        encodings = {field.name: _encoding(first[field.name]) for field in self._pieces.schema}
         return pq.ParquetWriter(
             self.path,
-            self._schema,
+            self._pieces.schema,
             compression="zstd",
             compression_level=COMPRESSION_LEVEL,
             use_dictionary=[name for name, encoding in encodings.items() if encoding is None],
