@@ -10,22 +10,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from command import run
 
 import analysis
 from analysis.tables import new_table
-from trainlog.cli import demo, main as cli, terminal
+from trainlog.cli import demo, terminal
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-
-
-def run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: str | Path
-) -> tuple[int, str, str]:
-    """Exit status, standard output and standard error of one command."""
-    monkeypatch.setattr(sys, "argv", ["trainlog", *map(str, words)])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    captured = capsys.readouterr()
-    return int(ended.value.code or 0), captured.out, captured.err
 
 
 @pytest.fixture

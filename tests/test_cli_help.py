@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 import typer
+from command import run
 from typer.core import TyperGroup
 
 from trainlog.cli import main as cli
@@ -37,15 +37,6 @@ def commands(of: Any = None, name: str = "") -> Iterator[tuple[str, Any]]:
             yield words, command
 
 
-def printed(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: str
-) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["trainlog", *words])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    return int(ended.value.code or 0), *capsys.readouterr()
-
-
 @pytest.mark.parametrize("columns", ["80", "120"])
 def test_help_of_every_command_fits_the_terminal_and_loses_nothing(
     columns: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -54,7 +45,7 @@ def test_help_of_every_command_fits_the_terminal_and_loses_nothing(
     found = dict(commands())
     assert len(found) > 35
     for words, command in found.items():
-        status, shown, _ = printed(monkeypatch, capsys, *words.split(), "--help")
+        status, shown, _ = run(monkeypatch, capsys, *words.split(), "--help")
         assert status == 0
         assert max(map(len, shown.splitlines())) <= int(columns), words
         assert "…" not in shown, words
@@ -93,7 +84,7 @@ def test_the_same_option_is_the_same_everywhere() -> None:
 def test_a_word_alone_shows_the_help_of_its_commands(
     words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    status, shown, complaint = printed(monkeypatch, capsys, *words)
+    status, shown, complaint = run(monkeypatch, capsys, *words)
     assert (status, complaint) == (0, "")
     assert " ".join(["Usage: trainlog", *words]) in " ".join(shown.split())
 
@@ -115,7 +106,7 @@ def test_wrong_words_are_answered_with_what_was_meant(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    status, shown, complaint = printed(monkeypatch, capsys, *words)
+    status, shown, complaint = run(monkeypatch, capsys, *words)
     assert (status, shown, complaint.count("\n")) == (2, "", 1)
     assert message in complaint
     assert "--help'" in complaint

@@ -9,15 +9,14 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import jsonschema
 import pytest
+from command import run
 
-from trainlog.cli import main as cli
 from trainlog.cli.commands import STATUSES
 from trainlog.formats.samples import copy_samples
 
@@ -163,14 +162,11 @@ def test_every_command_prints_one_object_of_its_documented_form(
     renew = request.config.getoption("--renew-golden")
     known = {} if renew else json.loads(SCHEMAS.read_text("utf-8"))
     for line in COMMANDS.split("\n")[1:-1]:
-        monkeypatch.setattr(sys, "argv", ["trainlog", *line.split(), "--json"])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        printed, complaint = capsys.readouterr()
-        assert ended.value.code in (0, 1), (line, complaint)
+        status, printed, complaint = run(monkeypatch, capsys, *line.split(), "--json")
+        assert status in (0, 1), (line, complaint)
         assert all(each.startswith("trainlog: ") for each in complaint.splitlines()), line
         document = json.loads(printed, parse_constant=pytest.fail)
-        assert document["status"] == ended.value.code
+        assert document["status"] == status
         assert line.startswith(document["command"])
         assert all(Path(each).exists() for each in document["written"]), line
         name = document["command"]
@@ -227,12 +223,9 @@ def test_the_page_lists_what_each_command_prints() -> None:
 def test_an_error_with_json_is_on_standard_error_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["fit", str(tmp_path / "no.mcap"), "-o", str(tmp_path / "p.json"), "--json"]
-    monkeypatch.setattr(sys, "argv", ["trainlog", *words])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    printed, complaint = capsys.readouterr()
-    assert (ended.value.code, printed) == (2, "")
+    words = ["fit", tmp_path / "no.mcap", "-o", tmp_path / "p.json", "--json"]
+    status, printed, complaint = run(monkeypatch, capsys, *words)
+    assert (status, printed) == (2, "")
     assert complaint.startswith("trainlog: ")
 
 
@@ -242,11 +235,8 @@ def test_quiet_prints_errors_only(
     (folder / "two").mkdir()
     shutil.copy(folder / "cut.mcap", folder / "two" / "cut.mcap")
     (folder / "two" / "empty.mcap").touch()
-    monkeypatch.setattr(sys, "argv", ["trainlog", "check", "two", "-q"])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    printed, complaint = capsys.readouterr()
-    assert (ended.value.code, printed) == (1, "")
+    status, printed, complaint = run(monkeypatch, capsys, "check", "two", "-q")
+    assert (status, printed) == (1, "")
     assert complaint.count("\n") == 1
     assert "empty.mcap" in complaint
 

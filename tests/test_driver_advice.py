@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_cli import run
+from command import run
 
 from analysis.reports.advice import write_driver_advice
 from analysis.trajectory.advice import (

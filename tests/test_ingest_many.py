@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command import run
 from recorder_files import drive, gpx, gpx_text
-from test_cli import run
 
 from trainlog.errors import InputError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command import run
 from matplotlib.figure import Figure
 from rich.table import Table
 
@@ -17,7 +17,6 @@ from analysis import plotting
 from analysis.adhesion import map_plot
 from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.reports import charts, trip as report
-from trainlog.cli import main as cli
 from trainlog.cli.options import part_of
 from trainlog.errors import InputError
 from trainlog.formats.line import line_to_bytes, read_line, write_line
@@ -84,15 +83,9 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
 pytestmark = pytest.mark.usefixtures("remembered_estimates")
 
 
-def run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: object
-) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["trainlog", *map(str, words)])
+@pytest.fixture(autouse=True)
+def wide_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    captured = capsys.readouterr()
-    return int(ended.value.code or 0), captured.out, captured.err
 
 
 def ticks(figure: Figure) -> list[list[tuple[float, float]]]:

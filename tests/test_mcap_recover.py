@@ -14,6 +14,7 @@ from pathlib import Path
 from random import Random
 
 import pytest
+from command import run
 from mcap.reader import SeekingReader
 from mcap.writer import CompressionType
 from mcap_judge import Specimen, foreign, messages_in, specimen, specimens, time_limit
@@ -22,7 +23,6 @@ from mcap_trips import assert_same, trip_of
 from rerun.chunk import McapReader
 
 import trainlog
-from trainlog.cli.main import main
 from trainlog.errors import InputError, LogError
 from trainlog.mcap import (
     Account,
@@ -452,16 +452,6 @@ def test_messages_found_are_those_that_were_written(whole: Specimen, tmp_path: P
 
 
 # --------------------------------------------------------------------------------- command line
-
-
-def run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: str | Path
-) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["trainlog", *map(str, words)])
-    with pytest.raises(SystemExit) as caught:
-        main()
-    printed = capsys.readouterr()
-    return int(caught.value.code or 0), printed.out, printed.err
 
 
 def test_check_and_recover_from_the_command_line(

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command import run
 
 import trainlog
 from analysis import passport
 from analysis.passports import estimated_passport, ratio_of_speeds, with_effort_delay
-from trainlog.cli import main as cli
 from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import passport_of, recorded_load, with_passport
 from trainlog.formats.passport import passport_from_bytes, passport_to_bytes
@@ -166,30 +165,24 @@ def test_a_passport_reads_as_a_few_lines(stopping: Trip) -> None:
 def test_ingest_stores_the_passport_and_info_shows_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def run(*words: str | Path) -> tuple[int, str]:
-        monkeypatch.setattr(sys, "argv", ["trainlog", *map(str, words)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        return int(ended.value.code or 0), capsys.readouterr().out
-
     recording, profile = sample("recorder.csv"), sample("recorder.profile.toml")
     command: list[str | Path] = ["ingest", recording, "-o", tmp_path, "--profile", profile]
     command += ["--line", sample(DEFAULT_LINE), "--train", sample(DEFAULT_TRAIN)]
     log, estimated = tmp_path / "recorder.mcap", tmp_path / "estimated"
 
-    assert run(*command)[0] == 0
+    assert run(monkeypatch, capsys, *command)[0] == 0
     found = passport_of(trainlog.read(log))
     assert found is not None
     assert found.effort_delay.source == "estimated"
     assert "no load recorded" in "; ".join(found.findings)
     made = log.stat().st_mtime_ns
-    assert run(*command)[0] == 0
+    assert run(monkeypatch, capsys, *command)[0] == 0
     assert log.stat().st_mtime_ns == made, "what was made before is not made again"
 
-    shown = run("show", log)[1]
+    shown = run(monkeypatch, capsys, "show", log)[1]
     assert "Passport of trip" in shown
     assert "effort delay" in shown
-    assert run("estimate", log, "-o", estimated)[0] == 0
+    assert run(monkeypatch, capsys, "estimate", log, "-o", estimated)[0] == 0
     assert passport_of(trainlog.read(estimated / log.name)) == found
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from command import run
 from report_folder import SCRIPT, hostile_trip, planned
-from test_cli import run
 
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost

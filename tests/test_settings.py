@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
+from command import run
 
-from trainlog.cli import main as cli
 from trainlog.display import in_speed_unit, in_zone
 from trainlog.errors import InputError
 from trainlog.formats.samples import DEFAULT_LINE, sample
@@ -20,17 +19,6 @@ CHECKOUT = Path(__file__).parents[1]
 def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("TRAINLOG_SETTINGS", str(tmp_path / "settings.toml"))
     return tmp_path / "settings.toml"
-
-
-def run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: str | Path
-) -> tuple[int, str, str]:
-    """Exit status, standard output and standard error of one command."""
-    monkeypatch.setattr(sys, "argv", ["trainlog", *map(str, words)])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    captured = capsys.readouterr()
-    return int(ended.value.code or 0), captured.out, captured.err
 
 
 def test_settings_are_set_shown_and_taken_back(
