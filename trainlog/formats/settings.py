@@ -39,6 +39,8 @@ class Settings:
         Files that are taken where a command is given none; empty: those of the samples.
     results : str
         Folder that the demo writes to.
+    catalogue : str
+        Catalogue of the fleet, a folder or a URL; empty: the folder ``catalogue``.
 
     Examples
     --------
@@ -51,6 +53,7 @@ class Settings:
     line: str = ""
     train: str = ""
     results: str = "results"
+    catalogue: str = ""
 
 
 MEANINGS = {
@@ -59,6 +62,7 @@ MEANINGS = {
     "line": "line file where a command is given none; empty: St.Gallen-Wil",
     "train": "train file where a command is given none; empty: Stadler FLIRT",
     "results": "folder that the demo writes to",
+    "catalogue": "catalogue of the fleet: a folder or a URL; empty: the folder catalogue",
 }
 """What each key sets."""
 
@@ -206,10 +210,15 @@ def _folder(value: str) -> tuple[str, str] | None:
     return None if value else ("results is empty", "name a folder, such as results")
 
 
+def _anything(_: str) -> None:
+    """Whether there is such a catalogue is found where it is opened."""
+
+
 _CHECKS: dict[str, Callable[[str], tuple[str, str] | None]] = {
     "speed": _speed,
     "zone": _zone,
     "line": _file,
     "train": _file,
     "results": _folder,
+    "catalogue": _anything,
 }

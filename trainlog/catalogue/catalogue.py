@@ -1,0 +1,556 @@
+"""A catalogue, open: files are added, trips asked for, results kept."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import pandas as pd
+import sqlalchemy as sa
+
+from trainlog.catalogue import results as stored
+from trainlog.catalogue.reading import FileEntry, read_file
+from trainlog.catalogue.registration import Added, FileOutcome, parts, register
+from trainlog.catalogue.results import ResultOutcome
+from trainlog.catalogue.schema import TRIP_COLUMNS, Database, files, trips
+from trainlog.catalogue.where import condition_of, times_of
+from trainlog.display import as_text, counted
+from trainlog.errors import InputError
+from trainlog.formats.settings import read_settings
+from trainlog.mcap import read_log
+from trainlog.trip import Trip
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+BATCH = 200
+"""Files that are registered in one transaction."""
+
+_DEFAULT = "catalogue"
+"""Folder of the catalogue where none is named."""
+
+_COLUMNS = [each.name for each in TRIP_COLUMNS]
+
+
+def open_catalogue(
+    where: str | Path | None = None,
+    *,
+    results: str | Path | None = None,
+    create: bool = True,
+) -> Catalogue:
+    """Open the catalogue of a fleet; a new one is made where there is none.
+
+    Parameters
+    ----------
+    where : path or str, optional
+        A folder, which holds the database (SQLite) and the results, or the URL of a PostgreSQL
+        database: ``postgresql://user@host/database``, with ``?schema=name`` for a schema of its
+        own. Default: as set (``trainlog settings set catalogue``), else the folder ``catalogue``.
+    results : path, optional
+        Folder of the results of a new catalogue in PostgreSQL.
+    create : bool
+        Whether it is made where there is none.
+
+    Returns
+    -------
+    Catalogue
+        A context manager that closes the database.
+
+    Raises
+    ------
+    InputError
+        If there is none and none is to be made, it is of a later version, or cannot be reached.
+    MissingExtraError
+        If the extra ``fleet`` is not installed, or ``postgresql`` with a URL.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+    ...     _ = catalogue.add("sample_logs")
+    ...     catalogue.query("weather = 'wet'")["name"].tolist()
+    ['trip-03']
+    """
+    return Catalogue(where or read_settings().catalogue or _DEFAULT, results, create=create)
+
+
+class Catalogue:
+    """Which trips there are, where their logs stand, and what was computed of them.
+
+    `open_catalogue` opens one. Several processes may use the same catalogue at once.
+    """
+
+    def __init__(
+        self, where: str | Path, results: str | Path | None = None, *, create: bool = True
+    ) -> None:
+        self._database = Database(where, results, create=create)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the database."""
+        self._database.close()
+
+    def __repr__(self) -> str:
+        counts = self.counts()
+        rows = {name: f"{count:,}" for name, count in counts.items()}
+        return as_text(f"Catalogue {self._database.place}", rows)
+
+    def __len__(self) -> int:
+        with self._database.reading() as connection:
+            asked = sa.select(sa.func.count()).select_from(trips)
+            return int(connection.execute(asked.where(trips.c.standing == "counts")).scalar_one())
+
+    @property
+    def place(self) -> str:
+        """Where it is: a folder, or a URL without its password."""
+        return self._database.place
+
+    @property
+    def results_folder(self) -> Path:
+        """Folder of the results."""
+        return self._database.results
+
+    def counts(self) -> dict[str, int]:
+        """How many trips count, how many recordings of the same drives there are, and files."""
+        with self._database.reading() as connection:
+            count = sa.func.count()
+            standing = connection.execute(
+                sa.select(trips.c.standing, count).group_by(trips.c.standing)
+            )
+            states = connection.execute(sa.select(files.c.state, count).group_by(files.c.state))
+            trips_by = {row[0]: int(row[1]) for row in standing}
+            files_by = {row[0]: int(row[1]) for row in states}
+        return {
+            "trips": trips_by.get("counts", 0),
+            "other recordings": trips_by.get("same drive", 0),
+            "older versions": trips_by.get("older version", 0),
+            "files": files_by.get("present", 0),
+            "vanished": files_by.get("vanished", 0),
+            "refused": files_by.get("refused", 0),
+        }
+
+    # ---------------------------------------------------------------------------------- files
+
+    def add(
+        self,
+        paths: str | Path | Iterable[str | Path],
+        report: Callable[[FileOutcome, int, int], object] | None = None,
+    ) -> Added:
+        """Register logs, and those in folders and the folders in them.
+
+        A file whose size and time of change are known is not read again. A log that cannot be used
+        is listed with the reason and keeps no other from being registered.
+
+        Parameters
+        ----------
+        paths : path, or iterable of them
+        report : callable, optional
+            Called with each outcome, the number of files that are finished, and that of all.
+
+        Returns
+        -------
+        Added
+
+        Raises
+        ------
+        InputError
+            If a path does not exist, or no log is found.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     first, again = catalogue.add("sample_logs"), catalogue.add("sample_logs")
+        >>> first, again
+        (Added: 2 new trips, Added: 0 new trips, 2 unchanged)
+        """
+        every = [paths] if isinstance(paths, str | Path) else list(paths)
+        found = logs_below(every)
+        outcomes: list[FileOutcome] = []
+        for part in parts(found):
+            known = self._unchanged(part)
+            entries = [read_file(path) for path in part if path not in known]
+            done = [FileOutcome(path, state, reason) for path, (state, reason) in known.items()]
+            done += self.register(entries).outcomes
+            for outcome in done:
+                outcomes.append(outcome)
+                if report is not None:
+                    report(outcome, len(outcomes), len(found))
+        return Added(tuple(outcomes))
+
+    def register(self, entries: Sequence[FileEntry]) -> Added:
+        """Register files that were looked at, in transactions of at most `BATCH` files.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from trainlog.catalogue import read_file
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     catalogue.register([read_file("sample_logs/stopping.mcap")])
+        Added: 1 new trip
+        """
+        outcomes: list[FileOutcome] = []
+        for at in range(0, len(entries), BATCH):
+            part = entries[at : at + BATCH]
+            present = self._present(part)
+            with self._database.writing() as connection:
+                outcomes += register(connection, part, time.time_ns(), present)
+        return Added(tuple(outcomes))
+
+    def _unchanged(self, paths: Sequence[str]) -> dict[str, tuple[Any, str]]:
+        """Files that are known as they are, with their state and reason."""
+        asked = sa.select(files).where(
+            files.c.path.in_(paths), files.c.state.in_(("present", "refused"))
+        )
+        found: dict[str, tuple[Any, str]] = {}
+        with self._database.reading() as connection:
+            rows = connection.execute(asked).mappings().all()
+        for row in rows:
+            try:
+                now = Path(row["path"]).stat()
+            except OSError:
+                continue
+            if row["sha256"] and (now.st_size, now.st_mtime_ns) == (row["size"], row["changed"]):
+                state = "known" if row["state"] == "present" else "refused"
+                found[row["path"]] = (state, row["reason"])
+        return found
+
+    def _present(self, entries: Sequence[FileEntry]) -> dict[str, bool]:
+        """Whether known files of the same contents stand where they stood."""
+        found: dict[str, bool] = {}
+        with self._database.reading() as connection:
+            for part in parts(sorted({each.sha256 for each in entries} - {""})):
+                asked = sa.select(files.c.path).where(files.c.sha256.in_(part))
+                found |= dict.fromkeys(connection.execute(asked).scalars(), False)
+        return {path: Path(path).is_file() for path in found}
+
+    # ---------------------------------------------------------------------------------- trips
+
+    def query(
+        self,
+        where: str | None = None,
+        *,
+        train: str | None = None,
+        line: str | None = None,
+        start: Any = None,
+        end: Any = None,
+        zone: str | None = None,
+        columns: Sequence[str] | None = None,
+    ) -> pd.DataFrame:
+        """The trips that an expression and the other limits choose, in the order of start and key.
+
+        Parameters
+        ----------
+        where : str, optional
+            ``"weather = 'wet' and duration > '20 min'"``; docs/catalogue.md lists what is known.
+        train, line : str, optional
+            Of a route, each line that it runs over counts.
+        start, end : anything that `pandas.Timestamp` takes, optional
+            Trips that start in this time, both ends belonging to it; a day as an end counts whole.
+        zone : str, optional
+            Time zone of times that state none; default UTC.
+        columns : sequence of str, optional
+            Of `TRIP_COLUMNS`, and ``path``; default: all.
+
+        Returns
+        -------
+        DataFrame
+            One row a trip. Numbers are in SI units, but kilometres; ``attrs["units"]`` lists them.
+            ``path`` is that of a log that is present; None if all have vanished.
+
+        Raises
+        ------
+        InputError
+            If the expression is not understood, or a time or column is none.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     _ = catalogue.add("sample_logs")
+        ...     found = catalogue.query("duration > '20 min'", start="2024-10-07")
+        >>> found[["name", "weather", "km_to"]].values.tolist()
+        [['trip-03', 'wet', 29.55647]]
+        """
+        names = [*_COLUMNS, "path"] if columns is None else list(columns)
+        for name in names:
+            if name not in _COLUMNS and name != "path":
+                raise InputError(
+                    f"'{name}' is no column of trips", remedy=f"known: {', '.join(_COLUMNS)}, path"
+                )
+        path = (
+            sa.select(sa.func.min(files.c.path))
+            .where(files.c.trip == trips.c.id, files.c.state == "present")
+            .scalar_subquery()
+            .label("path")
+        )
+        asked = sa.select(*(path if name == "path" else trips.c[name] for name in names))
+        conditions = self._conditions(where, train, line, start, end, zone)
+        asked = asked.where(trips.c.standing == "counts", *conditions)
+        with self._database.reading() as connection:
+            rows = connection.execute(asked.order_by(trips.c.start, trips.c.key)).all()
+        return _frame(rows, names)
+
+    def _conditions(
+        self, where: str | None, train: Any, line: Any, start: Any, end: Any, zone: str | None
+    ) -> list[sa.ColumnElement[bool]]:
+        found = []
+        if where is not None:
+            found.append(condition_of(where, zone))
+        if train is not None:
+            found.append(trips.c.train == train)
+        if line is not None:
+            quoted = str(line).replace("'", "''")
+            found.append(condition_of(f"line = '{quoted}'"))
+        if start is not None:
+            found.append(trips.c.start >= times_of(start, zone)[0])
+        if end is not None:
+            found.append(trips.c.start <= times_of(end, zone)[1])
+        return found
+
+    def paths(self, where: str | None = None, **limits: Any) -> list[Path]:
+        """The logs of the trips that `query` chooses, in its order.
+
+        Raises
+        ------
+        InputError
+            As `query`; if no trip is found, or the logs of some have vanished, which are named.
+        """
+        found = self.query(where, columns=["name", "key", "path"], **limits)
+        if not len(found):
+            raise InputError(
+                f"no trip of the {counted(len(self), 'trip')} of the catalogue is chosen",
+                file=self.place,
+                remedy="ask for others; 'trainlog catalogue list' shows what there is",
+            )
+        gone = found[found["path"].isna()]
+        if len(gone):
+            names = ", ".join(gone["name"].iloc[:5])
+            more = f" and {len(gone) - 5} more" if len(gone) > 5 else ""
+            raise InputError(
+                f"the logs of {counted(len(gone), 'trip')} have vanished: {names}{more}",
+                file=self.place,
+                remedy="add the folder that they were moved to, or remove them from the catalogue",
+            )
+        return [Path(path) for path in found["path"]]
+
+    def open(self, trip: str | Mapping[str, Any] | pd.Series, *topics: str) -> Trip:
+        """Read the log of a trip.
+
+        Parameters
+        ----------
+        trip : str, or a row of the frame of trips
+            Its key, or the beginning of it.
+        *topics : str
+            Topics to read; default: all.
+
+        Raises
+        ------
+        InputError
+            If there is no such trip, the beginning is that of several, or its log has vanished.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     _ = catalogue.add("sample_logs")
+        ...     trip = catalogue.open(catalogue.query("weather = 'wet'").iloc[0])
+        >>> trip.name
+        'trip-03'
+        """
+        key = trip if isinstance(trip, str) else str(trip["key"])
+        asked = sa.select(trips.c.key, trips.c.name).where(
+            trips.c.standing == "counts", trips.c.key.startswith(key, autoescape=True)
+        )
+        with self._database.reading() as connection:
+            found = connection.execute(asked.limit(2)).all()
+        if len(found) != 1 or not key:
+            what = f"several trips begin with '{key}'" if found else f"there is no trip '{key}'"
+            raise InputError(what, file=self.place, remedy="give the key that 'query' lists")
+        (path,) = self.paths(f"key = '{found[0][0]}'")
+        return read_log(path, topics or None)
+
+    # -------------------------------------------------------------------------------- results
+
+    def pending(
+        self,
+        analysis: str,
+        code: str,
+        parameters: Mapping[str, Any] | None = None,
+        *,
+        where: str | None = None,
+    ) -> pd.DataFrame:
+        """The trips of which an analysis has not been recorded, in the order of key.
+
+        Those whose logs have vanished are not among them. A log whose content changed is asked for
+        anew: what was computed of it before is not of this content.
+
+        Parameters
+        ----------
+        analysis : str
+        code : str
+            Version of its code.
+        parameters : mapping, optional
+            Values of JSON.
+        where : str, optional
+            As for `query`.
+
+        Returns
+        -------
+        DataFrame
+            With the columns ``key``, ``sha256`` and ``path``.
+        """
+        condition = None if where is None else condition_of(where)
+        return stored.pending(self._database, analysis, code, parameters, condition)
+
+    def record(
+        self,
+        analysis: str,
+        code: str,
+        parameters: Mapping[str, Any] | None,
+        outcomes: Sequence[ResultOutcome],
+        table: pa.Table | None = None,
+    ) -> int:
+        """Keep what was computed of a batch of trips: the table first, then all rows at once.
+
+        Of a trip that was recorded meanwhile, by another process perhaps, nothing is recorded a
+        second time.
+
+        Parameters
+        ----------
+        analysis, code, parameters
+            As for `pending`.
+        outcomes : sequence of ResultOutcome
+            One a trip, of those that gave nothing, too.
+        table : pyarrow.Table, optional
+            Rows of all of them, with the column ``key``.
+
+        Returns
+        -------
+        int
+            How many were recorded.
+
+        Raises
+        ------
+        InputError
+            If the table does not hold the rows that the outcomes state, or cannot be written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import pyarrow as pa
+        >>> from trainlog.catalogue import ResultOutcome
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     _ = catalogue.add("sample_logs")
+        ...     todo = catalogue.pending("stops", "1")
+        ...     table = pa.table({"key": todo["key"].tolist(), "stops": [8, 0]})
+        ...     done = [ResultOutcome(row.key, row.sha256, rows=1) for row in todo.itertuples()]
+        ...     recorded = catalogue.record("stops", "1", {}, done, table)
+        ...     left = len(catalogue.pending("stops", "1"))
+        >>> recorded, left
+        (2, 0)
+        """
+        return stored.record(self._database, analysis, code, parameters, outcomes, table)
+
+    def results(
+        self,
+        analysis: str,
+        code: str | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        *,
+        where: str | None = None,
+    ) -> pd.DataFrame:
+        """The tables of all trips together, in the order of trip, with what is known of these.
+
+        Parameters
+        ----------
+        analysis : str
+        code, parameters : optional
+            Default: those that were recorded last.
+        where : str, optional
+            As for `query`.
+
+        Returns
+        -------
+        DataFrame
+            The columns of the analysis, with ``key``, and ``train``, ``kind``, ``line`` and
+            ``start`` of the trip where it has none of that name.
+        """
+        condition = None if where is None else condition_of(where)
+        return stored.merged(self._database, analysis, code, parameters, condition)
+
+    def compact(
+        self, analysis: str, code: str | None = None, parameters: Mapping[str, Any] | None = None
+    ) -> int:
+        """Put the rows of all trips into one file, in the order of trip; how many files went.
+
+        The same results give the same bytes, in whatever batches and order they were recorded.
+        What reads or records meanwhile is not disturbed.
+
+        Parameters
+        ----------
+        analysis : str
+        code, parameters : optional
+            Default: those that were recorded last.
+        """
+        return stored.compact(self._database, analysis, code, parameters)
+
+
+def logs_below(paths: Iterable[str | Path]) -> list[str]:
+    """The logs named and those in folders, however deep, each once.
+
+    Raises
+    ------
+    InputError
+        If a path does not exist, or there is no log.
+    """
+    found: dict[str, None] = {}
+    for path in paths:
+        given = os.path.abspath(Path(path).expanduser())  # noqa: PTH100
+        if not Path(given).exists():
+            raise InputError("does not exist", file=path, remedy="check the path")
+        for each in _below(given) if Path(given).is_dir() else (given,):
+            found[each] = None
+    if not found:
+        raise InputError(
+            "no log (*.mcap) was found",
+            remedy="name logs or folders, or make logs of recordings with 'trainlog ingest'",
+        )
+    return list(found)
+
+
+def _below(folder: str) -> Iterator[str]:
+    for place, folders, names in os.walk(folder):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        for name in sorted(names):
+            if name.endswith(".mcap") and not name.startswith("."):
+                yield str(Path(place) / name)
+
+
+def _frame(rows: Sequence[Any], names: Sequence[str]) -> pd.DataFrame:
+    """A frame of trips, its times as time stamps."""
+    frame = pd.DataFrame(rows, columns=list(names))
+    units = {}
+    for column in TRIP_COLUMNS:
+        if column.name not in frame:
+            continue
+        values = frame[column.name]
+        if column.kind == "time":
+            frame[column.name] = pd.to_datetime(values.astype("Int64"), unit="ns", utc=True)
+        elif column.kind == "number":
+            frame[column.name] = values.astype("float64")
+            units[column.name] = column.unit
+        elif column.kind == "count":
+            frame[column.name] = values.astype("int64")
+        else:
+            frame[column.name] = values.astype(object)
+    frame.attrs["units"] = units
+    return frame

@@ -1,0 +1,382 @@
+"""What was computed of trips: rows in the database, tables in immutable Parquet files beside it.
+
+A file is named by its content and written whole before its rows are, in one transaction: a process
+that is killed leaves a file that no row names, nothing else.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import sqlalchemy as sa
+
+from trainlog.catalogue.registration import parts
+from trainlog.catalogue.schema import computations, files, result_files, results, trips
+from trainlog.errors import InputError
+from trainlog.formats.files import made_folder, sha256 as digest, write_bytes
+
+if TYPE_CHECKING:
+    from trainlog.catalogue.schema import Database
+
+ResultState = Literal["done", "refused", "failed"]
+
+KEY = "key"
+"""Column of a table of results that names the trip of a row."""
+
+ROWS = 50_000
+"""Rows of a row group."""
+
+JOINED = ("train", "kind", "line", "start")
+"""Columns of trips that stand beside the results."""
+
+
+@dataclass(frozen=True, slots=True)
+class ResultOutcome:
+    """What became of the analysis of a trip.
+
+    Attributes
+    ----------
+    key, sha256 : str
+        Of the trip and of its log, as `Catalogue.pending` gave them.
+    state : {"done", "refused", "failed"}
+    reason : str
+        Why there is no result.
+    rows : int
+        Of the table.
+    seconds : float
+        That it took [s].
+    """
+
+    key: str
+    sha256: str
+    state: ResultState = "done"
+    reason: str = ""
+    rows: int = 0
+    seconds: float = 0.0
+
+
+def parameters_text(parameters: Mapping[str, Any] | None) -> str:
+    """Parameters as JSON: the same parameters give the same text.
+
+    Raises
+    ------
+    InputError
+        If they are no values of JSON.
+
+    Examples
+    --------
+    >>> parameters_text({"b": 2, "a": 1.5})
+    '{"a":1.5,"b":2}'
+    """
+    try:
+        return json.dumps(
+            dict(parameters or {}), sort_keys=True, separators=(",", ":"), allow_nan=False
+        )
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"parameters cannot be stored: {error}", remedy="give numbers, texts, lists"
+        ) from error
+
+
+def digest_of(parameters: Mapping[str, Any] | None) -> str:
+    """The digest by which parameters are known."""
+    return digest(parameters_text(parameters).encode())[:32]
+
+
+def computation_id(
+    connection: sa.Connection, analysis: str, code: str, parameters: Mapping[str, Any] | None
+) -> int | None:
+    """The row of a computation; None if nothing was recorded of it."""
+    found = connection.execute(
+        sa.select(computations.c.id).where(
+            computations.c.analysis == analysis,
+            computations.c.code == code,
+            computations.c.parameters == digest_of(parameters),
+        )
+    )
+    return found.scalar()
+
+
+def made_computation(
+    connection: sa.Connection, analysis: str, code: str, parameters: Mapping[str, Any] | None
+) -> int:
+    """The row of a computation, made if need be, as the latest of its analysis."""
+    last = sa.select(sa.func.coalesce(sa.func.max(computations.c.last), 0) + 1)
+    number = computation_id(connection, analysis, code, parameters)
+    latest = connection.execute(last).scalar_one()
+    if number is not None:
+        asked = sa.update(computations).where(computations.c.id == number)
+        connection.execute(asked.values(last=latest))
+        return number
+    values = {
+        "analysis": analysis,
+        "code": code,
+        "parameters": digest_of(parameters),
+        "content": parameters_text(parameters),
+        "last": latest,
+    }
+    added = sa.insert(computations).values(values).returning(computations.c.id)
+    return int(connection.execute(added).scalar_one())
+
+
+def pending(
+    database: Database,
+    analysis: str,
+    code: str,
+    parameters: Mapping[str, Any] | None,
+    condition: sa.ColumnElement[bool] | None,
+) -> pd.DataFrame:
+    """The trips that count, whose log is present and of which this computation has no row."""
+    path = (
+        sa.select(sa.func.min(files.c.path))
+        .where(files.c.trip == trips.c.id, files.c.state == "present")
+        .scalar_subquery()
+    )
+    with database.reading() as connection:
+        number = computation_id(connection, analysis, code, parameters)
+        made = sa.select(results.c.trip).where(results.c.computation == (number or -1))
+        asked = sa.select(trips.c.key, trips.c.sha256, path.label("path")).where(
+            trips.c.standing == "counts", trips.c.id.not_in(made)
+        )
+        if condition is not None:
+            asked = asked.where(condition)
+        rows = connection.execute(asked.order_by(trips.c.key)).all()
+    found = [row for row in rows if row[2] is not None]
+    return pd.DataFrame(found, columns=["key", "sha256", "path"], dtype=object)
+
+
+def record(
+    database: Database,
+    analysis: str,
+    code: str,
+    parameters: Mapping[str, Any] | None,
+    outcomes: Sequence[ResultOutcome],
+    table: pa.Table | None,
+) -> int:
+    """Write the file of a batch, then its rows in one transaction; how many were recorded."""
+    name = None
+    if table is not None and table.num_rows:
+        _check(table, outcomes)
+        name = write_table(database.results / analysis, table)
+    with database.writing() as connection:
+        number = made_computation(connection, analysis, code, parameters)
+        ids: dict[str, int] = {}
+        for part in parts(sorted({each.sha256 for each in outcomes})):
+            asked = sa.select(trips.c.sha256, trips.c.id).where(trips.c.sha256.in_(part))
+            ids |= {row.sha256: row.id for row in connection.execute(asked)}
+        known: set[int] = set()
+        for part in parts(sorted(ids.values())):
+            there = sa.select(results.c.trip).where(
+                results.c.computation == number, results.c.trip.in_(part)
+            )
+            known |= set(connection.execute(there).scalars())
+        new = [each for each in outcomes if each.sha256 in ids and ids[each.sha256] not in known]
+        if not new:
+            return 0
+        file = None
+        if name is not None and any(each.rows for each in new):
+            assert table is not None
+            file = file_id(connection, number, name, table.num_rows)
+        rows = [
+            {
+                "computation": number,
+                "trip": ids[each.sha256],
+                "state": each.state,
+                "reason": each.reason,
+                "file": file if each.rows else None,
+                "rows": each.rows,
+                "seconds": each.seconds,
+            }
+            for each in {each.sha256: each for each in new}.values()
+        ]
+        connection.execute(sa.insert(results), rows)
+        return len(rows)
+
+
+def file_id(connection: sa.Connection, computation: int, name: str, rows: int) -> int:
+    """The row of a file of results, made if need be."""
+    asked = sa.select(result_files.c.id).where(
+        result_files.c.computation == computation, result_files.c.name == name
+    )
+    found = connection.execute(asked).scalar()
+    if found is not None:
+        return int(found)
+    values = {"computation": computation, "name": name, "rows": rows}
+    added = sa.insert(result_files).values(values).returning(result_files.c.id)
+    return int(connection.execute(added).scalar_one())
+
+
+def write_table(folder: Path, table: pa.Table) -> str:
+    """Write a table under the name of its content; the name."""
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink, compression="zstd", row_group_size=ROWS, write_page_checksum=True)
+    data = sink.getvalue().to_pybytes()
+    target = made_folder(folder) / f"{digest(data)[:32]}.parquet"
+    if not target.is_file():
+        write_bytes(target, data)
+    return target.name
+
+
+def _check(table: pa.Table, outcomes: Sequence[ResultOutcome]) -> None:
+    """Refuse a table that does not hold the rows that its outcomes state."""
+    if KEY not in table.column_names:
+        raise InputError(
+            f"the table of results has no column '{KEY}'", remedy="name the trip of each row"
+        )
+    held = {row["values"]: row["counts"] for row in pc.value_counts(table[KEY]).to_pylist()}
+    stated = {each.key: each.rows for each in outcomes if each.rows}
+    for key in held.keys() | stated.keys():
+        if held.get(key, 0) != stated.get(key, 0):
+            raise InputError(
+                f"the table holds {held.get(key, 0)} rows of trip {key}, its outcome states"
+                f" {stated.get(key, 0)}",
+                remedy="record each trip with all of its rows",
+            )
+
+
+def merged(
+    database: Database,
+    analysis: str,
+    code: str | None,
+    parameters: Mapping[str, Any] | None,
+    condition: sa.ColumnElement[bool] | None,
+    attempts: int = 3,
+) -> pd.DataFrame:
+    """The rows of all trips that count, in the order of trip; see `Catalogue.results`."""
+    for attempt in range(attempts):
+        rows = _recorded(database, analysis, code, parameters, condition)
+        try:
+            return _joined(database, analysis, rows)
+        except FileNotFoundError as error:
+            # Another process merged small files meanwhile: what it made is named now.
+            if attempt + 1 == attempts:
+                raise InputError(
+                    "a file of results is missing",
+                    file=error.filename or database.results,
+                    remedy="run the analysis again after 'trainlog catalogue check'",
+                ) from error
+    raise AssertionError
+
+
+def _recorded(
+    database: Database,
+    analysis: str,
+    code: str | None,
+    parameters: Mapping[str, Any] | None,
+    condition: sa.ColumnElement[bool] | None,
+) -> pd.DataFrame:
+    """The trips of a computation that have rows, with the file that holds them."""
+    asked = (
+        sa.select(trips.c.key, *(trips.c[name] for name in JOINED), result_files.c.name)
+        .select_from(results)
+        .join(trips, trips.c.id == results.c.trip)
+        .join(result_files, result_files.c.id == results.c.file)
+        .where(trips.c.standing == "counts")
+    )
+    if condition is not None:
+        asked = asked.where(condition)
+    with database.reading() as connection:
+        number = latest(connection, analysis, code, parameters)
+        rows = connection.execute(asked.where(results.c.computation == (number or -1)))
+        return pd.DataFrame(rows.all(), columns=[KEY, *JOINED, "name"])
+
+
+def latest(
+    connection: sa.Connection, analysis: str, code: str | None, parameters: Mapping[str, Any] | None
+) -> int | None:
+    """The computation asked for: of several the one that was recorded last."""
+    asked = sa.select(computations.c.id).where(computations.c.analysis == analysis)
+    if code is not None:
+        asked = asked.where(computations.c.code == code)
+    if parameters is not None:
+        asked = asked.where(computations.c.parameters == digest_of(parameters))
+    return connection.execute(asked.order_by(computations.c.last.desc()).limit(1)).scalar()
+
+
+def _joined(database: Database, analysis: str, rows: pd.DataFrame) -> pd.DataFrame:
+    """The rows of trips with what is known of these."""
+    if not len(rows):
+        return pd.DataFrame(columns=[KEY, *JOINED])
+    together: pd.DataFrame = _table_of(database.results / analysis, rows).to_pandas()
+    about = rows.set_index(KEY)
+    for name in JOINED:
+        if name not in together:
+            values = together[KEY].map(about[name])
+            together[name] = pd.to_datetime(values, utc=True) if name == "start" else values
+    return together
+
+
+def compact(
+    database: Database, analysis: str, code: str | None, parameters: Mapping[str, Any] | None
+) -> int:
+    """Put all rows of a computation into one file; how many files it replaces."""
+    folder = database.results / analysis
+    held = (
+        sa.select(trips.c.key, trips.c.sha256, trips.c.id, results.c.file, result_files.c.name)
+        .select_from(results)
+        .join(trips, trips.c.id == results.c.trip)
+        .join(result_files, result_files.c.id == results.c.file)
+    )
+    with database.reading() as connection:
+        number = latest(connection, analysis, code, parameters)
+        if number is None:
+            return 0
+        rows = pd.DataFrame(
+            connection.execute(held.where(results.c.computation == number)).all(),
+            columns=[KEY, "sha256", "trip", "file", "name"],
+        )
+    if rows["file"].nunique() < 2:
+        return 0
+    # Of a trip whose log changed there are rows of both contents: each has a file of its own.
+    rows = rows.sort_values([KEY, "sha256"], kind="stable")
+    once = rows[~rows.duplicated(KEY)]
+    table = _table_of(folder, once)
+    name = write_table(folder, table)
+    chosen = {int(trip): int(file) for trip, file in zip(once["trip"], once["file"], strict=True)}
+    with database.writing() as connection:
+        file = file_id(connection, number, name, table.num_rows)
+        for trip in sorted(chosen):
+            asked = sa.update(results).where(
+                results.c.computation == number,
+                results.c.trip == trip,
+                results.c.file == chosen[trip],
+            )
+            connection.execute(asked.values(file=file))
+        used = sa.select(results.c.file).where(results.c.file.is_not(None))
+        gone = sa.delete(result_files).where(
+            result_files.c.computation == number, result_files.c.id.not_in(used)
+        )
+        removed = connection.execute(gone.returning(result_files.c.name)).scalars().all()
+        shared = sa.select(result_files.c.name).join(
+            computations, computations.c.id == result_files.c.computation
+        )
+        kept = set(connection.execute(shared.where(computations.c.analysis == analysis)).scalars())
+    for each in removed:
+        if each not in kept:
+            (folder / each).unlink(missing_ok=True)
+    return len(removed)
+
+
+def _table_of(folder: Path, rows: pd.DataFrame) -> pa.Table:
+    """The rows of trips, each of the file that is named beside it, in the order of trip."""
+    pieces = []
+    for name, group in rows.groupby("name", sort=True):
+        table = pq.read_table(folder / str(name), partitioning=None)
+        pieces.append(
+            table.filter(pc.is_in(table[KEY], value_set=pa.array(group[KEY].tolist(), pa.string())))
+        )
+    together = pa.concat_tables(pieces, promote_options="permissive").combine_chunks()
+    place = pa.array(range(together.num_rows), pa.int64())
+    order = pc.sort_indices(
+        pa.table({KEY: together[KEY], "place": place}),
+        sort_keys=[(KEY, "ascending"), ("place", "ascending")],
+    )
+    return together.take(order).replace_schema_metadata(None)

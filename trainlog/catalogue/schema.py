@@ -1,0 +1,398 @@
+"""The database of a catalogue: its tables, how it is opened, and transactions that write.
+
+SQLite in write-ahead logging, one file in the catalogue's folder; or PostgreSQL, a schema of its
+own. Both hold the same tables. Times are nanoseconds since 1970 UTC; numbers are in SI units, but
+kilometres, which are those that stand along the line.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import sqlalchemy as sa
+from sqlalchemy import event
+from sqlalchemy.engine import URL, make_url
+
+from trainlog.errors import InputError
+from trainlog.extras import require
+from trainlog.formats.files import made_folder
+from trainlog.version import __version__
+
+FORMAT, VERSION = "trainlog/catalogue", 1
+"""Named in the table `header`; the version is raised when a column changes its meaning or goes."""
+
+DATABASE = "catalogue.sqlite"
+"""File of the database in a catalogue's folder."""
+
+RESULTS = "results"
+"""Folder of the results in a catalogue's folder."""
+
+SCHEMA = "trainlog"
+"""Schema of the tables in PostgreSQL where the URL names none."""
+
+PATIENCE = 60.0
+"""How long another process that is writing is waited for [s]."""
+
+_LOCK = 0x746C6361
+"""Number of the advisory lock that PostgreSQL holds while a process writes: "tlca"."""
+
+Kind = Literal["text", "time", "number", "count", "json"]
+
+
+@dataclass(frozen=True, slots=True)
+class TripColumn:
+    """What is asked of trips: a column of the frame of trips, and a word of an expression.
+
+    Attributes
+    ----------
+    name : str
+    kind : {"text", "time", "number", "count", "json"}
+    unit : str
+        In which the frame holds it; an expression states the unit with the number.
+    meaning : str
+    """
+
+    name: str
+    kind: Kind
+    unit: str
+    meaning: str
+
+
+TRIP_COLUMNS: tuple[TripColumn, ...] = (
+    TripColumn("key", "text", "", "digest of what was recorded: the same for all files of a trip"),
+    TripColumn("name", "text", "", "of the trip"),
+    TripColumn("train", "text", "", "that drove"),
+    TripColumn("kind", "text", "", "of the train"),
+    TripColumn("line", "text", "", "that it drove on; of a route also the lines it ran over"),
+    TripColumn("direction", "text", "", "forward or reverse"),
+    TripColumn("start", "time", "", "of the first message, UTC"),
+    TripColumn("end", "time", "", "of the last message, UTC"),
+    TripColumn("duration", "number", "s", "from the first to the last message"),
+    TripColumn("distance", "number", "m", "between the ends of the stretch driven"),
+    TripColumn("km_from", "number", "km", "least kilometre of the stretch driven"),
+    TripColumn("km_to", "number", "km", "greatest"),
+    TripColumn("weather", "text", "", "condition of the rail that the log states"),
+    TripColumn("load", "number", "kg", "that the log states"),
+    TripColumn("labels", "json", "", "all other facts that the log states"),
+    TripColumn("topics", "json", "", "messages of each topic"),
+    TripColumn("passport", "json", "", "value of each quantity of the passport"),
+    TripColumn("quality", "text", "", "whole, unclosed or damaged"),
+    TripColumn("damage", "text", "", "what of the log is lost; empty if nothing is"),
+    TripColumn("repairs", "count", "", "that ingesting the recording took"),
+    TripColumn("samples", "count", "", "values of the column that identifies the drive"),
+    TripColumn("messages", "count", "", "of all topics"),
+    TripColumn("software", "text", "", "that made the log"),
+    TripColumn("added", "time", "", "when it came into the catalogue, UTC"),
+    TripColumn("sha256", "text", "", "of the log"),
+)
+"""What the catalogue knows of a trip."""
+
+_JSON = sa.JSON(none_as_null=True)
+_TEXT = sa.Text().with_variant(sa.Text(collation="C"), "postgresql")
+_TYPES: dict[Kind, Any] = {
+    "text": _TEXT,
+    "time": sa.BigInteger,
+    "number": sa.Double,
+    "count": sa.BigInteger,
+    "json": _JSON,
+}
+_ID = sa.BigInteger().with_variant(sa.Integer, "sqlite")
+
+metadata = sa.MetaData()
+
+header = sa.Table(
+    "header",
+    metadata,
+    sa.Column("key", sa.Text, primary_key=True),
+    sa.Column("value", sa.Text, nullable=False),
+)
+
+trips = sa.Table(
+    "trips",
+    metadata,
+    sa.Column("id", _ID, primary_key=True),
+    *(
+        sa.Column(each.name, _TYPES[each.kind], nullable=each.name not in ("key", "sha256"))
+        for each in TRIP_COLUMNS
+    ),
+    sa.Column("source", sa.Text, nullable=False),
+    sa.Column("blocks", sa.LargeBinary, nullable=False),
+    sa.Column("standing", sa.Text, nullable=False),
+    sa.Column("same_as", _ID),
+    sa.Column("share", sa.Double),
+    sa.Index("trips_by_content", "sha256", unique=True),
+    sa.Index("trips_by_key", "key"),
+    sa.Index("trips_by_time", "start", "end"),
+    sa.Index("trips_by_train", "train", "start"),
+    sa.Index("trips_by_line", "line", "start"),
+    sa.Index("trips_by_duration", "duration"),
+)
+"""One row a log by content. `standing`: ``"counts"``, ``"same drive"`` (another recording of the
+drive is fuller, `same_as`, with which it shares `share` of the shorter one) or ``"older version"``
+(what stood under the file's name before)."""
+
+files = sa.Table(
+    "files",
+    metadata,
+    sa.Column("id", _ID, primary_key=True),
+    sa.Column("path", _TEXT, nullable=False),
+    sa.Column("sha256", _TEXT, nullable=False),
+    sa.Column("size", sa.BigInteger),
+    sa.Column("changed", sa.BigInteger),
+    sa.Column("trip", _ID, sa.ForeignKey("trips.id")),
+    sa.Column("state", sa.Text, nullable=False),
+    sa.Column("reason", sa.Text, nullable=False),
+    sa.UniqueConstraint("path", "sha256"),
+    sa.Index("files_by_trip", "trip", "state", "path"),
+    sa.Index("files_by_content", "sha256"),
+    sa.Index("files_by_state", "state"),
+)
+"""One row a file and content. `state`: ``"present"``, ``"vanished"``, ``"moved"``, ``"replaced"``
+(another content stands under its name) or ``"refused"`` (`reason`)."""
+
+trip_edges = sa.Table(
+    "trip_edges",
+    metadata,
+    sa.Column("trip", _ID, sa.ForeignKey("trips.id"), primary_key=True),
+    sa.Column("place", sa.Integer, primary_key=True),
+    sa.Column("edge", _TEXT, nullable=False),
+    sa.Column("km_from", sa.Double),
+    sa.Column("km_to", sa.Double),
+    sa.Column("direction", sa.Text, nullable=False),
+    sa.Index("trip_edges_by_edge", "edge", "trip"),
+)
+"""The lines that a trip ran over, in its order: those of its route, or its line."""
+
+computations = sa.Table(
+    "computations",
+    metadata,
+    sa.Column("id", _ID, primary_key=True),
+    sa.Column("analysis", _TEXT, nullable=False),
+    sa.Column("code", _TEXT, nullable=False),
+    sa.Column("parameters", _TEXT, nullable=False),
+    sa.Column("content", sa.Text, nullable=False),
+    sa.Column("last", sa.BigInteger, nullable=False),
+    sa.UniqueConstraint("analysis", "code", "parameters"),
+)
+"""What was computed: an analysis, the version of its code, the digest of its parameters and these
+as JSON; `last` counts what was recorded, so that the latest is known."""
+
+result_files = sa.Table(
+    "result_files",
+    metadata,
+    sa.Column("id", _ID, primary_key=True),
+    sa.Column("computation", _ID, sa.ForeignKey("computations.id"), nullable=False),
+    sa.Column("name", sa.Text, nullable=False),
+    sa.Column("rows", sa.BigInteger, nullable=False),
+    sa.UniqueConstraint("computation", "name"),
+)
+
+results = sa.Table(
+    "results",
+    metadata,
+    sa.Column("computation", _ID, sa.ForeignKey("computations.id"), primary_key=True),
+    sa.Column("trip", _ID, sa.ForeignKey("trips.id"), primary_key=True),
+    sa.Column("state", sa.Text, nullable=False),
+    sa.Column("reason", sa.Text, nullable=False),
+    sa.Column("file", _ID, sa.ForeignKey("result_files.id")),
+    sa.Column("rows", sa.BigInteger, nullable=False),
+    sa.Column("seconds", sa.Double),
+    sa.Index("results_by_file", "file"),
+)
+"""One row a log, analysis, code and parameters: ``"done"``, ``"refused"`` or ``"failed"``."""
+
+
+class Database:
+    """The database of a catalogue, open.
+
+    Parameters
+    ----------
+    where : str or Path
+        A folder, or a URL ``postgresql://user@host/database?schema=name``.
+    results : path, optional
+        Folder of the results, stored in a database that is made; needed with a URL then.
+    create : bool
+        Whether it is made where there is none.
+
+    Raises
+    ------
+    InputError
+        If there is none and none is to be made, it is of a later version, or cannot be reached.
+    """
+
+    def __init__(
+        self, where: str | Path, results: str | Path | None = None, *, create: bool = True
+    ) -> None:
+        text = str(where)
+        self.is_server = "://" in text
+        self.schema = SCHEMA
+        if self.is_server:
+            url = self._server(text)
+            self.place = url.render_as_string(hide_password=True)
+        else:
+            self.folder = Path(where).expanduser().absolute()
+            if not create and not (self.folder / DATABASE).is_file():
+                raise InputError(
+                    "holds no catalogue",
+                    file=where,
+                    remedy="make one with 'trainlog catalogue add', or name another",
+                )
+            if create:
+                made_folder(self.folder)
+            url = URL.create("sqlite", database=str(self.folder / DATABASE))
+            self.place = str(where)
+        self.engine = self._engine(url)
+        try:
+            with self._reached():
+                self._prepare(results, create)
+        except BaseException:
+            self.engine.dispose()
+            raise
+
+    def close(self) -> None:
+        """Close all connections."""
+        self.engine.dispose()
+
+    @contextmanager
+    def reading(self) -> Iterator[sa.Connection]:
+        """A connection that sees one state of the database."""
+        with self._reached(), self.engine.connect() as connection, connection.begin():
+            yield connection
+
+    @contextmanager
+    def writing(self) -> Iterator[sa.Connection]:
+        """A transaction that writes; one at a time, others wait. All of it is kept, or nothing."""
+        with self._reached(), self.engine.connect() as connection:
+            connection.execution_options(writes=True)
+            with connection.begin():
+                if self.is_server:
+                    lock = sa.func.pg_advisory_xact_lock(_LOCK, sa.func.hashtext(self.schema))
+                    connection.execute(sa.select(lock))
+                yield connection
+
+    @contextmanager
+    def _reached(self) -> Iterator[None]:
+        """What a database cannot do, stated as an error of ours."""
+        try:
+            yield
+        except sa.exc.DBAPIError as error:
+            words = " ".join(str(error.orig).split())
+            raise InputError(
+                f"the database refuses: {words}",
+                file=self.place,
+                remedy="check that it can be reached and written, then do it again: what was begun"
+                " was undone",
+            ) from error
+
+    def _server(self, text: str) -> URL:
+        require("psycopg")
+        try:
+            url = make_url(text)
+        except sa.exc.ArgumentError as error:
+            raise InputError(
+                "the URL of the catalogue is none",
+                remedy="write it as postgresql://user@host/database",
+            ) from error
+        if url.get_backend_name() not in ("postgresql", "postgres"):
+            raise InputError(
+                f"'{url.get_backend_name()}' is no database that holds a catalogue",
+                remedy="give a folder, or postgresql://user@host/database",
+            )
+        schema = url.query.get("schema", SCHEMA)
+        self.schema = schema if isinstance(schema, str) else schema[0]
+        return url.set(drivername="postgresql+psycopg").difference_update_query(["schema"])
+
+    def _engine(self, url: URL) -> sa.Engine:
+        engine = sa.create_engine(url, pool_size=2, connect_args=self._arguments())
+
+        @event.listens_for(engine, "connect")
+        def connected(connection: Any, _: Any) -> None:
+            if self.is_server:
+                with connection.cursor() as cursor:
+                    name = '"' + self.schema.replace('"', '""') + '"'
+                    cursor.execute(f"SET search_path TO {name}")
+                connection.commit()
+                return
+            connection.isolation_level = None
+            for pragma in ("foreign_keys=ON", "case_sensitive_like=ON", "synchronous=NORMAL"):
+                connection.execute(f"PRAGMA {pragma}")
+
+        if not self.is_server:
+
+            @event.listens_for(engine, "begin")
+            def begun(connection: sa.Connection) -> None:
+                writes = connection.get_execution_options().get("writes")
+                connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
+        return engine
+
+    def _arguments(self) -> dict[str, Any]:
+        return {"connect_timeout": 10} if self.is_server else {"timeout": PATIENCE}
+
+    def _prepare(self, results: str | Path | None, create: bool) -> None:
+        """Make the tables if need be, check their version, find the folder of the results."""
+        found = self._header()
+        if not found:
+            if not create:
+                raise InputError("holds no catalogue", file=self.place, remedy="name another")
+            self._make(results)
+            found = self._header()
+        version = int(found.get("version", "0"))
+        if version > VERSION:
+            raise InputError(
+                f"version {version} of the catalogue is newer than this trainlog knows ({VERSION})",
+                file=self.place,
+                remedy="update trainlog",
+            )
+        self.created_by = found.get("software", "")
+        stored = found.get("results", "")
+        if self.is_server:
+            self.results = Path(stored)
+            if results is not None and Path(results).absolute() != self.results:
+                raise InputError(
+                    f"keeps its results in {self.results}, not in {results}",
+                    file=self.place,
+                    remedy="leave --results out",
+                )
+        else:
+            self.results = self.folder / RESULTS
+
+    def _header(self) -> dict[str, str]:
+        with self.engine.connect() as connection:
+            if not sa.inspect(connection).has_table("header"):
+                return {}
+            return {row.key: row.value for row in connection.execute(sa.select(header))}
+
+    def _make(self, results: str | Path | None) -> None:
+        if self.is_server and results is None:
+            raise InputError(
+                "the database holds no catalogue yet, and a new one needs a folder for its results",
+                file=self.place,
+                remedy="name one that all computers see with --results",
+            )
+        if not self.is_server:
+            with self.engine.connect() as connection:
+                raw = connection.connection.driver_connection
+                assert raw is not None
+                raw.execute("PRAGMA journal_mode=WAL")
+        with self.writing() as connection:
+            if self.is_server:
+                name = '"' + self.schema.replace('"', '""') + '"'
+                connection.execute(sa.text(f"CREATE SCHEMA IF NOT EXISTS {name}"))
+            metadata.create_all(connection)
+            if connection.execute(sa.select(sa.func.count()).select_from(header)).scalar():
+                return
+            known = {
+                "format": FORMAT,
+                "version": str(VERSION),
+                "software": f"trainlog {__version__}",
+                "identifier": secrets.token_hex(16),
+                "results": str(Path(results).absolute()) if results is not None else "",
+            }
+            rows = [{"key": key, "value": value} for key, value in known.items()]
+            connection.execute(sa.insert(header), rows)

@@ -1,0 +1,476 @@
+"""Expressions that choose trips, as ``train = 'RABe 526' and duration > '20 min'``.
+
+The text is parsed by sqlglot and built anew, piece by piece, of what is allowed: columns, literals,
+comparisons and the functions listed here. Literals are handed to the database beside the statement.
+What a piece means does not depend on the database: times are whole numbers, the calendar is
+computed with these, and texts are compared byte by byte.
+"""
+
+from __future__ import annotations
+
+import operator
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any
+
+import pandas as pd
+import sqlalchemy as sa
+import sqlglot
+from sqlglot import exp
+
+from trainlog.catalogue.schema import TRIP_COLUMNS, trip_edges, trips
+from trainlog.errors import InputError
+from trainlog.spans import utc
+
+UNITS: dict[str, dict[str, float]] = {
+    "s": {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0},
+    "m": {"m": 1.0, "km": 1000.0},
+    "km": {"km": 1.0, "m": 0.001},
+    "kg": {"kg": 1.0, "t": 1000.0},
+}
+"""Units that a quantity may be written in, by the unit of its column."""
+
+_EXAMPLES = {"s": "'20 min'", "m": "'12.5 km'", "km": "12.5", "kg": "'15 t'"}
+
+FUNCTIONS = {
+    "year": "year(start), in UTC",
+    "month": "month(start), 1 to 12",
+    "weekday": "weekday(start), 1 is Monday",
+    "hour": "hour(start), 0 to 23",
+    "abs": "abs(km_to)",
+    "label": "label('configuration'), a fact that the log states",
+    "topic": "topic('/train/axles'), the number of its messages",
+    "passport": "passport('effort_gain'), a value of the passport",
+}
+"""Functions of expressions, each as it is written."""
+
+_COLUMNS = {each.name: each for each in TRIP_COLUMNS}
+_WORDS = [each.name for each in TRIP_COLUMNS if each.kind != "json"]
+_DAY = re.compile(r"\d{4}-\d{2}-\d{2}")
+_QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-z]+)?\s*")
+_NANOSECONDS_A_DAY = 86_400_000_000_000
+
+_MOST_LETTERS = 10_000
+"""Of an expression."""
+
+_COMPARISONS: dict[type[exp.Expression], Callable[[Any, Any], Any]] = {
+    exp.EQ: operator.eq,
+    exp.NEQ: operator.ne,
+    exp.LT: operator.lt,
+    exp.LTE: operator.le,
+    exp.GT: operator.gt,
+    exp.GTE: operator.ge,
+}
+_TURNED = {exp.LT: exp.GT, exp.LTE: exp.GTE, exp.GT: exp.LT, exp.GTE: exp.LTE}
+
+
+@dataclass(frozen=True)
+class _Value:
+    """A piece of an expression that has a value: its kind and unit, and what the database sees."""
+
+    kind: str
+    unit: str
+    element: Any
+    words: str
+
+
+def condition_of(text: str, zone: str | None = None) -> sa.ColumnElement[bool]:
+    """The condition that an expression states, for a statement on the table of trips.
+
+    Parameters
+    ----------
+    text : str
+    zone : str, optional
+        Time zone of times that state none; default UTC.
+
+    Raises
+    ------
+    InputError
+        If it is not understood or not allowed; names the place, what is known and the remedy.
+
+    Examples
+    --------
+    >>> str(condition_of("weather = 'wet'"))
+    'trips.weather = :weather_1'
+    >>> condition_of("wether = 'wet'")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    trainlog.errors.InputError: expression "wether = 'wet'", column 1: 'wether' is no column; did...
+    """
+    return _Compiler(text, zone).condition()
+
+
+class _Compiler:
+    """Builds the condition of one expression."""
+
+    def __init__(self, text: str, zone: str | None) -> None:
+        self.text = text
+        self.zone = zone
+
+    def condition(self) -> sa.ColumnElement[bool]:
+        if len(self.text) > _MOST_LETTERS:
+            raise self.refused(
+                "is longer than 10,000 letters", remedy="ask for fewer values at once"
+            )
+        if not self.text.strip():
+            raise self.refused("is empty", remedy="leave it out, or write one as weather = 'wet'")
+        try:
+            # In brackets, so that a column may have the name of a statement, as `load` has.
+            parsed = sqlglot.parse(f"({self.text})")
+        except sqlglot.errors.SqlglotError as error:
+            raise self.unparsed(error) from error
+        except RecursionError:
+            raise self.refused(
+                "is nested too deeply", remedy="write it with fewer brackets"
+            ) from None
+        if len(parsed) != 1 or not isinstance(parsed[0], exp.Paren):
+            raise self.refused("is more than one expression", remedy="join them by and")
+        try:
+            return self.truth(parsed[0])
+        except RecursionError:
+            raise self.refused(
+                "is nested too deeply", remedy="write it with fewer brackets"
+            ) from None
+
+    # -------------------------------------------------------------------------- what is true
+
+    def truth(self, node: Any) -> sa.ColumnElement[bool]:
+        if isinstance(node, exp.Paren):
+            return self.truth(node.this).self_group()
+        if isinstance(node, exp.Not):
+            return sa.not_(self.truth(node.this))
+        if isinstance(node, exp.And):
+            return sa.and_(*(self.truth(each) for each in node.flatten()))
+        if isinstance(node, exp.Or):
+            return sa.or_(*(self.truth(each) for each in node.flatten()))
+        if type(node) in _COMPARISONS:
+            return self.compared(node)
+        if isinstance(node, exp.Between):
+            low = self.comparison(exp.GTE, node.this, node.args["low"])
+            return sa.and_(low, self.comparison(exp.LTE, node.this, node.args["high"])).self_group()
+        if isinstance(node, exp.In):
+            if node.args.get("query") or node.args.get("unnest") or not node.expressions:
+                raise self.forbidden(node)
+            found = [self.comparison(exp.EQ, node.this, each) for each in node.expressions]
+            return sa.or_(*found).self_group()
+        if isinstance(node, exp.Like):
+            return self.like(node)
+        if isinstance(node, exp.Is):
+            return self.unknown(node)
+        if isinstance(node, exp.Column | exp.Literal | exp.Func | exp.Neg):
+            raise self.refused(
+                f"'{self.words(node)}' is compared with nothing", node, "compare it, as in = 'wet'"
+            )
+        raise self.forbidden(node)
+
+    def compared(self, node: Any) -> sa.ColumnElement[bool]:
+        return self.comparison(type(node), node.this, node.expression)
+
+    def comparison(self, kind: Any, left: Any, right: Any) -> sa.ColumnElement[bool]:
+        """A comparison; a literal is read as the other side asks."""
+        if self.is_literal(left):
+            if self.is_literal(right):
+                raise self.refused("compares two literals", left, "compare a column")
+            kind, left, right = _TURNED.get(kind, kind), right, left
+        value = self.value(left)
+        if not self.is_literal(right):
+            other = self.value(right)
+            if (value.kind, value.unit) != (other.kind, other.unit):
+                raise self.refused(
+                    f"'{value.words}' and '{other.words}' are not of one kind",
+                    right,
+                    "compare times with times, lengths with lengths",
+                )
+            return self.result(_COMPARISONS[kind](value.element, other.element))
+        if value.kind == "time":
+            return self.at_time(kind, value, right)
+        if value.kind == "text":
+            return self.of_text(kind, left, value, self.text_of(right, value))
+        return self.result(_COMPARISONS[kind](value.element, self.number_of(right, value)))
+
+    def of_text(self, kind: Any, node: Any, value: _Value, text: str) -> sa.ColumnElement[bool]:
+        if self.is_line(node) and kind in (exp.EQ, exp.NEQ):
+            over = _over_edge(trip_edges.c.edge == text)
+            found = sa.or_(value.element == text, over)
+            return found.self_group() if kind is exp.EQ else sa.not_(found)
+        return self.result(_COMPARISONS[kind](value.element, text))
+
+    def like(self, node: Any) -> sa.ColumnElement[bool]:
+        value = self.value(node.this)
+        if value.kind != "text" or not self.is_literal(node.expression):
+            raise self.refused(
+                "like compares a text with a pattern", node, "as in train like 'RABe%'"
+            )
+        pattern = self.text_of(node.expression, value)
+        if pattern.endswith("\\") and not pattern.endswith("\\\\"):
+            raise self.refused("the pattern ends in a backslash", node.expression, "write it twice")
+        found = value.element.like(pattern, escape="\\")
+        if self.is_line(node.this):
+            over = _over_edge(trip_edges.c.edge.like(pattern, escape="\\"))
+            return sa.or_(found, over).self_group()
+        return self.result(found)
+
+    def unknown(self, node: Any) -> sa.ColumnElement[bool]:
+        negated = isinstance(node.expression, exp.Not)
+        other = node.expression.this if negated else node.expression
+        if not isinstance(other, exp.Null):
+            raise self.refused(
+                "is must be followed by null or not null", node, "write = for equality"
+            )
+        element = self.value(node.this).element
+        return self.result(element.is_not(None) if negated else element.is_(None))
+
+    def at_time(self, kind: Any, value: _Value, node: Any) -> sa.ColumnElement[bool]:
+        """A comparison with a time; a day stands for all of it."""
+        text = self.text_of(node, value).strip()
+        try:
+            first, last = times_of(text, self.zone)
+        except InputError as error:
+            remedy = "write it as '2026-10-01' or '2026-10-01T06:30Z'"
+            raise self.refused(error.problem, node, remedy) from error
+        time = value.element
+        if kind is exp.EQ:
+            return sa.and_(time >= first, time <= last).self_group()
+        if kind is exp.NEQ:
+            return sa.or_(time < first, time > last).self_group()
+        limit = first if kind in (exp.LT, exp.GTE) else last
+        return self.result(_COMPARISONS[kind](time, limit))
+
+    def result(self, element: Any) -> sa.ColumnElement[bool]:
+        found: sa.ColumnElement[bool] = element
+        return found
+
+    # ---------------------------------------------------------------------- what has a value
+
+    def value(self, node: Any) -> _Value:
+        if isinstance(node, exp.Paren):
+            return self.value(node.this)
+        if isinstance(node, exp.Column):
+            return self.column(node)
+        name = self.function_name(node)
+        if name is not None:
+            return self.function(name, node)
+        raise self.forbidden(node)
+
+    def column(self, node: Any) -> _Value:
+        if not isinstance(node.this, exp.Identifier) or node.args.get("table") is not None:
+            raise self.forbidden(node)
+        name = node.this.this
+        column = _COLUMNS.get(name) or _COLUMNS.get(name.lower())
+        if column is None:
+            close = get_close_matches(name.lower(), _WORDS, n=1)
+            meant = f"did you mean '{close[0]}'? " if close else ""
+            text = f"a text stands in '...'; {meant}" if node.this.quoted else meant
+            raise self.refused(
+                f"'{name}' is no column", node, f"{text}columns: {', '.join(_WORDS)}"
+            )
+        if column.kind == "json":
+            written = {"labels": "label", "topics": "topic", "passport": "passport"}[column.name]
+            raise self.refused(
+                f"'{name}' holds several values", node, f"ask for one: {FUNCTIONS[written]}"
+            )
+        kind = "number" if column.kind == "count" else column.kind
+        return _Value(kind, column.unit, trips.c[column.name], column.name)
+
+    def function_name(self, node: Any) -> str | None:
+        if isinstance(node, exp.Anonymous):
+            return str(node.this).lower()
+        return str(node.sql_name()).lower() if isinstance(node, exp.Func) else None
+
+    def function(self, name: str, node: Any) -> _Value:
+        given = (
+            list(node.expressions)
+            if isinstance(node, exp.Anonymous)
+            else [each for each in node.args.values() if isinstance(each, exp.Expression)]
+        )
+        name = {"day_of_week": "weekday", "dayofweek": "weekday"}.get(name, name)
+        if name not in FUNCTIONS:
+            raise self.refused(
+                f"the function {name}() is not allowed",
+                node,
+                f"known: {', '.join(FUNCTIONS.values())}",
+            )
+        if len(given) != 1:
+            raise self.refused(f"{name}() takes one value", node, f"as in {FUNCTIONS[name]}")
+        if name in ("label", "topic", "passport"):
+            return self.held(name, given[0])
+        inner = given[0]
+        while isinstance(inner, exp.Cast | exp.Paren | exp.TsOrDsToDate):
+            inner = inner.this
+        value = self.value(inner)
+        if name == "abs":
+            if value.kind != "number":
+                raise self.refused("abs() takes a number", node, f"as in {FUNCTIONS[name]}")
+            return _Value("number", value.unit, sa.func.abs(value.element), f"abs({value.words})")
+        if value.kind != "time":
+            raise self.refused(f"{name}() takes a time", node, f"as in {FUNCTIONS[name]}")
+        return _Value("number", "", _calendar(name, value.element), f"{name}({value.words})")
+
+    def held(self, name: str, node: Any) -> _Value:
+        """One of the values that a column of JSON holds."""
+        if not (isinstance(node, exp.Literal) and node.is_string) or '"' in node.this:
+            raise self.refused(f"{name}() takes a name in '...'", node, f"as in {FUNCTIONS[name]}")
+        key, words = node.this, f"{name}('{node.this}')"
+        if name == "label":
+            return _Value("text", "", trips.c.labels[key].as_string(), words)
+        if name == "topic":
+            count = sa.func.coalesce(trips.c.topics[key].as_integer(), 0)
+            return _Value("number", "", count, words)
+        return _Value("number", "", trips.c.passport[key].as_float(), words)
+
+    # -------------------------------------------------------------------------------- literals
+
+    def is_literal(self, node: Any) -> bool:
+        return isinstance(node, exp.Literal | exp.Null | exp.Boolean) or (
+            isinstance(node, exp.Neg) and isinstance(node.this, exp.Literal)
+        )
+
+    def is_line(self, node: Any) -> bool:
+        while isinstance(node, exp.Paren):
+            node = node.this
+        return isinstance(node, exp.Column) and node.name.lower() == "line"
+
+    def text_of(self, node: Any, value: _Value) -> str:
+        if not (isinstance(node, exp.Literal) and node.is_string):
+            shown = self.words(node)
+            remedy = (
+                "write 'is null'"
+                if isinstance(node, exp.Null)
+                else f"write '{shown}' with its quotes"
+            )
+            what = "a time" if value.kind == "time" else "a text"
+            raise self.refused(
+                f"'{value.words}' is {what}, not {shown}", node, f"{remedy} with quotes"
+            )
+        return str(node.this)
+
+    def number_of(self, node: Any, value: _Value) -> float | int:
+        negative = isinstance(node, exp.Neg)
+        literal = node.this if negative else node
+        if not isinstance(literal, exp.Literal):
+            raise self.refused(
+                f"'{value.words}' is a number, not {self.words(node)}", node, "write 'is null'"
+            )
+        text = ("-" if negative else "") + str(literal.this)
+        found = _QUANTITY.fullmatch(text)
+        units = UNITS.get(value.unit, {})
+        example = f"{value.words} > {_EXAMPLES.get(value.unit, '2')}"
+        if found is None or (found[2] and found[2] not in units):
+            known = f" in {', '.join(units)}" if units else ""
+            raise self.refused(f"'{literal.this}' is no number{known}", node, f"as in {example}")
+        if found[2] is None and value.unit not in ("", "km"):
+            raise self.refused(
+                f"'{value.words}' is compared with {text} without a unit",
+                node,
+                f"state it: {example} ({', '.join(units)})",
+            )
+        number = float(found[1]) * units.get(found[2] or value.unit, 1.0)
+        whole = not value.unit and found[1].lstrip("+-").isdigit() and len(found[1]) < 18
+        return int(found[1]) if whole else number
+
+    # -------------------------------------------------------------------------------- refusals
+
+    def words(self, node: Any) -> str:
+        return node.sql()[:60] if isinstance(node, exp.Expression) else str(node)[:60]
+
+    def forbidden(self, node: Any) -> InputError:
+        return self.refused(
+            f"'{self.words(node)}' is not allowed in an expression",
+            node,
+            "compare columns with values by = <> < <= > >= in, like, between, is null; join by"
+            f" and, or, not; columns: {', '.join(_WORDS)}",
+        )
+
+    def unparsed(self, error: Any) -> InputError:
+        details = (getattr(error, "errors", None) or [{}])[0]
+        token = str(details.get("highlight") or "")
+        column = max(1, int(details["col"]) - len(token)) if details.get("col") else None
+        inside = column is not None and column <= len(self.text)
+        return self.refused(
+            f"is not understood{f' at {token!r}' if inside and token else ': it is not complete'}",
+            remedy=f"write it as train = 'X' and weather = 'wet'; columns: {', '.join(_WORDS)}",
+            column=column if inside else None,
+        )
+
+    def refused(
+        self, problem: str, node: Any = None, remedy: str = "", column: int | None = None
+    ) -> InputError:
+        """That the expression is refused, naming the place of a piece of it."""
+        if column is None and isinstance(node, exp.Expression):
+            starts = [
+                each.meta["start"]
+                for each in node.walk()
+                if isinstance(each.meta.get("start"), int)
+            ]
+            column = min(starts, default=None)
+        shown = self.text if len(self.text) <= 200 else f"{self.text[:200]}..."
+        where = f'expression "{shown}"' + (f", column {column}" if column is not None else "")
+        return InputError(problem, place=where, remedy=remedy or None)
+
+
+def times_of(text: Any, zone: str | None = None) -> tuple[int, int]:
+    """The first and last nanosecond that a time stands for: of a day all of it.
+
+    Parameters
+    ----------
+    text : anything that `pandas.Timestamp` takes
+    zone : str, optional
+        Of a time that states none; default UTC.
+
+    Raises
+    ------
+    InputError
+        If it is no time.
+
+    Examples
+    --------
+    >>> first, last = times_of("2026-10-01")
+    >>> (last - first + 1) / 3600e9
+    24.0
+    >>> times_of("2026-10-25", "Europe/Zurich")[0] == times_of("2026-10-24T22:00Z")[0]
+    True
+    """
+    day = isinstance(text, str) and _DAY.fullmatch(text) is not None
+    try:
+        stamp = pd.Timestamp(text)
+        if stamp.tzinfo is None and zone is not None:
+            following = (stamp + pd.Timedelta(days=1)).tz_localize(zone)
+            stamp = stamp.tz_localize(zone)
+        else:
+            following = stamp + pd.Timedelta(days=1)
+    except (ValueError, TypeError, KeyError, OverflowError) as error:
+        raise InputError(
+            f"'{text}' is not a time{f' in the zone {zone!r}' if zone else ''}",
+            remedy="write it as 2026-10-01 or 2026-10-01T06:30Z",
+        ) from error
+    first = int(utc(stamp).value)
+    return first, int(utc(following).value) - 1 if day else first
+
+
+def _over_edge(condition: sa.ColumnElement[bool]) -> sa.ColumnElement[bool]:
+    """Whether a trip ran over a line of which the condition holds."""
+    return trips.c.id.in_(sa.select(trip_edges.c.trip).where(condition))
+
+
+def _calendar(name: str, time: Any) -> Any:
+    """Year, month, weekday or hour of a time in UTC, by whole numbers alone.
+
+    After Hinnant (2013), "chrono-compatible low-level date algorithms": days are counted in eras of
+    400 years that begin on the first of March.
+    """
+    if name == "hour":
+        return (time // 3_600_000_000_000) % 24
+    days = time // _NANOSECONDS_A_DAY
+    if name == "weekday":
+        return (days + 3) % 7 + 1
+    shifted = days + 719_468
+    era = shifted // 146_097
+    day = shifted - era * 146_097
+    year = (day - day // 1460 + day // 36_524 - day // 146_096) // 365
+    of_year = day - (365 * year + year // 4 - year // 100)
+    month = (5 * of_year + 2) // 153
+    early = sa.case((month < 10, 0), else_=1)
+    if name == "month":
+        return month + 3 - 12 * early
+    return year + era * 400 + early
