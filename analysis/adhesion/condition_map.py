@@ -105,6 +105,19 @@ def empty_map(
     InputError
         If the bin length or a setting is not positive, or a setting unknown.
     """
+    return empty_map_of(line.name, line.length, bin_length, settings)
+
+
+def empty_map_of(
+    line: str,
+    length: float,
+    bin_length: float = BIN_LENGTH,
+    settings: dict[str, float] | None = None,
+) -> TrackConditionMap:
+    """A map without layers of a line, or an edge of a network, of which only this is known.
+
+    Parameters are those of `empty_map`, with the name and the length [m] in place of the line.
+    """
     chosen = {**SETTINGS, **(settings or {})}
     for name, value in {"bin_length": bin_length, **chosen}.items():
         if name not in SETTINGS and name != "bin_length":
@@ -115,8 +128,8 @@ def empty_map(
         if not (value > 0.0 and np.isfinite(value)):
             raise InputError(f"track-condition map: {name} must be positive, got {value}")
     return TrackConditionMap(
-        line=line.name,
-        length=line.length,
+        line=line,
+        length=length,
         bin_length=bin_length,
         levels=LEVELS,
         layers={},

@@ -288,6 +288,7 @@ def fit_trip(
     speeds: tuple[float, float] | None = None,
     *,
     largest_std: float = LARGEST_STD,
+    known: Passport | None = None,
 ) -> TripFit:
     """Fit running resistance and mass to a trip.
 
@@ -303,6 +304,8 @@ def fit_trip(
         train allows; default 10 m/s to the line's highest speed that the train can do.
     largest_std : float, optional
         Standard deviation over the curve, at any of these speeds, beyond which a trip is refused.
+    known : Passport, optional
+        Default: that of the trip, stored or estimated.
 
     Returns
     -------
@@ -329,22 +332,22 @@ def fit_trip(
     check_recorded(trip)
     line, train = line_of(trip), train_of(trip)
     scale, origin = scale_of(trip), origin_of(trip)
-    known = effort_passport(trip)
+    known = effort_passport(trip, known)
     corrected = with_calibrated_efforts(trip, known)
     evidence = Evidence.of([part_of(corrected, line, train, scale, origin)])
     fit = fit_evidence(evidence, known, line, train, scale, origin, speeds, largest_std)
     return replace(fit, identity=text_of(identity_of(trip)))
 
 
-def effort_passport(trip: Trip) -> Passport:
-    """The passport of a trip whose efforts can be those of its train.
+def effort_passport(trip: Trip, known: Passport | None = None) -> Passport:
+    """The passport of a trip, `known` or its own, whose efforts can be those of its train.
 
     Raises
     ------
     TripRefusedError
         If no load and no ordinary error of a converter explains the motion under the efforts.
     """
-    known = passport(trip)
+    known = passport(trip) if known is None else known
     gain = known.effort_gain.value
     if known.effort_over_mass.known and abs(gain - 1.0) > LARGEST_GAIN_ERROR:
         raise TripRefusedError(

@@ -620,8 +620,19 @@ def stretches(
         yield Stretch(part, (first, last), number, len(edges) - 1)
 
 
-def _borders(path: str | Path, topics: Sequence[str] | None, rows: int) -> list[int]:
-    """Times [ns] at which a log is parted: where chunks begin, so that few are read twice."""
+def rows_of_log(path: str | Path, topics: Sequence[str] | None = None) -> int:
+    """How many rows a log has over some topics, or all, by its summary. Errors as `read_log`.
+
+    Examples
+    --------
+    >>> rows_of_log("sample_logs/nonstop.mcap", ["/train/state", "/events"])
+    11847
+    """
+    return sum(_held(path, topics)[1])
+
+
+def _held(path: str | Path, topics: Sequence[str] | None) -> tuple[list[ChunkPlace], list[int]]:
+    """Chunks of a log in the order of time, and how many rows of the topics each holds."""
     with Source(path) as source, in_file(path):
         contents = contents_of(source)
         channels = {
@@ -630,7 +641,14 @@ def _borders(path: str | Path, topics: Sequence[str] | None, rows: int) -> list[
             if topics is None or each.topic.name in topics
         }
         chunks = sorted(contents.chunks, key=lambda place: place.start)
-    held = [sum(n for channel, n in each.counts.items() if channel in channels) for each in chunks]
+    return chunks, [
+        sum(n for channel, n in each.counts.items() if channel in channels) for each in chunks
+    ]
+
+
+def _borders(path: str | Path, topics: Sequence[str] | None, rows: int) -> list[int]:
+    """Times [ns] at which a log is parted: where chunks begin, so that few are read twice."""
+    chunks, held = _held(path, topics)
     if sum(held) <= rows:
         return []
     count = -(-sum(held) * FINER // rows)

@@ -457,6 +457,33 @@ def running_time(
 ) -> float:
     """Shortest time [s] from standing at `start` to standing at `end` [m], for a timetable.
 
+    Parameters are those of `timetable_run`.
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.train import read_train
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> round(running_time(line, train, 0.0, line.length))
+    1009
+    """
+    run = timetable_run(line, train, start, end, deceleration=deceleration, lever=lever, load=load)
+    return run.running_time
+
+
+def timetable_run(
+    line: Line,
+    train: Train,
+    start: float,
+    end: float,
+    *,
+    deceleration: float = 0.6,
+    lever: float = 0.8,
+    load: float = 0.0,
+) -> FastestRun:
+    """The run of the shortest time from standing at `start` to standing at `end` [m].
+
     Steps of `TIMETABLE_STEP` that take the acceleration of their beginning.
 
     Parameters
@@ -470,15 +497,6 @@ def running_time(
     lever : float
         Share of the tractive effort used.
     load : float [kg]
-
-    Examples
-    --------
-    >>> from trainlog.formats.line import read_line
-    >>> from trainlog.formats.train import read_train
-    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
-    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
-    >>> round(running_time(line, train, 0.0, line.length))
-    1009
     """
     positions = np.linspace(start, end, max(int((end - start) / TIMETABLE_STEP), 2) + 1)
     limits = np.minimum(line.limits_over(train.length)(positions), train.max_speed)
@@ -492,7 +510,7 @@ def running_time(
     )
     motion = _motion_of(line, positions, train.resistance, mass, inertia, train.strip_length)
     run, _ = _run(positions, limits, deceleration, traction, motion, 0.5 * SLOWEST**2)
-    return run.running_time
+    return run
 
 
 def shortest_run(

@@ -1,0 +1,352 @@
+"""What is computed of each trip of a fleet: pure functions from a trip to a small table.
+
+Each table has the columns that its analysis declares, the same for whichever trip, in whichever
+process: a result depends on the recorded samples, the code and the parameters and on nothing else.
+docs/fleet.md lists the columns.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from analysis.adhesion.condition_map import empty_map_of, entry_of
+from analysis.adhesion.covariates import covariates
+from analysis.adhesion.evidence import condition_of, evidence_of
+from analysis.fleet.checks import CHECKS, checked
+from analysis.fleet.driving import DRIVING, driven_edges
+from analysis.fleet.edges import edges_of, on_edge
+from analysis.fleet.trips import FleetTrip
+from analysis.resistance.combination import summarised
+from analysis.resistance.fit import fit_trip
+from analysis.resistance.recording import TripRefusedError
+from analysis.resistance.regression import LARGEST_STD
+from trainlog.errors import InputError
+from trainlog.formats.files import sha256
+from trainlog.formats.recordings import packed_evidence
+from trainlog.formats.summaries import COLUMNS as SUMMARY, Column
+from trainlog.identity import text_of
+from trainlog.railway.condition import BIN_LENGTH
+from trainlog.railway.passport import Quantity
+
+FloatArray = NDArray[np.float64]
+
+Run = Callable[..., pd.DataFrame]
+
+KEY = Column("key", "", "of the trip in the catalogue", "text")
+"""First column of each table of results."""
+
+_TYPES = {
+    "text": pa.string(),
+    "count": pa.int64(),
+    "number": pa.float64(),
+    "numbers": pa.list_(pa.float64()),
+    "data": pa.binary(),
+}
+_EMPTY: dict[str, Any] = {"text": "", "count": 0, "number": np.nan, "numbers": (), "data": b""}
+
+
+@dataclass(frozen=True)
+class FleetAnalysis:
+    """A pure function of a trip, with the table that it gives.
+
+    Attributes
+    ----------
+    name : str
+        By which results are kept.
+    columns : tuple of Column
+        Of the table, beside the trip's ``key``; kinds are ``text``, ``count``, ``number``,
+        ``numbers`` (a list) and ``data`` (bytes).
+    run : callable
+        ``run(trip, **parameters) -> DataFrame``: a function of a module, so that processes find
+        it by its name. Raises `TrainlogError` where a trip cannot be used.
+    parameters : mapping of str to JSON values
+        What the result depends on beside trip and code.
+
+    Examples
+    --------
+    >>> from analysis.fleet.trips import fleet_trips
+    >>> trip = next(fleet_trips("sample_logs/nonstop.mcap"))
+    >>> found = ANALYSES["resistance"].table(trip)
+    >>> len(found), bool(abs(found["mass"][0] - 145e3) < 1e3)
+    (1, True)
+    """
+
+    name: str
+    columns: tuple[Column, ...]
+    run: Run
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+    def table(self, trip: FleetTrip) -> pd.DataFrame:
+        """The table of a trip, with the declared columns in their order.
+
+        Raises
+        ------
+        TrainlogError
+            If the trip cannot be used, with the reason.
+        """
+        found = self.run(trip, **self.parameters)
+        return found[[column.name for column in self.columns]]
+
+    def with_parameters(self, **parameters: Any) -> FleetAnalysis:
+        """The analysis with other parameters.
+
+        Raises
+        ------
+        InputError
+            If it has no such parameter.
+
+        Examples
+        --------
+        >>> ANALYSES["adhesion"].with_parameters(bin_length=50.0).parameters
+        {'bin_length': 50.0}
+        """
+        for name in parameters:
+            if name not in self.parameters:
+                known = ", ".join(self.parameters) or "none"
+                raise InputError(
+                    f"analysis '{self.name}' has no parameter '{name}'", remedy=f"it has {known}"
+                )
+        return replace(self, parameters={**self.parameters, **parameters})
+
+    @property
+    def digest(self) -> str:
+        """Of the parameters."""
+        return sha256(json.dumps(dict(self.parameters), sort_keys=True).encode())[:16]
+
+    @property
+    def schema(self) -> pa.Schema:
+        """Of the table as it is kept, with units and meanings."""
+        return pa.schema(
+            [
+                pa.field(
+                    column.name,
+                    _TYPES[column.kind],
+                    metadata={"unit": column.unit, "meaning": column.meaning},
+                )
+                for column in (KEY, *self.columns)
+            ]
+        )
+
+    def arrow(self, tables: Iterable[tuple[str, pd.DataFrame]]) -> pa.Table:
+        """Tables of trips, by their keys, as one table with units."""
+        parts = [frame.assign(**{KEY.name: key}) for key, frame in tables if len(frame)]
+        schema = self.schema
+        if not parts:
+            return schema.empty_table()
+        arrays = []
+        for column in (KEY, *self.columns):
+            values = [value for part in parts for value in part[column.name].tolist()]
+            if column.kind == "number":
+                numbers = np.array(values, dtype=np.float64)
+                arrays.append(pa.array(numbers, mask=np.isnan(numbers)))
+            else:
+                arrays.append(pa.array(values, _TYPES[column.kind]))
+        return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def frame_of(columns: Iterable[Column], rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+    """A table of declared columns; what a row does not state is empty, 0 or NaN."""
+    given = list(rows)
+    return pd.DataFrame(
+        {
+            column.name: pd.Series(
+                [row.get(column.name, _EMPTY[column.kind]) for row in given],
+                dtype={"count": np.int64, "number": np.float64}.get(column.kind, object),
+            )
+            for column in columns
+        }
+    )
+
+
+# -------------------------------------------------------------------------------- resistance
+
+
+def resistance(
+    trip: FleetTrip,
+    speeds: tuple[float, float] | None = None,
+    largest_std: float = LARGEST_STD,
+) -> pd.DataFrame:
+    """The summary of a trip's fit, one row; also of a trip that is refused, with the reason."""
+    digests = {trip.name: trip.sha256}
+    try:
+        chosen = None if speeds is None else (float(speeds[0]), float(speeds[1]))
+        fit = fit_trip(trip.trip, chosen, largest_std=largest_std, known=trip.passport)
+    except TripRefusedError as error:
+        return summarised(
+            [], {trip.name: error}, trains={trip.name: trip.train.name}, digests=digests
+        )
+    return summarised([fit], digests=digests)
+
+
+# ---------------------------------------------------------------------------------- passport
+
+_QUANTITIES = {
+    "effort_delay": ("s", "by which recorded efforts are late"),
+    "effort_gain": ("1", "recorded over true effort"),
+    "mass": ("kg", "of the loaded train, without the rotating part"),
+    "load": ("kg", "above the empty train"),
+    "effort_over_mass": ("1", "effort gain times true mass over empty mass"),
+    "axle_effort_ratio": ("1", "sum of the axles' efforts over that of the train"),
+}
+
+PASSPORT: tuple[Column, ...] = (
+    Column("trip", "", "name of the trip", "text"),
+    *(
+        column
+        for name, (unit, meaning) in _QUANTITIES.items()
+        for column in (
+            Column(name, unit, meaning),
+            Column(f"{name}_std", unit, "its standard deviation"),
+            Column(f"{name}_source", "", "recorded, estimated or assumed", "text"),
+        )
+    ),
+    Column("speed_noise", "m/s", "of the recorded speed of the train"),
+    Column("wheel_factors", "1", "recorded over true speed of each axle", "numbers"),
+    Column("wheel_factor_stds", "1", "their standard deviations", "numbers"),
+    Column("wheel_factor_source", "", "estimated where satellites or balises show it", "text"),
+    Column("sample_time", "s", "between samples of the train's state"),
+    Column("findings", "", "what a reader should know, in sentences", "text"),
+)
+
+
+def passport_row(trip: FleetTrip) -> pd.DataFrame:
+    """What is known of the trip's recorder and load, one row."""
+    found = trip.passport
+    row: dict[str, Any] = {"trip": trip.name, "findings": "; ".join(found.findings)}
+    for name in _QUANTITIES:
+        each: Quantity = getattr(found, name)
+        row |= {name: each.value, f"{name}_std": each.std, f"{name}_source": each.source}
+    noise = found.speed_noise.get("/train/state.speed")
+    sources: list[str] = [each.source for each in found.wheel_factor]
+    row |= {
+        "speed_noise": np.nan if noise is None else noise.value,
+        "wheel_factors": [each.value for each in found.wheel_factor],
+        "wheel_factor_stds": [each.std for each in found.wheel_factor],
+        "wheel_factor_source": max(sources, key=sources.count) if sources else "",
+        "sample_time": found.sample_time.get("/train/state", np.nan),
+    }
+    return frame_of(PASSPORT, [row])
+
+
+# ---------------------------------------------------------------------------------- adhesion
+
+ADHESION: tuple[Column, ...] = (
+    Column("trip", "", "name of the trip; on an edge of a network <trip>@<edge>", "text"),
+    Column("edge", "", "edge of the network, or line", "text"),
+    Column("edge_length", "m", "of the whole edge"),
+    Column("bin_length", "m", "of the bins"),
+    Column("layer", "", "rail condition", "text"),
+    Column("main_layer", "", "rail condition that held longest on this edge", "text"),
+    Column("first_day", "d", "first day with evidence, counted from 1970-01-01 UTC", "count"),
+    Column("last_day", "d", "last day with evidence", "count"),
+    Column("onsets", "1", "onsets of slip that measured the maximum adhesion", "count"),
+    Column("bins", "1", "bins with any evidence", "count"),
+    Column("weight", "1", "sum of the weights of the onsets"),
+    Column("weighted_log", "1", "sum of the weighted logarithms of the maximum adhesion"),
+    Column("sha256", "", "of the log; empty of a part of a long one", "text"),
+    Column("identity", "", "of the drive, by its recorded samples", "text"),
+    Column("steps", "1", "of processing since it was recorded", "count"),
+    Column("entry", "", "what a map keeps of the trip, as JSON", "text"),
+    Column("evidence", "", "sums by day and bin, packed and compressed", "data"),
+)
+
+
+def adhesion(trip: FleetTrip, bin_length: float = BIN_LENGTH) -> pd.DataFrame:
+    """What a trip shows of the maximum adhesion, one row an edge and rail condition.
+
+    A trip that never met an edge's limit gives a row there, too: what it used without slip.
+    """
+    line = trip.own_line
+    condition = condition_of(trip.trip, empty_map_of(line.name, line.length))
+    analysis = trip.slip
+    rows = []
+    for edge in edges_of(line):
+        track = empty_map_of(edge.name, edge.length, bin_length)
+        seen = on_edge(analysis, edge)
+        if not seen.time.size:
+            continue
+        found = evidence_of(seen, track, condition, sha256=trip.sha256)
+        details = found.details | covariates(trip.trip, found.span)
+        found = replace(found, recorded=trip.identity, details=details)
+        entry = {name: each for name, each in entry_of(found).items() if name != "identity"}
+        for layer, daily in found.layers.items():
+            days = daily.days
+            rows.append(
+                {
+                    "trip": found.trip,
+                    "edge": edge.name,
+                    "edge_length": edge.length,
+                    "bin_length": bin_length,
+                    "layer": layer,
+                    "main_layer": found.layer,
+                    "first_day": int(days[0]) if days.size else -1,
+                    "last_day": int(days[-1]) if days.size else -1,
+                    "onsets": int(daily.events.sum()),
+                    "bins": int(np.union1d(daily.bin, daily.used_bin).size),
+                    "weight": float(daily.weight.sum()),
+                    "weighted_log": float(daily.weighted_log.sum()),
+                    "sha256": trip.sha256,
+                    "identity": text_of(trip.identity),
+                    "steps": len(trip.trip.provenance),
+                    "entry": json.dumps(entry, sort_keys=True, ensure_ascii=False),
+                    "evidence": zlib.compress(packed_evidence(daily)),
+                }
+            )
+    return frame_of(ADHESION, rows)
+
+
+# ----------------------------------------------------------------------------- driving, checks
+
+
+def driving(trip: FleetTrip) -> pd.DataFrame:
+    """Times, energy and losses of a trip, one row an edge."""
+    return frame_of(DRIVING, driven_edges(trip))
+
+
+def checks(trip: FleetTrip) -> pd.DataFrame:
+    """What of a trip's recording is doubtful, one row."""
+    return frame_of(CHECKS, [checked(trip)])
+
+
+ANALYSES: dict[str, FleetAnalysis] = {
+    each.name: each
+    for each in (
+        FleetAnalysis(
+            "resistance", SUMMARY, resistance, {"speeds": None, "largest_std": LARGEST_STD}
+        ),
+        FleetAnalysis("passport", PASSPORT, passport_row),
+        FleetAnalysis("adhesion", ADHESION, adhesion, {"bin_length": BIN_LENGTH}),
+        FleetAnalysis("driving", DRIVING, driving),
+        FleetAnalysis("checks", CHECKS, checks),
+    )
+}
+"""The registered analyses, by name."""
+
+
+def analyses_named(names: Iterable[str] | None = None) -> tuple[FleetAnalysis, ...]:
+    """The registered analyses of these names, or all.
+
+    Raises
+    ------
+    InputError
+        If there is no analysis of a name.
+
+    Examples
+    --------
+    >>> [each.name for each in analyses_named(["checks", "resistance"])]
+    ['resistance', 'checks']
+    """
+    wanted = list(ANALYSES) if names is None else list(names)
+    for name in wanted:
+        if name not in ANALYSES:
+            raise InputError(f"there is no analysis '{name}'", remedy=f"give {', '.join(ANALYSES)}")
+    return tuple(each for name, each in ANALYSES.items() if name in wanted)

@@ -1,0 +1,196 @@
+"""What of a recording is doubtful: damage, gaps, repairs, channels, residuals to the line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from analysis.comparison.gaps import SHORT_GAP, SILENCE
+from analysis.fleet.trips import FleetTrip
+from analysis.resistance.recording import speed_scale
+from trainlog.errors import TrainlogError
+from trainlog.formats.summaries import Column
+from trainlog.ingest.frozen import MEASURED, blank_frozen
+from trainlog.ingest.profile import Limits
+from trainlog.ingest.recording import Table
+from trainlog.ingest.report import report_of
+from trainlog.railway.geometry import beside, track_of
+from trainlog.resampling import interpolated
+from trainlog.topics import GNSS_FIX, TRAIN_STATE
+from trainlog.trip import Trip, seconds
+
+FloatArray = NDArray[np.float64]
+
+CHANNELS = {
+    "speed": ("/train/state", "speed"),
+    "position": ("/train/state", "position"),
+    "tractive effort": ("/train/controls", "tractive_effort"),
+    "dynamic braking effort": ("/train/controls", "dynamic_braking_effort"),
+    "pneumatic braking effort": ("/train/controls", "pneumatic_braking_effort"),
+    "lever": ("/train/controls", "lever"),
+    "wheel speeds": ("/train/axles", "wheel_speed_1"),
+    "wheel efforts": ("/train/axles", "wheel_effort_1"),
+    "fixes": ("/gnss/fix", "latitude"),
+    "satellite speed": ("/gnss/motion", "speed"),
+}
+"""What is listed as missing where it is not recorded."""
+
+CHECKS: tuple[Column, ...] = (
+    Column("trip", "", "name of the trip", "text"),
+    Column("duration", "s", "from the first sample to the last"),
+    Column("distance", "m", "between the lowest and the highest position"),
+    Column("damage", "", "what of the log is lost; empty if it is whole", "text"),
+    Column("gaps", "1", "pauses of the train's state", "count"),
+    Column("gap_time", "s", "in all of them"),
+    Column("longest_gap", "s", "of them"),
+    Column("repairs", "1", "cells and rows that ingest repaired or dropped", "count"),
+    Column("repaired", "", "how often each rule was applied: rule=count, ...", "text"),
+    Column("missing", "", "channels that are not recorded, separated by commas", "text"),
+    Column("frozen", "", "columns that repeat a value while the train moves", "text"),
+    Column("frozen_samples", "1", "of them", "count"),
+    Column("speed_scale", "1", "measured over true speed, by satellites or balises"),
+    Column("speed_scale_std", "1", "its standard deviation"),
+    Column("speed_scale_source", "", "by what", "text"),
+    Column("fix_beside", "m", "median distance of fixes beside the line's geometry"),
+    Column("fix_along", "m", "median difference of the fixes' chainage to the recorded one"),
+    Column("fix_spread", "m", "half of the fixes' chainages are within this of that median"),
+    Column("doubts", "", "what could not be checked, and why", "text"),
+)
+
+
+def checked(trip: FleetTrip) -> Mapping[str, Any]:
+    """What is doubtful of a trip; a row with the names of `CHECKS`.
+
+    Examples
+    --------
+    >>> from analysis.fleet.trips import fleet_trips
+    >>> row = checked(next(fleet_trips("sample_logs/stopping.mcap")))
+    >>> row["gaps"], row["missing"], row["frozen"]
+    (0, '', '')
+    """
+    doubts: list[str] = []
+    recorded = trip.trip
+    row: dict[str, Any] = {"trip": trip.name, "damage": trip.damage, "duration": recorded.duration}
+    row |= _gaps(recorded) | _repairs(recorded) | _frozen(recorded)
+    row["missing"] = ", ".join(
+        name
+        for name, (topic, column) in CHANNELS.items()
+        if not _is_recorded(recorded, topic, column)
+    )
+    row |= _scale(recorded, doubts) | _beside(trip, doubts)
+    return row | {"doubts": "; ".join(doubts)}
+
+
+def _is_recorded(trip: Trip, topic: str, column: str) -> bool:
+    frame = trip.topics.get(topic)
+    return frame is not None and column in frame and bool(frame[column].notna().any())
+
+
+def _gaps(trip: Trip) -> dict[str, Any]:
+    """Pauses of the train's state, and how far it went."""
+    frame = trip.topics.get(TRAIN_STATE.name)
+    if frame is None or len(frame) < 2:
+        return {}
+    step = np.diff(seconds(frame))
+    silent = step[step > max(SILENCE * float(np.median(step)), SHORT_GAP)]
+    position = frame["position"].to_numpy(np.float64)
+    known = position[np.isfinite(position)]
+    return {
+        "gaps": int(silent.size),
+        "gap_time": float(silent.sum()),
+        "longest_gap": float(silent.max(initial=0.0)),
+        "distance": float(np.ptp(known)) if known.size else float("nan"),
+    }
+
+
+def _repairs(trip: Trip) -> dict[str, Any]:
+    """What ingest repaired, as the provenance states it."""
+    if not any(step.get("step") == "ingest" for step in trip.provenance):
+        return {}
+    report = report_of(trip)
+    counts = dict(sorted(report.counts.items()))
+    return {
+        "repairs": sum(counts.values()),
+        "repaired": ", ".join(f"{rule}={count}" for rule, count in counts.items()),
+    }
+
+
+def _frozen(trip: Trip) -> dict[str, Any]:
+    """Columns that repeat a value while the train moves, by the rule of ingest."""
+    found = [each for table in _tables(trip) for each in blank_frozen(table, Limits())[1]]
+    return {
+        "frozen": "; ".join(f"{each.column} {each.note}" for each in found),
+        "frozen_samples": sum(each.count for each in found),
+    }
+
+
+def _tables(trip: Trip) -> Iterator[Table]:
+    """Topics that share a clock, as tables of ingest."""
+    clocks: dict[bytes, list[tuple[str, pd.DataFrame]]] = {}
+    for name in MEASURED:
+        frame = trip.topics.get(name)
+        if frame is not None and len(frame) > 1:
+            clock = pd.DatetimeIndex(frame.index).as_unit("ns").asi8
+            clocks.setdefault(clock.tobytes(), []).append((name, frame))
+    for frames in clocks.values():
+        time = pd.DatetimeIndex(frames[0][1].index).as_unit("ns").asi8
+        columns = {
+            f"{name}.{column}": frame[column].to_numpy(np.float64)
+            for name, frame in frames
+            for column in frame.columns
+        }
+        yield Table(time, np.arange(time.size, dtype=np.int64), columns)
+
+
+def _scale(trip: Trip, doubts: list[str]) -> dict[str, Any]:
+    """Measured over true speed."""
+    frame = trip.topics.get(TRAIN_STATE.name)
+    if frame is None or len(frame) < 2:
+        return {}
+    speed, position = (frame[name].to_numpy(np.float64) for name in ("speed", "position"))
+    try:
+        scale = speed_scale(trip, seconds(frame), speed, position)
+    except TrainlogError as error:
+        doubts.append(error.problem)
+        return {}
+    return {
+        "speed_scale": scale.factor,
+        "speed_scale_std": scale.std,
+        "speed_scale_source": scale.source,
+    }
+
+
+def _beside(trip: FleetTrip, doubts: list[str]) -> dict[str, Any]:
+    """Where fixes lie beside the line, and along it against the recorded position."""
+    frame = trip.trip.topics.get(GNSS_FIX.name)
+    if frame is None or not len(frame) or TRAIN_STATE.name not in trip.trip:
+        return {}
+    try:
+        geometry = trip.line.geometry
+    except TrainlogError as error:
+        doubts.append(error.problem)
+        return {}
+    if geometry is None:
+        doubts.append("the line has no geometry to compare fixes with")
+        return {}
+    known = frame[frame["latitude"].notna() & frame["longitude"].notna()]
+    position = interpolated(
+        trip.trip[TRAIN_STATE.name], "position", pd.DatetimeIndex(known.index), 2.0
+    )
+    there = np.isfinite(position)
+    if not there.any():
+        return {}
+    track = track_of(geometry)
+    points = track.plane(known["latitude"].to_numpy(), known["longitude"].to_numpy())[there]
+    chainage, aside = beside(track, points, position[there])
+    along = chainage - position[there]
+    middle = float(np.median(along))
+    return {
+        "fix_beside": float(np.median(np.abs(aside))),
+        "fix_along": middle,
+        "fix_spread": float(np.median(np.abs(along - middle))),
+    }

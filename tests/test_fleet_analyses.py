@@ -1,0 +1,212 @@
+"""What is computed of each trip of a fleet: what the single analyses give, read once."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import re
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import trainlog
+from analysis.adhesion.condition_map import empty_map, evidence_of_log, own_line
+from analysis.comparison.driven import driven_trip
+from analysis.fleet.analyses import ANALYSES, FleetAnalysis, analyses_named
+from analysis.fleet.edges import EdgeOfLine, Stretch, edges_of, on_edge
+from analysis.fleet.trips import TOPICS, FleetTrip, fleet_trips, parts_of
+from analysis.resistance.fit import fit_trip
+from trainlog.errors import InputError, LogError
+from trainlog.formats.recordings import packed_evidence
+from trainlog.mcap.reader import rows_of_log
+from trainlog.trip import Trip
+
+LOGS = ("sample_logs/nonstop.mcap", "sample_logs/stopping.mcap")
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+def one(name: str, trip: FleetTrip | str) -> pd.DataFrame:
+    given = next(fleet_trips(trip)) if isinstance(trip, str) else trip
+    return ANALYSES[name].table(given)
+
+
+@pytest.fixture(scope="module")
+def long_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two runs over the line one after the other in one log, as a recorder that never stops."""
+    first, second = (trainlog.read(log) for log in LOGS)
+    shift = first.end - second.start + pd.Timedelta("4 min")
+    topics = {}
+    for name in first:
+        moved = second[name].set_axis(second[name].index + shift)
+        topics[name] = pd.concat([first[name], moved])
+        topics[name].attrs = first[name].attrs
+    path = tmp_path_factory.mktemp("long") / "day.mcap"
+    trainlog.write(Trip(topics, first.metadata, first.provenance, first.attachments), path)
+    return path
+
+
+def test_each_table_has_the_columns_that_are_declared_and_documented() -> None:
+    page = (DOCS / "fleet.md").read_text("utf-8")
+    trip = next(fleet_trips(LOGS[0]))
+    for analysis in ANALYSES.values():
+        table = analysis.arrow([("k", analysis.table(trip))])
+        assert table.column_names == ["key", *(column.name for column in analysis.columns)]
+        assert table.num_rows == 1
+        assert table.schema.equals(analysis.schema, check_metadata=True)
+        part = re.search(rf"### `{analysis.name}`\n(.*?)\n##", page, re.DOTALL)
+        assert part is not None, f"{analysis.name} is not in docs/fleet.md"
+        for column in analysis.columns if analysis.name != "resistance" else ():
+            row = f"| `{column.name}` | {column.unit} | {column.meaning} |"
+            assert row in part[1], row
+
+
+@pytest.mark.parametrize("log", LOGS)
+def test_the_summary_is_that_of_the_fit(log: str) -> None:
+    row, fit = one("resistance", log).iloc[0], fit_trip(log)
+    assert [row["r0"], row["r1"], row["r2"], row["mass"]] == [*fit.beta.tolist(), fit.mass]
+    assert row["identity"] == fit.identity
+    assert row["refused"] == ""
+
+
+def test_a_trip_that_is_refused_has_a_row_with_the_reason() -> None:
+    trip = next(fleet_trips(LOGS[1]))
+    short = FleetTrip(trip.trip.between("2024-10-07T08:01", "2024-10-07T08:03"))
+    row = one("resistance", short).iloc[0]
+    assert row["refused"] != ""
+    assert "trip-03" in row["message"]
+    assert np.isnan(row["mass"])
+
+
+@pytest.mark.parametrize("log", LOGS)
+def test_the_evidence_is_that_of_the_map(log: str) -> None:
+    row = one("adhesion", log).iloc[0]
+    track = empty_map(own_line(trainlog.read(log, [])))
+    piece = evidence_of_log(Path(log), track)
+    assert zlib.decompress(row["evidence"]) == packed_evidence(piece.daily)
+    assert row["layer"] == row["main_layer"] == piece.layer
+    assert row["onsets"] == piece.daily.events.sum() > 0
+    assert json.loads(row["entry"])["weather"] == piece.details["weather"]
+
+
+def test_a_trip_without_a_rail_condition_gives_no_evidence() -> None:
+    trip = trainlog.read(LOGS[0])
+    del trip.metadata["weather"]
+    with pytest.raises(LogError, match="does not state the rail's condition"):
+        one("adhesion", FleetTrip(trip))
+    assert len(one("driving", FleetTrip(trip))) == 1
+
+
+@pytest.mark.parametrize("log", LOGS)
+def test_times_and_works_are_those_of_the_trip(log: str) -> None:
+    row, trip = one("driving", log).iloc[0], driven_trip(log)
+    assert row["running_time"] == pytest.approx(trip.running[-1], abs=0.2)
+    assert row["dwell"] == pytest.approx(trip.duration - trip.running[-1], abs=0.2)
+    assert row["traction"] == pytest.approx(np.ptp(trip.sums["traction"]), rel=1e-4)
+    assert row["stops"] == len(trip.stands) - 2
+    lost = [name for name in row.index if name.startswith("lost_")]
+    late = row["running_time"] - row["shortest_time"]
+    assert row[lost].sum() == pytest.approx(late, abs=0.4)
+    assert late > 0.0
+
+
+def test_a_trip_against_the_chainage_leaves_its_line_at_its_beginning() -> None:
+    trip = trainlog.read(LOGS[0])
+    turned = Trip(trip.topics, trip.metadata | {"direction": "reverse"}, (), trip.attachments)
+    row = one("driving", FleetTrip(turned)).iloc[0]
+    assert row["direction"] == "reverse"
+    assert row["first"] > row["last"]
+    assert row["first"] - row["last"] == pytest.approx(row["distance"])
+
+
+def test_checks_list_what_is_wrong_with_a_recording() -> None:
+    trip = trainlog.read(LOGS[1])
+    state, axles = trip["/train/state"].copy(), trip["/train/axles"].copy()
+    state = state.drop(state.index[4000:4300])
+    axles.iloc[6000:6600, 0] = axles.iloc[6000, 0]
+    state.attrs, axles.attrs = trip["/train/state"].attrs, trip["/train/axles"].attrs
+    controls = trip["/train/controls"].assign(pneumatic_braking_effort=np.nan)
+    controls.attrs = trip["/train/controls"].attrs
+    worse = trip.with_topic(state).with_topic(axles).with_topic(controls)
+    sound, row = (one("checks", FleetTrip(each)).iloc[0] for each in (trip, worse))
+    assert (sound["gaps"], sound["frozen"], sound["missing"]) == (0, "", "")
+    assert row["gaps"] == 1
+    assert row["longest_gap"] == pytest.approx(30.1)
+    assert row["missing"] == "pneumatic braking effort"
+    assert "/train/axles.wheel_speed" in row["frozen"]
+    assert row["frozen_samples"] == 599
+
+
+def test_fixes_beside_the_line_show() -> None:
+    trip = trainlog.read(LOGS[1])
+    fix = trip["/gnss/fix"].assign(latitude=trip["/gnss/fix"]["latitude"] + 1e-3)
+    fix.attrs = trip["/gnss/fix"].attrs
+    sound, row = (one("checks", FleetTrip(t)).iloc[0] for t in (trip, trip.with_topic(fix)))
+    assert sound["fix_beside"] < 5.0 < 50.0 < row["fix_beside"] < 112.0
+
+
+def test_results_are_the_same_bytes_again_and_through_a_pickle() -> None:
+    for analysis in ANALYSES.values():
+        other: FleetAnalysis = pickle.loads(pickle.dumps(analysis))
+        tables = [
+            each.arrow([("k", each.table(next(fleet_trips(LOGS[0]))))])
+            for each in (analysis, other)
+        ]
+        assert tables[0].equals(tables[1])
+
+
+def test_parameters_are_part_of_what_identifies_a_result() -> None:
+    coarse = ANALYSES["adhesion"].with_parameters(bin_length=100.0)
+    assert coarse.digest != ANALYSES["adhesion"].digest
+    fine, rough = (
+        each.table(next(fleet_trips(LOGS[0]))) for each in (ANALYSES["adhesion"], coarse)
+    )
+    assert fine["bins"][0] > 2 * rough["bins"][0]
+    with pytest.raises(InputError, match="no parameter 'bins'"):
+        ANALYSES["adhesion"].with_parameters(bins=3)
+    with pytest.raises(InputError, match="no analysis 'energy'"):
+        analyses_named(["energy"])
+
+
+def test_a_long_log_is_parted_where_the_train_turned_back(long_log: Path) -> None:
+    held = rows_of_log(long_log, TOPICS)
+    parts = list(fleet_trips(long_log, "digest", rows=held // 2 + 10_000))
+    assert [part.name for part in parts] == ["trip-01 (1 of 2)", "trip-01 (2 of 2)"]
+    assert all(part.sha256 == "" for part in parts)
+    whole = [driven_trip(log) for log in LOGS]
+    for part, trip in zip(parts, whole, strict=True):
+        row = ANALYSES["driving"].table(part).iloc[0]
+        assert row["running_time"] == pytest.approx(trip.running[-1], abs=0.2)
+        assert row["traction"] == pytest.approx(np.ptp(trip.sums["traction"]), rel=1e-4)
+
+
+def test_parts_of_a_long_log_leave_out_no_sample_and_share_none(long_log: Path) -> None:
+    whole = trainlog.read(long_log, ["/train/state", "/train/axles"])
+    held = rows_of_log(long_log, TOPICS)
+    for rows in (held - 1, held // 3, held // 20):
+        parts = [part.trip for part in fleet_trips(long_log, rows=rows)]
+        for topic in whole:
+            together = pd.concat([part[topic] for part in parts])
+            pd.testing.assert_frame_equal(together, whole[topic])
+        assert len(parts) == len(parts_of(long_log, held, rows))
+        assert max(sum(map(len, part.topics.values())) for part in parts) < 1.5 * rows
+
+
+def test_slip_on_a_route_counts_on_its_edges_by_their_chainage() -> None:
+    trip = next(fleet_trips(LOGS[1]))
+    line = trip.own_line
+    middle = 12_000.0
+    edges = (
+        EdgeOfLine("first", 20_000.0, (Stretch(0.0, middle, 18_000.0, 6_000.0),)),
+        EdgeOfLine("second", 30_000.0, (Stretch(middle, np.inf, 100.0, 100.0 + line.length),)),
+    )
+    assert edges_of(line)[0].name == line.name
+    seen = [on_edge(trip.slip, edge) for edge in edges]
+    assert sum(each.time.size for each in seen) == np.count_nonzero(trip.slip.position >= 0.0)
+    assert sum(len(each.events) for each in seen) == len(trip.slip.events)
+    assert seen[0].position.max() <= 18_000.0
+    assert seen[0].position.min() == pytest.approx(6_000.0, abs=5.0)
+    assert np.all(np.diff(seen[0].position[np.isfinite(seen[0].position)]) <= 1.0)
+    assert seen[1].position[0] == pytest.approx(100.0, abs=5.0)
