@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from test_study_tables import check_page
 
 from analysis.studies.cunillera_2022 import model as study
 from analysis.trajectory.discretisation import discretise
@@ -18,10 +20,26 @@ from trainlog.railway import Trajectory
 LEVEL, DOWNHILL, CHOSEN = study.level(), study.downhill(), study.configurations()
 
 
+@dataclass(frozen=True)
+class Ran:
+    """What the command printed, and the folder that it wrote."""
+
+    printed: str
+    folder: Path
+
+
 @pytest.fixture(scope="module")
-def answers() -> dict[str, Trajectory]:
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Ran:
+    folder = tmp_path_factory.mktemp("robust-minimax")
+    with console.capture() as captured:
+        assert not command(["study", "robust-minimax", "-o", str(folder)])
+    return Ran(captured.get(), folder)
+
+
+@pytest.fixture(scope="module")
+def answers(ran: Ran) -> dict[str, Trajectory]:
     asked = study.questions(LEVEL, DOWNHILL, CHOSEN)
-    return {name: study.solved(*each, cells=250) for name, each in asked.items()}
+    return {name: read_trajectory(ran.folder / f"{name}.json") for name in asked}
 
 
 def per_mass(found: Trajectory) -> float:
@@ -127,18 +145,17 @@ def test_a_wider_set_ends_faster_under_one_brake() -> None:
     assert study.lowest_common_end_speed(short, CHOSEN, cells=60) is None
 
 
-def test_the_command_writes_every_answer_with_its_picture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_page_has_the_tables_that_the_study_prints(
+    ran: Ran, request: pytest.FixtureRequest
 ) -> None:
-    monkeypatch.setattr(study, "SHARES", (0.05,))
-    with console.capture() as captured:
-        assert not command(
-            ["study", "robust-minimax", "-o", str(tmp_path / "found"), "--cells", "60"]
-        )
+    check_page("robust-minimax", ran.folder, request)
+
+
+def test_the_command_writes_every_answer_with_its_picture(ran: Ran) -> None:
     for word in ("Price of robustness", "Section 3", "Cruising on level track", "spread"):
-        assert word in captured.get()
+        assert word in ran.printed
     for name in study.questions(LEVEL, DOWNHILL, CHOSEN):
-        found = read_trajectory(tmp_path / "found" / f"{name}.json")
+        found = read_trajectory(ran.folder / f"{name}.json")
         assert found.certificate["audit"]["passed"]
-        assert (tmp_path / "found" / f"{name}.png").stat().st_size > 10_000
-    assert (tmp_path / "found" / "nominal-driven-by-others.png").exists()
+        assert (ran.folder / f"{name}.png").stat().st_size > 10_000
+    assert (ran.folder / "nominal-driven-by-others.png").exists()
