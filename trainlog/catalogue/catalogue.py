@@ -487,6 +487,55 @@ class Catalogue:
         condition = None if where is None else condition_of(where)
         return stored.merged(self._database, analysis, code, parameters, condition)
 
+    def computations(self) -> pd.DataFrame:
+        """What was computed of the trips, the latest first.
+
+        Returns
+        -------
+        DataFrame
+            The columns ``analysis``, ``code``, ``parameters`` (a dict), and how many trips are
+            ``done``, ``refused`` and ``failed``.
+        """
+        return stored.recorded_computations(self._database)
+
+    def outcomes(
+        self,
+        analysis: str,
+        code: str | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        *,
+        where: str | None = None,
+    ) -> pd.DataFrame:
+        """What became of the analysis of each trip, in the order of trip.
+
+        Parameters
+        ----------
+        analysis, code, parameters, where
+            As for `results`.
+
+        Returns
+        -------
+        DataFrame
+            The columns ``key``, ``name``, ``train``, ``kind``, ``line``, ``start`` of the trip,
+            ``state``, ``reason``, ``rows`` and ``seconds``.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from trainlog.catalogue import ResultOutcome
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     _ = catalogue.add("sample_logs")
+        ...     todo = catalogue.pending("stops", "1")
+        ...     given = zip(todo["key"], todo["sha256"])
+        ...     refused = [ResultOutcome(*each, "refused", "no stop") for each in given]
+        ...     _ = catalogue.record("stops", "1", {}, refused)
+        ...     found, made = catalogue.outcomes("stops"), catalogue.computations()
+        >>> found["reason"].tolist(), made[["analysis", "refused"]].values.tolist()
+        (['no stop', 'no stop'], [['stops', 2]])
+        """
+        condition = None if where is None else condition_of(where)
+        return stored.outcomes_of(self._database, analysis, code, parameters, condition)
+
     def compact(
         self, analysis: str, code: str | None = None, parameters: Mapping[str, Any] | None = None
     ) -> int:

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 ResultState = Literal["done", "refused", "failed"]
 
+STATES: tuple[ResultState, ...] = ("done", "refused", "failed")
+
 KEY = "key"
 """Column of a table of results that names the trip of a row."""
 
@@ -312,6 +314,60 @@ def _joined(database: Database, analysis: str, rows: pd.DataFrame) -> pd.DataFra
             values = together[KEY].map(about[name])
             together[name] = pd.to_datetime(values, utc=True) if name == "start" else values
     return together
+
+
+def recorded_computations(database: Database) -> pd.DataFrame:
+    """What was computed, and of how many trips; see `Catalogue.computations`."""
+    counted = {
+        state: sa.func.sum(sa.case((results.c.state == state, 1), else_=0)).label(state)
+        for state in STATES
+    }
+    asked = (
+        sa.select(computations, *counted.values())
+        .join(results, results.c.computation == computations.c.id)
+        .join(trips, trips.c.id == results.c.trip)
+        .where(trips.c.standing == "counts")
+        .group_by(*computations.c)
+        .order_by(computations.c.last.desc())
+    )
+    with database.reading() as connection:
+        rows = connection.execute(asked).mappings().all()
+    found = [
+        {
+            "analysis": row["analysis"],
+            "code": row["code"],
+            "parameters": json.loads(row["content"]),
+            **{state: int(row[state]) for state in STATES},
+        }
+        for row in rows
+    ]
+    return pd.DataFrame(found, columns=["analysis", "code", "parameters", *STATES])
+
+
+def outcomes_of(
+    database: Database,
+    analysis: str,
+    code: str | None,
+    parameters: Mapping[str, Any] | None,
+    condition: sa.ColumnElement[bool] | None,
+) -> pd.DataFrame:
+    """What became of each trip that counts; see `Catalogue.outcomes`."""
+    about = (KEY, "name", *JOINED)
+    asked = (
+        sa.select(*(trips.c[name] for name in about), results.c.state, results.c.reason,
+                  results.c.rows, results.c.seconds)
+        .join(trips, trips.c.id == results.c.trip)
+        .where(trips.c.standing == "counts")
+        .order_by(trips.c.key)
+    )  # fmt: skip
+    if condition is not None:
+        asked = asked.where(condition)
+    with database.reading() as connection:
+        number = latest(connection, analysis, code, parameters)
+        rows = connection.execute(asked.where(results.c.computation == (number or -1))).all()
+    found = pd.DataFrame(rows, columns=[*about, "state", "reason", "rows", "seconds"])
+    found["start"] = pd.to_datetime(found["start"], utc=True)
+    return found
 
 
 def compact(
