@@ -67,7 +67,7 @@ def contents_of(path: str | Path) -> Contents:
     Parameters
     ----------
     path : path
-        A log or an MCAP file of another program, a line, train, consist, journey, profile,
+        A log or an MCAP file of another program, a line, network, train, consist, journey, profile,
         parameter set, coast-down, trajectory, passport, characteristic, forecast, track-condition
         map, a recorder's file, a trip as Parquet or CSV.
 
@@ -134,6 +134,7 @@ def _of_format(path: Path, stated: str) -> Contents:
     """What a file of trainlog's own formats holds."""
     from trainlog.formats.characteristic import read_characteristic
     from trainlog.formats.line import read_journey, read_line
+    from trainlog.formats.network import read_network
     from trainlog.formats.parameters import read_coast_down, read_parameters
     from trainlog.formats.passport import passport_from_bytes
     from trainlog.formats.train import read_consist, read_train
@@ -142,6 +143,7 @@ def _of_format(path: Path, stated: str) -> Contents:
 
     readers: dict[str, tuple[str, Callable[[Path], Any]]] = {
         "trainlog/line": ("line", read_line),
+        "trainlog/network": ("network", read_network),
         "trainlog/train": ("train", read_train),
         "trainlog/consist": ("consist", read_consist),
         "trainlog/journey": ("journey", read_journey),

@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from trainlog.formats.line import _Geometry, _JourneyFile, _LineFile, _Reference
+from trainlog.formats.line import _JourneyFile
+from trainlog.formats.linefile import LineFile, _Geometry, _Reference
+from trainlog.formats.network import _Edge, _NetworkFile
 from trainlog.formats.parameters import (
     ConfigurationPart,
     ResistancePart,
@@ -36,7 +38,8 @@ from trainlog.railway.evidence import DailyEvidence
 
 TEXT = (Path(__file__).parents[1] / "docs" / "formats.md").read_text("utf-8")
 SECTIONS: list[tuple[str, tuple[type[BaseModel], ...]]] = [
-    ("## Line", (_LineFile, _Geometry, _Reference)),
+    ("## Line", (LineFile, _Geometry, _Reference)),
+    ("## Network", (_NetworkFile, _Edge)),
     ("## Train", (_TrainFile, _Axles, _Brake, _BrakingCurves)),
     (
         "## Consist",

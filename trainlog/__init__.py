@@ -42,6 +42,10 @@ if TYPE_CHECKING:
         write_journey as write_journey,
         write_line as write_line,
     )
+    from trainlog.formats.network import (
+        read_network as read_network,
+        write_network as write_network,
+    )
     from trainlog.formats.parameters import (
         read_parameters as read_parameters,
         write_parameters as write_parameters,
@@ -96,11 +100,16 @@ if TYPE_CHECKING:
         Brake as Brake,
         Configuration as Configuration,
         CurvatureProfile as CurvatureProfile,
+        Edge as Edge,
         Geometry as Geometry,
         Journey as Journey,
+        Leg as Leg,
         Line as Line,
         LineReference as LineReference,
+        Network as Network,
+        Node as Node,
         ParameterSet as ParameterSet,
+        Route as Route,
         RunningResistance as RunningResistance,
         Station as Station,
         StepProfile as StepProfile,
@@ -165,8 +174,8 @@ _NAMES = {
     "trainlog.identity": "identity_of",
     "trainlog.ingest": "read_recording=ingest report_of repairs_of read_profile",
     "trainlog.railway": (
-        "Configuration CurvatureProfile Geometry Journey Line LineReference ParameterSet "
-        "RunningResistance Station StepProfile TimingPoint TrackConditionMap Train "
+        "Configuration CurvatureProfile Edge Geometry Journey Leg Line LineReference Network Node "
+        "ParameterSet Route RunningResistance Station StepProfile TimingPoint TrackConditionMap Train "
         "Trajectory Tunnel AxleGeometry Axles Brake"
     ),
     "trainlog.railway.adhesion": (
@@ -174,6 +183,7 @@ _NAMES = {
     ),
     "trainlog.railway.consist": "Consist Coupler Vehicle",
     "trainlog.formats.line": "read_line write_line read_journey write_journey",
+    "trainlog.formats.network": "read_network write_network",
     "trainlog.formats.train": "read_train write_train read_consist write_consist",
     "trainlog.formats.characteristic": "read_characteristic write_characteristic",
     "trainlog.formats.condition": "read_map write_map",

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 
 from trainlog.errors import InputError
-from trainlog.formats import line as line_format, train as train_format
+from trainlog.formats import line as line_format, linefile, train as train_format
 from trainlog.formats.files import read_json, to_bytes, write_bytes
 from trainlog.formats.schema import (
     INFINITY,
@@ -173,10 +173,10 @@ class TrackLayout(Layout):
             name=self.metadata.id,
             length=float(self.stops[-1]),
             stations=tuple(Station(f"km {s / 1e3:.3f}", s) for s in self.stops.tolist()),
-            speed_limits=line_format.profile("speed limits", *self.speed_limits),
-            gradients=_LEVEL if gradients is None else line_format.profile("gradients", *gradients),
-            curvatures=None if curves is None else line_format.curvature_profile(*curves),
-            tunnels=line_format.tunnels(self.tunnels),
+            speed_limits=linefile.profile("speed limits", *self.speed_limits),
+            gradients=_LEVEL if gradients is None else linefile.profile("gradients", *gradients),
+            curvatures=None if curves is None else linefile.curvature_profile(*curves),
+            tunnels=linefile.tunnels(self.tunnels),
             altitude=self.altitude or 0.0,
             source=self.metadata.source,
             braking_parameters=self.etcs or {},
@@ -198,8 +198,8 @@ class TrackLayout(Layout):
             stops=stops,
             speed_limits=(limits.positions, limits.values),
             gradients=(gradients.positions, gradients.values),
-            curvatures=None if curves is None else line_format.radii(curves),
-            tunnels=line_format.tunnel_columns(line.tunnels),
+            curvatures=None if curves is None else linefile.radii(curves),
+            tunnels=linefile.tunnel_columns(line.tunnels),
             etcs=line.braking_parameters or None,
         )
 

@@ -11,6 +11,7 @@ from trainlog.railway.journey import Journey, TimingPoint
 from trainlog.railway.line import (
     CurvatureProfile,
     Geometry,
+    Leg,
     Line,
     LineReference,
     Station,
@@ -18,6 +19,7 @@ from trainlog.railway.line import (
     Survey,
     Tunnel,
 )
+from trainlog.railway.network import Edge, Network, Node, Route
 from trainlog.railway.passport import Passport, Quantity
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Axles, Brake, BrakingCurves, Configuration, ParameterSet, Train
@@ -31,14 +33,19 @@ __all__ = [
     "Configuration",
     "CreepCurve",
     "CurvatureProfile",
+    "Edge",
     "EffortCurve",
     "Geometry",
     "Journey",
+    "Leg",
     "Line",
     "LineReference",
+    "Network",
+    "Node",
     "ParameterSet",
     "Passport",
     "Quantity",
+    "Route",
     "RunningResistance",
     "Station",
     "StepProfile",

@@ -1,7 +1,7 @@
 """A line: what lies under the train as a function of chainage.
 
 Chainage `s` [m] runs from 0 to the line's length in the direction of travel; `Line.reversed`
-gives the same line travelled the other way.
+gives the same line travelled the other way, `Line.section` a part of it.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from trainlog.display import as_html, as_text, counted, picture, span
 from trainlog.errors import InputError
 from trainlog.railway.profiles import (
+    TINY,
     CurvatureProfile as CurvatureProfile,
     LineReference as LineReference,
     StepProfile as StepProfile,
@@ -132,6 +133,15 @@ class Geometry:
             np.asarray(np.interp(s, self.positions, self.longitudes)),
         )
 
+    def between(self, start: float, end: float) -> Geometry | None:
+        """The course from `start` to `end` [m], counted from `start`; None where it has none."""
+        first, last = max(start, self.positions[0]), min(end, self.positions[-1])
+        if last - first <= TINY:
+            return None
+        inside = self.positions[(self.positions > first + TINY) & (self.positions < last - TINY)]
+        positions = np.concatenate(([first], inside, [last]))
+        return Geometry(positions - start, *self.at(positions), self.quality)
+
     def reversed(self, length: float) -> Geometry:
         """The same points counted from the other end."""
         return replace(
@@ -165,6 +175,90 @@ class Survey:
                     f"survey: {name.replace('_', ' ')} {value} is not positive",
                     remedy="give how far off gradients are, or leave the survey out",
                 )
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """A stretch of a line that runs over an edge of a network; see `trainlog.railway.network`.
+
+    Attributes
+    ----------
+    edge : str
+    position, length : float [m]
+        Where it begins on the line, and how long it is.
+    edge_start, edge_end : float [m]
+        On the edge's own chainage; `edge_end` is less than `edge_start` where the edge is
+        travelled against it.
+    edge_length : float [m]
+        Of the whole edge.
+
+    Examples
+    --------
+    >>> leg = Leg("Wil-Gossau", 0.0, 5_000.0, 19_000.0, 14_000.0, 19_000.0)
+    >>> leg.forward, leg.on_edge([0.0, 1_000.0]).tolist()
+    (False, [19000.0, 18000.0])
+    """
+
+    edge: str
+    position: float
+    length: float
+    edge_start: float
+    edge_end: float
+    edge_length: float
+
+    def __post_init__(self) -> None:
+        ends = sorted((self.edge_start, self.edge_end))
+        if not (-TINY <= ends[0] < ends[1] <= self.edge_length + TINY):
+            raise InputError(
+                f"leg over '{self.edge}': from km {self.edge_start / 1e3:.3f} to km"
+                f" {self.edge_end / 1e3:.3f} is not a stretch of {self.edge_length / 1e3:.3f} km",
+                remedy="give two chainages within the edge that differ",
+            )
+        if abs(ends[1] - ends[0] - self.length) > 1e-3:
+            raise InputError(
+                f"leg over '{self.edge}': is {self.length:.3f} m on the line and"
+                f" {ends[1] - ends[0]:.3f} m on the edge",
+                remedy="both must be the same",
+            )
+
+    @property
+    def forward(self) -> bool:
+        """Whether the edge is travelled along its chainage."""
+        return self.edge_end > self.edge_start
+
+    @property
+    def end(self) -> float:
+        """Where it ends on the line [m]."""
+        return self.position + self.length
+
+    def on_edge(self, position: ArrayLike) -> FloatArray:
+        """Chainage on the edge [m] of positions on the line."""
+        along = np.asarray(position, dtype=np.float64) - self.position
+        return np.asarray(self.edge_start + (along if self.forward else -along))
+
+    def on_line(self, chainage: ArrayLike) -> FloatArray:
+        """Positions on the line [m] of chainages on the edge."""
+        along = np.asarray(chainage, dtype=np.float64) - self.edge_start
+        return np.asarray(self.position + (along if self.forward else -along))
+
+    def reversed(self, length: float) -> Leg:
+        """The leg on the line of `length` [m] travelled the other way."""
+        return replace(
+            self,
+            position=max(length - self.position - self.length, 0.0),
+            edge_start=self.edge_end,
+            edge_end=self.edge_start,
+        )
+
+    def between(self, start: float, end: float) -> Leg | None:
+        """What of the leg lies from `start` to `end` [m] of the line, counted from `start`."""
+        first, last = max(start, self.position), min(end, self.end)
+        if last - first <= TINY:
+            return None
+        ends = self.on_edge([first, last]).tolist()
+        return replace(
+            self, position=first - start, length=last - first, edge_start=ends[0], edge_end=ends[1]
+        )
 
 
 class Pieces(NamedTuple):
@@ -222,6 +316,8 @@ class Line:
         What the operator calls the line, and its kilometres; None: they are the chainage.
     curve_resistance : {"proportional", "roeckl", "roeckl_small_radius"}
         Formula of the curve resistance, `trainlog.railway.resistance.CURVE_FORMULAS`.
+    legs : tuple of Leg
+        Of a route in a network: the edges that it runs over, without gaps; else none.
 
     Examples
     --------
@@ -254,6 +350,7 @@ class Line:
     assumed: tuple[str, ...] = ()
     reference: LineReference | None = None
     curve_resistance: CurveFormula = "proportional"
+    legs: tuple[Leg, ...] = ()
 
     def __post_init__(self) -> None:
         problems = list(self._problems())
@@ -313,6 +410,19 @@ class Line:
             if tunnel.position < 0.0 or tunnel.position + tunnel.length > self.length:
                 yield InputError(
                     f"{where}: tunnel at km {tunnel.position / 1e3:.3f} leaves the line"
+                )
+        yield from self._leg_problems(where)
+
+    def _leg_problems(self, where: str) -> Iterator[InputError]:
+        """Legs that leave a part of the line out, or lie over each other."""
+        begins = [leg.position for leg in self.legs] + [self.length] * bool(self.legs)
+        ends = [0.0] * bool(self.legs) + [leg.end for leg in self.legs]
+        for begin, end in zip(begins, ends, strict=True):
+            if abs(begin - end) > 1e-3:
+                yield InputError(
+                    f"{where}: its legs leave km {min(begin, end) / 1e3:.3f} to"
+                    f" {max(begin, end) / 1e3:.3f} out or cover it twice",
+                    remedy="each leg must begin where the one before ends",
                 )
 
     def _curve_problems(self, where: str) -> Iterator[InputError]:
@@ -376,6 +486,8 @@ class Line:
         if self.reference is not None:
             known = self.kilometre([0.0, self.length]) / 1e3
             rows["operator's"] = f"{self.reference.name}, km {known[0]:.3f} to {known[1]:.3f}"
+        if self.legs:
+            rows["route"] = route_words(self.legs)
         return rows
 
     def kilometre(self, position: ArrayLike) -> FloatArray:
@@ -622,7 +734,74 @@ class Line:
             assumed=self.assumed,
             reference=None if self.reference is None else self.reference.reversed(self.length),
             curve_resistance=self.curve_resistance,
+            legs=tuple(leg.reversed(self.length) for leg in reversed(self.legs)),
         )
+
+    def section(self, start: float, end: float) -> Line:
+        """The line from `start` to `end` [m], its chainage counted from `start`.
+
+        Raises
+        ------
+        InputError
+            If this is no stretch of the line.
+
+        Examples
+        --------
+        >>> from trainlog.formats.line import read_line
+        >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+        >>> part = line.section(5_000.0, 12_000.0)
+        >>> part.length, bool(part.gradient(1_000.0) == line.gradient(6_000.0))
+        (7000.0, True)
+        """
+        if not -TINY <= start < end <= self.length + TINY:
+            raise InputError(
+                f"line '{self.name}': km {start / 1e3:.3f} to {end / 1e3:.3f} is no stretch of it",
+                remedy=f"it is {self.length / 1e3:.3f} km long",
+            )
+        length = end - start
+        inside = (start - TINY, end + TINY)
+        return replace(
+            self,
+            length=length,
+            stations=tuple(
+                Station(each.name, min(max(each.position - start, 0.0), length))
+                for each in self.stations
+                if inside[0] <= each.position <= inside[1]
+            ),
+            speed_limits=self.speed_limits.between(start, end),
+            gradients=self.gradients.between(start, end),
+            curvatures=None
+            if self.curvatures is None
+            else self.curvatures.between(start, end, self.length),
+            tunnels=tuple(_tunnels_between(self.tunnels, start, end)),
+            altitude=float(self.altitudes(start)),
+            geometry=None if self.geometry is None else self.geometry.between(start, end),
+            reference=None
+            if self.reference is None
+            else self.reference.between(start, end, self.length),
+            legs=tuple(filter(None, (leg.between(start, end) for leg in self.legs))),
+        )
+
+
+def route_words(legs: tuple[Leg, ...]) -> str:
+    """The edges of a route in a few words.
+
+    Examples
+    --------
+    >>> route_words((Leg("trunk", 0.0, 800.0, 0.0, 800.0, 800.0),))
+    'trunk'
+    """
+    names = [leg.edge if leg.forward else f"{leg.edge} (against its chainage)" for leg in legs]
+    more = f", ... ({len(names)} edges)" if len(names) > 4 else ""
+    return ", ".join(names[:4]) + more
+
+
+def _tunnels_between(tunnels: tuple[Tunnel, ...], start: float, end: float) -> Iterator[Tunnel]:
+    """What of the tunnels lies within a stretch, counted from its start."""
+    for tunnel in tunnels:
+        first, last = max(start, tunnel.position), min(end, tunnel.position + tunnel.length)
+        if last - first > TINY:
+            yield Tunnel(first - start, last - first, tunnel.cross_section)
 
 
 def _and_more(places: FloatArray) -> str:

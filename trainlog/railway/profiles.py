@@ -12,6 +12,9 @@ from trainlog.errors import InputError
 
 FloatArray = NDArray[np.float64]
 
+TINY = 1e-6
+"""Pieces that are shorter [m] do not come of a cut: positions are rounded to less."""
+
 
 def hold_as_arrays(profile: object, *names: str) -> None:
     """Turn fields of a frozen dataclass into arrays, so that lists can be given."""
@@ -66,6 +69,22 @@ class StepProfile:
         """The profile seen from the other end of a line of `length` [m]."""
         ends = np.append(self.positions[1:], length)
         return StepProfile((length - ends)[::-1].copy(), sign * self.values[::-1])
+
+    def between(self, start: float, end: float) -> StepProfile:
+        """The profile from `start` to `end` [m], counted from `start`.
+
+        Examples
+        --------
+        >>> part = StepProfile([0.0, 500.0], [20.0, 30.0]).between(400.0, 900.0)
+        >>> part.positions.tolist(), part.values.tolist()
+        ([0.0, 100.0], [20.0, 30.0])
+        """
+        kept = (self.positions > start + TINY) & (self.positions < end - TINY)
+        first = max(np.searchsorted(self.positions, start + TINY, side="right") - 1, 0)
+        return StepProfile(
+            np.concatenate(([0.0], self.positions[kept] - start)),
+            np.concatenate(([self.values[first]], self.values[kept])),
+        )
 
     def mean(self, start: FloatArray, end: FloatArray) -> FloatArray:
         """Mean value over each interval from `start` to `end` [m], (m,) arrays, start < end.
@@ -138,6 +157,10 @@ class CurvatureProfile:
         ends = np.append(self.positions[1:], length)
         return CurvatureProfile((length - ends)[::-1].copy(), -self.end[::-1], -self.start[::-1])
 
+    def between(self, start: float, end: float, length: float) -> CurvatureProfile:
+        """The curvature from `start` to `end` [m] of a line of `length` [m]."""
+        return CurvatureProfile(*_cut((self.positions, self.start, self.end), (start, end), length))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineReference:
@@ -191,6 +214,28 @@ class LineReference:
         return LineReference(
             self.name, (length - ends)[::-1].copy(), self.end[::-1], self.start[::-1]
         )
+
+    def between(self, start: float, end: float, length: float) -> LineReference:
+        """The kilometres from `start` to `end` [m] of a line of `length` [m]."""
+        pieces = (self.positions, self.start, self.end)
+        return LineReference(self.name, *_cut(pieces, (start, end), length))
+
+
+def _cut(
+    pieces: tuple[FloatArray, FloatArray, FloatArray], span: tuple[float, float], length: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Position, value at start and at end of the pieces within a span, counted from its start."""
+    positions, first, last = pieces
+    start, end = span
+    ends = np.append(positions[1:], max(length, float(positions[-1])))
+    kept = (ends > start + TINY) & (positions < end - TINY)
+    positions, ends, first, last = positions[kept], ends[kept], first[kept], last[kept]
+    width, change = np.maximum(ends - positions, 1e-9), last - first
+    begin = first + np.maximum(start - positions, 0.0) / width * change
+    finish = np.where(ends <= end, last, first + (end - positions) / width * change)
+    cut = positions - start
+    cut[0] = 0.0
+    return cut, begin, finish
 
 
 def _between(

@@ -1,0 +1,370 @@
+"""Networks and their routes: a route's line is what its edges are, where the train runs over them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from format_examples import assert_same, lines
+from hypothesis import HealthCheck, given, settings, strategies as st
+
+import trainlog
+from trainlog.errors import InputError
+from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line, write_line
+from trainlog.formats.network import (
+    network_from_bytes,
+    network_to_bytes,
+    read_network,
+    write_network,
+)
+from trainlog.formats.samples import sample
+from trainlog.railway import (
+    CurvatureProfile,
+    Edge,
+    Geometry,
+    Leg,
+    Line,
+    LineReference,
+    Network,
+    Node,
+    Station,
+    StepProfile,
+    Survey,
+)
+
+WHOLE = read_line(sample("CH_StGallen_Wil.line.json"))
+CASES = settings(
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much]
+)  # fmt: skip
+
+
+def plain_line(name: str, length: float, gradient: float = 0.0, **others: Any) -> Line:
+    return Line(
+        name=name,
+        length=length,
+        stations=(),
+        speed_limits=StepProfile([0.0], [20.0 + 100.0 * abs(gradient)]),
+        gradients=StepProfile([0.0], [gradient]),
+        **others,
+    )
+
+
+def edge(name: str, start: str, end: str, length: float = 1_000.0, **others: Any) -> Edge:
+    return Edge(name, plain_line(name, length, **others), start, end)
+
+
+def y_network(turns: dict[str, tuple[tuple[str, str], ...]] | None = None) -> Network:
+    """A trunk from A to the junction J, and two branches to B and C."""
+    return Network(
+        "Y",
+        (Node("A"), Node("B"), Node("C"), Node("J", "junction")),
+        (
+            edge("trunk", "A", "J", 3_000.0, gradient=0.01),
+            edge("to B", "J", "B", 2_000.0, gradient=0.02),
+            edge("to C", "C", "J", 1_000.0, gradient=-0.005),
+        ),
+        turns or {},
+    )
+
+
+@st.composite
+def networks(draw: Callable[..., Any]) -> Network:
+    """Connected networks of any lines, with loops and several edges between the same nodes."""
+    count = draw(st.integers(2, 4))
+    names = [f"n{number}" for number in range(count)]
+    pairs = [(names[draw(st.integers(0, i - 1))], names[i]) for i in range(1, count)]
+    one = st.sampled_from(names)
+    pairs += draw(st.lists(st.tuples(one, one), max_size=2))
+    kinds = st.sampled_from(["station", "junction"])
+    edges = []
+    for number, (start, end) in enumerate(pairs):
+        line = draw(lines())
+        stop = Station(f"stop {number}", line.length * draw(st.floats(0.3, 0.7)))
+        edges.append(
+            Edge(
+                f"e{number}", replace(line, stations=(stop,), tunnels=line.tunnels[:1]), start, end
+            )
+        )
+    return Network("any", tuple(Node(name, draw(kinds)) for name in names), tuple(edges))
+
+
+@st.composite
+def routes(draw: Callable[..., Any]) -> trainlog.Route:
+    network = draw(networks())
+    stops = [each.line.stations[0].name for each in network.edges]
+    places = draw(
+        st.lists(
+            st.sampled_from([*(node.name for node in network.nodes), *stops]),
+            min_size=2,
+            max_size=4,
+        ).filter(lambda names: all(a != b for a, b in zip(names, names[1:], strict=False)))
+    )
+    try:
+        return network.route(*places)
+    except InputError as error:
+        assert "has no route" in str(error)
+        return network.route("n0", "n1") if len(network.edges) else network.route(*places)
+
+
+def inside(leg: Leg, edge_line: Line, line: Line) -> np.ndarray:
+    """Positions on a leg that are well off everything that begins or ends."""
+    share = np.linspace(0.003, 0.997, 61)
+    found = leg.position + leg.length * share
+    marks = np.concatenate((line.breakpoints, leg.on_line(edge_line.breakpoints)))
+    apart = np.min(np.abs(found[:, None] - marks[None, :]), axis=1)
+    return found[apart > 1e-4]
+
+
+@given(routes())
+@CASES
+def test_a_route_has_the_values_of_its_edges_at_every_position(route: trainlog.Route) -> None:
+    line = route.line
+    for leg in line.legs:
+        own = route.network.edge(leg.edge).line
+        sign = 1.0 if leg.forward else -1.0
+        at = inside(leg, own, line)
+        there = leg.on_edge(at)
+        np.testing.assert_allclose(leg.on_line(there), at, rtol=0.0, atol=1e-6)
+        np.testing.assert_array_equal(line.speed_limit(at), own.speed_limit(there))
+        np.testing.assert_array_equal(line.gradient(at), sign * own.gradient(there))
+        np.testing.assert_array_equal(
+            line.tunnel_cross_section(at), own.tunnel_cross_section(there)
+        )
+        bends = sign * own.curvature(there)
+        np.testing.assert_allclose(line.curvature(at), bends, rtol=1e-5, atol=1e-9)
+        if line.reference is not None and own.reference is not None:
+            known = own.kilometre(there)
+            np.testing.assert_allclose(line.kilometre(at), known, rtol=1e-6, atol=1e-1)
+        if at.size > 1:
+            ends = np.sort(leg.on_edge([at[0], at[-1]]))
+            whole = own.gradients.mean(ends[:1], ends[1:])
+            found = line.gradients.mean(at[:1], at[-1:])
+            np.testing.assert_allclose(found, sign * whole, rtol=1e-6, atol=1e-9)
+    assert line.length == pytest.approx(sum(leg.length for leg in line.legs))
+    assert line.name == route.name
+    assert line.stations[0].position == 0.0
+    assert line.stations[-1].position == line.length
+
+
+@given(routes())
+@CASES
+def test_a_reversed_route_is_the_reversed_line(route: trainlog.Route) -> None:
+    back = route.reversed().line
+    turned = replace(route.line.reversed(), name=back.name)
+    # Tolerances of the comparison leave text and structure to be the same.
+    assert [station.name for station in back.stations] == [each.name for each in turned.stations]
+    assert [leg.edge for leg in back.legs] == [leg.edge for leg in turned.legs]
+    for first, second in zip(back.legs, turned.legs, strict=True):
+        assert first.edge_start == second.edge_start
+        assert first.position == pytest.approx(second.position, abs=1e-6)
+    at = np.linspace(0.0, back.length, 97)
+    marks = np.concatenate((back.breakpoints, turned.breakpoints))
+    at = at[np.min(np.abs(at[:, None] - marks[None, :]), axis=1) > 1e-4]
+    np.testing.assert_array_equal(back.gradient(at), turned.gradient(at))
+    np.testing.assert_array_equal(back.speed_limit(at), turned.speed_limit(at))
+    np.testing.assert_allclose(back.curvature(at), turned.curvature(at), rtol=1e-5, atol=1e-9)
+    # Edges need not agree on the altitude of their node: the first one counts.
+    first = back.legs[0]
+    own = route.network.edge(first.edge).line
+    assert back.altitude == pytest.approx(float(own.altitudes(first.edge_start)), abs=1e-3)
+
+
+@given(networks())
+@CASES
+def test_a_network_reads_back_as_it_was_written(network: Network) -> None:
+    again = network_from_bytes(network_to_bytes(network))
+    assert_same(again, network)
+    assert network_to_bytes(again) == network_to_bytes(network)
+
+
+@given(routes())
+@CASES
+def test_the_file_of_a_routes_line_keeps_its_legs(route: trainlog.Route) -> None:
+    again = line_from_bytes(line_to_bytes(route.line))
+    assert again.legs == route.line.legs
+
+
+def test_files_as_toml_and_with_lines_beside_them(tmp_path: Path) -> None:
+    network = Network("one", (Node("St. Gallen"), Node("Wil")), (
+        Edge("own", WHOLE, "St. Gallen", "Wil"),))  # fmt: skip
+    write_network(network, tmp_path / "one.network.toml")
+    assert read_network(tmp_path / "one.network.toml") == network
+    write_line(WHOLE, tmp_path / "whole.line.json")
+    (tmp_path / "by hand.toml").write_text(
+        'format = "trainlog/network"\nversion = 1\nname = "one"\n'
+        '[nodes]\nunits = {latitude = "deg", longitude = "deg"}\n'
+        'values = [["St. Gallen", "station", nan, nan], ["Wil", "station", 47.46, 9.04]]\n'
+        '[[edges]]\nname = "own"\nstart = "St. Gallen"\nend = "Wil"\nfile = "whole.line.json"\n'
+    )
+    by_hand = read_network(tmp_path / "by hand.toml")
+    assert by_hand.edges == network.edges
+    assert by_hand.nodes[1].latitude == 47.46
+    route = read_line(f"{tmp_path}/by hand.toml#Gossau SG,Wil")
+    gossau = next(each for each in WHOLE.stations if each.name == "Gossau SG")
+    assert route.length == WHOLE.length - gossau.position
+    assert route.legs[0].edge_start == gossau.position
+    with pytest.raises(InputError, match="absent.toml"):
+        read_line(f"{tmp_path}/absent.toml#Gossau SG,Wil")
+
+
+def test_a_route_takes_the_shortest_way_in_both_directions() -> None:
+    network = y_network()
+    there = network.route("B", "C")
+    assert [(leg.edge, leg.forward) for leg in there.legs] == [("to B", False), ("to C", False)]
+    assert there.line.gradient([500.0, 2_500.0]).tolist() == [-0.02, 0.005]
+    via = network.route("A", "B", "A")
+    assert [leg.edge for leg in via.legs] == ["trunk", "to B", "to B", "trunk"]
+    assert [station.name for station in via.line.stations] == ["A", "B", "A"]
+    assert via.line.stations[1].position == 5_000.0
+
+
+def test_a_route_turns_back_at_stations_only() -> None:
+    turns = {"J": (("trunk", "to B"), ("trunk", "to C"))}
+    network = y_network(turns)
+    with pytest.raises(InputError, match="no route from 'B' to 'C'.*turn back"):
+        network.route("B", "C")
+    with pytest.raises(InputError, match="no route from 'J' to 'B'"):
+        network.route("C", "J", "B")
+    by_a = network.route("B", "A", "C")
+    assert [leg.edge for leg in by_a.legs] == ["to B", "trunk", "trunk", "to C"]
+    assert [leg.edge for leg in y_network().route("C", "J", "B").legs] == ["to C", "to B"]
+
+
+def test_a_train_turns_round_in_a_balloon_loop() -> None:
+    network = Network(
+        "balloon",
+        (Node("A"), Node("J", "junction")),
+        (edge("track", "A", "J"), edge("loop", "J", "J", 600.0)),
+        {"J": (("track", "loop"),)},
+    )
+    route = network.route("A", "loop@0.2", "A")
+    assert [(leg.edge, leg.forward) for leg in route.legs] == [
+        ("track", True),
+        ("loop", True),
+        ("track", False),
+    ]
+    assert route.length == 2_600.0
+    twice = replace(network, turns={"J": (("track", "loop"), ("loop", "loop"))})
+    again = twice.route("A", "loop@0.1", "loop@0.2", "loop@0.1", "A")
+    assert [leg.edge for leg in again.legs] == ["track", "loop", "loop", "track"]
+    assert again.legs[1].edge_start == again.legs[2].edge_start
+    assert again.length == 3_200.0
+
+
+def test_a_route_begins_and_ends_inside_an_edge() -> None:
+    network = Network("one", (Node("A"), Node("B")), (Edge("own", WHOLE, "A", "B"),))
+    route = network.route("own@20", "Gossau SG")
+    leg = route.legs[0]
+    gossau = next(each for each in WHOLE.stations if each.name == "Gossau SG")
+    assert (leg.edge_start, leg.edge_end) == (20_000.0, gossau.position)
+    assert route.line.stations[0] == Station("own@20", 0.0)
+    assert route.line.stations[-1].name == "Gossau SG"
+    same = WHOLE.section(gossau.position, 20_000.0).reversed()
+    assert_same(replace(route.line, name="", stations=(), legs=()), replace(
+        same, name="", stations=()))  # fmt: skip
+    back = network.route("own@20", "Gossau SG", "own@20")
+    assert back.length == pytest.approx(2.0 * route.length)
+
+
+def test_kilometres_survey_and_geometry_of_edges_are_kept() -> None:
+    east = Geometry([0.0, 1_000.0], [47.0, 47.0], [9.0, 9.01], "surveyed")
+    west = Geometry([0.0, 2_000.0], [47.0, 47.0], [9.01002, 9.03], "surveyed")
+    down = LineReference("850", [0.0], [61_200.0], [60_200.0])
+    network = Network("line", (Node("A"), Node("B"), Node("C")), (
+        edge("1", "A", "B", geometry=east, reference=down, survey=Survey(1e-4, 500.0)),
+        edge("2", "B", "C", 2_000.0, geometry=west, survey=Survey(3e-4, 200.0)),
+    ))  # fmt: skip
+    line = network.route("A", "C").line
+    assert line.kilometre([0.0, 1_000.0 - 1e-6, 1_500.0]).round(3).tolist() == [
+        61_200.0,
+        60_200.0,
+        500.0,
+    ]
+    assert line.survey == Survey(3e-4, 500.0)
+    assert line.geometry is not None
+    assert line.geometry.positions.tolist() == [0.0, 1_000.0, 3_000.0]
+    assert line.geometry.longitudes[1] == pytest.approx(9.01001)
+    bare = replace(network, edges=(network.edges[0], edge("2", "B", "C", survey=None)))
+    assert bare.route("A", "C").line.geometry is None
+    assert bare.route("A", "C").line.survey is None
+    roeckl = CurvatureProfile([0.0], [1e-3], [1e-3])
+    mixed = replace(network, edges=tuple(
+        replace(each, line=replace(each.line, curvatures=roeckl, curve_resistance=formula))
+        for each, formula in zip(network.edges, ("roeckl", "proportional"), strict=True)
+    ))  # fmt: skip
+    with pytest.raises(InputError, match="different curve resistances: 'roeckl' on '1'"):
+        _ = mixed.route("A", "C").line
+
+
+def test_a_section_of_a_route_keeps_what_its_legs_are() -> None:
+    line = y_network().route("A", "B").line
+    part = line.section(2_500.0, 4_000.0)
+    assert [(leg.edge, leg.edge_start, leg.edge_end) for leg in part.legs] == [
+        ("trunk", 2_500.0, 3_000.0),
+        ("to B", 0.0, 1_000.0),
+    ]
+    assert part.legs[1].position == 500.0
+    with pytest.raises(InputError, match="is no stretch of it"):
+        line.section(4_000.0, 6_000.0)
+
+
+def test_what_no_network_can_be_is_listed_at_once() -> None:
+    with pytest.raises(InputError) as caught:
+        Network("bad", (Node("A"), Node("A"), Node("B"), Node("X"), Node("Y", "halt")), (  # type: ignore[arg-type]
+            edge("1", "A", "B"), edge("1", "A", "Bb"),
+        ), {"B": (("1", "2"),), "C": ()})  # fmt: skip
+    words = str(caught.value)
+    for part in (
+        "2 nodes have the name 'A'",
+        "2 edges have the name '1'",
+        "has the end 'Bb', which is no node; did you mean 'B'",
+        "kind 'halt'",
+        "name the edge '2', which does not end there",
+        "turns are given at 'C', which is no node",
+    ):
+        assert part in words
+    with pytest.raises(InputError, match=r"'X' \(1 node\) is not connected to the rest"):
+        Network("bad", (Node("A"), Node("B"), Node("X")), (edge("1", "A", "B"),))
+    with pytest.raises(InputError, match="exchange its start and end"):
+        turned = replace(WHOLE, stations=(Station("B", 0.0), Station("A", WHOLE.length)))
+        Network("bad", (Node("A"), Node("B")), (Edge("1", turned, "A", "B"),))
+    with pytest.raises(InputError, match="is a route over 2 edges itself"):
+        Network(
+            "bad", (Node("A"), Node("B")), (Edge("1", y_network().route("A", "B").line, "A", "B"),)
+        )
+
+
+def test_places_that_are_not_known_are_refused_with_those_that_are_like_them() -> None:
+    network = y_network()
+    with pytest.raises(InputError, match="has no place 'trunck'"):
+        network.route("A", "trunck")
+    with pytest.raises(InputError, match="'x' is not a kilometre"):
+        network.route("A", "trunk@x")
+    with pytest.raises(InputError, match=r"is not on edge 'trunk'; it is 3.000 km long"):
+        network.route("A", "trunk@4")
+    with pytest.raises(InputError, match="needs two places"):
+        network.route("A")
+
+
+def test_mistakes_in_a_file_name_the_edge(tmp_path: Path) -> None:
+    path = tmp_path / "y.network.json"
+    text = network_to_bytes(y_network()).decode()
+    path.write_text(text.replace('"name": "to B",', '"name": "to B", "slope": 3,'))
+    with pytest.raises(InputError, match=r"y.network.json, edges\[1\].line.slope: unknown key"):
+        read_network(path)
+    path.write_text(text.replace('"start": "J"', '"start": "I"'))
+    with pytest.raises(InputError, match=r"y.network.json: network 'Y': edge 'to B'.*'I'"):
+        read_network(path)
+
+
+def test_a_network_is_recognised_by_its_content(tmp_path: Path) -> None:
+    from analysis.contents import contents_of
+
+    write_network(y_network(), tmp_path / "some.json")
+    found = contents_of(tmp_path / "some.json")
+    assert found.kind == "network"
+    assert found.summary == "Network 'Y', 6.0 km"

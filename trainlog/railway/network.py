@@ -1,0 +1,794 @@
+"""A network: stations and junctions joined by lines, and routes that run over several of them.
+
+Each edge is a whole `Line` with a chainage of its own, from one node to another. A `Route` gives
+the line as it is travelled, composed of stretches of edges: an ordinary `Line` that states in
+`Line.legs` what each of them was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from functools import cached_property
+from itertools import groupby, pairwise
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from trainlog.display import as_text, counted
+from trainlog.errors import InputError
+from trainlog.extras import require
+from trainlog.railway.kilometres import position_of
+from trainlog.railway.line import (
+    CurvatureProfile,
+    Geometry,
+    Leg as Leg,
+    Line,
+    LineReference,
+    Station,
+    StepProfile,
+    Survey,
+    Tunnel,
+    route_words,
+)
+from trainlog.railway.profiles import TINY, FloatArray
+
+if TYPE_CHECKING:
+    from networkx import DiGraph
+
+NodeKind = Literal["station", "junction"]
+
+AT_END = 1.0
+"""Stations so near [m] to an end of an edge stand at its node."""
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """Where edges meet or end.
+
+    Attributes
+    ----------
+    name : str
+    kind : {"station", "junction"}
+        At a station trains stop, and a route may turn back.
+    latitude, longitude : float [deg] or None
+
+    Examples
+    --------
+    >>> Node("Wil", latitude=47.462, longitude=9.041).kind
+    'station'
+    """
+
+    name: str
+    kind: NodeKind = "station"
+    latitude: float | None = None
+    longitude: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """A line between two nodes, with a chainage of its own from `start` to `end`.
+
+    Attributes
+    ----------
+    name : str
+        Also that of its line.
+    line : Line
+    start, end : str
+        Nodes at chainage 0 and at the line's length. Both may be the same: a balloon loop.
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> Edge("850", line, "St. Gallen", "Wil").line.name
+    '850'
+    """
+
+    name: str
+    line: Line
+    start: str
+    end: str
+
+    def __post_init__(self) -> None:
+        if self.line.name != self.name:
+            object.__setattr__(self, "line", replace(self.line, name=self.name))
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a train can be sent: a node, or a point of an edge.
+
+    Attributes
+    ----------
+    node : str
+        Its name; empty inside an edge.
+    edge : str
+    position : float [m]
+        On the edge's chainage.
+    station : bool
+        Whether trains stop, and may turn back.
+    """
+
+    node: str = ""
+    edge: str = ""
+    position: float = 0.0
+    station: bool = True
+
+
+@dataclass(frozen=True, repr=False)
+class Network:
+    """Stations and junctions, joined by lines.
+
+    Attributes
+    ----------
+    name : str
+    nodes : tuple of Node
+    edges : tuple of Edge
+    turns : dict of str to tuple of (str, str)
+        By node, which pairs of edges a train can pass between, in either direction. A node that
+        is not named allows every movement but back over the edge that the train came by.
+    source : str
+        Where the data come from.
+
+    Raises
+    ------
+    InputError
+        If an edge leads nowhere, names come twice, or parts are not connected; all of it listed.
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> network = Network(
+    ...     "short",
+    ...     nodes=(Node("St. Gallen"), Node("Gossau"), Node("Wil")),
+    ...     edges=(
+    ...         Edge("east", line.section(0.0, 10_000.0), "St. Gallen", "Gossau"),
+    ...         Edge("west", line.section(10_000.0, line.length), "Gossau", "Wil"),
+    ...     ),
+    ... )
+    >>> route = network.route("Wil", "St. Gallen")
+    >>> route
+    Route 'Wil - St. Gallen', 29.556 km
+      edges  west (against its chainage), east (against its chainage)
+    """
+
+    name: str
+    nodes: tuple[Node, ...]
+    edges: tuple[Edge, ...]
+    turns: Mapping[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        problems = list(self._problems())
+        if problems:
+            raise InputError.listing(problems)
+
+    def _problems(self) -> Iterator[InputError]:
+        """What no network can be, one by one."""
+        where = f"network '{self.name}'"
+        for kind, names in (
+            ("node", [each.name for each in self.nodes]),
+            ("edge", [each.name for each in self.edges]),
+        ):
+            for name, count in sorted(_twice(names).items()):
+                yield InputError(
+                    f"{where}: {counted(count, kind)} have the name '{name}'",
+                    remedy="give each a name of its own",
+                )
+        if not self.edges:
+            yield InputError(f"{where}: has no edges", remedy="give at least one line")
+            return
+        known = {each.name for each in self.nodes}
+        lost = list(self._edge_problems(where, known))
+        yield from lost
+        yield from self._node_problems(where)
+        yield from self._turn_problems(where)
+        if not lost:
+            yield from self._unconnected(where)
+
+    def _edge_problems(self, where: str, known: set[str]) -> Iterator[InputError]:
+        """Edges that end nowhere, or are routes themselves."""
+        for edge in self.edges:
+            for end in ("start", "end"):
+                name = getattr(edge, end)
+                if name not in known:
+                    yield InputError(
+                        f"{where}: edge '{edge.name}' has the {end} '{name}', which is no node",
+                        remedy=_nearest(name, known, "name one of the nodes"),
+                    )
+            if edge.line.legs:
+                yield InputError(
+                    f"{where}: edge '{edge.name}' is a route over"
+                    f" {counted(len(edge.line.legs), 'edge')} itself",
+                    remedy="give a line that is no route",
+                )
+            ends = (edge.line.stations[:1], edge.line.stations[-1:])
+            named = [each[0].name if each else "" for each in ends]
+            if edge.start != edge.end and named == [edge.end, edge.start]:
+                yield InputError(
+                    f"{where}: edge '{edge.name}' runs from '{edge.start}' to '{edge.end}', and"
+                    f" the stations of its line from '{named[0]}' to '{named[1]}'",
+                    remedy="exchange its start and end, or reverse the line",
+                )
+
+    def _node_problems(self, where: str) -> Iterator[InputError]:
+        """Nodes of no kind, or that lie nowhere on the earth."""
+        for node in self.nodes:
+            if node.kind not in ("station", "junction"):
+                yield InputError(
+                    f"{where}: node '{node.name}' is of the kind '{node.kind}'",
+                    remedy="it is a station or a junction",
+                )
+            given = (node.latitude, node.longitude)
+            if given == (None, None):
+                continue
+            for value, most in zip(given, (90.0, 180.0), strict=True):
+                if value is None or not abs(value) <= most:
+                    yield InputError(
+                        f"{where}: node '{node.name}' lies at latitude {given[0]} and longitude"
+                        f" {given[1]}",
+                        remedy="give both in degrees, or none",
+                    )
+                    break
+
+    def _turn_problems(self, where: str) -> Iterator[InputError]:
+        """Turns between edges that do not meet."""
+        known = {each.name for each in self.nodes}
+        for node, pairs in self.turns.items():
+            if node not in known:
+                yield InputError(
+                    f"{where}: turns are given at '{node}', which is no node",
+                    remedy=_nearest(node, known, "name one of the nodes"),
+                )
+                continue
+            there = {each.name for each in self.edges if node in (each.start, each.end)}
+            for name in sorted({name for pair in pairs for name in pair} - there):
+                yield InputError(
+                    f"{where}: turns at '{node}' name the edge '{name}', which does not end there",
+                    remedy=_nearest(name, there, f"its edges are {', '.join(sorted(there))}"),
+                )
+
+    def _unconnected(self, where: str) -> Iterator[InputError]:
+        """Parts of the network that no edge joins to the largest."""
+        part = {node.name: node.name for node in self.nodes}
+
+        def root(name: str) -> str:
+            while part[name] != name:
+                part[name] = part[part[name]]
+                name = part[name]
+            return name
+
+        for edge in self.edges:
+            part[root(edge.start)] = root(edge.end)
+        groups: dict[str, list[str]] = {}
+        for node in self.nodes:
+            groups.setdefault(root(node.name), []).append(node.name)
+        for names in sorted(groups.values(), key=len)[:-1]:
+            shown = ", ".join(f"'{name}'" for name in names[:3])
+            yield InputError(
+                f"{where}: {shown}{', ...' * (len(names) > 3)}"
+                f" ({counted(len(names), 'node')}) {'is' if len(names) == 1 else 'are'} not"
+                " connected to the rest",
+                remedy="join them by an edge, or make a network of their own",
+            )
+
+    def __repr__(self) -> str:
+        stations = sum(node.kind == "station" for node in self.nodes)
+        rows = {
+            "nodes": f"{counted(stations, 'station')},"
+            f" {counted(len(self.nodes) - stations, 'junction')}",
+            "edges": f"{len(self.edges)}: {', '.join(each.name for each in self.edges[:4])}"
+            + ", ..." * (len(self.edges) > 4),
+        }
+        if self.turns:
+            rows["turns"] = f"restricted at {counted(len(self.turns), 'node')}"
+        return as_text(f"Network '{self.name}', {self.length / 1e3:.1f} km", rows)
+
+    @property
+    def length(self) -> float:
+        """Of all edges together [m]."""
+        return float(sum(edge.line.length for edge in self.edges))
+
+    def node(self, name: str) -> Node:
+        """The node of a name.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        if name not in self._nodes:
+            raise InputError(
+                f"network '{self.name}' has no node '{name}'",
+                remedy=_nearest(name, self._nodes, "look at its nodes"),
+            )
+        return self._nodes[name]
+
+    def edge(self, name: str) -> Edge:
+        """The edge of a name.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        if name not in self._edges:
+            raise InputError(
+                f"network '{self.name}' has no edge '{name}'",
+                remedy=_nearest(name, self._edges, "look at its edges"),
+            )
+        return self._edges[name]
+
+    @cached_property
+    def _nodes(self) -> dict[str, Node]:
+        return {node.name: node for node in self.nodes}
+
+    @cached_property
+    def _edges(self) -> dict[str, Edge]:
+        return {edge.name: edge for edge in self.edges}
+
+    @cached_property
+    def places(self) -> Mapping[str, tuple[Place, ...]]:
+        """Places by name: nodes, and stations inside edges; one that several edges serve has
+        several points.
+        """
+        found: dict[str, list[Place]] = {
+            node.name: [Place(node.name, station=node.kind == "station")] for node in self.nodes
+        }
+        for edge in self.edges:
+            for station in edge.line.stations:
+                place = self._point(edge, station.position)
+                known = found.setdefault(station.name, [])
+                if place.node and any(each.node == place.node for each in known):
+                    continue
+                known.append(replace(place, station=True))
+        return {name: tuple(points) for name, points in found.items()}
+
+    def _point(self, edge: Edge, position: float) -> Place:
+        """A point of an edge, which is its node where it stands at one."""
+        if position <= AT_END:
+            return Place(edge.start, station=self._nodes[edge.start].kind == "station")
+        if position >= edge.line.length - AT_END:
+            return Place(edge.end, station=self._nodes[edge.end].kind == "station")
+        return Place("", edge.name, position, station=False)
+
+    def place(self, name: str) -> tuple[Place, ...]:
+        """The points of a place: a node, a station, or ``"edge@km"``.
+
+        Raises
+        ------
+        InputError
+            If the network has no such place.
+        """
+        name = name.strip()
+        if name in self.places:
+            return self.places[name]
+        edge, at, km = name.rpartition("@")
+        if at and edge.strip() in self._edges:
+            found = self._edges[edge.strip()]
+            try:
+                position = position_of(found.line, float(km))
+            except ValueError:
+                raise InputError(
+                    f"'{name}': '{km}' is not a kilometre", remedy="write edge@12.5"
+                ) from None
+            if not -TINY <= position <= found.line.length + TINY:
+                raise InputError(
+                    f"'{name}' is not on edge '{found.name}'",
+                    remedy=f"it is {found.line.length / 1e3:.3f} km long",
+                )
+            return (self._point(found, position),)
+        raise InputError(
+            f"network '{self.name}' has no place '{name}'",
+            remedy=_nearest(name, self.places, "name nodes, stations, or edge@km"),
+        )
+
+    def route(self, *places: str) -> Route:
+        """The shortest route through places, in this order.
+
+        Trains pass between edges as `turns` allow; they turn back only at stations that are named
+        here. Needs the extra ``fleet``.
+
+        Parameters
+        ----------
+        *places : str
+            Nodes, stations inside edges, or points such as ``"edge@12.5"`` with the operator's
+            kilometre; the same place may come several times.
+
+        Raises
+        ------
+        InputError
+            If a place is not known, or no route leads from one to the next.
+        """
+        if len(places) < 2:
+            raise InputError(
+                f"a route of network '{self.name}' needs two places", remedy="name start and end"
+            )
+        require("networkx")
+        names = tuple(place.strip() for place in places)
+        stages = [self.place(place) for place in names]
+        return Route(self, names, _Search(self, names, stages).legs())
+
+
+@dataclass(frozen=True, repr=False)
+class Route:
+    """A way of a train through a network.
+
+    Attributes
+    ----------
+    network : Network
+    places : tuple of str
+        That it was asked to run through.
+    legs : tuple of Leg
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> nodes = (Node("St. Gallen"), Node("Wil"))
+    >>> network = Network("one", nodes, (Edge("850", line, "St. Gallen", "Wil"),))
+    >>> route = network.route("Wil", "Gossau SG")
+    >>> route.name, route.length, route.legs[0].forward
+    ('Wil - Gossau SG', 19096.1, False)
+    """
+
+    network: Network
+    places: tuple[str, ...]
+    legs: tuple[Leg, ...]
+
+    @property
+    def name(self) -> str:
+        """Its places; also the name of its line."""
+        return " - ".join(self.places)
+
+    @property
+    def length(self) -> float:
+        """[m]."""
+        return self.legs[-1].end
+
+    def __repr__(self) -> str:
+        title = f"Route '{self.name}', {self.length / 1e3:.3f} km"
+        return as_text(title, {"edges": route_words(self.legs)})
+
+    def reversed(self) -> Route:
+        """The same way travelled from its end to its start."""
+        turned = tuple(leg.reversed(self.length) for leg in reversed(self.legs))
+        return Route(self.network, self.places[::-1], turned)
+
+    @cached_property
+    def line(self) -> Line:
+        """The line as travelled.
+
+        Limits, gradients, curves, tunnels and kilometres are those of its edges at each position.
+        It has a geometry where all edges have one; gradients are known as well as on the edge
+        where they are known worst.
+
+        Raises
+        ------
+        InputError
+            If edges state different formulas of the curve resistance.
+
+        Examples
+        --------
+        >>> from trainlog.formats.line import read_line
+        >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+        >>> nodes = (Node("St. Gallen"), Node("Wil"))
+        >>> network = Network("one", nodes, (Edge("only", line, "St. Gallen", "Wil"),))
+        >>> back = network.route("Wil", "St. Gallen").line
+        >>> back.name, bool(back.gradient(500.0) == -line.gradient(line.length - 500.0))
+        ('Wil - St. Gallen', True)
+        >>> back.legs[0].edge_start, back.legs[0].edge_end
+        (29556.1, 0.0)
+        """
+        parts = [self._travelled(leg) for leg in self.legs]
+        offsets = [leg.position for leg in self.legs]
+        altogether = list(zip(offsets, parts, strict=True))
+        return Line(
+            name=self.name,
+            length=self.length,
+            stations=self._stations(altogether),
+            speed_limits=_joined_steps([(at, part.speed_limits) for at, part in altogether]),
+            gradients=_joined_steps([(at, part.gradients) for at, part in altogether]),
+            curvatures=_joined_curvatures(altogether),
+            tunnels=tuple(
+                Tunnel(at + each.position, each.length, each.cross_section)
+                for at, part in altogether
+                for each in part.tunnels
+            ),
+            altitude=parts[0].altitude,
+            geometry=_joined_geometry(altogether),
+            source="; ".join(dict.fromkeys(part.source for part in parts if part.source)),
+            braking_parameters=_common_parameters(parts),
+            survey=_joined_survey(parts),
+            assumed=tuple(dict.fromkeys(name for part in parts for name in part.assumed)),
+            reference=_joined_reference(altogether),
+            curve_resistance=_same_curve_resistance(self.name, parts),
+            legs=self.legs,
+        )
+
+    def _travelled(self, leg: Leg) -> Line:
+        """What of an edge's line a leg runs over, in the direction of travel."""
+        start, end = sorted((leg.edge_start, leg.edge_end))
+        part = self.network.edge(leg.edge).line.section(start, end)
+        return part if leg.forward else part.reversed()
+
+    def _stations(self, parts: Sequence[tuple[float, Line]]) -> tuple[Station, ...]:
+        """Stations of the parts and of the nodes between them, each once; and both ends."""
+        found = [
+            (at + station.position, station.name) for at, part in parts for station in part.stations
+        ]
+        for at, name, kind in self._joints():
+            if kind == "station":
+                found = [each for each in found if abs(each[0] - at) > AT_END]
+                found.append((at, name))
+        for at, name in ((0.0, self.places[0]), (self.length, self.places[-1])):
+            if all(abs(each[0] - at) > AT_END for each in found):
+                found.append((at, name))
+        found.sort(key=lambda each: each[0])
+        once = [
+            each
+            for before, each in pairwise([(-np.inf, ""), *found])
+            if not (each[1] == before[1] and each[0] - before[0] <= AT_END)
+        ]
+        return tuple(Station(name, min(max(at, 0.0), self.length)) for at, name in once)
+
+    def _joints(self) -> Iterator[tuple[float, str, NodeKind]]:
+        """Position [m], name and kind of the nodes that the route passes."""
+        for leg in self.legs:
+            edge = self.network.edge(leg.edge)
+            for at, chainage in ((leg.position, leg.edge_start), (leg.end, leg.edge_end)):
+                if chainage <= TINY or chainage >= edge.line.length - TINY:
+                    name = edge.start if chainage <= TINY else edge.end
+                    yield at, name, self.network.node(name).kind
+
+
+_State = tuple[int, str, int, int]
+"""Towards which place, over which edge, which piece of it, in which direction (1 or -1)."""
+
+
+class _Search:
+    """The shortest way through places, as a graph of pieces of edges that are travelled.
+
+    Edges are cut where places lie inside them; the graph has each piece once for each direction
+    and for each place that the train is on its way to.
+    """
+
+    def __init__(
+        self, network: Network, names: Sequence[str], stages: Sequence[tuple[Place, ...]]
+    ) -> None:
+        self.network, self.names = network, names
+        self.stages = [{(p.node, p.edge, p.position): p.station for p in each} for each in stages]
+        self.cuts: dict[str, list[float]] = {
+            edge.name: [0.0, edge.line.length] for edge in network.edges
+        }
+        for place in {key for stage in self.stages for key in stage if not key[0]}:
+            self.cuts[place[1]].append(place[2])
+        self.cuts = {name: sorted(set(found)) for name, found in self.cuts.items()}
+        self.departures: dict[str, list[tuple[str, int, int]]] = {}
+        for edge in network.edges:
+            last = len(self.cuts[edge.name]) - 2
+            self.departures.setdefault(edge.start, []).append((edge.name, 0, 1))
+            self.departures.setdefault(edge.end, []).append((edge.name, last, -1))
+
+    def legs(self) -> tuple[Leg, ...]:
+        """Legs of the shortest way.
+
+        Raises
+        ------
+        InputError
+            If there is none, naming between which places.
+        """
+        import networkx
+
+        graph = self._graph()
+        try:
+            states = networkx.dijkstra_path(graph, "start", "end")[1:-1]
+        except (networkx.NetworkXNoPath, networkx.NodeNotFound):
+            reached = networkx.descendants(graph, "start") if "start" in graph else set()
+            most = max((state[0] for state in reached if isinstance(state, tuple)), default=0)
+            raise InputError(
+                f"network '{self.network.name}' has no route from '{self.names[most]}' to"
+                f" '{self.names[most + 1]}'",
+                remedy="its turns allow none; name a station on the way at which the train can"
+                " turn back",
+            ) from None
+        return self._joined(states)
+
+    def _graph(self) -> DiGraph[Any]:
+        import networkx
+
+        graph: DiGraph[Any] = networkx.DiGraph()
+        last = len(self.stages) - 1
+        for key in self.stages[0]:
+            for first in self._departing(key):
+                graph.add_edge("start", (0, *first), weight=0.0)
+        for layer in range(last):
+            for edge in self.network.edges:
+                cuts = self.cuts[edge.name]
+                for piece in range(len(cuts) - 1):
+                    length = cuts[piece + 1] - cuts[piece]
+                    for way in (1, -1):
+                        state = (layer, edge.name, piece, way)
+                        for following in self._following(state, last):
+                            graph.add_edge(state, following, weight=length)
+        return graph
+
+    def _following(self, state: _State, last: int) -> Iterator[_State | str]:
+        """States that can follow one."""
+        layer, name, piece, way = state
+        key = self._end(name, piece, way)
+        onward = list(self._onward(name, piece, way, key))
+        yield from ((layer, *each) for each in onward)
+        station = self.stages[layer + 1].get(key)
+        if station is None:
+            return
+        if layer + 1 == last:
+            yield "end"
+            return
+        for each in self._departing(key) if station else onward:
+            yield (layer + 1, *each)
+
+    def _end(self, name: str, piece: int, way: int) -> tuple[str, str, float]:
+        """The place at which a piece ends."""
+        at = piece + (way > 0)
+        edge = self.network.edge(name)
+        if at == 0:
+            return edge.start, "", 0.0
+        if at == len(self.cuts[name]) - 1:
+            return edge.end, "", 0.0
+        return "", name, self.cuts[name][at]
+
+    def _departing(self, key: tuple[str, str, float]) -> list[tuple[str, int, int]]:
+        """Pieces over which a train can leave a place, whichever way it came."""
+        node, name, position = key
+        if node:
+            return self.departures.get(node, [])
+        at = self.cuts[name].index(position)
+        return [(name, at, 1), (name, at - 1, -1)]
+
+    def _onward(
+        self, name: str, piece: int, way: int, key: tuple[str, str, float]
+    ) -> Iterator[tuple[str, int, int]]:
+        """Pieces onto which a train passes without turning back."""
+        node = key[0]
+        if not node:
+            yield name, piece + way, way
+            return
+        allowed = self.network.turns.get(node)
+        for other in self.departures.get(node, []):
+            if other == (name, piece, -way):
+                continue
+            pair = (name, other[0])
+            if allowed is None or pair in allowed or pair[::-1] in allowed:
+                yield other
+
+    def _joined(self, states: Sequence[_State]) -> tuple[Leg, ...]:
+        """Legs of pieces; those that continue each other are one."""
+        stretches: list[tuple[str, float, float]] = []
+        for _, name, piece, way in states:
+            ends = self.cuts[name][piece : piece + 2][::way]
+            if stretches and stretches[-1][0] == name and _continues(stretches[-1], ends):
+                stretches[-1] = (name, stretches[-1][1], ends[1])
+            else:
+                stretches.append((name, ends[0], ends[1]))
+        legs, position = [], 0.0
+        for name, start, end in stretches:
+            length = abs(end - start)
+            whole = self.network.edge(name).line.length
+            legs.append(Leg(name, position, length, start, end, whole))
+            position += length
+        return tuple(legs)
+
+
+def _continues(before: tuple[str, float, float], ends: Sequence[float]) -> bool:
+    """Whether a piece goes on where the one before ends, in the same direction."""
+    return before[2] == ends[0] and (before[2] > before[1]) == (ends[1] > ends[0])
+
+
+def _twice(names: Sequence[str]) -> dict[str, int]:
+    counts = {name: len(list(group)) for name, group in groupby(sorted(names))}
+    return {name: count for name, count in counts.items() if count > 1}
+
+
+def _nearest(name: str, known: Any, otherwise: str) -> str:
+    """A remedy that names what was perhaps meant."""
+    found = get_close_matches(name, list(known), n=3)
+    return f"did you mean {' or '.join(repr(each) for each in found)}?" if found else otherwise
+
+
+def _joined_steps(parts: Sequence[tuple[float, StepProfile]]) -> StepProfile:
+    return StepProfile(
+        np.concatenate([at + part.positions for at, part in parts]),
+        np.concatenate([part.values for _, part in parts]),
+    )
+
+
+def _joined_curvatures(parts: Sequence[tuple[float, Line]]) -> CurvatureProfile | None:
+    """Curvature of the parts; straight where a part has none, as `Line.curvature` states."""
+    if all(part.curvatures is None for _, part in parts):
+        return None
+    straight = CurvatureProfile(np.zeros(1), np.zeros(1), np.zeros(1))
+    profiles = [(at, part.curvatures or straight) for at, part in parts]
+    return CurvatureProfile(
+        np.concatenate([at + each.positions for at, each in profiles]),
+        np.concatenate([each.start for _, each in profiles]),
+        np.concatenate([each.end for _, each in profiles]),
+    )
+
+
+def _joined_reference(parts: Sequence[tuple[float, Line]]) -> LineReference | None:
+    """The operator's kilometres; of an edge without, its chainage."""
+    if all(part.reference is None for _, part in parts):
+        return None
+    names = dict.fromkeys(part.reference.name for _, part in parts if part.reference is not None)
+    rows: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+    for at, part in parts:
+        own = part.reference
+        if own is None:
+            own = LineReference(part.name, [0.0], [0.0], [part.length])  # type: ignore[arg-type]
+        rows.append((at + own.positions, own.start, own.end))
+    return LineReference(
+        " + ".join(names), *(np.concatenate(each) for each in zip(*rows, strict=True))
+    )
+
+
+def _joined_geometry(parts: Sequence[tuple[float, Line]]) -> Geometry | None:
+    """The course of all parts; where two meet, in the middle between their ends."""
+    courses = [(at, part.geometry) for at, part in parts if part.geometry is not None]
+    if len(courses) < len(parts):
+        return None
+    positions = np.concatenate([at + each.positions for at, each in courses])
+    latitudes = np.concatenate([each.latitudes for _, each in courses])
+    longitudes = np.concatenate([each.longitudes for _, each in courses])
+    same = np.flatnonzero(np.diff(positions) <= TINY)
+    for values in (latitudes, longitudes):
+        values[same] = 0.5 * (values[same] + values[same + 1])
+    kept = np.setdiff1d(np.arange(positions.size), same + 1)
+    quality = "; ".join(dict.fromkeys(each.quality for _, each in courses if each.quality))
+    return Geometry(positions[kept], latitudes[kept], longitudes[kept], quality)
+
+
+def _joined_survey(parts: Sequence[Line]) -> Survey | None:
+    """How well the gradients are known where they are known worst; None where one part has none.
+
+    The longest stretch over which an error holds: of a part whose gradients have each one of
+    their own, their mean length, the longer ones counting for more.
+    """
+    surveys = [part.survey for part in parts]
+    if any(survey is None for survey in surveys):
+        return None
+    known = [survey for survey in surveys if survey is not None]
+    worst = max(survey.gradient_std for survey in known)
+    if all(survey.correlation_length is None for survey in known):
+        return Survey(worst)
+    lengths = []
+    for part, survey in zip(parts, known, strict=True):
+        widths = np.diff(np.append(part.gradients.positions, part.length))
+        own = float(np.sum(widths**2) / part.length)
+        lengths.append(survey.correlation_length or own)
+    return Survey(worst, max(lengths))
+
+
+def _common_parameters(parts: Sequence[Line]) -> dict[str, float]:
+    """Braking parameters on which all parts agree."""
+    first, *others = (part.braking_parameters for part in parts)
+    return {
+        name: value
+        for name, value in first.items()
+        if all(other.get(name) == value for other in others)
+    }
+
+
+def _same_curve_resistance(name: str, parts: Sequence[Line]) -> Any:
+    """The formula of the curve resistance, which all curves of a line have in common."""
+    formulas = {part.curve_resistance: part.name for part in parts if part.curvatures is not None}
+    if len(formulas) > 1:
+        words = ", ".join(f"'{formula}' on '{edge}'" for formula, edge in formulas.items())
+        raise InputError(
+            f"route '{name}': edges state different curve resistances: {words}",
+            remedy="state the same on all edges of a network",
+        )
+    return next(iter(formulas), "proportional")
