@@ -175,8 +175,8 @@ _NAMES = {
     "trainlog.ingest": "read_recording=ingest report_of repairs_of read_profile",
     "trainlog.railway": (
         "Configuration CurvatureProfile Edge Geometry Journey Leg Line LineReference Network Node "
-        "ParameterSet Route RunningResistance Station StepProfile TimingPoint TrackConditionMap Train "
-        "Trajectory Tunnel AxleGeometry Axles Brake"
+        "ParameterSet Route RunningResistance Station StepProfile TimingPoint TrackConditionMap "
+        "Train Trajectory Tunnel AxleGeometry Axles Brake"
     ),
     "trainlog.railway.adhesion": (
         "AdhesionCharacteristic AdhesionPoints AdhesionTable CreepCurve PolachCurve polach_curve"

@@ -127,10 +127,12 @@ class LineFile(File):
     legs: _Legs | None = None
 
     def content(self) -> Line:
+        """The line that the file describes."""
         return self.line()
 
     @classmethod
     def implausible(cls, values: dict[str, Any]) -> list[InputError]:
+        """What of `values` cannot be meant; see `trainlog.formats.plausible`."""
         return list(implausible_line(values))
 
     def line(self) -> Line:

@@ -332,9 +332,7 @@ class Network:
 
     @cached_property
     def places(self) -> Mapping[str, tuple[Place, ...]]:
-        """Places by name: nodes, and stations inside edges; one that several edges serve has
-        several points.
-        """
+        """Nodes, and stations inside edges, by name; several points where several edges serve it."""
         found: dict[str, list[Place]] = {
             node.name: [Place(node.name, station=node.kind == "station")] for node in self.nodes
         }

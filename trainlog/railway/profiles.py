@@ -80,7 +80,7 @@ class StepProfile:
         ([0.0, 100.0], [20.0, 30.0])
         """
         kept = (self.positions > start + TINY) & (self.positions < end - TINY)
-        first = max(np.searchsorted(self.positions, start + TINY, side="right") - 1, 0)
+        first = max(int(np.searchsorted(self.positions, start + TINY, side="right")) - 1, 0)
         return StepProfile(
             np.concatenate(([0.0], self.positions[kept] - start)),
             np.concatenate(([self.values[first]], self.values[kept])),
