@@ -243,9 +243,10 @@ class Leg:
 
     def reversed(self, length: float) -> Leg:
         """The leg on the line of `length` [m] travelled the other way."""
+        position = length - self.end
         return replace(
             self,
-            position=max(length - self.position - self.length, 0.0),
+            position=position if position > TINY else 0.0,
             edge_start=self.edge_end,
             edge_end=self.edge_start,
         )
@@ -407,7 +408,7 @@ class Line:
                     f" {tunnel.length:g} m and a cross-section of {tunnel.cross_section:g} m²",
                     remedy="both must be positive",
                 )
-            if tunnel.position < 0.0 or tunnel.position + tunnel.length > self.length:
+            if tunnel.position < -TINY or tunnel.position + tunnel.length > self.length + TINY:
                 yield InputError(
                     f"{where}: tunnel at km {tunnel.position / 1e3:.3f} leaves the line"
                 )

@@ -332,7 +332,7 @@ class Network:
 
     @cached_property
     def places(self) -> Mapping[str, tuple[Place, ...]]:
-        """Nodes, and stations inside edges, by name; several points where several edges serve it."""
+        """Nodes, and stations inside edges, by name; several points where edges share it."""
         found: dict[str, list[Place]] = {
             node.name: [Place(node.name, station=node.kind == "station")] for node in self.nodes
         }
