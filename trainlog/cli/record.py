@@ -110,6 +110,29 @@ def simulate(
     start: Annotated[
         str | None, typer.Option(help="With --days: the first; default 2026-10-01.")
     ] = None,
+    network: Annotated[
+        str | None,
+        typer.Option(
+            help="A fleet on a network: its file (.network.json), or 'drawn' for ten lines drawn"
+            " with the seed, 'drawn:4' for four. With --trains, --days, --count or --trips-per-day,"
+            " --fault, --jobs."
+        ),
+    ] = None,
+    trains: Annotated[
+        int | None, typer.Option(min=1, help="With --network: of three kinds; default 20.")
+    ] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="With --network: of a train from a day on, as"
+            " train=flirt-03,dragging-brake=2kN,from=2026-10-12; or mass=3t, wheel-diameter=1%,"
+            " effort-gain=5%, sensor-delay=0.3s. May be given several times."
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(min=1, help="With --network: processes; default: one a processor."),
+    ] = None,
     change: Annotated[
         list[str] | None,
         typer.Option(
@@ -132,7 +155,13 @@ def simulate(
     written beside the logs. A train that a slippery climb stops for good is listed; the exit status
     is then 1.
 
+    With [bold]--network[/bold] a fleet runs over a network: trains of three kinds, each with a
+    running resistance, wheels, brakes and a recorder of its own, on rosters of routes, through the
+    same days of weather. Trips are made in parallel; an interrupted run goes on where it ended.
+
     Example: trainlog simulate --count 12 --seed 1 -o results/trips
+
+    Example: trainlog simulate --network drawn --trains 20 --days 30 --count 1000 -o results/fleet
 
     Example: trainlog simulate --days 30 --change km=10:14,date=2026-10-15,factor=1.3 -o october
     """
@@ -147,6 +176,35 @@ def simulate(
         recorded,
     )
 
+    if network is not None:
+        alone: dict[str, object] = {
+            "line": line,
+            "train": train,
+            "trajectory": trajectory,
+            "change": change,
+        }
+        alone |= {"characteristic": characteristic, "map": condition, "weather": weather}
+        alone |= {"configurations": configurations, "risk": risk, "at": at, "late": late or None}
+        alone |= {"change": change, "traction": None if traction == "own" else traction}
+        for option, given in alone.items():
+            if given is not None:
+                raise InputError(
+                    f"--{option} does not go with --network", remedy="leave one of them out"
+                )
+        fleet_of(
+            network,
+            output,
+            seed,
+            trains or 20,
+            days or 30,
+            count,
+            trips_per_day,
+            start,
+            fault,
+            jobs,
+        )
+        return
+    _check_alone({"trains": trains, "fault": fault, "jobs": jobs}, "network")
     the_line, the_train = line_and_train(line, train)
     the_map = time = None
     if condition is not None and (trajectory is not None or traction == "cooperative"):
@@ -240,6 +298,71 @@ def simulate(
         draw_following(followed, output / "following.png")
         wrote(output / "following.png")
     if stuck:
+        raise typer.Exit(1)
+
+
+def fleet_of(
+    network: str,
+    output: Path,
+    seed: int,
+    trains: int,
+    days: int,
+    count: int | None,
+    trips_per_day: int | None,
+    start: str | None,
+    faults: list[str] | None,
+    jobs: int | None,
+) -> None:
+    """Simulate a fleet on a network and print what was made."""
+    from trainlog.formats.network import read_network
+    from trainlog.simulation import Fault, draw_fleet, draw_network, write_fleet
+
+    if count is not None and trips_per_day is not None:
+        raise InputError(
+            "--count and --trips-per-day both say how many trips there are",
+            remedy="give one of them",
+        )
+    drawn, _, lines = network.partition(":")
+    if drawn == "drawn":
+        if lines and not lines.isdigit():
+            raise InputError(f"'{network}' is no network", remedy="write it as drawn or drawn:4")
+        the_network = draw_network(seed, int(lines or 10))
+    else:
+        the_network = read_network(network)
+    trips = count if trips_per_day is None else trips_per_day * trains * days
+    fleet = draw_fleet(
+        the_network,
+        trains=trains,
+        days=days,
+        trips=trips,
+        seed=seed,
+        faults=[Fault.of(words) for words in faults or []],
+        start=start or "2026-10-01",
+    )
+    console.print(f"{fleet}", highlight=False, markup=False)
+    logs = write_fleet(fleet, output, jobs)
+    for each in logs.stuck:
+        print_error(each.reason)
+    wrote(output)
+    stated = {
+        "trips": logs.made,
+        "kept": logs.kept,
+        "stuck": [each.name for each in logs.stuck],
+        "duration_s": logs.duration,
+        "distance_m": logs.distance,
+        "size_bytes": logs.size,
+        "elapsed_s": logs.elapsed,
+    }
+    if not state(stated):
+        speed = logs.duration / max(logs.elapsed, 1e-9)
+        console.print(
+            f"{logs.made} trips made, {logs.kept} kept, {len(logs.stuck)} did not arrive:"
+            f" {logs.duration / 3600.0:.1f} h, {logs.distance / 1e3:.0f} km,"
+            f" {logs.size / 1e9:.2f} GB in {logs.elapsed:.0f} s,"
+            f" {speed:,.0f} times as fast as the trains",
+            highlight=False,
+        )
+    if logs.stuck:
         raise typer.Exit(1)
 
 

@@ -15,6 +15,9 @@ from trainlog.simulation.drivers import (
     check_stops,
     plan,
 )
+from trainlog.simulation.fleet import Fleet, FleetScenario, as_recorded, draw_fleet
+from trainlog.simulation.fleet_logs import FleetLogs, write_fleet, write_trip
+from trainlog.simulation.network import draw_network
 from trainlog.simulation.plant import Drive, Plant, PlantState
 from trainlog.simulation.rail import Change, Rail, RailState
 from trainlog.simulation.recording import Run, drive, recorded, simulate
@@ -32,6 +35,7 @@ from trainlog.simulation.traction import (
     TractionControl,
     TractionLoop,
 )
+from trainlog.simulation.vehicles import Fault, FleetTrain
 
 __all__ = [
     "Change",
@@ -42,6 +46,11 @@ __all__ = [
     "DriveReading",
     "DriveSensors",
     "Driver",
+    "Fault",
+    "Fleet",
+    "FleetLogs",
+    "FleetScenario",
+    "FleetTrain",
     "Habits",
     "Instruments",
     "Locator",
@@ -59,12 +68,17 @@ __all__ = [
     "TractionControl",
     "TractionLoop",
     "Variation",
+    "as_recorded",
     "check_stops",
     "draw_days",
+    "draw_fleet",
+    "draw_network",
     "draw_scenarios",
     "drive",
     "plan",
     "recorded",
     "simulate",
     "trajectory_scenarios",
+    "write_fleet",
+    "write_trip",
 ]

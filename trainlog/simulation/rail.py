@@ -303,6 +303,7 @@ class Rail:
         start: int | str | pd.Timestamp,
         seed: int,
         changes: Sequence[Change] = (),
+        weather: DrawnWeather | None = None,
     ) -> Rail:
         """Draw a rail; the same seed draws the same one.
 
@@ -313,6 +314,8 @@ class Rail:
         start : int [ns since 1970 UTC], or a date
         seed : int
         changes : sequence of Change
+        weather : DrawnWeather, optional
+            From `WARM_UP` days before the first to a day after the last; default: drawn, too.
 
         Raises
         ------
@@ -335,8 +338,9 @@ class Rail:
                     f"{place}: {when} is not one of the days simulated",
                     remedy="give a date from the first to the last day",
                 )
-        warm, hours = first - WARM_UP * DAY, 24 * (WARM_UP + days + 1)
-        weather = draw_weather(warm, hours, np.random.default_rng([seed, 11]))
+        if weather is None:
+            warm, hours = first - WARM_UP * DAY, 24 * (WARM_UP + days + 1)
+            weather = draw_weather(warm, hours, np.random.default_rng([seed, 11]))
         trees = _stretches(_pieces(line), 700.0, np.random.default_rng([seed, 12])) < 0.35
         lasting = _lasting(line, trees, seed)
         spots = _spots(line, weather, trees, changes, np.random.default_rng([seed, 14]))
@@ -414,12 +418,13 @@ class Rail:
         there = self.spots[left > 0.0].assign(left=left[left > 0.0])
         return RailState(self.lasting(weather.condition, time), weather, there)
 
-    def profile(self, time: int, number: int) -> StepProfile:
+    def profile(self, time: int, number: int, state: RailState | None = None) -> StepProfile:
         """Maximum adhesion that trip `number` meets at `time`, in the line's own direction.
 
-        Days differ, and trips of a day differ a little: both along the line, too.
+        Days differ, and trips of a day differ a little: both along the line, too. `state` is that
+        of the time, where it is known already.
         """
-        state = self.state(time)
+        state = self.state(time) if state is None else state
         count = self.trees.size
         centres = _centres(count)
         today = np.random.default_rng([self.seed, 15, int(time // DAY)])

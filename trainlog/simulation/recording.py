@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from trainlog import __version__
 from trainlog.errors import InfeasibleError
 from trainlog.formats.files import sha256
-from trainlog.formats.line import line_to_bytes
-from trainlog.formats.train import train_to_bytes
 from trainlog.simulation import sensors as measuring
 from trainlog.simulation.drivers import DEPARTURE, PERIOD, Observation
 from trainlog.simulation.scenario import LARGEST_LOAD, Scenario
@@ -168,10 +166,11 @@ def recorded(scenario: Scenario, run: Run) -> Trip:
         scenario.sensors,
         generator,
     )
+    late = delayed_efforts(columns, run.seconds, scenario.sensors.effort_delay)
     frames = [
         state,
-        controls(scenario, run, columns, time, generator),
-        axle_frame(scenario, columns, time, own, generator),
+        controls(scenario, run, late, time, generator),
+        axle_frame(scenario, late, time, own, generator),
         fix,
         motion,
         measuring.environment(scenario.travelled, time, believed, scenario.temperature),
@@ -179,11 +178,7 @@ def recorded(scenario: Scenario, run: Run) -> Trip:
         reference(scenario, run, columns, time),
         truth(columns, time),
     ]
-    line, train, content = (
-        line_to_bytes(scenario.line),
-        train_to_bytes(scenario.train),
-        scenario.truth(),
-    )
+    (line, train), content = scenario.files(), scenario.truth()
     trip = Trip(
         topics={frame.attrs["topic"]: frame for frame in frames if frame is not None},
         metadata=metadata(scenario) | traction_metadata(run.traction),
@@ -224,7 +219,7 @@ def metadata(scenario: Scenario) -> dict[str, str]:
         known |= {"load": f"{load:.0f}", "load_std": f"{std:.0f}"}
     if scenario.trajectory is not None:
         known["configuration"] = scenario.trajectory.configurations[scenario.row].name
-    return known
+    return known | scenario.metadata()
 
 
 def traction_metadata(loop: TractionLoop | None) -> dict[str, str]:
@@ -235,6 +230,18 @@ def traction_metadata(loop: TractionLoop | None) -> dict[str, str]:
         "traction_control": loop.control.name,
         "traction_decisions": str(loop.steps),
         "traction_unsolved": str(len(loop.unsolved)),
+    }
+
+
+def delayed_efforts(
+    columns: dict[str, FloatArray], seconds: FloatArray, delay: float
+) -> dict[str, FloatArray]:
+    """The columns, with the efforts of the train and its axles late by `delay` [s]."""
+    if delay == 0.0:
+        return columns
+    return {
+        name: np.interp(seconds - delay, seconds, values) if "effort" in name else values
+        for name, values in columns.items()
     }
 
 

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.formats.characteristic import characteristic_content
+from trainlog.formats.line import line_to_bytes
+from trainlog.formats.train import train_to_bytes
 from trainlog.railway import Line, RunningResistance, StepProfile, Train, Trajectory
 from trainlog.railway.adhesion import AdhesionCharacteristic
 from trainlog.simulation.drivers import (
@@ -189,13 +191,17 @@ class Scenario:
 
     def plant(self) -> Plant:
         """The train on its line."""
-        count = self.train.axles.count
+        return self.plant_of(self.train)
+
+    def plant_of(self, train: Train) -> Plant:
+        """A train on the scenario's line, with all that the scenario states of its own."""
+        count = train.axles.count
         cleaning = np.interp(
             np.linspace(0.0, 1.0, count), np.linspace(0.0, 1.0, 4), np.array(RAIL_CLEANING)
         )
         return Plant.of(
             self.ground,
-            self.train,
+            train,
             mass=self.mass,
             rotating_mass=self.rotating_mass,
             resistance=self.resistance,
@@ -230,6 +236,14 @@ class Scenario:
             instruments.read(motion.time, motion.position, motion.speed, motion.acceleration)
         )
 
+    def metadata(self) -> dict[str, str]:
+        """What the log states besides what every simulated trip's does."""
+        return {}
+
+    def files(self) -> tuple[bytes, bytes]:
+        """The files of line and train that the log carries."""
+        return line_to_bytes(self.line), train_to_bytes(self.train)
+
     def truth(self) -> bytes:
         """The scenario as JSON: what estimators must not see and tests judge them by."""
         content: dict[str, Any] = {
@@ -252,7 +266,7 @@ class Scenario:
             "survey_error": None if self.survey_error is None else _as_json(self.survey_error),
             "stops": [asdict(stop) for stop in self.stops],
             "habits": asdict(self.habits),
-            "sensors": asdict(self.sensors),
+            "sensors": self.sensors.known(),
         }
         if self.characteristic is not None:
             content["characteristic"] = characteristic_content(self.characteristic)
@@ -463,17 +477,7 @@ def _drawn(
     stations = travelled.stations[1:-1] if calling else ()
     kept = generator.uniform(size=len(stations)) < generator.choice([0.7, 1.0])
     calls = [station for station, stop in zip(stations, kept, strict=True) if stop]
-    wet = weather != "dry"
-    habits = Habits(
-        lever=min(1.0, float(generator.uniform(0.45, 0.8) if wet else generator.uniform(0.7, 1.2))),
-        lever_rate=float(generator.uniform(0.15, 0.35)),
-        margin=float(generator.uniform(0.4, 1.2)),
-        deceleration=float(generator.uniform(0.5, 0.65) if wet else generator.uniform(0.55, 0.8)),
-        reaction=float(generator.uniform(0.6, 1.1)),
-        coasting=float(generator.uniform(1.5, 4.0)),
-        coasting_spacing=float(generator.uniform(2500.0, 6000.0)),
-        dwell=float(generator.uniform(25.0, 40.0)),
-    )
+    habits = drawn_habits(generator, wet=weather != "dry")
     return Scenario(
         name=f"trip-{number + 1:02d}",
         line=line,
@@ -497,6 +501,20 @@ def _drawn(
         seed=int(generator.integers(2**31)),
         start=START + number * 3600 * NANOSECONDS,
         temperature=float(np.round(generator.uniform(278.0, 288.0), 1)),
+    )
+
+
+def drawn_habits(generator: np.random.Generator, wet: bool) -> Habits:
+    """A driver, more careful on any rail that is not dry."""
+    return Habits(
+        lever=min(1.0, float(generator.uniform(0.45, 0.8) if wet else generator.uniform(0.7, 1.2))),
+        lever_rate=float(generator.uniform(0.15, 0.35)),
+        margin=float(generator.uniform(0.4, 1.2)),
+        deceleration=float(generator.uniform(0.5, 0.65) if wet else generator.uniform(0.55, 0.8)),
+        reaction=float(generator.uniform(0.6, 1.1)),
+        coasting=float(generator.uniform(1.5, 4.0)),
+        coasting_spacing=float(generator.uniform(2500.0, 6000.0)),
+        dwell=float(generator.uniform(25.0, 40.0)),
     )
 
 

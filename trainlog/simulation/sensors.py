@@ -8,7 +8,8 @@ set right at balises, satellites that are lost.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -49,6 +50,13 @@ class Sensors:
     load_error : float or None
         Standard deviation of the load that the air springs show, over the largest load; None where
         nothing weighs it and the log states no load.
+    wheel_factors : tuple of float
+        Believed over true diameter that lasts from trip to trip: of the odometer's axle, then of
+        each powered axle; empty: all 1.
+    effort_gain : float
+        Recorded over true effort.
+    effort_delay : float [s]
+        By how much recorded efforts are late.
     """
 
     rate: int = 10
@@ -65,6 +73,9 @@ class Sensors:
     gnss_speed_noise: float = 0.08
     outages: float = 1.0 / 600.0
     load_error: float | None = 0.025
+    wheel_factors: tuple[float, ...] = ()
+    effort_gain: float = 1.0
+    effort_delay: float = 0.0
 
     def __post_init__(self) -> None:
         if self.rate < 10 or self.rate % 10 or 200 % self.rate:
@@ -74,8 +85,14 @@ class Sensors:
             )
         for name in self.__slots__:
             value = getattr(self, name)
-            if value is not None and not value >= 0.0:
+            if value is not None and not np.all(np.asarray(value) >= 0.0):
                 raise InputError(f"sensors: {name} {value} is negative")
+
+    def known(self) -> dict[str, Any]:
+        """All fields by name, but those of a single train that are as of any other."""
+        found = asdict(self)
+        usual = {"wheel_factors": (), "effort_gain": 1.0, "effort_delay": 0.0}
+        return {key: value for key, value in found.items() if value != usual.get(key, math.nan)}
 
 
 def rounded(values: FloatArray, resolution: float) -> FloatArray:
@@ -95,6 +112,9 @@ def wheel_scales(
     """Believed over true wheel diameter: of the odometer's axle, and of each powered axle."""
     common = 1.0 + sensors.diameter_error * generator.standard_normal()
     own = common + sensors.diameter_error / 3.0 * generator.standard_normal(axles)
+    if sensors.wheel_factors:
+        common *= sensors.wheel_factors[0]
+        own *= np.array(sensors.wheel_factors[1:])
     return common, own
 
 
@@ -111,7 +131,8 @@ def measured_effort(
     effort: FloatArray, sensors: Sensors, generator: np.random.Generator
 ) -> FloatArray:
     """Effort [N] from the converter's torque estimate: proportional noise, quantised."""
-    noisy = effort * (1.0 + sensors.effort_noise * generator.standard_normal(effort.shape))
+    noise = 1.0 + sensors.effort_noise * generator.standard_normal(effort.shape)
+    noisy = sensors.effort_gain * effort * noise
     return rounded(noisy, sensors.effort_resolution)
 
 

@@ -91,10 +91,69 @@ def draw_weather(start: int, hours: int, generator: np.random.Generator) -> Draw
     windy = _spells(hours, (48.0, 0.7), WIND_SPELL, generator)
     season = np.maximum(0.0, 1.0 - np.abs((day - LEAF_FALL) / LEAF_SEASON) ** 1.5)
     falling = season * np.where(windy, 4.0, 0.6)
-    damp = (since <= drying) | (humidity > 0.9)
+    return _drawn(starts, rain, since <= drying, humidity, temperature, falling)
+
+
+def local_weather(
+    region: DrawnWeather, lag: int, warmer: float, generator: np.random.Generator
+) -> DrawnWeather:
+    """The weather of one area of a region: later, colder or warmer, with showers of its own.
+
+    Parameters
+    ----------
+    region : DrawnWeather
+    lag : int [h]
+        By which the region's weather comes later.
+    warmer : float [K]
+    generator : numpy.random.Generator
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pandas as pd
+    >>> start = pd.Timestamp("2026-10-01T00:00Z").value
+    >>> region = draw_weather(start, 24 * 30, np.random.default_rng(1))
+    >>> area = local_weather(region, 1, -1.5, np.random.default_rng(2))
+    >>> same = np.mean([a == b for a, b in zip(area.table.conditions, region.table.conditions)])
+    >>> bool(0.7 < same < 1.0)
+    True
+    """
+    table = region.table
+    hours = table.starts.size
+    before = np.maximum(np.arange(hours) - lag, 0)
+    rain = (table.precipitation / MILLIMETRE_PER_HOUR)[before]
+    rain = rain * np.exp(0.35 * generator.standard_normal(hours))
+    rain = np.where(generator.uniform(size=hours) > 0.1, rain, 0.0)
+    shower = (table.humidity[before] > 0.9) & (generator.uniform(size=hours) < 0.05)
+    rain = np.where(shower & (rain == 0.0), generator.gamma(0.8, 1.0, hours), rain).round(1)
+    days = hours // 24 + 1
+    humidity = table.humidity[before] + np.repeat(generator.uniform(-0.03, 0.03, days), 24)[:hours]
+    humidity = np.where(rain > 0.0, 0.95, humidity)
+    temperature = (
+        table.temperature + warmer + np.repeat(generator.uniform(-0.6, 0.6, days), 24)[:hours]
+    )
+    drying = np.repeat(generator.uniform(1.0, 6.0, hours // 12 + 1), 12)[:hours]
+    falling = region.falling[before] * generator.uniform(0.85, 1.15)
+    lately = _hours_since(rain > 0.0) <= drying
+    return _drawn(table.starts, rain, lately, humidity, temperature, falling)
+
+
+def _drawn(
+    starts: NDArray[np.int64],
+    rain: FloatArray,
+    lately: NDArray[np.bool_],
+    humidity: FloatArray,
+    temperature: FloatArray,
+    falling: FloatArray,
+) -> DrawnWeather:
+    """Weather by the hour, with the rail condition that follows from it; (n,) arrays.
+
+    `rain` is in mm/h, and `lately` is where it has not dried since the last.
+    """
+    damp = lately | (humidity > 0.9)
     frosty = (temperature <= FREEZING) & (rain == 0.0) & (humidity > 0.75)
     conditions = np.select(
-        [frosty, rain > 0.0, damp & (falling > MANY_LEAVES), since <= drying],
+        [frosty, rain > 0.0, damp & (falling > MANY_LEAVES), lately],
         ["frost", "wet", "leaves", "wet"],
         "dry",
     )
@@ -103,7 +162,7 @@ def draw_weather(start: int, hours: int, generator: np.random.Generator) -> Draw
         starts + HOUR,
         tuple(str(each) for each in conditions),
         np.round(temperature, 1),
-        np.round(np.clip(humidity, 0.2, 1.0), 2),
+        np.asarray(np.round(np.clip(humidity, 0.2, 1.0), 2), dtype=np.float64),
         MILLIMETRE_PER_HOUR * rain,
     )
     return DrawnWeather(table, falling)

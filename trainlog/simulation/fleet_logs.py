@@ -1,0 +1,240 @@
+"""A fleet's logs on disk: trips in parallel processes; what is there already is not made again."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+from trainlog.errors import InfeasibleError, InputError
+from trainlog.formats.files import made_folder, read_bytes, write_bytes
+from trainlog.formats.network import write_network
+from trainlog.formats.train import write_train
+from trainlog.formats.weather import write_weather
+from trainlog.mcap import write_log
+from trainlog.progress import task
+from trainlog.simulation.fleet import Fleet, as_recorded
+from trainlog.simulation.recording import drive, recorded
+
+TRUTH_FILE = "fleet.json"
+"""What the fleet truly is; no analysis reads it."""
+
+NETWORK_FILE = "network.network.json"
+
+BATCH = 10
+"""Trips that a process is given at once."""
+
+AHEAD = 3
+"""Batches for each process that are given out at most."""
+
+
+class Made(NamedTuple):
+    """What became of one trip.
+
+    Attributes
+    ----------
+    number : int
+    name : str
+    duration, distance : float [s], [m]
+    size : int [B]
+    reason : str
+        Why there is no log; empty: there is.
+    """
+
+    number: int
+    name: str
+    duration: float = 0.0
+    distance: float = 0.0
+    size: int = 0
+    reason: str = ""
+
+
+@dataclass
+class FleetLogs:
+    """What was made of a fleet.
+
+    Attributes
+    ----------
+    made, kept : int
+        Logs made now, and those that there were.
+    stuck : list of Made
+        Trips that did not arrive, with the reason.
+    duration, distance : float [s], [m]
+        Of the trips made.
+    size : int [B]
+    elapsed : float [s]
+        On the wall.
+    """
+
+    made: int = 0
+    kept: int = 0
+    stuck: list[Made] = field(default_factory=list)
+    duration: float = 0.0
+    distance: float = 0.0
+    size: int = 0
+    elapsed: float = 0.0
+
+    def add(self, each: Made) -> None:
+        """Count what became of a trip."""
+        if each.reason:
+            self.stuck.append(each)
+            return
+        self.made += 1
+        self.duration += each.duration
+        self.distance += each.distance
+        self.size += each.size
+
+
+def log_path(folder: str | Path, fleet: Fleet, number: int) -> Path:
+    """The log of a trip: in the folder of its train."""
+    return Path(folder) / fleet.train_of(number).name / f"{fleet.name(number)}.mcap"
+
+
+def write_trip(fleet: Fleet, number: int, folder: str | Path) -> Made:
+    """Drive one trip and write its log.
+
+    A train that does not arrive leaves none.
+    """
+    scenario = fleet.scenario(number)
+    try:
+        run = drive(scenario)
+    except InfeasibleError as error:
+        return Made(number, scenario.name, reason=str(error))
+    trip = as_recorded(recorded(scenario, run), fleet.train_of(number))
+    path = log_path(folder, fleet, number)
+    write_log(trip, path, threads=1)
+    distance = scenario.stops[-1].position - scenario.stops[0].position
+    return Made(number, scenario.name, trip.duration, distance, path.stat().st_size)
+
+
+def write_fleet(fleet: Fleet, folder: str | Path, jobs: int | None = None) -> FleetLogs:
+    """Write all logs of a fleet, and beside them network, trains, weather and truth.
+
+    Logs that are there already are kept: an interrupted run goes on where it ended. The bytes do
+    not depend on `jobs`.
+
+    Parameters
+    ----------
+    fleet : Fleet
+    folder : path
+    jobs : int, optional
+        Processes; default: one a processor.
+
+    Raises
+    ------
+    InputError
+        If the folder holds another fleet, or cannot be written to.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.simulation import draw_fleet, draw_network
+    >>> fleet = draw_fleet(draw_network(seed=1, lines=3), trains=2, days=1, trips=2)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     first = write_fleet(fleet, folder, jobs=1)
+    ...     second = write_fleet(fleet, folder, jobs=1)
+    >>> first.made, second.made, second.kept
+    (2, 0, 2)
+    """
+    begun = time.perf_counter()
+    jobs = (os.cpu_count() or 1) if jobs is None else jobs
+    if jobs < 1:
+        raise InputError(f"cannot work in {jobs} processes", remedy="give 1 or more")
+    target = made_folder(folder)
+    _write_beside(fleet, target)
+    found = FleetLogs()
+    missing = []
+    for number in range(fleet.trips):
+        if log_path(target, fleet, number).exists():
+            found.kept += 1
+        else:
+            missing.append(number)
+    jobs = min(jobs, -(-len(missing) // BATCH)) or 1
+    with task("driving", total=len(missing), unit="trip") as step:
+        made = (
+            _in_turn(fleet, missing, target) if jobs == 1 else _spread(fleet, missing, target, jobs)
+        )
+        for done, each in enumerate(made, start=1):
+            found.add(each)
+            step(done, note=each.name)
+    found.elapsed = time.perf_counter() - begun
+    return found
+
+
+def _write_beside(fleet: Fleet, folder: Path) -> None:
+    """Network, trains, weather and truth; refused where the folder holds those of another fleet."""
+    truth = (json.dumps(fleet.truth(), indent=1, ensure_ascii=False) + "\n").encode()
+    place = folder / TRUTH_FILE
+    if place.exists() and read_bytes(place) != truth:
+        raise InputError(
+            "the folder holds another fleet",
+            file=place,
+            remedy="name another folder, or repeat the same seed, trains, days, trips and faults",
+        )
+    for each in fleet.trains:
+        own = made_folder(folder / each.name)
+        for left_over in own.glob(".*.mcap"):
+            # Of a process that was killed while it wrote.
+            left_over.unlink(missing_ok=True)
+    if place.exists():
+        return
+    write_network(fleet.network, folder / NETWORK_FILE)
+    for each in fleet.trains:
+        write_train(each.train, made_folder(folder / "trains") / f"{each.name}.train.json")
+    for edge in fleet.network.edges:
+        name = edge.name.replace("/", "_")
+        write_weather(fleet.rail(edge.name).table, made_folder(folder / "weather") / f"{name}.csv")
+    write_bytes(place, truth)
+
+
+def _in_turn(fleet: Fleet, numbers: list[int], folder: Path) -> Iterator[Made]:
+    """Trips one after the other in this process."""
+    return (write_trip(fleet, number, folder) for number in numbers)
+
+
+def _spread(fleet: Fleet, numbers: list[int], folder: Path, jobs: int) -> Iterator[Made]:
+    """Trips in several processes, few batches at a time; in the order in which they are ready."""
+    batches = (numbers[k : k + BATCH] for k in range(0, len(numbers), BATCH))
+    pool = ProcessPoolExecutor(
+        jobs, mp_context=get_context("spawn"), initializer=_begin, initargs=(fleet, str(folder))
+    )
+    waiting: set[Future[list[Made]]] = set()
+    try:
+        for batch in batches:
+            waiting.add(pool.submit(_batch, batch))
+            if len(waiting) >= AHEAD * jobs:
+                ready, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in ready:
+                    yield from future.result()
+        while waiting:
+            ready, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            for future in ready:
+                yield from future.result()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+_work: tuple[Fleet, str] | None = None
+"""What a process of the pool works on."""
+
+
+def _begin(fleet: Fleet, folder: str) -> None:
+    """Prepare a process: an interruption is the business of the first one alone."""
+    global _work
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _work = fleet, folder
+
+
+def _batch(numbers: list[int]) -> list[Made]:
+    """Trips in a process of the pool."""
+    if _work is None:
+        raise RuntimeError("the process was not prepared")
+    fleet, folder = _work
+    return [write_trip(fleet, number, folder) for number in numbers]
