@@ -125,7 +125,7 @@ def simulate(
         list[str] | None,
         typer.Option(
             help="With --network: of a train from a day on, as"
-            " train=flirt-03,dragging-brake=2kN,from=2026-10-12; or mass=3t, wheel-diameter=1%,"
+            " train=flirt-03,mass=3t,from=2026-10-12; or dragging-brake=2kN, wheel-diameter=1%,"
             " effort-gain=5%, sensor-delay=0.3s. May be given several times."
         ),
     ] = None,
