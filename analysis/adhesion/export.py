@@ -96,7 +96,7 @@ class _Export:
         }
         for name, rows in tables.items():
             pieces = zip(rows["start_m"], rows["end_m"], strict=True)
-            yield name, rows, [_course(self.line, *each) for each in pieces]
+            yield name, rows, [course_of(self.line, *each) for each in pieces]
         stations = self.line.stations if self.line is not None else ()
         at = np.array([each.position for each in stations])
         rows = pd.DataFrame(
@@ -107,7 +107,7 @@ class _Export:
                 "position_km": in_km(self.line, at),
             }
         )
-        yield "stations", rows, [_point(self.line, each) for each in at.tolist()]
+        yield "stations", rows, [point_of(self.line, each) for each in at.tolist()]
 
 
 def export_map(
@@ -213,7 +213,7 @@ def _check_coordinates(track: TrackConditionMap, line: Line | None, path: str | 
         )
 
 
-def _course(line: Line | None, start: float, end: float) -> FloatArray | None:
+def course_of(line: Line | None, start: float, end: float) -> FloatArray | None:
     """Longitudes and latitudes of a piece of the line, (n, 2); None beyond its coordinates."""
     geometry = None if line is None else line.geometry
     if geometry is None:
@@ -227,7 +227,8 @@ def _course(line: Line | None, start: float, end: float) -> FloatArray | None:
     return np.column_stack((longitude, latitude)).round(DIGITS)
 
 
-def _point(line: Line | None, position: float) -> FloatArray | None:
+def point_of(line: Line | None, position: float) -> FloatArray | None:
+    """Longitude and latitude of a place of the line, (1, 2); None beyond its coordinates."""
     geometry = None if line is None else line.geometry
     if geometry is None or not geometry.positions[0] <= position <= geometry.positions[-1]:
         return None
@@ -249,10 +250,17 @@ def _write_geojson(export: _Export, path: str | Path) -> None:
             }  # fmt: skip
             properties = {"kind": name.removesuffix("s"), **values}
             features.append({"type": "Feature", "geometry": geometry, "properties": properties})
+    write_features(path, features, export.about)
+
+
+def write_features(
+    path: str | Path, features: Sequence[dict[str, Any]], about: dict[str, str]
+) -> None:
+    """Write GeoJSON features to a file, whole or not at all, with what it was made from."""
     # One feature a line: large files can be compared, and read line by line.
     lines = ",\n".join(json.dumps(each, ensure_ascii=False, allow_nan=False) for each in features)
-    about = json.dumps(export.about, ensure_ascii=False)
-    text = f'{{"type": "FeatureCollection", "trainlog": {about}, "features": [\n{lines}\n]}}\n'
+    made_from = json.dumps(about, ensure_ascii=False)
+    text = f'{{"type": "FeatureCollection", "trainlog": {made_from}, "features": [\n{lines}\n]}}\n'
     write_bytes(path, text.encode())
 
 

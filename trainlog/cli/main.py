@@ -26,6 +26,7 @@ from trainlog.cli import (
     map,
     map_forecast,
     map_views,
+    network,
     plan,
     record,
     replay,
@@ -69,6 +70,7 @@ def _main(
 
 for _panel in (
     record,
+    network,
     live,
     convert,
     show,

@@ -8,15 +8,28 @@ from pathlib import Path
 from typing import Any
 
 from trainlog.errors import InputError
-from trainlog.formats import line as line_format, osrd, railtoolkit, train as train_format, ttobench
+from trainlog.formats import (
+    line as line_format,
+    osrd,
+    osrd_infrastructure,
+    railml,
+    railtoolkit,
+    train as train_format,
+    ttobench,
+)
 from trainlog.formats.files import parse_json, read_bytes
+from trainlog.formats.network import write_network
 from trainlog.formats.plausible import check_line, check_train
 from trainlog.formats.schema import built
 from trainlog.railway import EffortCurve, Journey, Line, Train
+from trainlog.railway.network import Network
 from trainlog.railway.resistance import CurveFormula
 from trainlog.railway.train import AccelerationLimits, MassModel
 
-_SUFFIXES = {Line: "line", Train: "train", Journey: "journey"}
+_SUFFIXES = {Line: "line", Train: "train", Journey: "journey", Network: "network"}
+
+Thing = Line | Train | Journey | Network
+"""What a file of another project can become."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +78,7 @@ class ImportOptions:
         names = ("traction_curve", "braking_curve", "mass_model", "acceleration_limits")
         return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
 
-    def applied(self, thing: Line | Train | Journey, path: str | Path) -> Line | Train | Journey:
+    def applied(self, thing: Thing, path: str | Path) -> Thing:
         """A line or a train as the options state it.
 
         Raises
@@ -127,15 +140,15 @@ def with_curves(
 def import_file(
     path: str | Path, folder: str | Path, options: ImportOptions | None = None
 ) -> list[Imported]:
-    """Write a file of TTOBench, OSRD or railtoolkit anew in the project's own formats.
+    """Write a file of TTOBench, OSRD, railtoolkit or railML anew in the project's own formats.
 
     A line or train file of the project itself is taken, too, where an option changes it.
 
     Parameters
     ----------
     path : str or Path
-        A track, train or journey of TTOBench, rolling stock of OSRD (JSON), or rolling stock or
-        running paths of railtoolkit (YAML).
+        A track, train or journey of TTOBench, rolling stock or infrastructure of OSRD (JSON),
+        rolling stock or running paths of railtoolkit (YAML), or infrastructure of railML (XML).
     folder : str or Path
         For the files, for example ``CH_StGallen_Wil.line.json``.
     options : ImportOptions, optional
@@ -217,9 +230,7 @@ def import_formation(
     return Imported(target, ["names of its vehicles"])
 
 
-def _things(
-    path: str | Path, options: ImportOptions
-) -> list[tuple[str, Line | Train | Journey, list[str]]]:
+def _things(path: str | Path, options: ImportOptions) -> list[tuple[str, Thing, list[str]]]:
     """Everything in the file, each with a name and what of the file it does not hold."""
     if Path(path).suffix.lower() in (".yaml", ".yml"):
         _refuse_electrification(path, options)
@@ -231,13 +242,21 @@ def _things(
             remedy="leave the load out; add it to a plan",
         )
     data = read_bytes(path)
+    if (networks := networks_in(path, data)) is not None:
+        _refuse_electrification(path, options)
+        found, dropped = networks
+        stem = Path(path).stem
+        return [
+            (f"{stem}-{number}", each, dropped if number == 1 else [])
+            for number, each in enumerate(found, start=1)
+        ]
     content = parse_json(data, file=path)
     if osrd.is_rolling_stock(content):
         train, dropped = osrd.read_train(path, options.electrification)
         return [(train.name, train, dropped)]
     _refuse_electrification(path, options)
     own = content.get("format") if isinstance(content, dict) else None
-    thing: Line | Train | Journey
+    thing: Thing
     if own == "trainlog/train" and options.of_train:
         thing = train_format.train_from_bytes(data, file=path)
     elif own == "trainlog/line" and options.curve_resistance is not None:
@@ -245,6 +264,33 @@ def _things(
     else:
         thing = ttobench.import_file(path)
     return [(thing.name, thing, [])]
+
+
+def networks_in(
+    path: str | Path, data: bytes | None = None, limit: float | None = None
+) -> tuple[list[Network], list[str]] | None:
+    """The networks of a file of infrastructure, and what they do not hold; None of other files.
+
+    Parameters
+    ----------
+    path : str or Path
+        Of OSRD (JSON) or railML (XML); recognised by its content.
+    data : bytes, optional
+        Its content, where it is known.
+    limit : float, optional [m/s]
+        Where the file states none; default: the lowest that it states anywhere.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or used.
+    """
+    data = read_bytes(path) if data is None else data
+    if data.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"<":
+        return railml.read_railml(path, limit)
+    if osrd_infrastructure.is_infrastructure(parse_json(data, file=path)):
+        return osrd_infrastructure.read_infrastructure(path, limit)
+    return None
 
 
 def _refuse_electrification(path: str | Path, options: ImportOptions) -> None:
@@ -256,8 +302,12 @@ def _refuse_electrification(path: str | Path, options: ImportOptions) -> None:
         )
 
 
-def _write(thing: Line | Train | Journey, target: Path) -> None:
-    if isinstance(thing, Line):
+def _write(thing: Thing, target: Path) -> None:
+    if isinstance(thing, Network):
+        for edge in thing.edges:
+            check_line(edge.line)
+        write_network(thing, target)
+    elif isinstance(thing, Line):
         check_line(thing)
         line_format.write_line(thing, target)
     elif isinstance(thing, Train):

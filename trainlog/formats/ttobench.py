@@ -645,12 +645,6 @@ def _detect(content: Any, path: str | Path) -> Kind:
             raise InputError(
                 f"is a {content['format']} file already", file=path, remedy="use it as it is"
             )
-    if isinstance(content, dict) and {"track_sections", "operational_points"} & content.keys():
-        raise InputError(
-            "is infrastructure of OSRD, which is not read",
-            file=path,
-            remedy="lines come from TTOBench, railtoolkit's running paths, tables or fixes",
-        )
     raise InputError(
         "is neither a track nor a train nor a journey of TTOBench",
         file=path,

@@ -1,0 +1,1 @@
+"""Networks: tables, pictures, export, and trips by edge."""

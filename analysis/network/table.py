@@ -1,0 +1,149 @@
+"""A network, and a route in it, as tables."""
+
+from __future__ import annotations
+
+import numpy as np
+from rich.console import Group
+
+from analysis.tables import POSITION, SPEED, Column, Quantity, Said, new_table
+from trainlog.display import counted
+from trainlog.railway import Line
+from trainlog.railway.network import Edge, Network, Route
+from trainlog.units import KMH
+
+HEIGHT = Quantity("m", "m")
+RADIUS = Quantity("m", "m", 1.0, 0)
+
+def network_tables(network: Network) -> Group:
+    """A network as a person reads it: its edges, its nodes, and what is not known of it."""
+    return Group(*([network.source] if network.source else []), _edges(network), _nodes(network),
+                 *_unknown(network))  # fmt: skip
+
+
+def _edges(network: Network) -> object:
+    table = new_table(
+        f"Edges of {network.name}: {len(network.edges)}, {network.length / 1e3:.3f} km",
+        Column("edge"),
+        Column("from"),
+        Column("to"),
+        Column("length", POSITION),
+        Column("rise", HEIGHT),
+        Column("fall", HEIGHT),
+        Column("limits", SPEED, key="lowest_limit"),
+        Column("radius", RADIUS, key="least_radius"),
+        Column("stations"),
+        name="edges",
+    )
+    for edge in network.edges:
+        rise, fall = climbs(edge.line)
+        table.add_cells(
+            edge.name,
+            edge.start,
+            edge.end,
+            edge.line.length,
+            rise,
+            fall,
+            _limits(edge.line),
+            _least_radius(edge.line),
+            ", ".join(station.name for station in edge.line.stations),
+        )
+    return table
+
+
+def _nodes(network: Network) -> object:
+    table = new_table(
+        "Nodes", Column("node"), Column("kind"), Column("edges"), Column("turns"), name="nodes"
+    )
+    for node in network.nodes:
+        there = [edge.name for edge in network.edges if node.name in (edge.start, edge.end)]
+        turns = network.turns.get(node.name)
+        every = "all" if len(there) > 1 else ""
+        words = every if turns is None else ", ".join(f"{a} and {b}" for a, b in turns)
+        table.add_cells(node.name, node.kind, ", ".join(there), words)
+    return table
+
+
+def _unknown(network: Network) -> list[str]:
+    """Sentences on what is assumed, and on edges without coordinates."""
+    found = []
+    for name in dict.fromkeys(each for edge in network.edges for each in edge.line.assumed):
+        edges = [edge for edge in network.edges if name in edge.line.assumed]
+        length = sum(edge.line.length for edge in edges) / 1e3
+        which = "all edges" if len(edges) == len(network.edges) else _names(edges)
+        found.append(f"{name.replace('_', ' ')} assumed, {length:.3f} km: {which}")
+    drawn = [edge for edge in network.edges if edge.line.geometry is None]
+    if drawn:
+        found.append(f"without coordinates: {_names(drawn)}")
+    return found
+
+
+def _names(edges: list[Edge]) -> str:
+    return ", ".join(edge.name for edge in edges)
+
+
+def route_tables(route: Route) -> Group:
+    """A route as a person reads it: its legs, its stations, its length and climbs."""
+    line = route.line
+    table = new_table(
+        f"Legs of {route.name}",
+        Column("edge"),
+        Column("from", POSITION, key="position"),
+        Column("length", POSITION),
+        Column("on the edge from", POSITION, key="edge_start"),
+        Column("to", POSITION, key="edge_end"),
+        Column("direction"),
+        name="legs",
+    )
+    for leg in route.legs:
+        table.add_cells(
+            leg.edge,
+            leg.position,
+            leg.length,
+            leg.edge_start,
+            leg.edge_end,
+            "along its chainage" if leg.forward else "against it",
+        )
+    stations = new_table("Stations", Column("station"), Column("at", POSITION), name="stations")
+    for station in line.stations:
+        stations.add_cells(station.name, station.position)
+    rise, fall = climbs(line)
+    limits = line.speed_limits.values * KMH
+    words = (
+        f"{line.length / 1e3:.3f} km over {counted(len(route.legs), 'edge')}, rising {rise:.1f} m"
+        f" and falling {fall:.1f} m, limits {limits.min():.0f} to {limits.max():.0f} km/h"
+    )
+    assumed = f"assumed on a part of it: {_assumed(line)}" if line.assumed else ""
+    return Group(words, table, stations, *([assumed] if assumed else []))
+
+
+def climbs(line: Line) -> tuple[float, float]:
+    """How far a line rises and falls altogether [m], both positive.
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> rise, fall = climbs(read_line("sample_logs/CH_StGallen_Wil.line.json"))
+    >>> round(rise, 1), round(fall, 1)
+    (92.0, 192.3)
+    """
+    edges = np.append(line.gradients.positions, line.length)
+    steps = line.gradients.values * np.diff(edges)
+    return float(steps[steps > 0.0].sum()), float(np.abs(steps[steps < 0.0]).sum())
+
+
+def _limits(line: Line) -> Said:
+    """The lowest limit, shown with the highest."""
+    low, high = float(line.speed_limits.values.min()), float(line.speed_limits.values.max())
+    one = f"{low * KMH:.0f}"
+    return Said(low, one if low == high else f"{one} to {high * KMH:.0f}")
+
+
+def _least_radius(line: Line) -> float:
+    if line.curvatures is None:
+        return np.nan
+    sharpest = float(max(np.abs(line.curvatures.start).max(), np.abs(line.curvatures.end).max()))
+    return 1.0 / sharpest if sharpest > 0.0 else np.nan
+
+
+def _assumed(line: Line) -> str:
+    return ", ".join(name.replace("_", " ") for name in line.assumed)

@@ -1,0 +1,556 @@
+"""Infrastructure of OSRD and railML as networks, judged by readings of the files of their own."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command import run
+from infrastructure_files import RAILML_2, RAILML_3
+
+from analysis.network.export import export_network
+from trainlog.errors import InputError
+from trainlog.formats.imports import import_file, networks_in
+from trainlog.formats.line import read_line
+from trainlog.formats.network import network_to_bytes, read_network, write_network
+from trainlog.railway import Line, Station, StepProfile
+from trainlog.railway.line_network import network_of_lines
+from trainlog.railway.network import Network
+
+OSRD = Path(__file__).parents[1] / ".." / "shared" / "data" / "osrd"
+INFRAS = ("tiny_infra", "one_line", "nested_switches", "overlapping_routes", "small_infra")
+
+needs_osrd = pytest.mark.skipif(not OSRD.is_dir(), reason="needs ../shared/data/osrd")
+
+CONNECTED = {
+    "link": ["A B"],
+    "point_switch": ["A B1", "A B2"],
+    "crossing": ["A1 B1", "A2 B2"],
+    "double_slip_switch": ["A1 B1", "A1 B2", "A2 B1", "A2 B2"],
+}
+"""By the documentation of OSRD: which ports of a switch a train passes between."""
+
+
+class Reading:
+    """A file of OSRD, searched and read piece by piece of its track sections, without networks."""
+
+    def __init__(self, name: str) -> None:
+        self.file = json.loads((OSRD / "infras" / f"{name}.json").read_text())
+        self.tracks = {each["id"]: each for each in self.file["track_sections"]}
+        self.onward: dict[tuple[str, str], list[tuple[str, str]]] = {}
+        for switch in self.file["switches"]:
+            ports = {key: (p["track"], p["endpoint"]) for key, p in switch["ports"].items()}
+            for pair in CONNECTED[switch["switch_type"]]:
+                one, two = (ports[key] for key in pair.split())
+                self.onward.setdefault(one, []).append(two)
+                self.onward.setdefault(two, []).append(one)
+        self.stations = {
+            each["extensions"]["identifier"]["name"]: each["parts"]
+            for each in self.file["operational_points"]
+        }
+
+    def way(self, start: str, goal: str) -> tuple[float, list[tuple[str, float, float]]] | None:
+        """Length of the shortest way, and from where to where it runs on each section."""
+        goals = {(part["track"], part["position"]) for part in self.stations[goal]}
+        queue: list[Any] = []
+        count = itertools.count()
+        for part in self.stations[start]:
+            for forward in (True, False):
+                state = (part["track"], part["position"], forward)
+                heapq.heappush(queue, (0.0, next(count), state, []))
+        seen = set()
+        while queue:
+            far, _, (track, at, forward), past = heapq.heappop(queue)
+            if track == "":
+                return far, past
+            if (track, at, forward) in seen:
+                continue
+            seen.add((track, at, forward))
+            length = self.tracks[track]["length"]
+            for name, place in goals:
+                if name == track and (place >= at if forward else place <= at):
+                    reached = [*past, (track, at, place)]
+                    key = (far + abs(place - at), next(count), ("", 0.0, True), reached)
+                    heapq.heappush(queue, key)
+            end = length if forward else 0.0
+            for other, endpoint in self.onward.get((track, "END" if forward else "BEGIN"), []):
+                state = (other, 0.0, True)
+                if endpoint == "END":
+                    state = (other, self.tracks[other]["length"], False)
+                further = [*past, (track, at, end)]
+                heapq.heappush(queue, (far + abs(end - at), next(count), state, further))
+        return None
+
+    def at(self, way: list[tuple[str, float, float]], position: float) -> tuple[str, float, int]:
+        """Section, position on it, and direction along it, so far from the way's start."""
+        for track, start, end in way:
+            if position <= abs(end - start):
+                sign = 1 if end >= start else -1
+                return track, start + sign * position, sign
+            position -= abs(end - start)
+        raise AssertionError(position)
+
+    def gradient(self, track: str, at: float) -> float:
+        """As the file states it there, along the section."""
+        found = [s["gradient"] for s in self.tracks[track]["slopes"] if s["begin"] < at < s["end"]]
+        return found[-1] / 1000.0 if found else 0.0
+
+    def curvature(self, track: str, at: float) -> float:
+        found = [s["radius"] for s in self.tracks[track]["curves"] if s["begin"] < at < s["end"]]
+        return 1.0 / found[-1] if found else 0.0
+
+    def limit(self, track: str, at: float) -> float:
+        return min(
+            section["speed_limit"]
+            for section in self.file["speed_sections"]
+            for each in section["track_ranges"]
+            if each["track"] == track and each["begin"] < at < each["end"]
+        )
+
+
+def imported(name: str) -> Network:
+    found = networks_in(OSRD / "infras" / f"{name}.json")
+    assert found is not None
+    (network,), _ = found
+    return network
+
+
+@needs_osrd
+@pytest.mark.parametrize("name", INFRAS)
+def test_every_infrastructure_of_osrd_becomes_a_network_with_all_its_track(
+    name: str, tmp_path: Path
+) -> None:
+    (written,) = import_file(OSRD / "infras" / f"{name}.json", tmp_path)
+    network = read_network(written.path)
+    tracks = json.loads((OSRD / "infras" / f"{name}.json").read_text())["track_sections"]
+    assert network.length == pytest.approx(sum(each["length"] for each in tracks))
+    assert network == imported(name)
+    assert written.path.read_bytes() == network_to_bytes(network)
+
+
+@needs_osrd
+@pytest.mark.parametrize("name", ["tiny_infra", "small_infra"])
+def test_routes_exist_and_are_as_long_as_the_file_allows(name: str) -> None:
+    reading, network = Reading(name), imported(name)
+    lengths = []
+    for start, goal in itertools.permutations(reading.stations, 2):
+        way = reading.way(start, goal)
+        if way is None:
+            with pytest.raises(InputError, match="no route"):
+                network.route(start, goal)
+        else:
+            assert network.route(start, goal).length == pytest.approx(way[0])
+            lengths.append(way[0])
+    assert len(lengths) >= 2
+
+
+@needs_osrd
+def test_a_route_has_the_gradients_curves_and_limits_of_the_file_at_random_points() -> None:
+    reading, network = Reading("small_infra"), imported("small_infra")
+    draw = np.random.default_rng(16)
+    steep, bent, slow = 0, 0, 0
+    for start, goal in itertools.permutations(reading.stations, 2):
+        way = reading.way(start, goal)
+        if way is None:
+            continue
+        line = network.route(start, goal).line
+        for position in draw.uniform(0.0, way[0], 40).tolist():
+            track, at, sign = reading.at(way[1], position)
+            gradient = sign * reading.gradient(track, at)
+            assert line.gradient(position) == pytest.approx(gradient, abs=1e-12)
+            assert line.curvature(position) == pytest.approx(
+                sign * reading.curvature(track, at), abs=1e-12
+            )
+            assert line.speed_limit(position) == pytest.approx(reading.limit(track, at))
+            steep += gradient != 0.0
+            bent += reading.curvature(track, at) != 0.0
+            slow += reading.limit(track, at) < 80.0
+    assert min(steep, bent, slow) > 10
+
+
+@needs_osrd
+def test_what_a_network_does_not_hold_of_osrd_is_counted() -> None:
+    path = OSRD / "infras" / "small_infra.json"
+    found = networks_in(path)
+    assert found is not None
+    words = found[1]
+    file = json.loads(path.read_text())
+    for what, key in (("signals", "signals"), ("detectors", "detectors"),
+                      ("neutral sections", "neutral_sections")):  # fmt: skip
+        assert f"{what}: {len(file[key])}" in words
+    assert "speed limits of the categories of trains E32C, HLP, MA100" in words
+    flat = sum(each["length"] for each in file["track_sections"] if not each["slopes"])
+    assert f"gradients that are not stated, assumed level: {flat / 1e3:.3f} km" in words
+
+
+@needs_osrd
+def test_limits_of_one_direction_or_route_hold_as_the_lowest() -> None:
+    network = imported("nested_switches")
+    assert network.edge("T1").line.speed_limit(1_000.0) == 30.0
+    assert network.edge("T3ter").line.speed_limit(10.0) in (30.0, 60.0, 80.0)
+
+
+def small(**changes: Any) -> dict[str, Any]:
+    """Two sections and a branch, as railjson."""
+    infra: dict[str, Any] = {
+        "version": "3.4.12",
+        "track_sections": [
+            {"id": "a", "length": 1000.0, "slopes": [], "curves": []},
+            {"id": "b", "length": 500.0, "slopes": [], "curves": []},
+            {"id": "c", "length": 700.0, "slopes": [], "curves": []},
+        ],
+        "switches": [
+            {
+                "id": "s",
+                "switch_type": "point_switch",
+                "ports": {
+                    "A": {"track": "a", "endpoint": "END"},
+                    "B1": {"track": "b", "endpoint": "BEGIN"},
+                    "B2": {"track": "c", "endpoint": "BEGIN"},
+                },
+            }
+        ],
+    }
+    return infra | changes
+
+
+def read_small(tmp_path: Path, **changes: Any) -> tuple[list[Network], list[str]]:
+    path = tmp_path / "small.json"
+    path.write_text(json.dumps(small(**changes)))
+    found = networks_in(path)
+    assert found is not None
+    return found
+
+
+def test_a_switch_type_of_the_file_states_which_ports_connect(tmp_path: Path) -> None:
+    kind = {
+        "id": "odd",
+        "ports": ["A", "B1", "B2"],
+        "groups": {"one": [{"src": "B1", "dst": "B2"}], "two": [{"src": "A", "dst": "B1"}]},
+    }
+    switch = small()["switches"][0] | {"switch_type": "odd"}
+    (network,), _ = read_small(tmp_path, switches=[switch], extended_switch_types=[kind])
+    assert network.route("b@0.4", "c@0.5").length == pytest.approx(900.0)
+    with pytest.raises(InputError, match="no route"):
+        network.route("a@0.4", "c@0.5")
+
+
+def test_tracks_that_nothing_connects_are_networks_of_their_own(tmp_path: Path) -> None:
+    networks, _ = read_small(tmp_path, switches=[])
+    assert [each.length for each in networks] == [1000.0, 700.0, 500.0]
+    written = import_file(tmp_path / "small.json", tmp_path)
+    assert [each.path.name for each in written] == [f"small-{n}.network.json" for n in (1, 2, 3)]
+
+
+def test_a_track_that_returns_to_its_switch_is_two_edges(tmp_path: Path) -> None:
+    ports = {
+        "A": {"track": "a", "endpoint": "END"},
+        "B1": {"track": "b", "endpoint": "BEGIN"},
+        "B2": {"track": "b", "endpoint": "END"},
+    }
+    switch = {"id": "s", "switch_type": "point_switch", "ports": ports}
+    tracks = small()["track_sections"][:2]
+    points = [
+        {"id": "p", "parts": [{"track": "a", "position": 400.0}]},
+        {"id": "q", "parts": [{"track": "b", "position": 100.0}]},
+    ]
+    (network,), _ = read_small(
+        tmp_path, switches=[switch], track_sections=tracks, operational_points=points
+    )
+    round_trip = network.route("p", "q", "p")
+    assert round_trip.length == pytest.approx(1_100.0)
+    assert all(edge.start != edge.end for edge in network.edges)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"switches": [small()["switches"][0] | {"switch_type": "magic"}]}, "type 'magic'"),
+        (
+            {
+                "switches": [
+                    small()["switches"][0],
+                    {
+                        "id": "t",
+                        "switch_type": "link",
+                        "ports": {
+                            "A": {"track": "a", "endpoint": "END"},
+                            "B": {"track": "gone", "endpoint": "BEGIN"},
+                        },
+                    },
+                ]
+            },
+            r"switches\[1\].ports.A: the END of track section 'a' is at switch 't'",
+        ),
+        (
+            {"operational_points": [{"id": "x", "parts": [{"track": "gone", "position": 1.0}]}]},
+            r"operational_points\[0\].parts\[0\]: refers to track section 'gone'",
+        ),
+        (
+            {"operational_points": [{"id": "x", "parts": [{"track": "a", "position": 1200.0}]}]},
+            "1000 m long",
+        ),
+        ({"track_sections": [small()["track_sections"][0]] * 2}, "comes twice"),
+        ({"track_sections": []}, "track_sections: has too few entries"),
+    ],
+)
+def test_infrastructure_of_osrd_that_contradicts_itself_is_refused(
+    changes: dict[str, Any], words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=words):
+        read_small(tmp_path, **changes)
+
+
+def test_gradients_that_contradict_each_other_are_counted_and_the_later_holds(
+    tmp_path: Path,
+) -> None:
+    slopes = [
+        {"gradient": 5.0, "begin": 0.0, "end": 600.0},
+        {"gradient": -2.0, "begin": 500.0, "end": 1200.0},
+    ]
+    track = small()["track_sections"][0] | {"slopes": slopes}
+    (network,), dropped = read_small(
+        tmp_path, track_sections=[track, *small()["track_sections"][1:]]
+    )
+    line = network.edge("a").line
+    assert line.gradient([250.0, 550.0, 900.0]).tolist() == [0.005, -0.002, -0.002]
+    assert "tracks with gradients that contradict each other, the later taken: 1" in dropped
+    assert "gradients that reach beyond their track, cut off there: 1" in dropped
+
+
+# ---- railML
+
+
+def railml(text: str, tmp_path: Path) -> tuple[list[Network], list[str]]:
+    path = tmp_path / "given.xml"
+    path.write_text(text, encoding="utf-8")
+    found = networks_in(path)
+    assert found is not None
+    return found
+
+
+def test_tracks_of_railml_2_connect_as_its_switches_state(tmp_path: Path) -> None:
+    (network,), _ = railml(RAILML_2, tmp_path)
+    assert network.name == "valley"
+    assert network.length == pytest.approx(4_000.0 + 2_050.0 + 1_500.0)
+    assert network.route("Anfang", "Cham").length == pytest.approx(5_000.0)
+    assert [leg.edge for leg in network.route("Cham", "loop@1.5").legs] == ["main/3+onward", "loop"]
+    with pytest.raises(InputError, match="no route"):
+        network.route("main/2@13.8", "loop@0.1")
+
+
+def test_a_route_of_railml_2_has_its_gradients_curves_limits_and_kilometres(
+    tmp_path: Path,
+) -> None:
+    (network,), _ = railml(RAILML_2, tmp_path)
+    line = network.route("Anfang", "Cham").line
+    # Track 'main' from its pos 500 on: position s is pos s + 500; 'onward' from 3500 on.
+    assert (1e3 * line.gradient([100.0, 400.0, 1_600.0, 1_800.0, 4_000.0])).round(9).tolist() == [
+        0.0, 12.5, 12.5, -4.0, 3.0,
+    ]  # fmt: skip
+    radius = 1.0 / line.curvature([900.0, 1_000.0, 1_300.0])
+    assert radius.round(3).tolist() == [500.0, 500.0, -400.0]
+    # In the middle of the clothoid from straight track to 500 m.
+    assert 1.0 / line.curvature(750.0) == pytest.approx(1_000.0)
+    # Up 80 km/h, 120 from 2500 on; down 100 km/h as far as 2600, 60 from there: the lower of both.
+    limits = 3.6 * line.speed_limit([100.0, 2_050.0, 2_150.0, 3_400.0, 3_600.0])
+    assert limits.round(6).tolist() == [60.0, 60.0, 100.0, 100.0, 100.0]
+    # The mileage jumps from 13.500 to 13.700 at pos 1500.
+    assert line.kilometre([0.0, 999.0, 1_001.0, 5_000.0]).tolist() == [
+        12_500.0, 13_499.0, 13_701.0, 17_700.0,
+    ]  # fmt: skip
+    assert line.reference is not None
+    assert line.reference.name == "valley line"
+    assert [station.name for station in line.stations] == ["Anfang", "Brugg", "Cham"]
+    course = network.route("Anfang", "Brugg").line.geometry
+    assert course is not None
+    assert course.at([1_500.0])[0] == pytest.approx(47.0179854, abs=1e-6)
+    back = network.route("Cham", "Anfang").line
+    s = np.linspace(10.0, 4_990.0, 60)
+    assert np.allclose(back.gradient(5_000.0 - s), -line.gradient(s))
+
+
+def test_what_a_network_does_not_hold_of_railml_2_is_counted(tmp_path: Path) -> None:
+    _, dropped = railml(RAILML_2, tmp_path)
+    assert "signals: 2" in dropped
+    assert "levelCrossings: 1" in dropped
+    assert "speedChanges of categories of trains or speed profiles: 1" in dropped
+    assert "speedChanges of the direction down, taken to hold in both: 2" in dropped
+    assert "operation control points without a place on a track: 1" in dropped
+    assert "gradients that are not stated, assumed level: 2.050 km" in dropped
+
+
+def test_net_elements_of_railml_3_connect_as_its_relations_state(tmp_path: Path) -> None:
+    (network,), dropped = railml(RAILML_3, tmp_path)
+    assert {edge.name: edge.line.length for edge in network.edges} == {
+        "ne_a": 2_000.0, "ne_b": 1_500.0, "ne_c": 1_550.0,
+    }  # fmt: skip
+    assert {node.name for node in network.nodes} == {"ne_a begin", "77W1", "stop b", "ne_c end"}
+    # ne_b joins with its end: 'Neu' lies at 300 m of it, at 1200 m of ne_c.
+    assert network.route("Alt", "ne_b@0.3").length == pytest.approx(1_800.0 + 1_200.0)
+    assert network.route("Alt", "ne_c@1.2").length == pytest.approx(1_800.0 + 1_200.0)
+    with pytest.raises(InputError, match="no route"):
+        network.route("ne_b@0.3", "ne_c@1.2")
+    assert {
+        "temporary speed sections: 1",
+        "speed sections of speed profiles: 1",
+        "signalsIS: 1",
+        "net elements of other levels, collections, or without a length: 1",
+        "gradients that are not stated, assumed level: 1.550 km",
+    } <= set(dropped)
+
+
+def test_locations_of_railml_3_are_shares_positions_measures_and_directions(
+    tmp_path: Path,
+) -> None:
+    (network,), _ = railml(RAILML_3, tmp_path)
+    main, other = network.edge("ne_a").line, network.edge("ne_b").line
+    # 10 per mille for 0.9 of it, an arc to -4, whose mean is 3.
+    assert (1e3 * main.gradient([1_000.0, 1_850.0, 1_950.0])).round(9).tolist() == [10.0, 3.0, -4.0]
+    # On ne_b the location runs against the element.
+    assert other.gradient(700.0) == pytest.approx(0.004)
+    assert main.curvature(500.0) == 0.0
+    assert 1.0 / main.curvature(1_100.0) == pytest.approx(-1_200.0)
+    assert 1.0 / main.curvature(1_700.0) == pytest.approx(-600.0)
+    assert main.kilometre(500.0) == pytest.approx(10_500.0)
+    assert main.reference is not None
+    assert main.reference.name == "line 77"
+    assert main.geometry is not None
+    assert main.geometry.at([1_000.0])[0] == pytest.approx(47.0089927)
+    assert other.assumed == ("speed_limits",)
+    assert 3.6 * other.speed_limit(100.0) == pytest.approx(40.0)
+
+
+def test_a_limit_can_be_given_for_where_a_file_states_none(tmp_path: Path) -> None:
+    path = tmp_path / "given.xml"
+    path.write_text(RAILML_3)
+    found = networks_in(path, limit=25.0)
+    assert found is not None
+    assert found[0][0].edge("ne_b").line.speed_limit(100.0) == 25.0
+
+
+@pytest.mark.parametrize("version", ["2.2", "2.3", "2.5"])
+def test_each_version_of_railml_2_is_recognised(version: str, tmp_path: Path) -> None:
+    years = {"2.2": "http://www.railml.org/schemas/2013", "2.3": "http://www.railml.org/schemas/2016",
+             "2.5": "https://www.railml.org/schemas/2021"}  # fmt: skip
+    text = RAILML_2.replace("https://www.railml.org/schemas/2018", years[version])
+    (network,), _ = railml(text.replace(' version="2.4"', ""), tmp_path)
+    assert network.source == f"railML {version}"
+
+
+@pytest.mark.parametrize(
+    ("text", "old", "new", "words"),
+    [
+        (
+            RAILML_2,
+            'ref="c2b"',
+            'ref="gone"',
+            r"line \d+, connection 'c1a': refers to the .*'gone'",
+        ),
+        (RAILML_2, 'id="c3b" ref="c1e"', 'id="c3b" ref="c1a"', "must refer to each other"),
+        (RAILML_2, 'ocpRef="ocpC"', 'ocpRef="x"', "refers to the ocp 'x'"),
+        (RAILML_2, 'slope="12.5"', 'slope="steep"', "gradientChange 'g2': slope 'steep' is not"),
+        (RAILML_2, 'id="g3" pos="2200.0"', 'id="g3" pos="9000"', "pos 9000 is not on track 'main'"),
+        (RAILML_2, 'slope="12.5"', 'slope="1250"', "steeper than 200 per mille"),
+        (RAILML_2, 'version="2.4"', 'version="1.1"', "is no railML 2 or 3"),
+        (RAILML_2, "</railml>", "", r"line \d+, column \d+: is no XML"),
+        (RAILML_2, "<railml ", '<!DOCTYPE r [<!ENTITY a "b">]>\n<railml ', "declares the entity"),
+        (RAILML_2, "<tracks>", "<tracks/><others>", "is no XML"),
+        (RAILML_3, '<elementB ref="ne_c"/>', '<elementB ref="ne_x"/>', "the net element 'ne_x'"),
+        (RAILML_3, 'intrinsicCoord="0.2"', 'intrinsicCoord="2"', "is not from 0 to 1"),
+        (RAILML_3, 'measure="11200"', 'measure="99"', "measure 99 is not on its net element"),
+        (RAILML_3, "<topology>", "<topology2>", "is no XML"),
+    ],
+)
+def test_railml_that_is_damaged_or_dangling_is_refused_with_its_place(
+    text: str, old: str, new: str, words: str, tmp_path: Path
+) -> None:
+    assert old in text
+    with pytest.raises(InputError, match=words):
+        railml(text.replace(old, new, 1), tmp_path)
+
+
+# ---- lines
+
+
+def plain(name: str, *stations: tuple[str, float], gradient: float = 0.0) -> Line:
+    length = stations[-1][1]
+    return Line(
+        name,
+        length,
+        tuple(Station(*each) for each in stations),
+        StepProfile([0.0], [30.0]),
+        StepProfile([0.0], [gradient]),
+    )
+
+
+def test_lines_join_where_they_share_stations_and_a_shared_track_counts_once() -> None:
+    main = plain("main", ("A", 0.0), ("B", 4e3), ("C", 9e3))
+    branch = plain("branch", ("A", 0.0), ("B", 4e3), ("D", 6e3))
+    back = plain("short", ("C", 0.0), ("D", 3e3), gradient=0.01)
+    found = network_of_lines("all", [main, branch, back])
+    edges = {edge.name: (edge.start, edge.end) for edge in found.network.edges}
+    assert edges == {
+        "main A - B": ("A", "B"), "main B - C": ("B", "C"), "branch B - D": ("B", "D"),
+        "short": ("C", "D"),
+    }  # fmt: skip
+    assert "'branch A - B' is the track of 'main A - B', which stays" in found.notes
+    assert found.network.route("A", "D").length == pytest.approx(6e3)
+    assert found.network.route("C", "D").line.gradient(100.0) == pytest.approx(0.01)
+
+
+def test_lines_of_another_height_between_the_same_stations_are_two_tracks() -> None:
+    low, high = (plain(f"{g}", ("A", 0.0), ("B", 4e3), gradient=g) for g in (0.0, 0.01))
+    assert len(network_of_lines("both", [low, high]).network.edges) == 2
+
+
+def test_lines_that_do_not_meet_are_refused() -> None:
+    with pytest.raises(InputError, match="not connected"):
+        network_of_lines("two", [plain("a", ("A", 0.0), ("B", 1e3)),
+                                 plain("b", ("C", 0.0), ("D", 1e3))])  # fmt: skip
+
+
+# ---- commands
+
+
+@needs_osrd
+def test_a_planner_imports_a_network_shows_routes_and_exports_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def command(*words: object) -> str:
+        status, printed, problems = run(monkeypatch, capsys, "network", *words)
+        assert status == 0, problems
+        return printed
+
+    net, route, places = (tmp_path / n for n in ("s.network.json", "r.line.json", "s.geojson"))
+    assert "signals: 106" in command("import", OSRD / "infras" / "small_infra.json", "-o", net)
+    shown = command("show", net, "--json")
+    edges = {each["edge"]: each for each in json.loads(shown)["edges"]}
+    assert edges["TA6"]["length_m"] == 10_000.0
+    assert edges["TA6"]["rise_m"] == pytest.approx(4.2)
+    words = ["North_East_station", "West_station"]
+    assert "45.800 km" in command("route", net, *words, "-o", route)
+    assert read_line(route) == read_network(net).route(*words).line
+    assert read_line(f"{net}#{','.join(words)}").legs == read_line(route).legs
+    assert "left out without coordinates: edge 'TA3'" in command("export", net, "-o", places)
+    features = json.loads(places.read_text())["features"]
+    kinds = [each["properties"]["kind"] for each in features]
+    assert kinds.count("node") == len(read_network(net).nodes)
+    for each in features:
+        points = each["geometry"]["coordinates"]
+        for x, y in points if each["geometry"]["type"] == "LineString" else [points]:
+            assert -0.5 < x < 0.5
+            assert 49.0 < y < 50.0
+
+
+def test_a_network_without_coordinates_is_not_exported(tmp_path: Path) -> None:
+    found = network_of_lines("one", [plain("a", ("A", 0.0), ("B", 1e3))])
+    with pytest.raises(InputError, match="has coordinates"):
+        export_network(found.network, tmp_path / "a.geojson")
+    write_network(found.network, tmp_path / "a.network.json")
+    assert list(tmp_path.iterdir()) == [tmp_path / "a.network.json"]

@@ -1,0 +1,399 @@
+"""Infrastructure of OSRD, the Open Source Railway Designer (railjson), as a network.
+
+https://osrd.fr: track sections with slopes [per mille] and curves [m], joined by switches; speed
+sections [m/s]; operational points. All SI but for the slopes, positions from a section's beginning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from trainlog.display import counted, span
+from trainlog.errors import InputError
+from trainlog.formats.files import read_json
+from trainlog.formats.schema import built, checked
+from trainlog.formats.track_graph import (
+    Account,
+    Stretch,
+    TrackData,
+    TrackEnd,
+    TrackGraph,
+    lowest_limit,
+)
+from trainlog.railway import Station
+from trainlog.railway.geometry import to_plane
+from trainlog.railway.network import Network
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+
+SWITCH_TYPES: dict[str, tuple[tuple[str, str], ...]] = {
+    "link": (("A", "B"),),
+    "point_switch": (("A", "B1"), ("A", "B2")),
+    "crossing": (("A1", "B1"), ("A2", "B2")),
+    "single_slip_switch": (("A1", "B1"), ("A1", "B2"), ("A2", "B2")),
+    "double_slip_switch": (("A1", "B1"), ("A1", "B2"), ("A2", "B1"), ("A2", "B2")),
+}
+"""The ports that the switches of OSRD connect, by their type."""
+
+NOT_HELD = {
+    "signals": "signals",
+    "detectors": "detectors",
+    "routes": "routes of the interlocking",
+    "electrifications": "electrified sections",
+    "neutral_sections": "neutral sections",
+    "level_crossings": "level crossings",
+}
+"""Lists of a file that a network does not hold, and what they are of."""
+
+
+FARTHEST = 2.0
+"""Courses so many times as long as their sections, or shorter by it, are drawings."""
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+
+class _Range(_Part):
+    begin: NotNegative
+    end: NotNegative
+
+
+class _Slope(_Range):
+    gradient: Number
+
+
+class _Curve(_Range):
+    radius: Number
+
+
+class _Course(_Part):
+    type: Literal["LineString"]
+    coordinates: Annotated[list[Annotated[list[Number], Field(min_length=2)]], Field(min_length=2)]
+
+
+class _Section(_Part):
+    id: str = Field(min_length=1)
+    length: Positive
+    slopes: list[_Slope] = []
+    curves: list[_Curve] = []
+    loading_gauge_limits: list[Any] = []
+    geo: _Course | None = None
+
+
+class _Port(_Part):
+    track: str
+    endpoint: Literal["BEGIN", "END"]
+
+
+class _Switch(_Part):
+    id: str = Field(min_length=1)
+    switch_type: str
+    ports: dict[str, _Port]
+
+
+class _Connection(_Part):
+    src: str
+    dst: str
+
+
+class _SwitchType(_Part):
+    id: str
+    ports: list[str]
+    groups: dict[str, list[_Connection]]
+
+
+class _Place(_Part):
+    track: str
+    position: NotNegative
+
+
+class _Identifier(_Part):
+    name: str = ""
+
+
+class _Extensions(_Part):
+    identifier: _Identifier | None = None
+
+
+class _OperationalPoint(_Part):
+    id: str = Field(min_length=1)
+    parts: list[_Place]
+    extensions: _Extensions | None = None
+
+    @property
+    def name(self) -> str:
+        known = None if self.extensions is None else self.extensions.identifier
+        return known.name if known is not None and known.name else self.id
+
+
+class _TrackRange(_Range):
+    track: str
+    applicable_directions: Literal["START_TO_STOP", "STOP_TO_START", "BOTH"]
+
+
+class _SpeedSection(_Part):
+    id: str
+    speed_limit: Positive | None = None
+    speed_limit_by_tag: dict[str, Number] = {}
+    track_ranges: list[_TrackRange]
+    on_routes: list[str] | None = None
+
+
+class _BufferStop(_Place):
+    id: str = Field(min_length=1)
+
+
+class _Infrastructure(_Part):
+    """Keys that are not known are passed over and listed."""
+
+    version: str
+    track_sections: Annotated[list[_Section], Field(min_length=1)]
+    switches: list[_Switch]
+    extended_switch_types: list[_SwitchType] = []
+    operational_points: list[_OperationalPoint] = []
+    speed_sections: list[_SpeedSection] = []
+    buffer_stops: list[_BufferStop] = []
+
+
+def is_infrastructure(content: Any) -> bool:
+    """Whether the content of a JSON file is infrastructure of OSRD.
+
+    Examples
+    --------
+    >>> is_infrastructure({"version": "3.4.12", "track_sections": [], "switches": []})
+    True
+    """
+    return isinstance(content, dict) and {"track_sections", "switches"} <= content.keys()
+
+
+def read_infrastructure(
+    path: str | Path, limit: float | None = None
+) -> tuple[list[Network], list[str]]:
+    """Read infrastructure of OSRD as a network.
+
+    Track sections that follow each other without a choice are one edge, through links and crossings
+    as well. Operational points are stations inside the edges of their tracks; switches and the ends
+    of tracks are nodes. Where limits differ by direction, or hold on routes of the interlocking
+    alone, the lowest holds for all trains. railjson does not define the side of a curve: positive
+    radii are taken as bends to the right from a section's beginning.
+
+    Parameters
+    ----------
+    path : str or Path
+    limit : float, optional [m/s]
+        Where the file states none; default: the lowest that it states anywhere.
+
+    Returns
+    -------
+    networks : list of Network
+        One, but for tracks that nothing connects to the others: each part a network of its own.
+    dropped : list of str
+        What of the file the network does not hold, and what was repaired or assumed, in words.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, lacks something, refers to a track that it does not have, or a
+        switch is of a type that is not known.
+
+    Examples
+    --------
+    >>> read_infrastructure("absent.json")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: absent.json: does not exist; check the path
+    """
+    content = read_json(path)
+    infra = checked(_Infrastructure, content, path)
+    return built(lambda: _networks(infra, content, Path(path).stem, limit), path)
+
+
+def _networks(
+    infra: _Infrastructure, content: dict[str, Any], name: str, limit: float | None
+) -> tuple[list[Network], list[str]]:
+    graph = TrackGraph(name, f"OSRD infrastructure (railjson {infra.version})")
+    tracks = _tracks(infra, graph.account)
+    _add_stations(infra, tracks)
+    _add_limits(infra, tracks, graph.account)
+    assumed = lowest_limit(tracks.values()) if limit is None else limit
+    for section in infra.track_sections:
+        graph.corners |= _corners(section)
+        graph.add(tracks[section.id], assumed)
+    _add_movements(infra, graph)
+    for stop in infra.buffer_stops:
+        track = _track(tracks, stop.track, f"buffer_stops '{stop.id}'")
+        for at_end, place in ((False, 0.0), (True, track.length)):
+            if abs(stop.position - place) < 1.0:
+                graph.labels.setdefault(TrackEnd(stop.track, at_end), stop.id)
+    for key, what in NOT_HELD.items():
+        graph.account.counts[what] += len(content.get(key) or [])
+    unknown = content.keys() - NOT_HELD.keys() - _Infrastructure.model_fields.keys()
+    for key in sorted(unknown):
+        graph.account.note(f"'{key}'")
+    return graph.networks(), graph.account.sentences
+
+
+def _tracks(infra: _Infrastructure, account: Account) -> dict[str, TrackData]:
+    """The track sections, with gradients, curves and course."""
+    tracks: dict[str, TrackData] = {}
+    scales = []
+    for number, section in enumerate(infra.track_sections):
+        place = f"track_sections[{number}]"
+        if section.id in tracks:
+            raise InputError(
+                f"track section '{section.id}' comes twice", place=place, remedy="remove one"
+            )
+        track = TrackData(section.id, section.length, level_between=True)
+        track.gradients = [Stretch(s.begin, s.end, 1e-3 * s.gradient) for s in section.slopes]
+        # A radius of 0 is that of straight track.
+        track.curves = [
+            Stretch(s.begin, s.end, 1.0 / s.radius if s.radius else 0.0) for s in section.curves
+        ]
+        if section.geo is not None:
+            scales.append(_lay(track, section.geo.coordinates))
+        account.counts["loading gauge limits"] += len(section.loading_gauge_limits)
+        tracks[section.id] = track
+    known = np.array(scales)
+    drawn = int(np.sum(np.isnan(known) | (known > FARTHEST) | (known < 1.0 / FARTHEST)))
+    account.counts["courses of track sections that are no coordinates of their lengths"] += drawn
+    scaled = known[(np.abs(known - 1.0) > 0.01) & (known <= FARTHEST) & (known >= 1.0 / FARTHEST)]
+    if scaled.size:
+        account.note(
+            f"coordinates of {counted(scaled.size, 'track section')}: {span(scaled, 1.0, 2)} times"
+            " as long as the sections, laid over their lengths"
+        )
+    return tracks
+
+
+def _lay(track: TrackData, coordinates: list[list[float]]) -> float:
+    """Give a track its course, laid evenly over its length; how many times as long it is.
+
+    NaN where it does not lie on the earth. Such and much longer or shorter ones are drawings.
+    """
+    longitudes, latitudes = np.array([point[:2] for point in coordinates]).T
+    if np.any(np.abs(latitudes) > 90.0) or np.any(np.abs(longitudes) > 180.0):
+        return np.nan
+    points = to_plane(latitudes, longitudes, (float(latitudes.mean()), float(longitudes.mean())))
+    along = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(points)))))
+    scale = float(along[-1] / track.length)
+    if 1.0 / FARTHEST <= scale <= FARTHEST:
+        rows = zip(along / scale, latitudes, longitudes, strict=True)
+        track.course = [(float(at), float(lat), float(lon)) for at, lat, lon in rows]
+        track.course_quality = "coordinates of OSRD infrastructure, laid over the stated lengths"
+    return scale
+
+
+def _corners(section: _Section) -> dict[TrackEnd, tuple[float, float]]:
+    """Latitude and longitude of a section's ends, where they lie on the earth."""
+    ends = [] if section.geo is None else [section.geo.coordinates[0], section.geo.coordinates[-1]]
+    return {
+        TrackEnd(section.id, at_end): (point[1], point[0])
+        for at_end, point in zip((False, True), ends, strict=False)
+        if abs(point[1]) <= 90.0 and abs(point[0]) <= 180.0
+    }
+
+
+def _track(tracks: dict[str, TrackData], name: str, place: str) -> TrackData:
+    if name not in tracks:
+        raise InputError(
+            f"refers to track section '{name}', which the file does not have",
+            place=place,
+            remedy="add the section, or correct the reference",
+        )
+    return tracks[name]
+
+
+def _add_stations(infra: _Infrastructure, tracks: dict[str, TrackData]) -> None:
+    """Operational points on their tracks; those that share a name have their id in it."""
+    names = [point.name for point in infra.operational_points]
+    for number, point in enumerate(infra.operational_points):
+        name = point.name if names.count(point.name) == 1 else f"{point.name} ({point.id})"
+        for row, part in enumerate(point.parts):
+            place = f"operational_points[{number}].parts[{row}]"
+            track = _track(tracks, part.track, place)
+            if part.position > track.length + 1.0:
+                raise InputError(
+                    f"lies at {part.position:g} m of track section '{part.track}', which is"
+                    f" {track.length:g} m long",
+                    place=place,
+                    remedy="correct the position",
+                )
+            track.stations.append(Station(name, min(part.position, track.length)))
+
+
+def _add_limits(infra: _Infrastructure, tracks: dict[str, TrackData], account: Account) -> None:
+    """The limits of the speed sections for trains of no category."""
+    by_tag = set[str]()
+    for number, section in enumerate(infra.speed_sections):
+        by_tag |= section.speed_limit_by_tag.keys()
+        place = f"speed_sections[{number}]"
+        for row, each in enumerate(section.track_ranges):
+            track = _track(tracks, each.track, f"{place}.track_ranges[{row}]")
+            if section.speed_limit is not None:
+                track.limits.append(Stretch(each.begin, each.end, section.speed_limit))
+        if section.speed_limit is None:
+            account.counts["speed sections for categories of trains alone"] += 1
+        elif section.on_routes:
+            account.counts["speed sections of single routes, taken to hold for all trains"] += 1
+        elif any(each.applicable_directions != "BOTH" for each in section.track_ranges):
+            account.counts["speed sections of one direction, taken to hold in both"] += 1
+    if by_tag:
+        account.note(f"speed limits of the categories of trains {', '.join(sorted(by_tag))}")
+
+
+def _add_movements(infra: _Infrastructure, graph: TrackGraph) -> None:
+    types = dict(SWITCH_TYPES)
+    for kind in infra.extended_switch_types:
+        pairs = [(each.src, each.dst) for group in kind.groups.values() for each in group]
+        types[kind.id] = tuple(dict.fromkeys(pairs))
+    taken: dict[TrackEnd, str] = {}
+    for number, switch in enumerate(infra.switches):
+        place = f"switches[{number}]"
+        if switch.switch_type not in types:
+            raise InputError(
+                f"switch '{switch.id}' is of the type '{switch.switch_type}', which is not known",
+                place=place,
+                remedy=f"known are {', '.join(types)}; describe others in 'extended_switch_types'",
+            )
+        ends = dict(_ports(switch, graph, taken, place))
+        for first, second in types[switch.switch_type]:
+            for port in (first, second):
+                if port not in ends:
+                    raise InputError(
+                        f"switch '{switch.id}' has no port '{port}'",
+                        place=f"{place}.ports",
+                        remedy=f"a {switch.switch_type} has one",
+                    )
+            graph.movements.append((ends[first], ends[second]))
+        if switch.switch_type == "crossing":
+            graph.account.counts["crossings: their tracks pass each other unconnected"] += 1
+
+
+def _ports(
+    switch: _Switch, graph: TrackGraph, taken: dict[TrackEnd, str], place: str
+) -> Iterator[tuple[str, TrackEnd]]:
+    """The track end at each port; none may be at two switches."""
+    for port, each in switch.ports.items():
+        end = TrackEnd(each.track, each.endpoint == "END")
+        if each.track not in graph.tracks:
+            raise InputError(
+                f"refers to track section '{each.track}', which the file does not have",
+                place=f"{place}.ports.{port}",
+                remedy="add the section, or correct the reference",
+            )
+        if taken.setdefault(end, switch.id) != switch.id:
+            raise InputError(
+                f"the {each.endpoint} of track section '{each.track}' is at switch '{switch.id}'"
+                f" and at switch '{taken[end]}'",
+                place=f"{place}.ports.{port}",
+                remedy="a track ends at one of them",
+            )
+        graph.labels[end] = switch.id
+        yield port, end

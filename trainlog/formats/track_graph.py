@@ -1,0 +1,538 @@
+"""Tracks and how they connect, as infrastructure files describe them, made into a network.
+
+A file's tracks are lines; its switches, links and crossings are movements between their ends.
+Tracks that follow each other without a choice become one edge.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from trainlog.railway import CurvatureProfile, Line, LineReference, Station, StepProfile
+from trainlog.railway.line import Geometry
+from trainlog.railway.network import AT_END, Edge, Leg, Network, Node, NodeKind, Route
+from trainlog.units import KMH
+
+FloatArray = NDArray[np.float64]
+
+ASSUMED_LIMIT = 80.0 / KMH
+"""Speed limit [m/s] of a file that states none at all."""
+
+SAME_PLACE = 1e-6
+"""Positions [m] that lie nearer together are one: files have rounded sums."""
+
+
+class TrackEnd(NamedTuple):
+    """The beginning of a track, or its end.
+
+    Examples
+    --------
+    >>> TrackEnd("T1", at_end=True).other
+    TrackEnd(track='T1', at_end=False)
+    """
+
+    track: str
+    at_end: bool
+
+    @property
+    def other(self) -> TrackEnd:
+        """The other end of the track."""
+        return TrackEnd(self.track, not self.at_end)
+
+
+class Stretch(NamedTuple):
+    """What holds from `begin` to `end` [m] of a track; `last` at its end where it varies."""
+
+    begin: float
+    end: float
+    value: float
+    last: float | None = None
+
+
+@dataclass
+class Account:
+    """What of a file a network does not hold, and what was repaired or assumed.
+
+    Attributes
+    ----------
+    counts : Counter of str
+        Numbers by what they are of, in the plural: ``"signals"``.
+    notes : dict of str to float
+        Sentences with a length [m] that they are of; 0: without.
+    """
+
+    counts: Counter[str] = field(default_factory=Counter)
+    notes: dict[str, float] = field(default_factory=dict)
+
+    def note(self, sentence: str, length: float = 0.0) -> None:
+        """Add a length [m] to what a sentence states."""
+        self.notes[sentence] = self.notes.get(sentence, 0.0) + length
+
+    @property
+    def sentences(self) -> list[str]:
+        """All of it, in words.
+
+        Examples
+        --------
+        >>> account = Account()
+        >>> account.counts["signals"] += 2
+        >>> account.note("speed limits assumed", 1_500.0)
+        >>> account.sentences
+        ['signals: 2', 'speed limits assumed: 1.500 km']
+        """
+        words = [f"{what}: {number}" for what, number in self.counts.items() if number]
+        return words + [
+            f"{what}: {length / 1e3:.3f} km" if length else what
+            for what, length in self.notes.items()
+        ]
+
+
+@dataclass
+class TrackGraph:
+    """Tracks as lines, and the movements between their ends.
+
+    Attributes
+    ----------
+    name, source : str
+    tracks : dict of str to Line
+    movements : list of (TrackEnd, TrackEnd)
+        Each in both directions.
+    labels : dict of TrackEnd to str
+        What stands there: a switch, a buffer stop.
+    stations : set of str
+        Nodes that are stations.
+    corners : dict of TrackEnd to (latitude, longitude)
+    account : Account
+    """
+
+    name: str
+    source: str
+    tracks: dict[str, Line] = field(default_factory=dict)
+    movements: list[tuple[TrackEnd, TrackEnd]] = field(default_factory=list)
+    labels: dict[TrackEnd, str] = field(default_factory=dict)
+    stations: set[str] = field(default_factory=set)
+    corners: dict[TrackEnd, tuple[float, float]] = field(default_factory=dict)
+    account: Account = field(default_factory=Account)
+
+    def add(
+        self, track: TrackData, limit: float, sections: dict[str, tuple[float, float]] | None = None
+    ) -> None:
+        """Add a track, or the sections [m] that switches cut it into.
+
+        Sections without a length are not: what they would join is.
+        """
+        line = None if track.length <= SAME_PLACE else track.line(self.account, limit)
+        for name, (start, end) in (sections or {track.name: (0.0, track.length)}).items():
+            if line is None or end - start <= SAME_PLACE:
+                self._pass_through(name)
+                continue
+            whole = start == 0.0 and end == track.length
+            part = replace(line if whole else line.section(start, end), name=name)
+            self.tracks[name] = part
+            if part.geometry is not None:
+                for at_end, index in ((False, 0), (True, -1)):
+                    place = float(part.geometry.positions[index])
+                    if abs(place - (part.length if at_end else 0.0)) <= AT_END:
+                        self.corners.setdefault(
+                            TrackEnd(name, at_end),
+                            (
+                                float(part.geometry.latitudes[index]),
+                                float(part.geometry.longitudes[index]),
+                            ),
+                        )
+
+    def _pass_through(self, name: str) -> None:
+        """Leave a track out, its movements passing on to what it joins."""
+        ends = TrackEnd(name, at_end=False), TrackEnd(name, at_end=True)
+        beside = [
+            {b if a == end else a for a, b in self.movements if end in (a, b)} for end in ends
+        ]
+        self.movements = [pair for pair in self.movements if not set(pair) & set(ends)]
+        self.movements += [(a, b) for a in beside[0] for b in beside[1]]
+        for end in ends:
+            label = self.labels.pop(end, None)
+            for other in beside[0] | beside[1] if label else ():
+                self.labels.setdefault(other, str(label))
+
+    def networks(self) -> list[Network]:
+        """The networks that the tracks make, the longest first: one where all are connected.
+
+        An edge is a run of tracks without a choice, a node stands where there is one.
+        """
+        near = self._neighbours()
+        through = {
+            end: next(iter(others))
+            for end, others in near.items()
+            if len(others) == 1 and near[next(iter(others))] == {end}
+        }
+        chains = list(self._chains(through))
+        edges, at = list[Edge](), dict[TrackEnd, str]()
+        for chain in chains:
+            first, last = chain[0], chain[-1].other
+            line = self._edge_line(chain)
+            edges.append(Edge(line.name, line, str(first), str(last)))
+            at[first] = at[last] = line.name
+        groups = self._groups(near, at)
+        node_of = self._names(groups)
+        ends = {str(end): name for end, name in node_of.items()}
+        edges = [replace(each, start=ends[each.start], end=ends[each.end]) for each in edges]
+        turns: dict[str, set[tuple[str, str]]] = {}
+        for end, name in node_of.items():
+            pairs = {tuple(sorted((at[end], at[other]))) for other in near[end] if other in at}
+            turns.setdefault(name, set()).update(pairs)  # type: ignore[arg-type]
+        return list(self._parts(*_without_loops(edges, turns), node_of))
+
+    def _neighbours(self) -> dict[TrackEnd, set[TrackEnd]]:
+        """The ends that a train can go on to from each end."""
+        near: dict[TrackEnd, set[TrackEnd]] = {
+            TrackEnd(name, at_end): set() for name in self.tracks for at_end in (False, True)
+        }
+        for first, second in self.movements:
+            near[first].add(second)
+            near[second].add(first)
+        return near
+
+    def _chains(self, through: dict[TrackEnd, TrackEnd]) -> Iterator[list[TrackEnd]]:
+        """Runs of tracks, each by the ends at which a train enters them."""
+        left = dict.fromkeys(self.tracks)
+        while left:
+            start = TrackEnd(next(iter(left)), at_end=False)
+            entry, seen = start, {start.track}
+            while (before := through.get(entry)) is not None and before.track not in seen:
+                entry = before.other
+                seen.add(entry.track)
+            chain, seen = [entry], {entry.track}
+            while (after := through.get(chain[-1].other)) is not None and after.track not in seen:
+                chain.append(after)
+                seen.add(after.track)
+            if sum(end.at_end for end in chain) * 2 > len(chain):
+                chain = [end.other for end in reversed(chain)]
+            for end in chain:
+                del left[end.track]
+            yield chain
+
+    def _groups(
+        self, near: dict[TrackEnd, set[TrackEnd]], at: dict[TrackEnd, str]
+    ) -> list[list[TrackEnd]]:
+        """Ends of edges that meet, the ends of tracks inside edges left out."""
+        groups, seen = list[list[TrackEnd]](), set[TrackEnd]()
+        for end in at:
+            if end in seen:
+                continue
+            group, todo = [end], [end]
+            seen.add(end)
+            while todo:
+                for other in sorted(near[todo.pop()]):
+                    if other in at and other not in seen:
+                        seen.add(other)
+                        group.append(other)
+                        todo.append(other)
+            groups.append(sorted(group))
+        return groups
+
+    def _names(self, groups: list[list[TrackEnd]]) -> dict[TrackEnd, str]:
+        """The name of the node at each end of an edge, each name once.
+
+        A station that stands there, a switch or a buffer stop, or the track that ends there.
+        """
+        node_of, taken = dict[TrackEnd, str](), set[str]()
+        for group in groups:
+            there = {_station_at(end, self.tracks) for end in group}
+            name = there.pop() if len(there) == 1 else ""
+            if not name or name in taken:
+                known = [self.labels[each] for each in group if each in self.labels]
+                own = f"{group[0].track} {'end' if group[0].at_end else 'begin'}"
+                name = _unused(" + ".join(dict.fromkeys(known)) or own, taken)
+            else:
+                taken.add(name)
+                self.stations.add(name)
+            node_of |= dict.fromkeys(group, name)
+        return node_of
+
+    def _parts(
+        self,
+        edges: list[Edge],
+        turns: dict[str, set[tuple[str, str]]],
+        node_of: dict[TrackEnd, str],
+    ) -> Iterator[Network]:
+        """A network of each part that is connected."""
+        index: dict[str, int] = {}
+        for edge in edges:
+            for name in (edge.start, edge.end):
+                index.setdefault(name, len(index))
+        pairs = np.array([(index[edge.start], index[edge.end]) for edge in edges])
+        joined_by = coo_array((np.ones(len(edges)), pairs.T), shape=(len(index), len(index)))
+        count, part = connected_components(joined_by, directed=False)
+        own: list[list[Edge]] = [[] for _ in range(count)]
+        for edge, number in zip(edges, part[pairs[:, 0]], strict=True):
+            own[number].append(edge)
+        own.sort(key=lambda found: -sum(edge.line.length for edge in found))
+        places: dict[str, list[tuple[float, float]]] = {}
+        for end, name in node_of.items():
+            if end in self.corners:
+                places.setdefault(name, []).append(self.corners[end])
+        for number, found in enumerate(own, start=1):
+            names = dict.fromkeys(name for edge in found for name in (edge.start, edge.end))
+            yield Network(
+                name=self.name if len(own) == 1 else f"{self.name} {number}",
+                nodes=tuple(self._node(name, places.get(name, [])) for name in names),
+                edges=tuple(found),
+                turns=_restrictions(found, turns, names),
+                source=self.source,
+            )
+
+    def _node(self, name: str, places: list[tuple[float, float]]) -> Node:
+        """The node, in the middle of where its edges end."""
+        kind: NodeKind = "station" if name in self.stations else "junction"
+        if not places:
+            return Node(name, kind)
+        latitude, longitude = np.mean(places, axis=0).round(9).tolist()
+        return Node(name, kind, latitude, longitude)
+
+    def _edge_line(self, chain: Sequence[TrackEnd]) -> Line:
+        lines = [
+            self.tracks[end.track].reversed() if end.at_end else self.tracks[end.track]
+            for end in chain
+        ]
+        return joined(lines, joined_name([end.track for end in chain]), self.source)
+
+
+def joined_name(names: Sequence[str]) -> str:
+    """The name of an edge of several tracks.
+
+    Examples
+    --------
+    >>> joined_name(["T1"]), joined_name(["T1", "T2"]), joined_name(["T1", "T2", "T3"])
+    ('T1', 'T1+T2', 'T1..T3')
+    """
+    return "+".join(names) if len(names) < 3 else f"{names[0]}..{names[-1]}"
+
+
+def joined(lines: Sequence[Line], name: str, source: str) -> Line:
+    """Lines that follow each other, in this order, as one.
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> both = joined([line.section(0.0, 4e3), line.section(4e3, line.length)], "again", "")
+    >>> both.length, bool(both.gradient(20e3) == line.gradient(20e3))
+    (29556.1, True)
+    """
+    if len(lines) == 1:
+        return replace(lines[0], name=name, source=source)
+    # As a route over a network of these lines alone, which composes them.
+    edges = tuple(
+        Edge(f"{number}", line, f"{number}", f"{number + 1}") for number, line in enumerate(lines)
+    )
+    nodes = tuple(Node(f"{number}", "junction") for number in range(len(lines) + 1))
+    begins = np.cumsum([0.0, *(line.length for line in lines)]).tolist()
+    legs = tuple(
+        Leg(edge.name, begin, edge.line.length, 0.0, edge.line.length, edge.line.length)
+        for edge, begin in zip(edges, begins, strict=False)
+    )
+    line = Route(Network(name, nodes, edges), (nodes[0].name, nodes[-1].name), legs).line
+    stations = [
+        Station(each.name, begin + each.position)
+        for part, begin in zip(lines, begins, strict=False)
+        for each in part.stations
+    ]
+    once = [
+        each
+        for number, each in enumerate(stations)
+        if not number
+        or (each.name, round(each.position, 3))
+        != (stations[number - 1].name, round(stations[number - 1].position, 3))
+    ]
+    return replace(line, name=name, source=source, legs=(), stations=tuple(once))
+
+
+def _station_at(end: TrackEnd, tracks: dict[str, Line]) -> str:
+    """The station that stands at an end of an edge; empty without."""
+    track = tracks[end.track]
+    for station in track.stations:
+        if abs(station.position - (track.length if end.at_end else 0.0)) <= AT_END:
+            return station.name
+    return ""
+
+
+def _without_loops(
+    edges: list[Edge], turns: dict[str, set[tuple[str, str]]]
+) -> tuple[list[Edge], dict[str, set[tuple[str, str]]]]:
+    """Edges that begin and end at one node as two, so that turns name one of their ends."""
+    found = list[Edge]()
+    for edge in edges:
+        if edge.start != edge.end:
+            found.append(edge)
+            continue
+        half, middle = 0.5 * edge.line.length, f"{edge.name} middle"
+        found.append(Edge(f"{edge.name}/1", edge.line.section(0.0, half), edge.start, middle))
+        found.append(
+            Edge(f"{edge.name}/2", edge.line.section(half, edge.line.length), middle, edge.end)
+        )
+        own = turns[edge.start]
+        for pair in [pair for pair in own if edge.name in pair]:
+            own.remove(pair)
+            halves = [
+                [each] if each != edge.name else [f"{edge.name}/1", f"{edge.name}/2"]
+                for each in pair
+            ]
+            own.update((a, b) for a in halves[0] for b in halves[1] if a != b)
+    return found, turns
+
+
+def _restrictions(
+    edges: list[Edge], turns: dict[str, set[tuple[str, str]]], names: Iterable[str]
+) -> dict[str, tuple[tuple[str, str], ...]]:
+    """The turns of the nodes that do not allow every movement."""
+    found = {}
+    for name in names:
+        there = sorted({edge.name for edge in edges if name in (edge.start, edge.end)})
+        if name in turns and set(combinations(there, 2)) - turns[name]:
+            found[name] = tuple(sorted(turns[name]))
+    return found
+
+
+def _unused(name: str, taken: set[str]) -> str:
+    """The name, with a number where it is taken."""
+    found = next(
+        each
+        for number in range(1, len(taken) + 2)
+        if (each := name if number == 1 else f"{name} ({number})") not in taken
+    )
+    taken.add(found)
+    return found
+
+
+@dataclass
+class TrackData:
+    """What a file states of a track, by position [m] from its beginning.
+
+    Attributes
+    ----------
+    name : str
+    length : float [m]
+    gradients, curves : list of Stretch
+        Rise over run; curvature [1/m]. Of stretches that overlap the later one holds.
+    limits : list of Stretch
+        [m/s]; of stretches that overlap the lowest holds.
+    stations : list of Station
+    course : list of (position, latitude, longitude)
+    course_quality : str
+    reference : LineReference or None
+    level_between : bool
+        Whether the track is level where no gradient is stated, if any is.
+    """
+
+    name: str
+    length: float
+    gradients: list[Stretch] = field(default_factory=list)
+    curves: list[Stretch] = field(default_factory=list)
+    limits: list[Stretch] = field(default_factory=list)
+    stations: list[Station] = field(default_factory=list)
+    course: list[tuple[float, float, float]] = field(default_factory=list)
+    course_quality: str = ""
+    reference: LineReference | None = None
+    level_between: bool = False
+
+    def line(self, account: Account, limit: float) -> Line:
+        """The track as a line; `limit` [m/s] where it has none, which is then assumed."""
+        assumed = []
+        at, values = self._laid("gradients", account)[:2]
+        unknown = np.isnan(values) if self.gradients or not self.level_between else ~np.isfinite(at)
+        missing = self._missing(at, unknown)
+        if not self.gradients or (missing > 1.0 and not self.level_between):
+            assumed.append("gradients")
+            account.note("gradients that are not stated, assumed level", missing or self.length)
+        gradients = _steps(at, np.where(np.isnan(values), 0.0, values))
+        at, values = self._laid("limits", account)[:2]
+        missing = self._missing(at, np.isnan(values))
+        if missing > 0.0:
+            assumed.append("speed_limits")
+            account.note(
+                f"speed limits that are not stated, assumed to be {KMH * limit:.0f} km/h", missing
+            )
+        limits = _steps(at, np.where(np.isnan(values), limit, values))
+        at, first, last = self._laid("curves", account)
+        curves = CurvatureProfile(at, np.nan_to_num(first), np.nan_to_num(last))
+        return Line(
+            name=self.name,
+            length=self.length,
+            stations=tuple(sorted(self.stations, key=lambda each: each.position)),
+            speed_limits=limits,
+            gradients=gradients,
+            curvatures=curves if self.curves else None,
+            geometry=self._geometry(),
+            assumed=tuple(assumed),
+            reference=self.reference,
+        )
+
+    def _missing(self, at: FloatArray, unknown: NDArray[np.bool_]) -> float:
+        """Length [m] of the pieces that are not known."""
+        return float(np.diff(np.append(at, self.length))[unknown].sum())
+
+    def _laid(self, what: str, account: Account) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Starts of pieces and what holds at their starts and ends; NaN where nothing is stated."""
+        stretches = list[Stretch]()
+        for each in getattr(self, what):
+            begin, end = max(each.begin, 0.0), min(each.end, self.length)
+            if begin > each.begin + SAME_PLACE or end < each.end - SAME_PLACE:
+                account.counts[f"{what} that reach beyond their track, cut off there"] += 1
+            if end - begin > SAME_PLACE:
+                stretches.append(each)
+        ends = [0.0, self.length, *(x for each in stretches for x in (each.begin, each.end))]
+        edges = np.unique(np.clip(ends, 0.0, self.length))
+        edges = np.append(edges[:-1][np.diff(edges) > SAME_PLACE], self.length)
+        edges[0] = 0.0
+        first, last = (np.full(edges.size - 1, np.nan) for _ in range(2))
+        middle = 0.5 * (edges[:-1] + edges[1:])
+        over = np.zeros(middle.size, dtype=np.int64)
+        for each in stretches:
+            inside = (middle > each.begin) & (middle < each.end)
+            if what == "limits":
+                inside &= ~(first <= each.value)
+            else:
+                over += inside
+            rate = ((each.value if each.last is None else each.last) - each.value) / (
+                each.end - each.begin
+            )
+            first[inside] = each.value + rate * (edges[:-1] - each.begin)[inside]
+            last[inside] = each.value + rate * (edges[1:] - each.begin)[inside]
+        if np.any(over > 1):
+            account.counts[f"tracks with {what} that contradict each other, the later taken"] += 1
+        return edges[:-1], first, last
+
+    def _geometry(self) -> Geometry | None:
+        points = {position: (latitude, longitude) for position, latitude, longitude in self.course}
+        if len(points) < 2:
+            return None
+        at = sorted(points)
+        coordinates = np.array([points[each] for each in at])
+        return Geometry(np.array(at), coordinates[:, 0], coordinates[:, 1], self.course_quality)
+
+
+def _steps(positions: FloatArray, values: FloatArray) -> StepProfile:
+    """A profile without steps to the same value."""
+    kept = np.append(True, np.diff(values) != 0.0)
+    return StepProfile(positions[kept], values[kept])
+
+
+def lowest_limit(tracks: Iterable[TrackData]) -> float:
+    """What is assumed where a file states no limit [m/s]: the lowest that it states anywhere.
+
+    Examples
+    --------
+    >>> lowest_limit([TrackData("T1", 500.0, limits=[Stretch(0.0, 500.0, 20.0)])])
+    20.0
+    """
+    stated = [each.value for track in tracks for each in track.limits]
+    return min(stated, default=ASSUMED_LIMIT)
