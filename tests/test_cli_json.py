@@ -45,6 +45,10 @@ map score forecast.csv sample_logs
 map diff wil.map sample_logs/CH_StGallen_Wil.map
 map history sample_logs/CH_StGallen_Wil.map --km 12.3 --layer wet --days 2
 map export wil.map -o map.csv
+network build sample_logs/CH_StGallen_Wil.line.json -o one.network.json
+network show one.network.json
+network route one.network.json Flawil Uzwil -o route.line.json
+network export one.network.json -o one.geojson
 map merge wil.map sample_logs/CH_StGallen_Wil.map -o both.map
 map remove wil.map trip-01
 map compact both.map --before 2024-10-08

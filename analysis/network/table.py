@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from rich.console import Group
 
-from analysis.tables import POSITION, SPEED, Column, Quantity, Said, new_table
+from analysis.tables import POSITION, SPEED, Column, Quantity, Said, WordTable, new_table
 from trainlog.display import counted
 from trainlog.railway import Line
 from trainlog.railway.network import Edge, Network, Route
@@ -14,13 +14,14 @@ from trainlog.units import KMH
 HEIGHT = Quantity("m", "m")
 RADIUS = Quantity("m", "m", 1.0, 0)
 
+
 def network_tables(network: Network) -> Group:
     """A network as a person reads it: its edges, its nodes, and what is not known of it."""
     return Group(*([network.source] if network.source else []), _edges(network), _nodes(network),
                  *_unknown(network))  # fmt: skip
 
 
-def _edges(network: Network) -> object:
+def _edges(network: Network) -> WordTable:
     table = new_table(
         f"Edges of {network.name}: {len(network.edges)}, {network.length / 1e3:.3f} km",
         Column("edge"),
@@ -50,7 +51,7 @@ def _edges(network: Network) -> object:
     return table
 
 
-def _nodes(network: Network) -> object:
+def _nodes(network: Network) -> WordTable:
     table = new_table(
         "Nodes", Column("node"), Column("kind"), Column("edges"), Column("turns"), name="nodes"
     )

@@ -556,8 +556,8 @@ def import_(
     files: Annotated[
         list[Path],
         typer.Argument(
-            help="Of TTOBench (JSON), rolling stock of OSRD (JSON), of railtoolkit (YAML); or a"
-            " train file, with a curve."
+            help="Of TTOBench or OSRD (JSON), railtoolkit (YAML), railML (XML); or a train file,"
+            " with a curve."
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the files.")],
@@ -599,10 +599,10 @@ def import_(
         typer.Option(help="Of a line: 0.6/R; Roeckl's 0.65/(R - 55); 0.5/(R - 30)."),
     ] = None,
 ) -> None:
-    """Turn lines, trains and journeys of other programs into trainlog's files.
+    """Turn lines, trains, journeys and networks of other programs into trainlog's files.
 
-    Tracks, trains and journeys of TTOBench; rolling stock of OSRD; rolling stock and running paths
-    of railtoolkit.
+    Tracks, trains and journeys of TTOBench; rolling stock and infrastructure of OSRD; rolling stock
+    and running paths of railtoolkit; infrastructure of railML 2 and 3.
 
     Line and train files of trainlog are taken with an option that changes them.
 

@@ -60,8 +60,8 @@ def read_railml(path: str | Path, limit: float | None = None) -> tuple[list[Netw
             file=path,
             remedy="export infrastructure as railML 2.2 to 2.5, or 3.1 to 3.3",
         )
-    reader = railml2 if version.startswith("2") else railml3
-    return built(lambda: reader.networks_of(root, version, Path(path).stem, limit), path)
+    networks_of = railml2.networks_of if version.startswith("2") else railml3.networks_of
+    return built(lambda: networks_of(root, version, Path(path).stem, limit), path)
 
 
 def version_of(root: Element) -> str | None:

@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import combinations, pairwise
 
+import numpy as np
+
 from trainlog.formats.track_graph import (
     SAME_PLACE,
     Stretch,
@@ -295,13 +297,8 @@ class _File:
                 rows[at] = (km, known if out == float("inf") else out)
         line = self.lines.get(track.element.text("id"))
         name = (line.text("name") or line.text("id")) if line is not None else track.name
-        positions = sorted(rows)
-        return LineReference(
-            name,
-            positions,
-            [rows[at][0] for at in positions],
-            [rows[at][1] for at in positions],  # type: ignore[arg-type]
-        )
+        known = np.array([(at, *rows[at]) for at in sorted(rows)])
+        return LineReference(name, *known.T)
 
     # ---- topology
 

@@ -467,7 +467,8 @@ class Line:
         limits, slopes = self.speed_limits, self.gradients
         rows = {
             "stations": ", ".join(station.name for station in self.stations[:4])
-            + (f" ... {self.stations[-1].name} ({len(self.stations)})" * (len(self.stations) > 4)),
+            + "".join(f" ... {s.name} ({len(self.stations)})" for s in self.stations[4:][-1:])
+            or "none",
             "limits": f"{span(limits.values, KMH)} km/h in {counted(limits.values.size, 'piece')}",
             "gradients": f"{span(slopes.values, 1e3, 1)} per mille in"
             f" {counted(slopes.values.size, 'piece')}",
@@ -476,7 +477,7 @@ class Line:
             sharpest = float(np.max(np.abs([self.curvatures.start, self.curvatures.end])))
             rows["curves"] = (
                 f"{self.curvatures.positions.size} elements"
-                + f", radius {1.0 / sharpest:.0f} m at least" * (sharpest > 0.0)
+                + (f", radius {1.0 / sharpest:.0f} m at least" if sharpest > 0.0 else "")
                 + f", resistance {self.curve_resistance}"
                 * (self.curve_resistance != "proportional")
             )

@@ -66,7 +66,7 @@ def network_of_lines(name: str, lines: Sequence[Line]) -> NetworkOfLines:
     ... )
     >>> found = network_of_lines("both", [line, branch])
     >>> [(edge.name, edge.start, edge.end) for edge in found.network.edges][-1]
-    ('branch', 'Winkeln', 'Branch')
+    ('branch', 'Gossau SG', 'Branch')
     """
     if not lines:
         raise InputError(f"network '{name}': there are no lines", remedy="give at least one")
