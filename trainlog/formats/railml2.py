@@ -297,8 +297,8 @@ class _File:
                 rows[at] = (km, known if out == float("inf") else out)
         line = self.lines.get(track.element.text("id"))
         name = (line.text("name") or line.text("id")) if line is not None else track.name
-        known = np.array([(at, *rows[at]) for at in sorted(rows)])
-        return LineReference(name, *known.T)
+        table = np.array([(at, *rows[at]) for at in sorted(rows)])
+        return LineReference(name, *table.T)
 
     # ---- topology
 
