@@ -368,3 +368,64 @@ def test_a_network_is_recognised_by_its_content(tmp_path: Path) -> None:
     found = contents_of(tmp_path / "some.json")
     assert found.kind == "network"
     assert found.summary == "Network 'Y', 6.0 km"
+
+
+def test_a_route_over_given_edges() -> None:
+    network = y_network()
+    route = network.along([("to B", False), ("to C", False)], start=1_500.0, end=200.0)
+    assert route.places == ("to B@1.500", "to C@0.200")
+    assert [(leg.edge_start, leg.edge_end) for leg in route.legs] == [(1_500.0, 0.0), (1e3, 200.0)]
+    assert network.along([("trunk", True), ("to B", True)]).legs == network.route("A", "B").legs
+    with pytest.raises(InputError, match="begins at 'J', and 'trunk' ends at 'A'"):
+        network.along([("trunk", False), ("to B", True)])
+    with pytest.raises(InputError, match="does not run along its chainage"):
+        network.along([("trunk", True)], start=2_000.0, end=1_000.0)
+
+
+def test_a_trip_on_a_route_is_trips_on_its_edges(tmp_path: Path) -> None:
+    from analysis.network.edges import edge_line, trips_on_edges
+    from trainlog.formats.attached import line_of
+
+    network = Network("cut", (Node("East"), Node("Mid", "junction"), Node("West")), (
+        Edge("east", WHOLE.section(0.0, 10_000.0), "East", "Mid"),
+        # Travelled against its chainage.
+        Edge("west", WHOLE.section(10_000.0, WHOLE.length).reversed(), "West", "Mid"),
+    ))  # fmt: skip
+    route = network.route("East", "West").line
+    trip = trainlog.read(sample("nonstop.mcap"))
+    on_route = replace(trip, attachments={**trip.attachments, "line.json": line_to_bytes(route)})
+    parts = trips_on_edges(on_route)
+    assert [part.name for part in parts] == ["trip-01@east", "trip-01@west"]
+    assert [part.metadata["direction"] for part in parts] == ["forward", "reverse"]
+    rows = sum(len(part["/train/state"]) for part in parts)
+    assert rows == len(trip["/train/state"])
+    for part, share in zip(parts, (0, 1), strict=True):
+        state = part["/train/state"]
+        at, line = state.position.to_numpy(), line_of(part)
+        travelled = trip["/train/state"].position.loc[state.index].to_numpy()
+        np.testing.assert_allclose(line.gradient(at), WHOLE.gradient(travelled), atol=2e-3)
+        assert np.mean(line.gradient(at) == WHOLE.gradient(travelled)) > 0.99
+        given = trips_on_edges(on_route, network)[share]
+        assert line_of(given).gradients == network.edges[share].line.gradients or share
+    leg = network.route("West", "Mid").line.section(2_000.0, 5_000.0)
+    known = edge_line(leg, leg.legs[0])
+    assert known.length == network.edges[1].line.length
+    at = np.linspace(2_001.0, 4_999.0, 50)
+    np.testing.assert_array_equal(known.gradient(at), network.edges[1].line.gradient(at))
+    with pytest.raises(InputError, match=r"is 10000\.0 m long"):
+        trips_on_edges(on_route, Network("other", network.nodes[:2], (
+            Edge("east", WHOLE.section(0.0, 10_000.0), "East", "Mid"),
+            Edge("west", WHOLE.section(0.0, 10_000.0), "East", "Mid"))))  # fmt: skip
+
+
+def test_a_picture_of_a_network_with_and_without_coordinates(tmp_path: Path) -> None:
+    from analysis.network.plot import AlongEdge, draw_network
+
+    bounds = np.linspace(0.0, 3_000.0, 31)
+    shown = {"trunk": AlongEdge(bounds, np.linspace(0.1, 0.3, 30), np.linspace(0.0, 1.0, 30))}
+    draw_network(y_network(), tmp_path / "y.png", shown=shown, label="maximum adhesion")
+    assert (tmp_path / "y.png").stat().st_size > 5_000
+    one = Network("one", (Node("St. Gallen"), Node("Wil")), (
+        Edge("850", WHOLE, "St. Gallen", "Wil"),))  # fmt: skip
+    figure = draw_network(one)
+    assert figure.axes[0].get_xlabel() == "east [km]"

@@ -155,7 +155,7 @@ class Trip:
     def _distance(self) -> float | None:
         """How far the train went [m]; None where that is not known."""
         try:
-            position = self._located()["position"].dropna()
+            position = self.located()["position"].dropna()
         except LogError:
             return None
         return float(abs(position.iloc[-1] - position.iloc[0]))
@@ -253,7 +253,7 @@ class Trip:
         (3200.27, 7497.89)
         """
         limits = position_limits(start, end)
-        state = self._located()
+        state = self.located()
         time = pd.DatetimeIndex(state.index).as_unit("ns").asi8
         position = state["position"].to_numpy(dtype=np.float64)
         spans = spans_within(time, position, *limits)
@@ -285,8 +285,14 @@ class Trip:
             trip = trip.with_step("slice", software=_SOFTWARE, position=ends)
         return trip
 
-    def _located(self) -> pd.DataFrame:
-        """The frame that knows where the train was."""
+    def located(self) -> pd.DataFrame:
+        """The frame that knows where the train was: of the first of `POSITION_TOPICS` that does.
+
+        Raises
+        ------
+        LogError
+            If the trip has no position.
+        """
         for name in POSITION_TOPICS:
             frame = self.topics.get(name)
             if frame is not None and "position" in frame and frame["position"].notna().any():

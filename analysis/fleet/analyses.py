@@ -23,8 +23,8 @@ from analysis.adhesion.covariates import covariates
 from analysis.adhesion.evidence import condition_of, evidence_of
 from analysis.fleet.checks import CHECKS, checked
 from analysis.fleet.driving import DRIVING, driven_edges
-from analysis.fleet.edges import edges_of, on_edge
 from analysis.fleet.trips import FleetTrip
+from analysis.network.edges import edges_of, on_edge
 from analysis.resistance.combination import summarised
 from analysis.resistance.fit import fit_trip
 from analysis.resistance.recording import TripRefusedError

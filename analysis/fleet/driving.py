@@ -17,8 +17,8 @@ from analysis.comparison.sections import (
     Sections,
     section_table,
 )
-from analysis.fleet.edges import Stretch, edges_of
 from analysis.fleet.trips import FleetTrip
+from analysis.network.edges import Stretch, edges_of
 from trainlog.errors import LogError
 from trainlog.formats.attached import largest_load
 from trainlog.formats.summaries import Column

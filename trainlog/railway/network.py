@@ -410,6 +410,80 @@ class Network:
         stages = [self.place(place) for place in names]
         return Route(self, names, _Search(self, names, stages).legs())
 
+    def along(
+        self,
+        movements: Sequence[tuple[str, bool]],
+        start: float | None = None,
+        end: float | None = None,
+    ) -> Route:
+        """The route over given edges, in the order of travel.
+
+        Parameters
+        ----------
+        movements : sequence of (str, bool)
+            Names of edges, each with whether it is travelled along its chainage; an edge may come
+            several times.
+        start, end : float [m], optional
+            Chainage on the first and on the last edge where the route begins and ends; None: at
+            the edge's end.
+
+        Raises
+        ------
+        InputError
+            If edges do not follow each other, or an end leaves nothing of its edge.
+
+        Examples
+        --------
+        >>> from trainlog.formats.line import read_line
+        >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+        >>> nodes = (Node("St. Gallen"), Node("Wil"))
+        >>> network = Network("one", nodes, (Edge("850", line, "St. Gallen", "Wil"),))
+        >>> network.along([("850", False)], start=20_000.0).length
+        20000.0
+        """
+        if not movements:
+            raise InputError("a route needs an edge", remedy="name the edges in order of travel")
+        stretches: list[tuple[str, float, float]] = []
+        for name, forward in movements:
+            ends = (0.0, self.edge(name).line.length)
+            stretches.append((name, *(ends if forward else ends[::-1])))
+        for (before, forward), (after, onward) in pairwise(movements):
+            meets, leaves = self._ends(before, forward)[1], self._ends(after, onward)[0]
+            if meets != leaves:
+                raise InputError(
+                    f"edge '{after}' begins at '{leaves}', and '{before}' ends at '{meets}'",
+                    remedy="name the edges that lie between, or exchange a direction",
+                )
+        first, last = stretches[0], stretches[-1]
+        places = [self._ends(*movements[0])[0], self._ends(*movements[-1])[1]]
+        if start is not None:
+            stretches[0] = (first[0], start, first[2])
+            places[0] = self._named(first[0], start)
+        if end is not None:
+            stretches[-1] = (last[0], stretches[-1][1], end)
+            places[1] = self._named(last[0], end)
+        for (name, begin, finish), (_, forward) in zip(stretches, movements, strict=True):
+            if (finish > begin) is not forward:
+                raise InputError(
+                    f"a route from km {begin / 1e3:.3f} to km {finish / 1e3:.3f} of edge '{name}'"
+                    f" does not run {'along' if forward else 'against'} its chainage",
+                    remedy="exchange the direction, or correct where it begins and ends",
+                )
+        return Route(self, tuple(places), _legs(self, stretches))
+
+    def _ends(self, name: str, forward: bool) -> tuple[str, str]:
+        """Nodes at which a movement over an edge begins and ends."""
+        edge = self.edge(name)
+        return (edge.start, edge.end) if forward else (edge.end, edge.start)
+
+    def _named(self, name: str, chainage: float) -> str:
+        """A point of an edge as a place: its node, its station, or ``edge@km``."""
+        edge = self.edge(name)
+        node = self._point(edge, chainage).node
+        near = [s.name for s in edge.line.stations if abs(s.position - chainage) <= AT_END]
+        km = float(edge.line.kilometre(chainage)) / 1e3
+        return node or (near[0] if near else f"{name}@{km:.3f}")
+
 
 @dataclass(frozen=True, repr=False)
 class Route:
@@ -672,13 +746,17 @@ class _Search:
                 stretches[-1] = (name, stretches[-1][1], ends[1])
             else:
                 stretches.append((name, ends[0], ends[1]))
-        legs, position = [], 0.0
-        for name, start, end in stretches:
-            length = abs(end - start)
-            whole = self.network.edge(name).line.length
-            legs.append(Leg(name, position, length, start, end, whole))
-            position += length
-        return tuple(legs)
+        return _legs(self.network, stretches)
+
+
+def _legs(network: Network, stretches: Sequence[tuple[str, float, float]]) -> tuple[Leg, ...]:
+    """Legs, one behind the other, over edges from one chainage to another."""
+    legs, position = [], 0.0
+    for name, start, end in stretches:
+        length = abs(end - start)
+        legs.append(Leg(name, position, length, start, end, network.edge(name).line.length))
+        position += length
+    return tuple(legs)
 
 
 def _continues(before: tuple[str, float, float], ends: Sequence[float]) -> bool:

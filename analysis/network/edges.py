@@ -1,0 +1,307 @@
+"""The edges of a network that a trip ran over; an ordinary line is one edge, itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+
+from analysis.adhesion.slip import SlipAnalysis
+from trainlog.errors import InputError
+from trainlog.formats.attached import line_of
+from trainlog.formats.line import line_to_bytes
+from trainlog.railway.line import (
+    CurvatureProfile,
+    Geometry,
+    Leg,
+    Line,
+    LineReference,
+    Station,
+    StepProfile,
+    Tunnel,
+)
+from trainlog.railway.network import Network
+from trainlog.railway.profiles import TINY
+from trainlog.spans import spans_within
+from trainlog.trip import LINE_ATTACHMENT, PASSPORT_ATTACHMENT, TRAIN_ATTACHMENT, Trip
+from trainlog.version import __version__
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """A stretch of a line that lies on an edge.
+
+    Attributes
+    ----------
+    first, last : float [m]
+        On the line.
+    edge_first, edge_last : float [m]
+        The same places on the edge's own chainage; it falls where the line runs against it.
+    """
+
+    first: float
+    last: float
+    edge_first: float
+    edge_last: float
+
+    def holds(self, position: ArrayLike) -> BoolArray:
+        """Which positions [m] of the line lie in it."""
+        s = np.asarray(position, dtype=np.float64)
+        return np.asarray((s >= self.first) & (s < self.last))
+
+    def on_edge(self, position: ArrayLike) -> FloatArray:
+        """Chainage on the edge [m] of positions of the line [m]."""
+        sign = -1.0 if self.backwards else 1.0
+        s = np.asarray(position, dtype=np.float64)
+        return np.asarray(self.edge_first + sign * (s - max(self.first, 0.0)))
+
+    @property
+    def backwards(self) -> bool:
+        """Whether the line runs against the edge's chainage."""
+        return self.edge_last < self.edge_first
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeOfLine:
+    """An edge with the stretches of a line that run over it.
+
+    Attributes
+    ----------
+    name : str
+    length : float [m]
+        Of the whole edge.
+    stretches : tuple of Stretch
+    whole : bool
+        Whether the edge is the line itself.
+    """
+
+    name: str
+    length: float
+    stretches: tuple[Stretch, ...]
+    whole: bool = False
+
+
+def edges_of(line: Line, *, backwards: bool = False) -> tuple[EdgeOfLine, ...]:
+    """The edges that a line runs over, in the order in which it reaches them.
+
+    Parameters
+    ----------
+    line : Line
+    backwards : bool
+        Whether an ordinary line is given reversed, as a trip against its chainage travels it.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> [(edge.name, edge.length) for edge in edges_of(line)]
+    [('CH_StGallen_Wil', 29556.1)]
+    """
+    if not line.legs:
+        ends = (line.length, 0.0) if backwards else (0.0, line.length)
+        whole = Stretch(-np.inf, np.inf, *ends)
+        return (EdgeOfLine(line.name, line.length, (whole,), whole=True),)
+    found: dict[str, EdgeOfLine] = {}
+    for number, leg in enumerate(line.legs):
+        # The end of the line belongs to its last leg.
+        end = np.inf if number == len(line.legs) - 1 else leg.position + leg.length
+        stretch = Stretch(leg.position, end, leg.edge_start, leg.edge_end)
+        before = found.get(leg.edge)
+        known = () if before is None else before.stretches
+        found[leg.edge] = EdgeOfLine(leg.edge, leg.edge_length, (*known, stretch))
+    return tuple(found.values())
+
+
+def on_edge(analysis: SlipAnalysis, edge: EdgeOfLine) -> SlipAnalysis:
+    """What a slip analysis shows on an edge: its samples and events there, by the edge's chainage.
+
+    Parameters
+    ----------
+    analysis : SlipAnalysis
+        With positions on the line in its own direction.
+    edge : EdgeOfLine
+        Of that line.
+    """
+    if edge.whole:
+        return analysis
+    position, rows = _moved(analysis.position, edge)
+    places, kept = _moved(analysis.events["position"].to_numpy(np.float64), edge)
+    names = ("speed", "speed_std", "slip_speed", "adhesion", "adhesion_std", "slipping", "time")
+    return replace(
+        analysis,
+        trip=f"{analysis.trip}@{edge.name}",
+        position=position[rows],
+        events=analysis.events.assign(position=places)[kept],
+        **{name: getattr(analysis, name)[rows] for name in names},
+    )
+
+
+def _moved(position: FloatArray, edge: EdgeOfLine) -> tuple[FloatArray, BoolArray]:
+    """Chainage on the edge, and which of the positions lie on it."""
+    found, there = np.full(position.size, np.nan), np.zeros(position.size, dtype=np.bool_)
+    for stretch in edge.stretches:
+        inside = stretch.holds(position)
+        found[inside] = stretch.on_edge(position[inside])
+        there |= inside
+    return found, there
+
+
+CARRIED = (TRAIN_ATTACHMENT, PASSPORT_ATTACHMENT)
+"""Attachments that hold on an edge as on the whole route, beside its line."""
+
+
+def trips_on_edges(trip: Trip, network: Network | None = None) -> list[Trip]:
+    """A trip on a route as ordinary trips, one a stretch on an edge.
+
+    Each is named ``trip@edge`` and carries the edge's line; its positions are counted in the
+    direction of travel of that line, and its metadata state line and direction, as of any trip.
+
+    Parameters
+    ----------
+    trip : Trip
+        That carries its line.
+    network : Network, optional
+        Whose lines the trips carry; without it, of each edge what the trip's own line knows: where
+        the trip did not run, the edge is level and straight.
+
+    Returns
+    -------
+    list of Trip
+        In the order of travel; the trip itself if its line is no route. Stretches without samples
+        are left out.
+
+    Raises
+    ------
+    LogError
+        If the trip carries no line, or does not know where the train was.
+    InputError
+        If an edge is not one of the network's.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> trip = trainlog.read("sample_logs/nonstop.mcap")
+    >>> [each.name for each in trips_on_edges(trip)]
+    ['trip-01']
+    """
+    line = line_of(trip)
+    if not line.legs:
+        return [trip]
+    state = trip.located()
+    time = pd.DatetimeIndex(state.index).as_unit("ns").asi8
+    position = state["position"].to_numpy(np.float64)
+    found = []
+    for number, leg in enumerate(line.legs):
+        first = -np.inf if number == 0 else leg.position
+        # What lies at a joint belongs to the stretch that begins there.
+        last = np.inf if number == len(line.legs) - 1 else float(np.nextafter(leg.end, -np.inf))
+        part = trip.cut(spans_within(time, position, first, last))
+        if any(len(frame) for frame in part.topics.values()):
+            found.append(_on_leg(part, line, leg, network))
+    return found
+
+
+def _on_leg(part: Trip, line: Line, leg: Leg, network: Network | None) -> Trip:
+    """What of a trip was recorded on a leg, as a trip on the edge's line."""
+    own = edge_line(line, leg) if network is None else _line_of_network(network, leg)
+    shift = (leg.edge_start if leg.forward else own.length - leg.edge_start) - leg.position
+    topics = {}
+    for name, frame in part.topics.items():
+        topics[name] = frame
+        if "position" in frame:
+            topics[name] = frame.assign(position=frame["position"] + shift)
+            topics[name].attrs = frame.attrs
+    direction = "forward" if leg.forward else "reverse"
+    named = {"trip": f"{part.name}@{leg.edge}", "line": leg.edge, "direction": direction}
+    kept = {name: part.attachments[name] for name in CARRIED if name in part.attachments}
+    return replace(
+        part,
+        topics=topics,
+        metadata=part.metadata | named,
+        attachments={LINE_ATTACHMENT: line_to_bytes(own), **kept},
+    ).with_step("edge", software=f"trainlog {__version__}", route=line.name, **named)
+
+
+def _line_of_network(network: Network, leg: Leg) -> Line:
+    own = network.edge(leg.edge).line
+    if abs(own.length - leg.edge_length) > 1e-3:
+        raise InputError(
+            f"edge '{leg.edge}' of network '{network.name}' is {own.length:.1f} m long, and"
+            f" {leg.edge_length:.1f} m on the trip's route",
+            remedy="give the network that the route was made of",
+        )
+    return own
+
+
+def edge_line(line: Line, leg: Leg) -> Line:
+    """An edge's line in its own direction, as far as a route knows it.
+
+    Elsewhere it is level and straight, with the speed limits of the ends of what is known.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> nodes = (trainlog.Node("St. Gallen"), trainlog.Node("Wil"))
+    >>> edge = trainlog.Edge("850", line, "St. Gallen", "Wil")
+    >>> route = trainlog.Network("one", nodes, (edge,)).route("Wil", "Gossau SG").line
+    >>> known = edge_line(route, route.legs[0])
+    >>> known.length == line.length, bool(known.gradient(20e3) == line.gradient(20e3))
+    (True, True)
+    """
+    part = line.section(leg.position, min(leg.end, line.length))
+    part = part if leg.forward else part.reversed()
+    low, high = sorted((leg.edge_start, leg.edge_end))
+    low, length = (0.0 if low <= TINY else low), leg.edge_length
+    before, after = low > 0.0, length - high > TINY
+
+    def around(positions: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
+        """Rows of the whole edge, with zeros where it is not known."""
+        zero, at = np.zeros(int(before)), np.full(int(after), high)
+        end = np.zeros(int(after))
+        return (
+            np.concatenate((zero, low + positions, at)),
+            *(np.concatenate((zero, each, end)) for each in values),
+        )
+
+    limits = low + part.speed_limits.positions
+    limits[0] = 0.0
+    curves, course = part.curvatures, part.geometry
+    return replace(
+        part,
+        name=leg.edge,
+        length=length,
+        stations=tuple(Station(each.name, low + each.position) for each in part.stations),
+        speed_limits=StepProfile(limits, part.speed_limits.values),
+        gradients=StepProfile(*around(part.gradients.positions, part.gradients.values)),
+        curvatures=None
+        if curves is None
+        else CurvatureProfile(*around(curves.positions, curves.start, curves.end)),
+        tunnels=tuple(
+            Tunnel(low + each.position, each.length, each.cross_section) for each in part.tunnels
+        ),
+        geometry=None
+        if course is None
+        else Geometry(low + course.positions, course.latitudes, course.longitudes, course.quality),
+        reference=_whole_reference(part, low, high, length),
+        legs=(),
+    )
+
+
+def _whole_reference(part: Line, low: float, high: float, length: float) -> LineReference | None:
+    """The operator's kilometres of a whole edge, which go on as they begin and end."""
+    own = part.reference
+    if own is None:
+        return None
+    rows = list(zip((low + own.positions).tolist(), own.start, own.end, strict=True))
+    first, last = np.sign(rows[0][2] - rows[0][1]), np.sign(rows[-1][2] - rows[-1][1])
+    if low > 0.0:
+        rows.insert(0, (0.0, rows[0][1] - first * low, rows[0][1]))
+    if length - high > TINY:
+        rows.append((high, rows[-1][2], rows[-1][2] + last * (length - high)))
+    return LineReference(own.name, *(np.array(each) for each in zip(*rows, strict=True)))
