@@ -121,7 +121,7 @@ def draw_network(
     if drawn is not None:
         bar = figure.colorbar(drawn, ax=axes, shrink=0.8, pad=0.02)
         bar.set_label(label, color=INK)
-        bar.outline.set_visible(False)  # type: ignore[operator]
+        bar.outline.set_visible(False)
     headline(figure, title or f"{network.name}, {network.length / 1e3:.1f} km of line")
     if path is not None:
         write_figure(figure, path)
@@ -197,7 +197,7 @@ def _draw_nodes(
             free = -np.sum(away[node.name], axis=0)
             axes.annotate(
                 node.name,
-                place,
+                (float(place[0]), float(place[1])),
                 xytext=(8.0 if free[0] >= 0.0 else -8.0, 7.0 if free[1] >= 0.0 else -7.0),
                 textcoords="offset points",
                 ha="left" if free[0] >= 0.0 else "right",
