@@ -387,6 +387,7 @@ class Catalogue:
         parameters: Mapping[str, Any] | None = None,
         *,
         where: str | None = None,
+        page: tuple[str, int] | None = None,
     ) -> pd.DataFrame:
         """The trips of which an analysis has not been recorded, in the order of key.
 
@@ -402,6 +403,8 @@ class Catalogue:
             Values of JSON.
         where : str, optional
             As for `query`.
+        page : (str, int), optional
+            Only trips behind this key, and so many at most.
 
         Returns
         -------
@@ -409,7 +412,59 @@ class Catalogue:
             With the columns ``key``, ``sha256`` and ``path``.
         """
         condition = None if where is None else condition_of(where)
-        return stored.pending(self._database, analysis, code, parameters, condition)
+        return stored.pending(self._database, analysis, code, parameters, condition, page)
+
+    def standing(
+        self,
+        analysis: str,
+        code: str,
+        parameters: Mapping[str, Any] | None = None,
+        *,
+        where: str | None = None,
+    ) -> dict[str, int]:
+        """How many trips of an analysis are ``done``, ``refused``, ``failed`` and ``pending``.
+
+        Parameters are those of `pending`.
+        """
+        condition = None if where is None else condition_of(where)
+        return stored.standing(self._database, analysis, code, parameters, condition)
+
+    def problems(
+        self,
+        analysis: str,
+        code: str,
+        parameters: Mapping[str, Any] | None = None,
+        *,
+        where: str | None = None,
+        most: int = 1000,
+    ) -> pd.DataFrame:
+        """The trips that an analysis refused, or failed at, with the reasons, in the order of key.
+
+        Parameters are those of `pending`, and how many are listed at most.
+
+        Returns
+        -------
+        DataFrame
+            With the columns ``key``, ``name``, ``path``, ``state`` and ``reason``.
+        """
+        condition = None if where is None else condition_of(where)
+        return stored.problems(self._database, analysis, code, parameters, condition, most)
+
+    def forget(
+        self,
+        analysis: str,
+        code: str,
+        parameters: Mapping[str, Any] | None = None,
+        *,
+        where: str | None = None,
+        states: Sequence[ResultState] = ("refused", "failed"),
+    ) -> int:
+        """Make trips pending again that an analysis refused or failed at; how many.
+
+        Parameters are those of `pending`, and the states that are forgotten.
+        """
+        condition = None if where is None else condition_of(where)
+        return stored.forget(self._database, analysis, code, parameters, condition, states)
 
     def record(
         self,

@@ -135,8 +135,12 @@ def pending(
     code: str,
     parameters: Mapping[str, Any] | None,
     condition: sa.ColumnElement[bool] | None,
+    page: tuple[str, int] | None = None,
 ) -> pd.DataFrame:
-    """The trips that count, whose log is present and of which this computation has no row."""
+    """The trips that count, whose log is present and of which this computation has no row.
+
+    A `page` is the key behind which it begins, and how many trips it has at most.
+    """
     path = (
         sa.select(sa.func.min(files.c.path))
         .where(files.c.trip == trips.c.id, files.c.state == "present")
@@ -144,15 +148,99 @@ def pending(
     )
     with database.reading() as connection:
         number = computation_id(connection, analysis, code, parameters)
-        made = sa.select(results.c.trip).where(results.c.computation == (number or -1))
         asked = sa.select(trips.c.key, trips.c.sha256, path.label("path")).where(
-            trips.c.standing == "counts", trips.c.id.not_in(made)
+            *_unmade(number), *([] if condition is None else [condition])
         )
-        if condition is not None:
-            asked = asked.where(condition)
+        if page is not None:
+            asked = asked.where(trips.c.key > page[0]).limit(page[1])
         rows = connection.execute(asked.order_by(trips.c.key)).all()
-    found = [row for row in rows if row[2] is not None]
-    return pd.DataFrame(found, columns=["key", "sha256", "path"], dtype=object)
+    return pd.DataFrame(rows, columns=["key", "sha256", "path"], dtype=object)
+
+
+def _unmade(computation: int | None) -> list[sa.ColumnElement[bool]]:
+    """What holds for trips of which a computation has no row."""
+    made = sa.exists().where(
+        results.c.computation == (computation or -1), results.c.trip == trips.c.id
+    )
+    there = sa.exists().where(files.c.trip == trips.c.id, files.c.state == "present")
+    return [trips.c.standing == "counts", ~made, there]
+
+
+def standing(
+    database: Database,
+    analysis: str,
+    code: str,
+    parameters: Mapping[str, Any] | None,
+    condition: sa.ColumnElement[bool] | None,
+) -> dict[str, int]:
+    """How many trips that count a computation has in each state, and how many are pending."""
+    also = [] if condition is None else [condition]
+    count = sa.func.count()
+    with database.reading() as connection:
+        number = computation_id(connection, analysis, code, parameters)
+        asked = (
+            sa.select(results.c.state, count)
+            .join(trips, trips.c.id == results.c.trip)
+            .where(results.c.computation == (number or -1), trips.c.standing == "counts", *also)
+            .group_by(results.c.state)
+        )
+        found = {str(row[0]): int(row[1]) for row in connection.execute(asked)}
+        left = sa.select(count).select_from(trips).where(*_unmade(number), *also)
+        pending = int(connection.execute(left).scalar_one())
+    return {state: found.get(state, 0) for state in ("done", "refused", "failed")} | {
+        "pending": pending
+    }
+
+
+def problems(
+    database: Database,
+    analysis: str,
+    code: str,
+    parameters: Mapping[str, Any] | None,
+    condition: sa.ColumnElement[bool] | None,
+    most: int,
+) -> pd.DataFrame:
+    """Trips that were refused or failed, with the reasons, in the order of key."""
+    path = (
+        sa.select(sa.func.min(files.c.path))
+        .where(files.c.trip == trips.c.id, files.c.state == "present")
+        .scalar_subquery()
+    )
+    columns = (trips.c.key, trips.c.name, path.label("path"), results.c.state, results.c.reason)
+    with database.reading() as connection:
+        number = computation_id(connection, analysis, code, parameters)
+        asked = (
+            sa.select(*columns)
+            .join(results, results.c.trip == trips.c.id)
+            .where(
+                results.c.computation == (number or -1),
+                results.c.state.in_(("refused", "failed")),
+                trips.c.standing == "counts",
+                *([] if condition is None else [condition]),
+            )
+        )
+        rows = connection.execute(asked.order_by(trips.c.key).limit(most)).all()
+    return pd.DataFrame(rows, columns=["key", "name", "path", "state", "reason"], dtype=object)
+
+
+def forget(
+    database: Database,
+    analysis: str,
+    code: str,
+    parameters: Mapping[str, Any] | None,
+    condition: sa.ColumnElement[bool] | None,
+    states: Sequence[ResultState],
+) -> int:
+    """Delete the rows of trips in some states, so that they are pending again; how many."""
+    chosen = sa.select(trips.c.id).where(*([] if condition is None else [condition]))
+    with database.writing() as connection:
+        number = computation_id(connection, analysis, code, parameters)
+        gone = sa.delete(results).where(
+            results.c.computation == (number or -1),
+            results.c.state.in_(states),
+            results.c.trip.in_(chosen),
+        )
+        return int(connection.execute(gone).rowcount)
 
 
 def record(

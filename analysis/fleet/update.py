@@ -1,0 +1,521 @@
+"""Bringing a fleet up to date: what is new, or was made by other code, is computed; nothing else.
+
+A result belongs to the content of a log, an analysis, the version of its code and its parameters.
+Each batch is recorded when it comes, in one transaction an analysis: whatever interrupts an update,
+the next goes on with what is missing, and each trip counts once.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from analysis.fleet.codes import code_of
+from trainlog.display import as_text, counted
+from trainlog.errors import InputError
+from trainlog.progress import task
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from analysis.fleet.analyses import FleetAnalysis
+    from analysis.fleet.engine import Engine
+    from analysis.fleet.work import Batch, BatchResult, Job
+    from trainlog.catalogue import Catalogue
+
+BATCH = 16
+"""Most trips of a batch."""
+
+SHARES = 8
+"""Of few trips, batches for each worker: so that all of them end at about the same time."""
+
+PAGE = 2000
+"""Trips that are asked of the catalogue at once: what is in memory does not grow with the fleet."""
+
+LISTED = 200
+"""Problems that an update lists; the catalogue knows all of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """A trip that an analysis could not be made of.
+
+    Attributes
+    ----------
+    key, name, path : str
+        Of the trip in the catalogue; the name is empty where it is not known.
+    analysis : str
+    state : {"refused", "failed", "unread"}
+        Refused: the trip does not give it. Failed: the analysis did, or its worker died. Unread:
+        the worker cannot read the log, of which nothing is recorded.
+    reason : str
+    """
+
+    key: str
+    path: str
+    analysis: str
+    state: str
+    reason: str
+    name: str = ""
+
+
+@dataclass
+class Counts:
+    """What became of the trips of one analysis in an update.
+
+    Attributes
+    ----------
+    analysis, code : str
+    done, refused, failed : int
+        Trips that were computed now.
+    known : int
+        That were known before, by this code.
+    waiting : int
+        That are still pending.
+    """
+
+    analysis: str
+    code: str
+    done: int = 0
+    refused: int = 0
+    failed: int = 0
+    known: int = 0
+    waiting: int = 0
+
+
+@dataclass(repr=False)
+class FleetUpdate:
+    """What an update did.
+
+    Attributes
+    ----------
+    counts : dict of str to Counts
+        By analysis.
+    trips : int
+        Of which anything was computed.
+    problems : list of Problem
+        The first of them.
+    unread : int
+        Trips whose logs no worker could read.
+    engine : str
+    workers : int
+    seconds, worker_seconds : float [s]
+        Time that it took, and processor time of the workers.
+    files_merged : int
+        Files of results that were put together.
+    """
+
+    counts: dict[str, Counts]
+    trips: int = 0
+    problems: list[Problem] = field(default_factory=list)
+    unread: int = 0
+    engine: str = ""
+    workers: int = 0
+    seconds: float = 0.0
+    worker_seconds: float = 0.0
+    files_merged: int = 0
+
+    def __repr__(self) -> str:
+        rows = {
+            each.analysis: ", ".join(
+                f"{number:,} {state}"
+                for state, number in (
+                    ("done", each.done),
+                    ("refused", each.refused),
+                    ("failed", each.failed),
+                    ("known", each.known),
+                    ("waiting", each.waiting),
+                )
+                if number
+            )
+            for each in self.counts.values()
+        }
+        return as_text(f"Update of a fleet: {self.sentence}", rows)
+
+    @property
+    def sentence(self) -> str:
+        """The update in one sentence."""
+        if not self.trips and not self.unread:
+            return "nothing new"
+        words = f"{counted(self.trips, 'trip')} computed in {self.seconds:.1f} s"
+        if self.workers:
+            words += f" by {self.engine}, {counted(self.workers, 'worker')}"
+        if self.unread:
+            words += f"; the logs of {counted(self.unread, 'trip')} could not be read"
+        return words
+
+    @property
+    def refused(self) -> int:
+        """Trips that some analysis refused or failed at now."""
+        return sum(each.refused + each.failed for each in self.counts.values())
+
+    def details(self) -> dict[str, Any]:
+        """The update as JSON."""
+        return {
+            "trips": self.trips,
+            "unread": self.unread,
+            "engine": self.engine,
+            "workers": self.workers,
+            "seconds_s": self.seconds,
+            "worker_seconds_s": self.worker_seconds,
+            "analyses": [asdict(each) for each in self.counts.values()],
+            "problems": [asdict(each) for each in self.problems],
+        }
+
+
+@dataclass(frozen=True)
+class UpdateOptions:
+    """How an update is made.
+
+    Attributes
+    ----------
+    workers : int, optional
+        Processes; default one a processor, 0: this process itself.
+    scheduler : str, optional
+        Address of a Dask scheduler, in place of processes.
+    mpi : bool
+        The workers of an MPI job, in place of processes.
+    executor : Executor, optional
+        Any other executor of `concurrent.futures`.
+    batch : int
+        Most trips of a batch.
+    where : str, optional
+        Only trips that this expression chooses; see `Catalogue.query`.
+    retry : bool
+        Compute trips that were refused, or failed, again.
+    merge : bool
+        Put the files of results together at the end.
+    """
+
+    workers: int | None = None
+    scheduler: str | None = None
+    mpi: bool = False
+    executor: Executor | None = None
+    batch: int = BATCH
+    where: str | None = None
+    retry: bool = False
+    merge: bool = True
+
+    def __post_init__(self) -> None:
+        given = [self.workers is not None, self.scheduler is not None, self.mpi]
+        if sum([*given, self.executor is not None]) > 1:
+            raise InputError(
+                "several engines were named", remedy="give workers, a scheduler, MPI or an executor"
+            )
+        if self.batch < 1 or (self.workers is not None and self.workers < 0):
+            raise InputError(
+                f"a batch of {self.batch} trips for {self.workers} workers is none",
+                remedy="give 1 or more",
+            )
+
+    def engine(self) -> Engine:
+        """The engine that is asked for."""
+        from analysis.fleet import engine
+
+        if self.executor is not None:
+            return engine.Engine(self.executor)
+        if self.scheduler is not None:
+            return engine.Dask(self.scheduler)
+        if self.mpi:
+            return engine.MPI()
+        return engine.InProcess() if self.workers == 0 else engine.Processes(self.workers)
+
+
+def update(
+    catalogue: Catalogue,
+    analyses: Iterable[str | FleetAnalysis] | None = None,
+    options: UpdateOptions | None = None,
+    report: Callable[[Problem], object] | None = None,
+) -> FleetUpdate:
+    """Compute what is new in a catalogue, or was made by other code.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+    analyses : iterable of str or FleetAnalysis, optional
+        Default: all that are registered (`analysis.fleet.analyses.ANALYSES`).
+    options : UpdateOptions, optional
+    report : callable, optional
+        Is given each problem as it comes.
+
+    Returns
+    -------
+    FleetUpdate
+
+    Raises
+    ------
+    InputError
+        If there is no such analysis, the engine cannot be reached, or its workers run other code.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.catalogue import open_catalogue
+    >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+    ...     _ = catalogue.add("sample_logs")
+    ...     first = update(catalogue, ["checks"], UpdateOptions(workers=0))
+    ...     again = update(catalogue, ["checks"], UpdateOptions(workers=0))
+    ...     found = catalogue.results("checks")
+    >>> first.trips, again.sentence, found["trip"].tolist()
+    (2, 'nothing new', ['trip-01', 'trip-03'])
+    """
+    began = time.perf_counter()
+    work = _Update(catalogue, _chosen(analyses), options or UpdateOptions(), report)
+    work.prepare()
+    if work.total:
+        work.compute()
+    if work.options.merge:
+        work.merge()
+    work.found.seconds = time.perf_counter() - began
+    return work.found
+
+
+def _chosen(analyses: Iterable[str | FleetAnalysis] | None) -> tuple[FleetAnalysis, ...]:
+    from analysis.fleet.analyses import FleetAnalysis, analyses_named
+
+    if analyses is None:
+        return analyses_named()
+    given = list(analyses)
+    named = {each.name: each for each in analyses_named([n for n in given if isinstance(n, str)])}
+    own = {each.name: each for each in given if isinstance(each, FleetAnalysis)}
+    return tuple((named | own).values())
+
+
+class _Asked(NamedTuple):
+    """A trip of which analyses are pending."""
+
+    key: str
+    sha256: str
+    path: str
+
+
+class _Update:
+    """One update."""
+
+    def __init__(
+        self,
+        catalogue: Catalogue,
+        analyses: Sequence[FleetAnalysis],
+        options: UpdateOptions,
+        report: Callable[[Problem], object] | None,
+    ) -> None:
+        self.catalogue, self.analyses, self.options = catalogue, tuple(analyses), options
+        self.codes = [code_of(each) for each in analyses]
+        self.found = FleetUpdate(
+            {
+                each.name: Counts(each.name, code)
+                for each, code in zip(analyses, self.codes, strict=True)
+            }
+        )
+        self.total = 0
+        self._report = report
+        self._done = 0
+
+    def prepare(self) -> None:
+        """Find out how much there is to do."""
+        waiting = []
+        for analysis, code in zip(self.analyses, self.codes, strict=True):
+            about = (analysis.name, code, analysis.parameters)
+            if self.options.retry:
+                self.catalogue.forget(*about, where=self.options.where)
+            known = self.catalogue.standing(*about, where=self.options.where)
+            counts = self.found.counts[analysis.name]
+            counts.waiting = known.pop("pending")
+            counts.known = sum(known.values())
+            waiting.append(counts.waiting)
+        # Mostly the same trips wait for all: of more than one analysis this is a lower bound.
+        self.total = max(waiting, default=0)
+
+    def compute(self) -> None:
+        """Compute all that is pending."""
+        from analysis.fleet.engine import run
+
+        with task("computing", self.total, "trip") as step, self.options.engine() as engine:
+            self.found.engine, self.found.workers = engine.name, engine.workers
+            self._step = step
+            run(engine, self._batches(engine.workers), self._finished)
+
+    def _batches(self, workers: int) -> Iterator[Batch]:
+        from analysis.fleet.work import Batch
+
+        size = max(1, min(self.options.batch, -(-self.total // (SHARES * workers))))
+        jobs: list[Job] = []
+        for job in self._jobs():
+            jobs.append(job)
+            if len(jobs) == size:
+                yield Batch(tuple(jobs), self.analyses)
+                jobs = []
+        if jobs:
+            yield Batch(tuple(jobs), self.analyses)
+
+    def _jobs(self) -> Iterator[Job]:
+        """Trips with the numbers of the analyses that wait for them, in the order of key."""
+        from analysis.fleet.work import Job
+
+        waiting = [self._pending(number) for number in range(len(self.analyses))]
+        heads = [next(each, None) for each in waiting]
+        while any(heads):
+            key = min(head.key for head in heads if head is not None)
+            asked = [n for n, head in enumerate(heads) if head is not None and head.key == key]
+            first = heads[asked[0]]
+            assert first is not None
+            yield Job(key, first.sha256, first.path, tuple(asked))
+            for number in asked:
+                heads[number] = next(waiting[number], None)
+
+    def _pending(self, number: int) -> Iterator[_Asked]:
+        """The trips of which an analysis is pending, page by page."""
+        analysis, last = self.analyses[number], ""
+        while True:
+            page = self.catalogue.pending(
+                analysis.name,
+                self.codes[number],
+                analysis.parameters,
+                where=self.options.where,
+                page=(last, PAGE),
+            )
+            yield from (_Asked(*row) for row in page.itertuples(index=False))
+            if len(page) < PAGE:
+                return
+            last = str(page["key"].iloc[-1])
+
+    def _finished(self, batch: Batch, result: BatchResult) -> None:
+        """Record a batch."""
+        from analysis.fleet.work import Outcome
+        from trainlog.catalogue import ResultOutcome
+
+        self._check_code(result)
+        paths = {job.key: job.path for job in batch.jobs}
+        for number, analysis in enumerate(self.analyses):
+            given: list[Outcome] = result.outcomes[number]
+            if not given:
+                continue
+            outcomes = [ResultOutcome(*each) for each in given]
+            table = result.tables[number]
+            self.catalogue.record(
+                analysis.name, self.codes[number], analysis.parameters, outcomes, table
+            )
+            counts = self.found.counts[analysis.name]
+            for each in given:
+                setattr(counts, each.state, getattr(counts, each.state) + 1)
+                counts.waiting -= 1
+                if each.state != "done":
+                    reason, path = each.reason, paths[each.key]
+                    self._add(Problem(each.key, path, analysis.name, each.state, reason))
+        for missing in result.unread:
+            self.found.unread += 1
+            self._add(Problem(missing.key, missing.path, "", "unread", missing.reason))
+        self.found.trips += len(batch.jobs) - len(result.unread)
+        self.found.worker_seconds += result.seconds
+        self._done += len(batch.jobs)
+        self._step(self._done)
+
+    def _check_code(self, result: BatchResult) -> None:
+        """Refuse results of workers that run other code."""
+        from trainlog.version import code_version
+
+        if result.code and result.code != code_version():
+            raise InputError(
+                f"the worker on {result.host} runs other code of trainlog ({result.code}, here"
+                f" {code_version()})",
+                remedy="install the same trainlog on all computers, then start the workers anew",
+            )
+
+    def _add(self, problem: Problem) -> None:
+        if len(self.found.problems) < LISTED:
+            self.found.problems.append(problem)
+        if self._report is not None:
+            self._report(problem)
+
+    def merge(self) -> None:
+        """Put the files of results together, of each analysis that has new ones."""
+        for analysis, code in zip(self.analyses, self.codes, strict=True):
+            counts = self.found.counts[analysis.name]
+            if counts.done + counts.refused and not counts.waiting:
+                self.found.files_merged += self.catalogue.compact(
+                    analysis.name, code, analysis.parameters
+                )
+
+
+@dataclass(frozen=True, repr=False)
+class FleetStatus:
+    """What of a catalogue is computed by this code.
+
+    Attributes
+    ----------
+    analyses : dict of str to dict of str to int
+        By analysis: trips ``done``, ``refused``, ``failed`` and ``pending``.
+    problems : tuple of Problem
+        The first of those that were refused, or failed.
+    results : Path
+        Folder of the tables.
+    """
+
+    analyses: dict[str, dict[str, int]]
+    problems: tuple[Problem, ...]
+    results: Path
+
+    def __repr__(self) -> str:
+        rows = {
+            name: ", ".join(f"{number:,} {state}" for state, number in each.items() if number)
+            for name, each in self.analyses.items()
+        }
+        return as_text("State of a fleet", rows)
+
+    @property
+    def pending(self) -> int:
+        """Most trips that an analysis waits for."""
+        return max((each["pending"] for each in self.analyses.values()), default=0)
+
+    def details(self) -> dict[str, Any]:
+        """The state as JSON."""
+        return {
+            "analyses": [{"analysis": name, **each} for name, each in self.analyses.items()],
+            "problems": [asdict(each) for each in self.problems],
+            "results": str(self.results),
+        }
+
+
+def status(
+    catalogue: Catalogue,
+    analyses: Iterable[str | FleetAnalysis] | None = None,
+    *,
+    where: str | None = None,
+    most: int = LISTED,
+) -> FleetStatus:
+    """What of a catalogue is computed by this code, and which trips gave no result.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+    analyses : iterable of str or FleetAnalysis, optional
+        Default: all that are registered.
+    where : str, optional
+        Only trips that this expression chooses.
+    most : int
+        Problems that are listed at most, of each analysis.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.catalogue import open_catalogue
+    >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+    ...     _ = catalogue.add("sample_logs")
+    ...     status(catalogue, ["checks"])
+    State of a fleet
+      checks  2 pending
+    """
+    found: dict[str, dict[str, int]] = {}
+    problems: list[Problem] = []
+    for analysis in _chosen(analyses):
+        about = (analysis.name, code_of(analysis), analysis.parameters)
+        found[analysis.name] = catalogue.standing(*about, where=where)
+        listed = catalogue.problems(*about, where=where, most=most)
+        problems += [
+            Problem(row.key, row.path or "", analysis.name, row.state, row.reason, row.name or "")
+            for row in listed.itertuples(index=False)
+        ]
+    return FleetStatus(found, tuple(problems), catalogue.results_folder)

@@ -1,0 +1,260 @@
+"""What a worker does: analyses of a batch of trips, one reading of each log.
+
+Nothing here knows which engine runs it, nor of the catalogue: what goes in and comes out is plain
+data, so that it can be sent to another process or computer.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import threading
+import time
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import pandas as pd
+import pyarrow as pa
+
+from analysis.fleet.analyses import FleetAnalysis
+from analysis.fleet.trips import FleetTrip, fleet_trips
+from trainlog.errors import TrainlogError
+from trainlog.formats.files import sha256_of
+from trainlog.version import code_version
+
+THREADS = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+    "NUMBA_NUM_THREADS",
+)
+"""Environment of a worker: one thread each. Workers share out the processors among trips."""
+
+State = Literal["done", "refused", "failed"]
+
+RAN_ALONE = 3
+"""Times that a worker must die of a trip, alone in its process, until the trip is given up."""
+
+
+class Job(NamedTuple):
+    """A trip to be computed.
+
+    Attributes
+    ----------
+    key, sha256, path : str
+        Of the trip in the catalogue, and of its log.
+    analyses : tuple of int
+        Numbers of the analyses that are asked for, among those of the batch.
+    """
+
+    key: str
+    sha256: str
+    path: str
+    analyses: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Trips that one worker computes one after the other.
+
+    Attributes
+    ----------
+    jobs : tuple of Job
+    analyses : tuple of FleetAnalysis
+    """
+
+    jobs: tuple[Job, ...]
+    analyses: tuple[FleetAnalysis, ...]
+
+
+class Outcome(NamedTuple):
+    """What became of an analysis of a trip."""
+
+    key: str
+    sha256: str
+    state: State
+    reason: str
+    rows: int
+    seconds: float
+
+
+class Unread(NamedTuple):
+    """A trip whose log the worker could not read: nothing is recorded of it."""
+
+    key: str
+    path: str
+    reason: str
+
+
+@dataclass
+class BatchResult:
+    """What a worker computed of a batch.
+
+    Attributes
+    ----------
+    tables : list of pyarrow.Table
+        One an analysis.
+    outcomes : list of list of Outcome
+        The same; of the trips for which it was asked.
+    unread : list of Unread
+    code : str
+        Version of the code that the worker runs.
+    host : str
+        Of the worker.
+    seconds : float
+        Processor time [s].
+    """
+
+    tables: list[pa.Table]
+    outcomes: list[list[Outcome]]
+    unread: list[Unread] = field(default_factory=list)
+    code: str = ""
+    host: str = ""
+    seconds: float = 0.0
+
+
+def begin_worker(*, watched: bool = True) -> None:
+    """Prepare a process that does nothing else: one thread, and no longer than its parent.
+
+    Ctrl-C is the parent's, which ends its workers; one that is killed leaves none behind.
+    """
+    if watched:
+        import multiprocessing
+
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    one_thread()
+
+
+def one_thread() -> None:
+    """Let Arrow use one thread; the environment of a worker limits the others."""
+    pa.set_cpu_count(1)
+    pa.set_io_thread_count(1)
+
+
+def _end_with(parent: object) -> None:
+    parent.join()  # type: ignore[attr-defined]
+    os._exit(1)
+
+
+def computed(batch: Batch) -> BatchResult:
+    """Compute a batch: every analysis that is asked for of each trip, by one reading of its log.
+
+    What a trip cannot give is stated with the reason, and keeps no other from being computed.
+    """
+    began = time.process_time()
+    kept: list[list[tuple[str, pd.DataFrame]]] = [[] for _ in batch.analyses]
+    result = BatchResult([], [[] for _ in batch.analyses], [], code_version(), socket.gethostname())
+    for job in batch.jobs:
+        reason = _unreadable(job)
+        if reason:
+            result.unread.append(Unread(job.key, job.path, reason))
+            continue
+        for number, (outcome, frame) in _of_trip(job, batch.analyses).items():
+            result.outcomes[number].append(outcome)
+            if frame is not None:
+                kept[number].append((job.key, frame))
+    result.tables = [
+        analysis.arrow(frames) for analysis, frames in zip(batch.analyses, kept, strict=True)
+    ]
+    result.seconds = time.process_time() - began
+    return result
+
+
+def computed_elsewhere(batch: Batch) -> BatchResult:
+    """`computed`, in a process that was not started by us."""
+    one_thread()
+    return computed(batch)
+
+
+def _unreadable(job: Job) -> str:
+    """Why a log is not what the catalogue states; empty if it is."""
+    try:
+        found = sha256_of(job.path)
+    except TrainlogError as error:
+        return f"a worker on {socket.gethostname()} cannot read it: {error.problem}"
+    if found != job.sha256:
+        return "changed since it was registered: add it to the catalogue again"
+    return ""
+
+
+@dataclass
+class _Gathered:
+    """What the parts of a trip gave for one analysis."""
+
+    frames: list[pd.DataFrame] = field(default_factory=list)
+    reasons: list[tuple[State, str]] = field(default_factory=list)
+    seconds: float = 0.0
+
+
+def _of_trip(
+    job: Job, analyses: Sequence[FleetAnalysis]
+) -> dict[int, tuple[Outcome, pd.DataFrame | None]]:
+    """The outcomes and tables of a trip, by the number of the analysis."""
+    gathered = {number: _Gathered() for number in job.analyses}
+    try:
+        for trip in fleet_trips(Path(job.path), job.sha256):
+            for number, each in gathered.items():
+                _gather(each, analyses[number], trip)
+    except Exception as error:  # noqa: BLE001  # what is wrong with one trip stops no other
+        state, reason = _stated(error)
+        for each in gathered.values():
+            each.frames, each.reasons = [], [(state, reason)]
+    return {number: _outcome(job, each) for number, each in gathered.items()}
+
+
+def _gather(gathered: _Gathered, analysis: FleetAnalysis, trip: FleetTrip) -> None:
+    began = time.perf_counter()
+    try:
+        frame = analysis.table(trip)
+    except Exception as error:  # noqa: BLE001
+        gathered.reasons.append(_stated(error))
+    else:
+        gathered.frames.append(frame)
+        refused = frame["refused"] != "" if "refused" in frame else pd.Series(dtype=bool)
+        if len(refused) and refused.all():
+            gathered.reasons.append(("refused", str(frame["message"].iloc[0])))
+    gathered.seconds += time.perf_counter() - began
+
+
+def _outcome(job: Job, gathered: _Gathered) -> tuple[Outcome, pd.DataFrame | None]:
+    """One outcome of the parts of a trip: a failure counts, then that any part gave a result."""
+    failed = [reason for state, reason in gathered.reasons if state == "failed"]
+    refused = [reason for state, reason in gathered.reasons if state == "refused"]
+    frames, state, reason = gathered.frames, "done", ""
+    given = len(frames) - sum("refused" in each and (each["refused"] != "").all() for each in frames)
+    if failed:
+        frames, state, reason = [], "failed", failed[0]
+    elif refused and not given:
+        state, reason = "refused", refused[0]
+    elif refused:
+        reason = f"{len(refused)} parts refused, first: {refused[0]}"
+    frame = pd.concat(frames, ignore_index=True) if frames else None
+    rows = 0 if frame is None else len(frame)
+    seconds = round(gathered.seconds, 3)
+    return Outcome(job.key, job.sha256, state, reason, rows, seconds), frame  # type: ignore[arg-type]
+
+
+def _stated(error: Exception) -> tuple[State, str]:
+    """The state and the reason of an error: refused if the trip is to blame, else failed."""
+    if isinstance(error, TrainlogError):
+        return "refused", str(error)
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    where = f"{Path(place.filename).name}, line {place.lineno}"
+    return "failed", f"{type(error).__name__}: {error} ({where})".replace("\n", " ")
+
+
+def died(job: Job, analyses: Sequence[FleetAnalysis], reason: str) -> BatchResult:
+    """The result of a trip of which workers die."""
+    outcomes = [
+        [Outcome(job.key, job.sha256, "failed", reason, 0, 0.0)] if number in job.analyses else []
+        for number in range(len(analyses))
+    ]
+    return BatchResult([each.arrow([]) for each in analyses], outcomes)
