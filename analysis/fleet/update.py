@@ -32,6 +32,9 @@ BATCH = 16
 SHARES = 8
 """Of few trips, batches for each worker: so that all of them end at about the same time."""
 
+MERGED = 100_000
+"""Trips up to which the files of results are put together: that takes all of them into memory."""
+
 PAGE = 2000
 """Trips that are asked of the catalogue at once: what is in memory does not grow with the fleet."""
 
@@ -434,7 +437,8 @@ class _Update:
         """Put the files of results together, of each analysis that has new ones."""
         for analysis, code in zip(self.analyses, self.codes, strict=True):
             counts = self.found.counts[analysis.name]
-            if counts.done + counts.refused and not counts.waiting:
+            trips = counts.known + counts.done + counts.refused
+            if not counts.waiting and trips <= MERGED:
                 self.found.files_merged += self.catalogue.compact(
                     analysis.name, code, analysis.parameters
                 )

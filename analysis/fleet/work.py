@@ -229,7 +229,9 @@ def _outcome(job: Job, gathered: _Gathered) -> tuple[Outcome, pd.DataFrame | Non
     failed = [reason for state, reason in gathered.reasons if state == "failed"]
     refused = [reason for state, reason in gathered.reasons if state == "refused"]
     frames, state, reason = gathered.frames, "done", ""
-    given = len(frames) - sum("refused" in each and (each["refused"] != "").all() for each in frames)
+    given = len(frames) - sum(
+        "refused" in each and (each["refused"] != "").all() for each in frames
+    )
     if failed:
         frames, state, reason = [], "failed", failed[0]
     elif refused and not given:

@@ -187,9 +187,7 @@ def standing(
         found = {str(row[0]): int(row[1]) for row in connection.execute(asked)}
         left = sa.select(count).select_from(trips).where(*_unmade(number), *also)
         pending = int(connection.execute(left).scalar_one())
-    return {state: found.get(state, 0) for state in ("done", "refused", "failed")} | {
-        "pending": pending
-    }
+    return {state: found.get(state, 0) for state in STATES} | {"pending": pending}
 
 
 def problems(
@@ -472,6 +470,9 @@ def compact(
     with database.reading() as connection:
         number = latest(connection, analysis, code, parameters)
         if number is None:
+            return 0
+        held_files = sa.select(sa.func.count()).where(result_files.c.computation == number)
+        if int(connection.execute(held_files).scalar_one()) < 2:
             return 0
         rows = pd.DataFrame(
             connection.execute(held.where(results.c.computation == number)).all(),

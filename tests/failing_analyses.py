@@ -1,0 +1,39 @@
+"""Analyses that go wrong on one trip, for tests of a fleet; workers import them by name."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pandas as pd
+
+from analysis.fleet.analyses import FleetAnalysis
+from analysis.fleet.trips import FleetTrip
+from trainlog.errors import LogError
+from trainlog.formats.summaries import Column
+
+COLUMNS = (Column("trip", "", "name of the trip", "text"), Column("samples", "1", "", "count"))
+
+
+def _counted(trip: FleetTrip) -> pd.DataFrame:
+    return pd.DataFrame({"trip": [trip.name], "samples": [len(trip.trip["/train/state"])]})
+
+
+def deadly(trip: FleetTrip, name: str) -> pd.DataFrame:
+    """Ends the worker, as a system that is out of memory does."""
+    if trip.name == name:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return _counted(trip)
+
+
+def wrong(trip: FleetTrip, name: str) -> pd.DataFrame:
+    """Fails by a mistake in the analysis, or refuses."""
+    if trip.name == name:
+        raise ZeroDivisionError("no samples at all")
+    if trip.name == "trip-001":
+        raise LogError(f"trip '{trip.name}' is not wanted")
+    return _counted(trip)
+
+
+DEADLY = FleetAnalysis("deadly", COLUMNS, deadly, {"name": "trip-002"})
+WRONG = FleetAnalysis("wrong", COLUMNS, wrong, {"name": "trip-002"})

@@ -1,0 +1,280 @@
+"""Bringing a fleet up to date: what is new, once, whatever goes wrong meanwhile."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from failing_analyses import DEADLY, WRONG
+from fleet_trips import short_trips
+from killed_fleet import (
+    alive,
+    all_end,
+    contents,
+    descendants,
+    kill_at_random,
+    rows_by_trip,
+    started,
+    workers,
+)
+
+from analysis.fleet.analyses import ANALYSES
+from analysis.fleet.codes import code_of
+from analysis.fleet.update import FleetUpdate, UpdateOptions, status, update
+from trainlog.catalogue import Catalogue, open_catalogue
+from trainlog.cli import main as cli
+from trainlog.errors import InputError
+from trainlog.version import code_version_of
+
+HERE = UpdateOptions(workers=0)
+TRIPS = 6
+
+
+@pytest.fixture(scope="session")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("fleet") / "logs"
+    short_trips(folder, TRIPS)
+    return folder
+
+
+@pytest.fixture
+def place(tmp_path: Path, logs: Path) -> Path:
+    """A catalogue of the trips, whose logs may be changed."""
+    shutil.copytree(logs, tmp_path / "logs")
+    with open_catalogue(tmp_path / "catalogue") as catalogue:
+        catalogue.add(tmp_path / "logs")
+    return tmp_path / "catalogue"
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory, logs: Path) -> dict[str, bytes]:
+    """The files of results of one update in one process."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    with open_catalogue(folder) as catalogue:
+        catalogue.add(logs)
+        found = update(catalogue, None, HERE)
+        assert found.trips == TRIPS
+        assert set(found.counts) == set(ANALYSES)
+    return contents(folder / "results")
+
+
+def updated(place: Path | str, *analyses: object, **options: object) -> FleetUpdate:
+    given = {"workers": 0, **options}
+    with open_catalogue(place) as catalogue:
+        return update(catalogue, analyses or None, UpdateOptions(**given))  # type: ignore[arg-type]
+
+
+def results(place: Path, analysis: str) -> pd.DataFrame:
+    with open_catalogue(place) as catalogue:
+        return catalogue.results(analysis)
+
+
+def test_two_workers_give_the_same_bytes_as_one_process(
+    place: Path, undisturbed: dict[str, bytes]
+) -> None:
+    found = updated(place, workers=2, batch=1)
+    assert (found.engine, found.workers, found.trips) == ("processes", 2, TRIPS)
+    assert contents(place / "results") == undisturbed
+
+
+def test_threads_as_any_executor_give_the_same_bytes(
+    place: Path, undisturbed: dict[str, bytes]
+) -> None:
+    with ThreadPoolExecutor(2) as executor:
+        found = updated(place, workers=None, executor=executor, batch=2)
+    assert found.engine == "executor"
+    assert contents(place / "results") == undisturbed
+
+
+def test_nothing_is_computed_twice(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert updated(place, "checks").trips == TRIPS
+    monkeypatch.setattr("analysis.fleet.work.computed", None)
+    again = updated(place, "checks")
+    assert again.trips == 0
+    assert again.sentence == "nothing new"
+    assert again.counts["checks"].known == TRIPS
+
+
+def test_a_new_log_is_computed_alone(place: Path, logs: Path, tmp_path: Path) -> None:
+    late = tmp_path / "late.mcap"
+    shutil.move(tmp_path / "logs" / "trip-004.mcap", late)
+    with open_catalogue(tmp_path / "few") as catalogue:
+        catalogue.add(tmp_path / "logs")
+    assert updated(tmp_path / "few", "checks").trips == TRIPS - 1
+    with open_catalogue(tmp_path / "few") as catalogue:
+        catalogue.add(late)
+    assert updated(tmp_path / "few", "checks").trips == 1
+    assert len(results(tmp_path / "few", "checks")) == TRIPS
+
+
+def test_other_code_and_other_parameters_are_computed_anew(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    updated(place, "adhesion", "checks")
+    coarse = ANALYSES["adhesion"].with_parameters(bin_length=100.0)
+    assert updated(place, coarse).trips == TRIPS
+    assert updated(place, "adhesion", "checks").trips == 0
+    monkeypatch.setattr("analysis.fleet.update.code_of", lambda _: "0123456789abcdef")
+    assert updated(place, "checks").trips == TRIPS
+
+
+def test_the_code_of_an_analysis_is_what_it_runs_through_and_no_more() -> None:
+    code = code_of(ANALYSES["resistance"])
+    assert code == code_version_of("analysis.fleet.work")
+    assert code != code_version_of("analysis.fleet.update")
+    assert code_of(WRONG) != code
+
+
+def test_a_trip_that_goes_wrong_is_listed_and_stops_no_other(place: Path) -> None:
+    found = updated(place, WRONG)
+    counts = found.counts["wrong"]
+    assert (counts.done, counts.refused, counts.failed) == (TRIPS - 2, 1, 1)
+    reasons = {Path(each.path).stem: (each.state, each.reason) for each in found.problems}
+    assert reasons["trip-001"] == ("refused", "trip 'trip-001' is not wanted")
+    state, reason = reasons["trip-002"]
+    assert state == "failed"
+    assert reason.startswith("ZeroDivisionError: no samples at all (failing_analyses.py, line")
+    with open_catalogue(place) as catalogue:
+        known = status(catalogue, [WRONG])
+        assert {each.name: each.state for each in known.problems} == {
+            "trip-001": "refused",
+            "trip-002": "failed",
+        }
+    assert updated(place, WRONG).trips == 0
+    assert updated(place, WRONG, retry=True).trips == 2
+
+
+def test_a_trip_that_ends_its_worker_is_named_and_stops_no_other(place: Path) -> None:
+    found = updated(place, DEADLY, workers=2, batch=3)
+    assert found.counts["deadly"].done == TRIPS - 1
+    (problem,) = found.problems
+    assert Path(problem.path).stem == "trip-002"
+    assert problem.state == "failed"
+    assert "worker that computed it died each time" in problem.reason
+    assert sorted(results(place, "deadly")["trip"]) == [
+        f"trip-{number:03d}" for number in range(TRIPS) if number != 2
+    ]
+
+
+def test_a_log_that_cannot_be_read_is_named_and_tried_again(place: Path, tmp_path: Path) -> None:
+    gone, changed = (tmp_path / "logs" / f"trip-00{number}.mcap" for number in (0, 3))
+    gone.rename(tmp_path / "elsewhere.mcap")
+    shutil.copy(tmp_path / "logs" / "trip-001.mcap", changed)
+    found = updated(place, "checks")
+    reasons = {Path(each.path).stem: each.reason for each in found.problems}
+    assert found.unread == 2
+    assert "cannot read it" in reasons["trip-000"]
+    assert "changed since it was registered" in reasons["trip-003"]
+    (tmp_path / "elsewhere.mcap").rename(gone)
+    assert updated(place, "checks").counts["checks"].done == 1
+
+
+def test_only_the_trips_that_are_chosen_are_computed(place: Path) -> None:
+    found = updated(place, "checks", where="weather = 'wet'")
+    assert found.trips == TRIPS // 2
+    assert updated(place, "checks").trips == TRIPS - TRIPS // 2
+
+
+def test_a_fleet_is_asked_for_page_by_page(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("analysis.fleet.update.PAGE", 2)
+    asked = []
+    pending = Catalogue.pending
+
+    def noted(*given: object, **named: object) -> pd.DataFrame:
+        asked.append(pending(*given, **named))  # type: ignore[arg-type]
+        return asked[-1]
+
+    monkeypatch.setattr(Catalogue, "pending", noted)
+    assert updated(place, "checks", "passport", batch=1).trips == TRIPS
+    assert max(map(len, asked)) == 2
+
+
+def test_options_that_contradict_each_other_are_refused() -> None:
+    with pytest.raises(InputError, match="several engines"):
+        UpdateOptions(workers=2, scheduler="tcp://somewhere:1")
+    with pytest.raises(InputError, match="batch of 0 trips"):
+        UpdateOptions(batch=0)
+
+
+def test_the_command_states_what_it_did(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    known = ["--catalogue", str(place), "--analysis", "resistance", "--json"]
+    assert cli.run(["fleet", "update", "--workers", "0", *known]) == 0
+    found = json.loads(capsys.readouterr().out)
+    (counts,) = found["analyses"]
+    assert counts["done"] + counts["refused"] == TRIPS
+    assert len(found["problems"]) == counts["refused"]
+    assert cli.run(["fleet", "status", *known]) == 0
+    (state,) = json.loads(capsys.readouterr().out)["analyses"]
+    assert (state["pending"], state["done"]) == (0, counts["done"])
+
+
+# ------------------------------------------------------------------------------- interruptions
+
+
+def test_an_update_killed_at_random_moments_counts_each_trip_once(
+    place: Path, undisturbed: dict[str, bytes]
+) -> None:
+    done = kill_at_random(str(place), 4, 3, "--workers", "2", "--batch", "1", longest=2.5)
+    assert done["orphans"] == 0
+    found = updated(place, workers=2)
+    assert found.counts["checks"].waiting == 0
+    assert {count for _, count in rows_by_trip(str(place))} == {len(ANALYSES)}
+    assert contents(place / "results") == undisturbed
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+def test_no_worker_outlives_an_update_that_is_killed(place: Path) -> None:
+    process = started(str(place), "--workers", "2", "--batch", "1")
+    while process.poll() is None and not workers(process.pid):
+        pass
+    every = descendants(process.pid)
+    process.kill()
+    process.wait()
+    assert every
+    assert all_end(every), alive(every)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("server", ["sqlite", "postgresql"])
+def test_a_hundred_kills_leave_each_trip_once(
+    server: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    short_trips(tmp_path / "logs", 60)
+    for name in ("one", "many"):
+        at = str(tmp_path / name)
+        if server == "postgresql":
+            at = f"{request.getfixturevalue('postgresql_place')}_{name}"
+        with open_catalogue(
+            at, results=tmp_path / name / "results" if ":" in at else None
+        ) as known:
+            known.add(tmp_path / "logs")
+        if name == "one":
+            assert updated(at, workers=1).trips == 60
+            continue
+        kills = 0
+        for seed in range(100):
+            done = kill_at_random(at, 100 - kills, seed, "--workers", "2", "--batch", "2")
+            kills += done["parent"] + done["worker"] + done["interrupt"]
+            assert done["orphans"] == 0
+            if kills >= 100:
+                break
+            updated_all = updated(at, workers=2)
+            assert updated_all.counts["checks"].waiting == 0
+            with open_catalogue(at) as known:  # compute all of it once more
+                for analysis in ANALYSES.values():
+                    known.forget(
+                        analysis.name,
+                        code_of(analysis),
+                        analysis.parameters,
+                        states=("done", "refused", "failed"),
+                    )
+        updated(at, workers=2)
+        assert {count for _, count in rows_by_trip(at)} == {len(ANALYSES)}
+    one, many = (tmp_path / name / "results" for name in ("one", "many"))
+    kept = contents(many)
+    assert all(kept[name] == data for name, data in contents(one).items())
