@@ -270,8 +270,8 @@ class Dask(Engine):
                     mine, theirs = (str(each).split(".")[:2] for each in (mine, theirs))
                 if mine != theirs:
                     raise InputError(
-                        f"the Dask at {address} does not fit: {where} has {package} {_text(theirs)},"
-                        f" this process {_text(mine)}",
+                        f"the Dask at {address} does not fit: {where} has {package}"
+                        f" {_text(theirs)}, this process {_text(mine)}",
                         remedy="install the same versions on all computers",
                     )
 

@@ -519,7 +519,7 @@ def status(
         found[analysis.name] = catalogue.standing(*about, where=where)
         listed = catalogue.problems(*about, where=where, most=most)
         problems += [
-            Problem(row.key, row.path or "", analysis.name, row.state, row.reason, row.name or "")
-            for row in listed.itertuples(index=False)
+            Problem(key, path or "", analysis.name, state, reason, name or "")
+            for key, name, path, state, reason in listed.to_numpy().tolist()
         ]
     return FleetStatus(found, tuple(problems), catalogue.results_folder)

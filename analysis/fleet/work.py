@@ -218,30 +218,33 @@ def _gather(gathered: _Gathered, analysis: FleetAnalysis, trip: FleetTrip) -> No
         gathered.reasons.append(_stated(error))
     else:
         gathered.frames.append(frame)
-        refused = frame["refused"] != "" if "refused" in frame else pd.Series(dtype=bool)
-        if len(refused) and refused.all():
+        if _is_refused(frame):
             gathered.reasons.append(("refused", str(frame["message"].iloc[0])))
     gathered.seconds += time.perf_counter() - began
+
+
+def _is_refused(frame: pd.DataFrame) -> bool:
+    """Whether a table states of each row why there is no result."""
+    return "refused" in frame and len(frame) > 0 and bool((frame["refused"] != "").all())
 
 
 def _outcome(job: Job, gathered: _Gathered) -> tuple[Outcome, pd.DataFrame | None]:
     """One outcome of the parts of a trip: a failure counts, then that any part gave a result."""
     failed = [reason for state, reason in gathered.reasons if state == "failed"]
     refused = [reason for state, reason in gathered.reasons if state == "refused"]
-    frames, state, reason = gathered.frames, "done", ""
-    given = len(frames) - sum(
-        "refused" in each and (each["refused"] != "").all() for each in frames
-    )
+    frames = gathered.frames
+    state: State = "done"
+    reason = ""
     if failed:
         frames, state, reason = [], "failed", failed[0]
-    elif refused and not given:
+    elif refused and all(_is_refused(each) for each in frames):
         state, reason = "refused", refused[0]
     elif refused:
         reason = f"{len(refused)} parts refused, first: {refused[0]}"
     frame = pd.concat(frames, ignore_index=True) if frames else None
     rows = 0 if frame is None else len(frame)
     seconds = round(gathered.seconds, 3)
-    return Outcome(job.key, job.sha256, state, reason, rows, seconds), frame  # type: ignore[arg-type]
+    return Outcome(job.key, job.sha256, state, reason, rows, seconds), frame
 
 
 def _stated(error: Exception) -> tuple[State, str]:

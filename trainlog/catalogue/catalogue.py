@@ -14,7 +14,7 @@ import sqlalchemy as sa
 from trainlog.catalogue import results as stored
 from trainlog.catalogue.reading import FileEntry, read_file
 from trainlog.catalogue.registration import Added, FileOutcome, parts, register
-from trainlog.catalogue.results import ResultOutcome
+from trainlog.catalogue.results import ResultOutcome, ResultState
 from trainlog.catalogue.schema import TRIP_COLUMNS, Database, files, trips
 from trainlog.catalogue.where import condition_of, times_of
 from trainlog.display import as_text, counted
