@@ -340,7 +340,7 @@ def _plane(fixes: Fixes, origin: tuple[float, float]) -> ComplexArray:
 def _thinned(one: _Pass) -> ComplexArray:
     """One point for every `PIECE` driven, the median of its fixes."""
     known = np.flatnonzero(np.isfinite(one.points))
-    driven = distance_driven(one.fixes)
+    driven = distance_driven(one.fixes)[0]
     if not np.isfinite(driven).any():
         driven = _distance_along_fixes(one)
     piece = np.floor(driven[known] / PIECE)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from trainlog.cli.options import destination, pairs
+from trainlog.cli.options import destination, line_or_network, pairs
 from trainlog.cli.terminal import console, current, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
@@ -96,19 +96,20 @@ def record(
 
     trainlog record --from file /var/log/gnss.nmea -o today.mcap --replay
     """
-    from trainlog.formats.line import read_line
     from trainlog.formats.train import read_train
     from trainlog.ingest.live import LiveIngest, LiveOptions
     from trainlog.ingest.pipeline import Given
 
     destination(output, ".mcap")
     source = _source(origin, address)
+    the_line, network = line_or_network(line)
     given = Given(
         profile,
-        line=None if line is None else read_line(line),
+        line=the_line,
         train=None if train is None else read_train(train),
         direction="reverse" if reverse else None,
         metadata=pairs(facts or []),
+        network=network,
     )
     options = LiveOptions(source.name, header, sequence)
     began = time.monotonic()

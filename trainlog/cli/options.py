@@ -18,10 +18,14 @@ from trainlog.units import NANOSECONDS
 if TYPE_CHECKING:
     import pandas as pd
 
+    from trainlog.ingest.routes import NetworkRoutes
     from trainlog.railway import Line, TrackConditionMap, Train
     from trainlog.simulation import Change
     from trainlog.trip import Trip
 
+
+NETWORK_SUFFIX = ".network.json"
+"""End of the names of network files."""
 
 Logs = Annotated[list[Path], typer.Argument(help="Logs (.mcap), or folders of logs.")]
 LineOption = Annotated[
@@ -357,8 +361,27 @@ def logs_in(paths: list[Path]) -> list[Path]:
     return [log for path in paths for log in logs_of(path)]
 
 
-FACTS = ("trip", "weather", "load", "clock", "start_position")
+FACTS = ("trip", "weather", "load", "clock", "start_position", "stations")
 """What can be said of a recorded trip that its file does not state."""
+
+
+def line_or_network(
+    line: Path | None, network: Path | None = None, stations: str | None = None
+) -> tuple[Line | None, NetworkRoutes | None]:
+    """The line that is given, or the network."""
+    from trainlog.formats.line import read_line
+    from trainlog.formats.network import read_network
+    from trainlog.ingest.routes import NetworkRoutes, places_in
+
+    if line is not None and network is not None:
+        raise InputError("--line and --network are both given", remedy="leave one of them out")
+    if line is not None and line.name.endswith(NETWORK_SUFFIX):
+        line, network = None, line
+    if network is not None:
+        return None, NetworkRoutes(read_network(network), places_in(stations or ""))
+    if stations is not None:
+        raise InputError("--stations are those of a network", remedy="give --network")
+    return None if line is None else read_line(line), None
 
 
 def pairs(given: list[str]) -> dict[str, str]:

@@ -21,6 +21,7 @@ from trainlog.cli.options import (
     distinct,
     lasting_change,
     line_and_train,
+    line_or_network,
     logs_in,
     map_of_run,
     pairs,
@@ -399,7 +400,20 @@ def ingest(
     format: Annotated[
         str | None, typer.Option(help="Name of the format, such as csv; default: detected.")
     ] = None,
-    line: Annotated[Path | None, typer.Option(help="Line it was driven on, if known.")] = None,
+    line: Annotated[
+        Path | None,
+        typer.Option(help="Line it was driven on, if known; or a network, as --network."),
+    ] = None,
+    network: Annotated[
+        Path | None,
+        typer.Option(help="Network it was driven on: the route is found in it by the fixes."),
+    ] = None,
+    stations: Annotated[
+        str | None,
+        typer.Option(
+            help="With --network: stations of the route with commas between them, or edge@km."
+        ),
+    ] = None,
     train: Annotated[Path | None, typer.Option(help="Train that drove, if known.")] = None,
     reverse: Annotated[
         bool, typer.Option("--reverse", help="The trip ran against the line's chainage.")
@@ -429,13 +443,15 @@ def ingest(
     to be read, corrected and given with [bold]--profile[/bold], or used at once with
     [bold]--accept[/bold].
 
+    On a [bold]--network[/bold] each recording is matched to its route, and cut where the train
+    turned back or left the network; a route that the fixes do not determine is refused.
+
     Exit status 0: every recording became a trip; 1: some did not, or a profile is proposed; 2: the
     only file given did not, or something else that was given cannot be used.
 
     Example: trainlog ingest recorder.csv --profile recorder.profile.toml -o results/recorded
     """
     from analysis.passports import with_estimated_passport
-    from trainlog.formats.line import read_line
     from trainlog.formats.train import read_train
     from trainlog.ingest import Ingested, Outcome, ingest_all
 
@@ -443,7 +459,7 @@ def ingest(
     found: list[Outcome] = []
     the_train = None if train is None else read_train(train)
     as_json = current().as_json
-    the_line = None if line is None else read_line(line)
+    the_line, routes = line_or_network(line, network, stations)
     proposals = Proposals(output, the_train, format, accept=accept, quiet=as_json, line=the_line)
     try:
         result = ingest_all(
@@ -455,9 +471,10 @@ def ingest(
             train=the_train,
             direction="reverse" if reverse else None,
             metadata=pairs(facts or []),
+            network=routes,
             each=lambda outcome, done, total: found.append(outcome),  # noqa: ARG005
             choose=proposals.profile_for,
-            finish=with_estimated_passport if line and train else None,
+            finish=with_estimated_passport if (line or network) and train else None,
         )
     except KeyboardInterrupt:
         _print_ingested(Ingested(output, tuple(found)), alone=False)
@@ -490,9 +507,10 @@ def _print_ingested(result: Ingested, *, alone: bool) -> None:
             console.print(f"kept {each.log}", highlight=False, soft_wrap=True)
             continue
         console.print(about(each.metadata, each.duration), highlight=False, markup=False)
-        if "direction_evidence" in each.metadata:
-            words = f"    direction {each.metadata['direction_evidence']}"
-            console.print(words, highlight=False, markup=False, soft_wrap=True)
+        for what in ("direction", "route"):
+            if f"{what}_evidence" in each.metadata:
+                words = f"    {what} {each.metadata[f'{what}_evidence']}"
+                console.print(words, highlight=False, markup=False, soft_wrap=True)
         lines = [line for line in each.report.lines() if line not in shown]
         console.print(*(f"    {line}" for line in lines), sep="\n", highlight=False, markup=False)
         # What the file holds besides its trips is shown with the first of them.

@@ -34,10 +34,12 @@ from trainlog.ingest.profile import Profile
 from trainlog.ingest.proposal.times import NoRecordingError
 from trainlog.ingest.registry import formats, head_of
 from trainlog.ingest.report import Report, report_of
+from trainlog.ingest.routes import NETWORK_INPUT, NetworkRoutes, routes_of
 from trainlog.mcap import describe, write_log
 from trainlog.mcap.reader import about_log, identity_of_log
 from trainlog.progress import note, task
 from trainlog.railway.line import Line
+from trainlog.railway.network import Network
 from trainlog.railway.train import Train
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 from trainlog.version import __version__
@@ -104,7 +106,13 @@ DOCUMENTS = frozenset(
 LOOKED_AT = 200
 """Lines by which a text is taken for a table."""
 
-_ATTACHED = (PROFILE_ATTACHMENT, PROFILE_OBJECT_ATTACHMENT, LINE_ATTACHMENT, TRAIN_ATTACHMENT)
+_ATTACHED = (
+    PROFILE_ATTACHMENT,
+    PROFILE_OBJECT_ATTACHMENT,
+    LINE_ATTACHMENT,
+    TRAIN_ATTACHMENT,
+    NETWORK_INPUT,
+)
 """Inputs of a trip that are no recorded files."""
 
 
@@ -235,6 +243,7 @@ def ingest_all(
     train: Train | None = None,
     direction: Direction | None = None,
     metadata: Mapping[str, str] | None = None,
+    network: Network | NetworkRoutes | None = None,
     each: Callable[[Outcome, int, int], object] | None = None,
     choose: Callable[[Path], str | Path | Profile | None] | None = None,
     finish: Callable[[Trip], Trip] | None = None,
@@ -252,7 +261,7 @@ def ingest_all(
         folder that are no recordings are passed over, hidden ones left out.
     output : path
         Folder for the logs.
-    profile, format, line, train, direction, metadata
+    profile, format, line, train, direction, metadata, network
         As for `ingest`, the same for all files.
     each : callable, optional
         Called with each outcome, the number of files that are finished, and that of all.
@@ -282,7 +291,7 @@ def ingest_all(
     >>> again.frame[["state", "rows_kept"]].values.tolist()
     [['unchanged', 6847]]
     """
-    given = Given(profile, format, line, train, direction, metadata)
+    given = Given(profile, format, line, train, direction, metadata, routes_of(network))
     check_given(given)
     target = Path(output)
     every = [paths] if isinstance(paths, str | Path) else paths

@@ -216,11 +216,14 @@ def _course(seconds: FloatArray, chain: FloatArray, driven: FloatArray) -> Float
     return driven + np.interp(seconds, seconds[nodes], chain[nodes] - driven[nodes])
 
 
-def distance_driven(fixes: Fixes) -> FloatArray:
-    """Distance driven since the first row [m] by the measured speeds; NaN without any."""
+def distance_driven(fixes: Fixes) -> tuple[FloatArray, FloatArray]:
+    """Distance driven since the first row [m] by the measured speeds, and its variance [m²].
+
+    NaN without any speed.
+    """
     ratio = wheel_ratio(fixes)
     slipping = slipping_wheels(fixes, fixes.speed, fixes.speed_std, ratio)
-    return _driven(fixes, slipping, ratio)[0]
+    return _driven(fixes, slipping, ratio)
 
 
 def _driven(fixes: Fixes, slipping: BoolArray, ratio: float) -> tuple[FloatArray, FloatArray]:

@@ -17,12 +17,12 @@ from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
+from trainlog.ingest.framing import frames
 from trainlog.ingest.pipeline import (
     PROFILE_ATTACHMENT,
     Given,
     bounded_limits,
     default_profile,
-    frames,
     metadata_of,
 )
 from trainlog.ingest.profile import Limits, Profile, Repair, own_topics, parse_profile
@@ -168,6 +168,12 @@ class LiveIngest:
         InputError
             If the file exists, or what is given cannot be used.
         """
+        if given.network is not None:
+            raise InputError(
+                "a route in a network is found when a trip is over, not while it is recorded",
+                remedy="give the line of its route (my.network.json#Wil,Gossau), or record without"
+                " and ingest what --raw kept",
+            )
         attachments: dict[str, bytes] = {}
         profile = given.profile
         if profile is not None and not isinstance(profile, Profile):

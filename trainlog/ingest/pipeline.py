@@ -20,6 +20,7 @@ from trainlog.formats.train import train_to_bytes
 from trainlog.identity import source_of
 from trainlog.ingest.chainage import AgainstLineError
 from trainlog.ingest.estimates import Estimate, estimated_state, position_offset
+from trainlog.ingest.framing import frames
 from trainlog.ingest.limits import LIMITS
 from trainlog.ingest.parts import parts_of
 from trainlog.ingest.placing import OVERRUN, placed
@@ -32,79 +33,18 @@ from trainlog.ingest.profile import (
     own_topics,
     parse_profile,
 )
-from trainlog.ingest.recording import BoolArray, Finding, IntArray, Recording, Table, field_of
+from trainlog.ingest.recording import Finding, Recording, Table
 from trainlog.ingest.registry import Format, format_called, format_of, is_registered, own_profile
 from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report, changes
+from trainlog.ingest.routes import NETWORK_INPUT, NetworkRoutes, OnRoute, routed, routes_of
 from trainlog.ingest.rules import refuse_switched_off, repaired
 from trainlog.progress import note
 from trainlog.railway.kilometres import km_words
 from trainlog.railway.line import Line
+from trainlog.railway.network import Network
 from trainlog.railway.train import Train
-from trainlog.topics import EVENTS, TOPICS, Topic
-from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
+from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 from trainlog.version import code_version
-
-INFO = 2.0
-"""Level of an event whose column gives none."""
-
-
-def frames(
-    tables: list[Table], constants: dict[str, float | str], own: Mapping[str, Topic]
-) -> dict[str, pd.DataFrame]:
-    """One frame a topic, in the order of the table of topics; behind them the recorder's `own`.
-
-    A row without a value of a topic is no row of its frame. A constant fills the rows of its
-    topic; where the topic has nothing else, it stands at both ends of the trip.
-    """
-    found: dict[str, pd.DataFrame] = {}
-    for name, topic in {**TOPICS, **own}.items():
-        fixed = _of_topic(constants, name)
-        for table in tables:
-            frame = _frame(topic, table, fixed)
-            if frame is not None:
-                found[name] = frame
-        if fixed and name not in found:
-            ends = np.array([min(t.time[0] for t in tables), max(t.time[-1] for t in tables)])
-            found[name] = frame_of(topic, _index(ends), _filled(fixed, 2))
-    return found
-
-
-def _frame(topic: Topic, table: Table, fixed: dict[str, Any]) -> pd.DataFrame | None:
-    """The frame of a topic that a table gives; None if it has no value of it."""
-    signals = _of_topic(table.signals, topic.name)
-    texts = _of_topic(table.texts, topic.name)
-    present = _any([np.isfinite(values) for values in signals.values()], len(table))
-    if texts:
-        present = _any([words != "" for words in texts.values()], len(table))
-    if not present.any():
-        return None
-    data = {name: column[present] for name, column in {**signals, **texts}.items()}
-    count = int(present.sum())
-    if topic is EVENTS:
-        level = np.nan_to_num(data.get("level", np.full(count, INFO)), nan=INFO)
-        data["level"] = level.astype(np.int64)
-    return frame_of(topic, _index(table.time[present]), {**_filled(fixed, count), **data})
-
-
-def _any(masks: list[BoolArray], count: int) -> BoolArray:
-    return np.logical_or.reduce(masks) if masks else np.zeros(count, dtype=np.bool_)
-
-
-def _filled(fixed: dict[str, Any], count: int) -> dict[str, Any]:
-    return {name: np.full(count, value) for name, value in fixed.items()}
-
-
-def _index(time: IntArray) -> pd.DatetimeIndex:
-    return pd.DatetimeIndex(time.view("datetime64[ns]"), tz="UTC")
-
-
-def _of_topic(columns: Mapping[str, Any], topic: str) -> dict[str, Any]:
-    """The entries of one topic, by column instead of by ``"/topic.column"``."""
-    located = {name: field_of(name) for name in columns}
-    return {
-        column: columns[name] for name, (owner, column, _) in located.items() if owner.name == topic
-    }
-
 
 PROFILE_ATTACHMENT = "profile.toml"
 """Attachment that holds the profile file a recording was read with."""
@@ -127,6 +67,7 @@ def ingest(
     train: Train | None = None,
     direction: Direction | None = None,
     metadata: Mapping[str, str] | None = None,
+    network: Network | NetworkRoutes | None = None,
 ) -> Trip:
     """Turn a recorded file into a trip; what had to be repaired is counted, see `report_of`.
 
@@ -145,7 +86,10 @@ def ingest(
         Along the line as given; default: what the profile says, else as the fixes run, else
         forward.
     metadata : mapping of str to str, optional
-        Further metadata, stronger than the profile's.
+        Further metadata, stronger than the profile's; ``stations``: places of the route with
+        commas between them.
+    network : Network, optional
+        In place of a line: the route is found in it, and its line attached to the trip.
 
     Returns
     -------
@@ -170,16 +114,17 @@ def ingest(
     >>> report_of(trip).lines()[0]
     '14103 rows read, 14091 kept, 12 dropped'
     """
-    source = _opened(path, profile, format)
-    if len(source.recordings) > 1:
-        names = [recording.metadata.get("trip", "") for recording in source.recordings]
+    given = Given(profile, format, line, train, direction, metadata, routes_of(network))
+    source, jobs = _jobs(path, given)
+    if len(jobs) > 1:
+        names = [job.name for job in jobs]
         shown = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
         raise InputError(
             f"holds {len(names)} recordings: {shown}",
             file=source.path,
             remedy="take them one by one with ingest_each, or with the command trainlog ingest",
         )
-    return _finished(source, source.recordings[0], line, train, direction, metadata)
+    return _finished(source, jobs[0], given)
 
 
 def ingest_each(
@@ -191,6 +136,7 @@ def ingest_each(
     train: Train | None = None,
     direction: Direction | None = None,
     metadata: Mapping[str, str] | None = None,
+    network: Network | NetworkRoutes | None = None,
 ) -> Iterator[Trip]:
     """Turn every recording of a file into a trip: the rides of a phone log, the tracks of a GPX.
 
@@ -213,7 +159,8 @@ def ingest_each(
     ['gnss']
     """
     count, refused = 0, list[TrainlogError]()
-    for _, outcome in ingested(path, Given(profile, format, line, train, direction, metadata)):
+    given = Given(profile, format, line, train, direction, metadata, routes_of(network))
+    for _, outcome in ingested(path, given):
         count += 1
         if isinstance(outcome, Trip):
             yield outcome
@@ -240,11 +187,24 @@ class Given:
     train: Train | None = None
     direction: Direction | None = None
     metadata: Mapping[str, str] | None = None
+    network: NetworkRoutes | None = None
+
+    def __post_init__(self) -> None:
+        if self.network is not None and (self.line is not None or self.direction is not None):
+            what = "line" if self.line is not None else "direction"
+            raise InputError(
+                f"a network and a {what} are given: a trip has the line, and the direction, of its"
+                " route",
+                remedy=f"leave out the {what}, or the network",
+            )
 
     @property
     def options(self) -> dict[str, Any]:
         """What the provenance of a trip keeps of it; files are among its inputs."""
-        return {"direction": self.direction, "metadata": dict(self.metadata or {})}
+        known = {"direction": self.direction, "metadata": dict(self.metadata or {})}
+        if self.network is not None and self.network.stations:
+            known["stations"] = list(self.network.stations)
+        return known
 
 
 def check_given(given: Given) -> None:
@@ -269,20 +229,66 @@ def ingested(path: str | Path, given: Given) -> Iterator[tuple[str, Trip | Train
     InputError
         If the file cannot be read.
     """
-    source = _opened(path, given.profile, given.format)
-    several = len(source.recordings) > 1
-    for recording in source.recordings:
-        name = recording.metadata["trip"] if several else ""
+    source, jobs = _jobs(path, given)
+    for job in jobs:
+        name = job.name if len(jobs) > 1 else ""
         note(f"repairing {name or source.path.name}")
         try:
-            yield (
-                name,
-                _finished(
-                    source, recording, given.line, given.train, given.direction, given.metadata
-                ),
-            )
+            yield name, _finished(source, job, given)
         except TrainlogError as error:
             yield name, error
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """A recording that becomes a trip: with its route, if a network is given, or why it has none."""
+
+    recording: Recording
+    route: OnRoute | TrainlogError | None = None
+
+    @property
+    def name(self) -> str:
+        return self.recording.metadata.get("trip", "")
+
+
+def _jobs(path: str | Path, given: Given) -> tuple[_Source, list[_Job]]:
+    """What a file holds, cut where routes end.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    source = _opened(path, given.profile, given.format)
+    if given.network is None:
+        return source, [_Job(recording) for recording in source.recordings]
+    jobs = list[_Job]()
+    for recording in source.recordings:
+        note(f"looking for the route of {recording.metadata.get('trip') or source.path.name}")
+        try:
+            jobs += _routed(source, recording, given)
+        except TrainlogError as error:
+            jobs.append(_Job(recording, error))
+    return replace(source, recordings=tuple(job.recording for job in jobs)), jobs
+
+
+def _routed(source: _Source, recording: Recording, given: Given) -> list[_Job]:
+    """The parts of a recording, each with its route.
+
+    Raises
+    ------
+    InputError
+        If nothing shows a route.
+    """
+    assert given.network is not None
+    profile = source.profile or source.chosen.profile or default_profile()
+    limits = bounded_limits(profile.limits, None, given.train)
+    least = 2 if len(recording.tables) == 1 else 0
+    tables = [repaired(each, limits, profile.repair, least)[0] for each in recording.tables]
+    trip = Trip(_topics(recording, profile, tables), {})
+    stem = recording.metadata.get("trip", source.path.stem)
+    found = routed(given.network, recording, tables, trip, given.metadata or {}, stem)
+    return [_Job(*each) for each in found]
 
 
 def fingerprint(path: Path, given: Given) -> dict[str, Any] | None:
@@ -308,6 +314,8 @@ def fingerprint(path: Path, given: Given) -> dict[str, Any] | None:
         digests[LINE_ATTACHMENT] = sha256(line_to_bytes(given.line))
     if given.train is not None:
         digests[TRAIN_ATTACHMENT] = sha256(train_to_bytes(given.train))
+    if given.network is not None:
+        digests[NETWORK_INPUT] = given.network.sha256
     return {
         "software": f"trainlog {__version__}",
         "code": code_version(),
@@ -394,25 +402,25 @@ def _naming(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _finished(
-    source: _Source,
-    recording: Recording,
-    line: Line | None,
-    train: Train | None,
-    direction: Direction | None,
-    metadata: Mapping[str, str] | None,
-) -> Trip:
+def _finished(source: _Source, job: _Job, given: Given) -> Trip:
     """The trip of a recording, with what is known of its files."""
+    recording, metadata = job.recording, given.metadata or {}
+    line, direction, facts = given.line, given.direction, dict[str, str]()
     with _naming(source.path):
+        if isinstance(job.route, TrainlogError):
+            raise job.route
+        if job.route is not None:
+            line, direction, facts = job.route.line, "forward", job.route.metadata
         profile = source.profile or source.chosen.profile or default_profile()
-        profile = _with_start(profile, (metadata or {}).get("start_position"))
-        trip, report, raw = _trip(recording, profile, line, train, direction)
+        start = facts.pop("start_position", None)
+        profile = _with_start(profile, metadata.get("start_position", start))
+        trip, report, raw = _trip(recording, profile, line, given.train, direction)
         if line is not None:
             _check_on_line(trip, line)
-        stated = {**trip.metadata, **(metadata or {})}.get("load")
+        stated = {**trip.metadata, **metadata}.get("load")
         if stated is not None:
-            _check_stated_load(stated, train)
-    named = {"trip": source.path.stem} | trip.metadata | dict(metadata or {}) | report.metadata()
+            _check_stated_load(stated, given.train)
+    named = {"trip": source.path.stem} | trip.metadata | facts | dict(metadata) | report.metadata()
     which: dict[str, Any] = {}
     if len(source.recordings) > 1:
         which["recording"] = named["trip"] = recording.metadata["trip"]
@@ -420,6 +428,10 @@ def _finished(
     attachments = source.carried | trip.attachments
     files = {file.name: sha256_of(file) for file in (source.path, *recording.inputs)}
     digests = {name: sha256(data) for name, data in attachments.items()}
+    if given.network is not None:
+        # The route's line follows from the network and the recording.
+        digests.pop(LINE_ATTACHMENT, None)
+        digests[NETWORK_INPUT] = given.network.sha256
     return Trip(trip.topics, named, (), attachments | recording.attachments | raw).with_step(
         "ingest",
         software=f"trainlog {__version__}",
@@ -427,7 +439,7 @@ def _finished(
         format=source.chosen.name,
         profile=source.profile.name if source.profile else None,
         source=source_of([*files.values()], which.get("recording", "")),
-        options=Given(direction=direction, metadata=metadata).options,
+        options=given.options,
         inputs=files | digests,
         report=report.details(),
         **which,

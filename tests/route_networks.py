@@ -1,0 +1,185 @@
+"""Networks drawn on a plane, trains that drive over them, and what receivers make of it.
+
+The errors are none that the matcher assumes: they last and wander, jump in cuttings, freeze, come
+late, are missing in tunnels, and the receiver's datum is shifted against the network.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trainlog.railway.geometry import from_plane
+from trainlog.railway.line import Geometry, Line, Station, StepProfile
+
+ORIGIN = (47.4, 9.2)
+Points = NDArray[np.complex128]
+FloatArray = NDArray[np.float64]
+
+
+def bezier(*corners: complex, count: int = 400) -> Points:
+    """A smooth course from the first to the last of four corners."""
+    t = np.linspace(0.0, 1.0, count)
+    a, b, c, d = corners
+    return (1 - t) ** 3 * a + 3 * (1 - t) ** 2 * t * b + 3 * (1 - t) * t**2 * c + t**3 * d
+
+
+def straight(start: complex, end: complex, count: int = 200) -> Points:
+    return start + np.linspace(0.0, 1.0, count) * (end - start)
+
+
+def bowed(start: complex, end: complex, aside: float, ramp: float = 0.05) -> Points:
+    """Beside a straight, that far [m], but for ramps at both ends."""
+    t = np.linspace(0.0, 1.0, 600)
+    off = np.clip(np.minimum(t, 1.0 - t) / ramp, 0.0, 1.0)
+    off = aside * (3 * off**2 - 2 * off**3)
+    return start + t * (end - start) + off * 1j * (end - start) / abs(end - start)
+
+
+def line_of(name: str, points: Points, stations: Sequence[tuple[str, float]]) -> Line:
+    """A line along points of the plane [m]."""
+    position = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(points)))))
+    latitude, longitude = from_plane(points, ORIGIN)
+    length = float(position[-1])
+    known = tuple(Station(each, at if at >= 0.0 else length) for each, at in stations)
+    return Line(
+        name=name,
+        length=length,
+        stations=known,
+        speed_limits=StepProfile([0.0], [40.0]),
+        gradients=StepProfile([0.0], [0.0]),
+        geometry=Geometry(position, latitude, longitude, "drawn"),
+    )
+
+
+@dataclass(frozen=True)
+class Receiver:
+    """What a receiver and its place make of positions.
+
+    Attributes
+    ----------
+    rate : float [1/s]
+    white, lasting : float [m]
+    time : float [s]
+        How long errors last.
+    shift : float [m]
+        Of the receiver's datum against the network, in a direction drawn.
+    stated : float [m]
+        Accuracy that it states; 0: none.
+    speed : float [m/s] or None
+        Noise of its speed; None: it gives none.
+    outliers : float
+        Share of fixes some hundred metres off.
+    gaps : int
+        Times without fixes, of 1 to 30 s.
+    multipath : int
+        Stretches of 5 to 20 s up to 40 m aside.
+    frozen : int
+        Stretches of 5 to 20 s in which a fix is repeated.
+    """
+
+    rate: float = 1.0
+    white: float = 0.6
+    lasting: float = 2.0
+    time: float = 70.0
+    shift: float = 5.0
+    stated: float = 2.0
+    speed: float | None = 0.15
+    outliers: float = 0.002
+    gaps: int = 3
+    multipath: int = 3
+    frozen: int = 1
+
+
+UBLOX = Receiver(rate=10.0)
+GPX = Receiver(rate=1.0, white=1.2, lasting=3.0, stated=0.0, speed=0.3)
+PHONE = Receiver(rate=1.0 / 11.0, white=6.0, lasting=6.0, time=120.0, stated=12.0, speed=None,
+                 outliers=0.01, gaps=1, multipath=1, frozen=0)  # fmt: skip
+
+
+def motion(
+    length: float, stops: Sequence[float], rng: np.random.Generator, rate: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Time [s], position [m] and speed [m/s] of a train that stops at places."""
+    time, position, speed = [0.0], [float(stops[0])], [0.0]
+    dt = min(0.1, 1.0 / rate) if rate >= 1.0 else 0.5
+    for begin, end in zip(stops[:-1], stops[1:], strict=True):
+        most = float(rng.uniform(14.0, 32.0))
+        s, v = float(begin), 0.0
+        for _ in range(int(rng.uniform(20.0, 45.0) / dt)):
+            time.append(time[-1] + dt)
+            position.append(s)
+            speed.append(0.0)
+        while s < end - 0.5:
+            v = min(v + 0.6 * dt, most, np.sqrt(max(2.0 * 0.7 * (end - s), 0.05)))
+            s = min(s + v * dt, float(end))
+            time.append(time[-1] + dt)
+            position.append(s)
+            speed.append(v)
+    for _ in range(int(25.0 / dt)):
+        time.append(time[-1] + dt)
+        position.append(position[-1])
+        speed.append(0.0)
+    del length
+    every = round(1.0 / rate / dt)
+    return np.array(time)[::every], np.array(position)[::every], np.array(speed)[::every]
+
+
+@dataclass(frozen=True, eq=False)
+class Received:
+    """Fixes as received, NaN where there is none, and where the train was [m]."""
+
+    seconds: FloatArray
+    points: Points
+    speed: FloatArray | None
+    stated: FloatArray
+    true_position: FloatArray
+
+
+def received(
+    track: tuple[FloatArray, Points],
+    drive: tuple[FloatArray, FloatArray, FloatArray],
+    receiver: Receiver,
+    rng: np.random.Generator,
+    tunnels: Sequence[tuple[float, float]] = (),
+) -> Received:
+    """What a receiver gives of a drive along a track (positions [m], points)."""
+    seconds, position, speed = drive
+    count, step = seconds.size, 1.0 / receiver.rate
+    points = np.interp(position, *track)
+    keep = np.exp(-step / receiver.time)
+    steps = rng.standard_normal((count, 2)) @ np.array([1.0, 1j]) * np.sqrt(1.0 - keep**2)
+    wander = np.zeros(count, dtype=complex)
+    last = complex(*rng.standard_normal(2))
+    for i in range(count):
+        last = keep * last + steps[i]
+        wander[i] = last
+    points = points + receiver.shift * np.exp(2j * np.pi * rng.random())
+    points += receiver.lasting * wander
+    points += receiver.white * (rng.standard_normal((count, 2)) @ np.array([1.0, 1j]))
+
+    def stretch(least: float, most: float) -> slice:
+        n = max(1, int(rng.uniform(least, most) * receiver.rate))
+        first = int(rng.integers(0, max(count - n, 1)))
+        return slice(first, first + n)
+
+    for _ in range(receiver.multipath):
+        points[stretch(5.0, 20.0)] += rng.uniform(10.0, 40.0) * np.exp(2j * np.pi * rng.random())
+    for _ in range(receiver.frozen):
+        where = stretch(5.0, 20.0)
+        points[where] = points[where.start]
+    wild = rng.random(count) < receiver.outliers
+    points[wild] += 300.0 * (rng.standard_normal((int(wild.sum()), 2)) @ np.array([1.0, 1j]))
+    for _ in range(receiver.gaps):
+        points[stretch(1.0, 30.0)] = np.nan
+    for first, end in tunnels:
+        points[(position >= first) & (position <= end)] = np.nan
+    shown = None
+    if receiver.speed is not None:
+        shown = np.abs(speed + receiver.speed * rng.standard_normal(count))
+        shown[np.isnan(points)] = np.nan
+    stated = np.full(count, receiver.stated or np.nan)
+    return Received(seconds, points, shown, stated, position)

@@ -1,0 +1,625 @@
+"""The route of satellite fixes over the edges of a network, and by how much it is the best.
+
+First the best chain of places on all edges (`estimators.route_matching`), cut where the train
+turned round or was away. Then, for every edge of the chain, the best one without it: both are
+compared by the fixes' distances beside them, whose errors last, and by the distances driven. The
+least of these differences is the margin. What is below `DECIDES` is not determined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from estimators.matching import IDLE_SPEED, STEP_LENGTH, STEP_PENALTY, TURN_SHARE
+from estimators.receiver import MEDIAN_TO_STD
+from estimators.route_matching import (
+    ABSENCE,
+    ALONG,
+    REVERSAL,
+    REVERSED,
+    Between,
+    Chain,
+    EdgeGraph,
+    EdgeNodes,
+    LeftOut,
+    best_chain_on,
+    distances,
+)
+from trainlog.ingest.fixes import GATE, Fixes
+from trainlog.ingest.line_motion import GEOMETRY_STD
+from trainlog.ingest.recording import BoolArray, FloatArray, IntArray
+from trainlog.railway.geometry import SPACING as TRACK_SPACING, Track, beside, candidates, to_plane
+from trainlog.railway.line import Geometry
+
+ComplexArray = NDArray[np.complex128]
+
+SPACING, MOST_NODES, STANDING_TIME = 50.0, 800, 120.0
+"""Distance [m] between fixes that are looked at, how many at most, and how often [s] at a
+standstill."""
+
+SHIFT = 5.0
+"""Standard deviation [m] of a constant shift between a receiver's fixes and a network."""
+
+LASTING, LEAST_LASTING, WHITE = 60.0, 2.5, 2.0
+"""How long [s] errors of a receiver last, their least standard deviation [m], and that [m] of what
+does not last."""
+
+LEAST_DISTURBED, DISTURBED, DISTURBANCE = 0.002, 0.05, 30.0
+"""Probability that a stretch of any length is disturbed, that a short one is, besides, and how
+long [s] such disturbances last."""
+
+FURTHEST = 60.0
+"""How far [m] beside the way disturbed fixes lie, evenly."""
+
+APART = 3.0
+"""Distance [m] from which on two ways run apart."""
+
+WIDEST = 150.0
+"""Distance [m] within which a fix may be on the network at all."""
+
+DECIDES = 6.0
+"""Margin, a difference of log-likelihoods, from which on a route is determined."""
+
+END = 100.0
+"""A route's first and last edge on which a train was for less than this [m] do not count."""
+
+LEAST_NODES, LEAST_LENGTH = 5, 300.0
+"""Fewer fixes, or a shorter stretch [m], show no route."""
+
+STOOD_SPEED, TURNING_TIME = 1.5, 60.0
+"""Speed [m/s] at which a train may have turned round, and the time [s] that takes, where no speed
+is known."""
+
+ROUNDS = 4
+"""How often a better route found among the others takes the place of the best."""
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeTracks:
+    """Edges of a network on a plane.
+
+    Attributes
+    ----------
+    graph : EdgeGraph
+    tracks : tuple of Track or None
+        By edge; None where an edge has no geometry.
+    origin : (latitude, longitude) [deg]
+        Where the plane touches the earth.
+    """
+
+    graph: EdgeGraph
+    tracks: tuple[Track | None, ...]
+    origin: tuple[float, float]
+
+
+def edge_tracks(
+    lengths: FloatArray,
+    turns: IntArray,
+    geometries: Sequence[Geometry | None],
+    origin: tuple[float, float],
+) -> EdgeTracks:
+    """The edges on the plane that touches the earth at `origin`."""
+    tracks = tuple(
+        None if geometry is None else _track(geometry, float(length), origin)
+        for geometry, length in zip(geometries, lengths, strict=True)
+    )
+    return EdgeTracks(EdgeGraph(lengths, turns), tracks, origin)
+
+
+def _track(geometry: Geometry, length: float, origin: tuple[float, float]) -> Track:
+    even = np.arange(geometry.positions[0], geometry.positions[-1], TRACK_SPACING)
+    positions = np.unique(np.concatenate([geometry.positions, even]))
+    positions = positions[(positions >= -1.0) & (positions <= length + 1.0)]
+    points = to_plane(*geometry.at(positions), origin)
+    moving = np.concatenate(([True], np.abs(np.diff(points)) > 0.0))
+    return Track(positions[moving], points[moving], origin)
+
+
+@dataclass(frozen=True)
+class Passage:
+    """A stretch driven over the network in one direction.
+
+    Attributes
+    ----------
+    courses : tuple of int
+        Edges with their directions, in order of travel: edge `e` along its chainage is ``2 e``,
+        against it ``2 e + 1``.
+    start, end : float [m]
+        On the first and the last edge, by their chainage.
+    begin, finish : float [s]
+        When.
+    margin : float
+        By how much it is better than the second-best, in units of log-likelihood; infinite where
+        no other route is possible.
+    other : tuple of int
+        The courses of the second-best.
+    after : str
+        Why it does not go on from the passage before: ``"reversal"``, ``"absence"``, or empty.
+    """
+
+    courses: tuple[int, ...]
+    start: float
+    end: float
+    begin: float
+    finish: float
+    margin: float = np.inf
+    other: tuple[int, ...] = ()
+    after: str = ""
+
+    @property
+    def determined(self) -> bool:
+        """Whether the fixes determine it."""
+        return self.margin >= DECIDES
+
+
+@dataclass(frozen=True)
+class Passages:
+    """What fixes show of a trip over a network.
+
+    Attributes
+    ----------
+    passages : tuple of Passage
+    fixes, on_network : int
+        Fixes that were looked at, and those of them that belong to a passage.
+    near : int
+        Fixes with an edge within reach.
+    distance : float [m]
+        Median distance of the fixes from the nearest edge; infinite beyond `WIDEST`.
+    dropped : tuple of (float, float)
+        When the train was on the network for too short a stretch [s].
+    """
+
+    passages: tuple[Passage, ...]
+    fixes: int
+    on_network: int
+    near: int
+    distance: float
+    dropped: tuple[tuple[float, float], ...] = field(default=())
+
+
+def match_route(
+    edges: EdgeTracks, fixes: Fixes, driven: FloatArray, driven_variance: FloatArray
+) -> Passages:
+    """The passages of a trip over the edges of a network.
+
+    Parameters
+    ----------
+    edges : EdgeTracks
+    fixes : Fixes
+    driven, driven_variance : (n,) arrays [m], [m²]
+        Distance driven at every fix; NaN throughout where no speed is known.
+    """
+    nodes, near = _nodes(edges, fixes, driven, driven_variance)
+    distance = float(np.median(near)) if near.size else np.inf
+    count, reached = nodes.seconds.size, int(np.count_nonzero(np.diff(nodes.first)))
+    if reached < LEAST_NODES:
+        return Passages((), count, 0, reached, distance)
+    between = distances(edges.graph, np.unique(nodes.edge))
+    chain = best_chain_on(edges.graph, nodes, between)
+    found, dropped, inside = list[Passage](), list[tuple[float, float]](), 0
+    for part, after in _parts(chain):
+        first, last = int(part.node[0]), int(part.node[-1])
+        extent = float(np.ptp(_driven(part, nodes, edges.graph, between, None).position))
+        if part.node.size < LEAST_NODES or extent < LEAST_LENGTH:
+            dropped.append((float(nodes.seconds[first]), float(nodes.seconds[last])))
+            continue
+        inside += part.node.size
+        own = _between_nodes(nodes, first, last + 1)
+        found.append(replace(_Search(edges, own, between).passage(), after=after))
+    return Passages(tuple(found), count, inside, reached, distance, tuple(dropped))
+
+
+def _nodes(
+    edges: EdgeTracks, fixes: Fixes, driven: FloatArray, driven_variance: FloatArray
+) -> tuple[EdgeNodes, FloatArray]:
+    """The fixes that are looked at, with their candidates; distances to the nearest edge [m]."""
+    points = to_plane(fixes.latitude, fixes.longitude, edges.origin)
+    known = np.flatnonzero(np.isfinite(points))
+    chosen = known[_chosen(fixes.seconds[known], points[known], driven[known])]
+    at, std = points[chosen], fixes.std[chosen]
+    wide = _candidates(edges, at, np.full(at.size, WIDEST))
+    near = np.full(at.size, np.inf)
+    np.minimum.at(near, wide[0], wide[3])
+    std = _usual_std(std, near)
+    close = wide[3] <= np.maximum(GATE * std, 20.0)[wide[0]]
+    owner, edge, chainage, apart = (column[close] for column in wide)
+    counts = np.bincount(owner, minlength=at.size)
+    nodes = EdgeNodes(
+        seconds=fixes.seconds[chosen],
+        east=np.ascontiguousarray(at.real),
+        north=np.ascontiguousarray(at.imag),
+        std=std,
+        driven=driven[chosen],
+        driven_variance=driven_variance[chosen],
+        stood=_stood(fixes, chosen, at),
+        first=np.concatenate(([0], np.cumsum(counts))),
+        edge=edge,
+        chainage=chainage,
+        distance=apart,
+    )
+    return nodes, near
+
+
+def _chosen(seconds: FloatArray, points: ComplexArray, driven: FloatArray) -> IntArray:
+    """Of many fixes the first of each stretch driven, and of each longer time."""
+    if not seconds.size:
+        return np.zeros(0, dtype=np.int64)
+    way = driven
+    if not np.isfinite(driven).all():
+        way = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(points)))))
+    stretch = max(SPACING, float(way[-1] - way[0]) / MOST_NODES)
+    number = np.floor((way - way[0]) / stretch) + np.floor((seconds - seconds[0]) / STANDING_TIME)
+    return np.unique(number, return_index=True)[1].astype(np.int64)
+
+
+def _candidates(
+    edges: EdgeTracks, points: ComplexArray, reach: FloatArray
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """Owner, edge, chainage and distance of all candidates, in order of their owners."""
+    found = []
+    furthest = float(reach.max())
+    for number, track in enumerate(edges.tracks):
+        if track is None:
+            continue
+        east, north = track.points.real, track.points.imag
+        inside = (points.real > east.min() - furthest) & (points.real < east.max() + furthest)
+        inside &= (points.imag > north.min() - furthest) & (points.imag < north.max() + furthest)
+        mine = np.flatnonzero(inside)
+        if mine.size:
+            of = candidates(track, points[mine], reach[mine])
+            edge = np.full(of.owner.size, number, dtype=np.int64)
+            found.append((mine[of.owner], edge, of.chainage, of.distance))
+    if not found:
+        none, nothing = np.zeros(0, dtype=np.int64), np.zeros(0)
+        return none, none, nothing, nothing
+    owner, edge, chainage, apart = (np.concatenate(each) for each in zip(*found, strict=True))
+    order = np.argsort(owner, kind="stable")
+    length = edges.graph.lengths[edge[order]]
+    return owner[order], edge[order], np.clip(chainage[order], 0.0, length), apart[order]
+
+
+def _usual_std(std: FloatArray, near: FloatArray) -> FloatArray:
+    """Standard deviation of the distances from the right edge [m]: as stated, and as they show."""
+    known = np.isfinite(near)
+    if not known.any():
+        return std
+    spread = MEDIAN_TO_STD * float(np.median(near[known]))
+    stated = float(np.median(std[known]))
+    smaller = min(1.0, max(spread, GEOMETRY_STD) / stated)
+    misfit = min(float(np.sqrt(max(0.0, spread**2 - stated**2))), WIDEST / GATE)
+    return np.sqrt((std * smaller) ** 2 + misfit**2 + GEOMETRY_STD**2 + (0.5 * SHIFT) ** 2)
+
+
+def _stood(fixes: Fixes, chosen: IntArray, points: ComplexArray) -> BoolArray:
+    """Whether the train may have stood since the fix chosen before."""
+    steps, way = np.diff(fixes.seconds[chosen]), np.abs(np.diff(points))
+    slow = (way < STOOD_SPEED * steps) & (steps > 5.0) | (steps > TURNING_TIME)
+    speed = fixes.speed
+    if fixes.wheel_speed is not None:
+        speed = np.where(np.isfinite(speed), speed, fixes.wheel_speed)
+    if np.count_nonzero(np.isfinite(speed)) > 0.5 * np.count_nonzero(np.isfinite(fixes.latitude)):
+        still = np.cumsum(speed < STOOD_SPEED)
+        slow = (np.diff(still[chosen]) > 0) | (steps > TURNING_TIME)
+    return np.concatenate(([False], slow)).astype(np.bool_)
+
+
+def _parts(chain: Chain) -> Iterator[tuple[Chain, str]]:
+    """The chain between reversals and absences, and what was before each part."""
+    cuts = np.flatnonzero(chain.link != ALONG)
+    cuts = cuts[cuts > 0]
+    edges = [0, *cuts.tolist(), chain.node.size]
+    for first, last in zip(edges[:-1], edges[1:], strict=True):
+        after = ""
+        if first:
+            after = "reversal" if chain.link[first] == REVERSED else "absence"
+        yield _slice(chain, np.arange(first, last)), after
+
+
+def _slice(chain: Chain, index: IntArray) -> Chain:
+    link = chain.link[index].copy()
+    if link.size:
+        link[0] = ALONG
+    return Chain(
+        chain.worth, chain.node[index], chain.candidate[index], chain.course[index], link,
+        chain.without[index],
+    )  # fmt: skip
+
+
+def _between_nodes(nodes: EdgeNodes, first: int, last: int) -> EdgeNodes:
+    """Some of the fixes, one after the other."""
+    low, high = int(nodes.first[first]), int(nodes.first[last])
+    own = slice(first, last)
+    return EdgeNodes(
+        nodes.seconds[own], nodes.east[own], nodes.north[own], nodes.std[own], nodes.driven[own],
+        nodes.driven_variance[own], nodes.stood[own], nodes.first[first : last + 1] - low,
+        nodes.edge[low:high], nodes.chainage[low:high], nodes.distance[low:high],
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Driven:
+    """A part of a chain as a route: its courses, and where along them each of its fixes lies [m]."""
+
+    courses: list[int]
+    node: IntArray
+    position: FloatArray
+
+
+def _driven(
+    part: Chain, nodes: EdgeNodes, graph: EdgeGraph, between: Between, left_out: LeftOut | None
+) -> _Driven:
+    courses, position, begun = list[int](), np.zeros(part.node.size), 0.0
+    for number in range(part.node.size):
+        course, chainage = int(part.course[number]), float(nodes.chainage[part.candidate[number]])
+        length = float(graph.lengths[course // 2])
+        along = length - chainage if course % 2 else chainage
+        if number == 0:
+            courses.append(course)
+        else:
+            noise = float(np.hypot(*nodes.std[part.node[number - 1 : number + 1]]))
+            on = course == courses[-1] and begun + along > position[number - 1] - 3.0 * noise
+            if not on:
+                use = left_out.between if left_out is not None and part.without[number] else between
+                for each in [*use.path(courses[-1], course), course]:
+                    begun += float(graph.lengths[courses[-1] // 2])
+                    courses.append(each)
+        position[number] = begun + along
+    return _Driven(courses, part.node, position)
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """One possible way of the train.
+
+    Attributes
+    ----------
+    chain : Chain
+    parts : list of _Driven
+        One, but for ways that turn round or are away.
+    """
+
+    chain: Chain
+    parts: list[_Driven]
+
+    @cached_property
+    def position(self) -> FloatArray:
+        """Along the parts one after the other [m], by fix of the chain."""
+        return np.concatenate([part.position for part in self.parts])
+
+    def legs(self, lengths: FloatArray) -> list[list[_Leg]]:
+        """Of each part its legs, without those at its ends on which the train hardly was."""
+        found = []
+        for part in self.parts:
+            own = lengths[np.array(part.courses) // 2]
+            begun = np.concatenate(([0.0], np.cumsum(own)))
+            low, high = float(part.position.min()), float(part.position.max())
+            legs = [
+                _Leg(course, float(length), at, max(at, low), min(at + float(length), high))
+                for course, length, at in zip(part.courses, own, begun.tolist(), strict=False)
+            ]
+            while len(legs) > 1 and legs[0].last - legs[0].first < END:
+                del legs[0]
+            while len(legs) > 1 and legs[-1].last - legs[-1].first < END:
+                del legs[-1]
+            found.append(legs)
+        return found
+
+
+@dataclass(frozen=True)
+class _Leg:
+    """An edge of a part: its course and length, where along the part it begins [m], and the first
+    and last position that was driven [m]."""
+
+    course: int
+    length: float
+    begun: float
+    first: float
+    last: float
+
+    def chainage(self, position: float) -> float:
+        """On the edge, of a position along the part [m]."""
+        along = position - self.begun
+        return self.length - along if self.course % 2 else along
+
+
+class _Search:
+    """The best way of a train among all others, from fixes of one direction of travel."""
+
+    def __init__(self, edges: EdgeTracks, nodes: EdgeNodes, between: Between) -> None:
+        self.edges, self.nodes, self.between = edges, nodes, between
+        self.points = nodes.east + 1j * nodes.north
+        self._distances: dict[int, Between] = {}
+
+    def passage(self) -> Passage:
+        """The best way, and by how much it is."""
+        best = self._way(None)
+        margin, other = np.inf, None
+        for _ in range(ROUNDS):
+            margin, other = self._second(best)
+            if other is None or margin >= 0.0:
+                break
+            best = other
+        legs = [leg for part in best.legs(self.edges.graph.lengths) for leg in part]
+        seconds = self.nodes.seconds[best.chain.node]
+        return Passage(
+            courses=self._courses(best),
+            start=legs[0].chainage(legs[0].first),
+            end=legs[-1].chainage(legs[-1].last),
+            begin=float(seconds[0]),
+            finish=float(seconds[-1]),
+            margin=max(margin, 0.0),
+            other=() if other is None else self._courses(other),
+        )
+
+    def _way(self, left_out: LeftOut | None) -> _Way:
+        chain = best_chain_on(self.edges.graph, self.nodes, self.between, left_out)
+        parts = [
+            _driven(part, self.nodes, self.edges.graph, self.between, left_out)
+            for part, _ in _parts(chain)
+            if part.node.size
+        ]
+        return _Way(chain, parts)
+
+    def _courses(self, way: _Way) -> tuple[int, ...]:
+        return tuple(leg.course for part in way.legs(self.edges.graph.lengths) for leg in part)
+
+    def _second(self, best: _Way) -> tuple[float, _Way | None]:
+        """The best of the ways that do without an edge of `best`; negative if it is better."""
+        margin, found = np.inf, None
+        courses = self._courses(best)
+        for part, legs in zip(best.parts, best.legs(self.edges.graph.lengths), strict=True):
+            seconds = self.nodes.seconds[part.node]
+            order = np.maximum.accumulate(part.position)
+            for number, leg in enumerate(legs):
+                begin, finish = np.interp([leg.first, leg.last], order, seconds).tolist()
+                left_out = LeftOut(
+                    leg.course,
+                    -np.inf if number == 0 else begin - 1.0,
+                    np.inf if number == len(legs) - 1 else finish + 1.0,
+                    self._without(leg.course),
+                )
+                rival = self._way(left_out)
+                if not rival.parts or self._courses(rival) == courses:
+                    continue
+                ahead = self._compared(best, rival)
+                if ahead < margin:
+                    margin, found = ahead, rival
+        return margin, found
+
+    def _without(self, course: int) -> Between:
+        if course not in self._distances:
+            used = np.unique(self.nodes.edge)
+            self._distances[course] = distances(self.edges.graph, used, course)
+        return self._distances[course]
+
+    def _compared(self, best: _Way, rival: _Way) -> float:
+        """By how much one way fits better than another."""
+        one, other = self._aside(best), self._aside(rival)
+        known = one.known | other.known
+        # Where both run together neither gains; each stretch apart is judged by itself.
+        gap = np.where(one.known & other.known, np.abs(one.vector - other.vector), FURTHEST)
+        block = _blocks(self.nodes.seconds[known], (gap > APART)[known])
+        size = MEDIAN_TO_STD * float(np.median(np.abs(one.size[known & one.known])))
+        std = max(LEAST_LASTING, size)
+        fit = [_evidence(way.at(known), block, self.nodes.seconds[known], std) for way in (one, other)]
+        steps = [self._steps(way, best, rival) for way in (best, rival)]
+        return fit[0] - fit[1] + steps[1] - steps[0]
+
+    def _aside(self, way: _Way) -> _Aside:
+        """How far beside the way each fix lies."""
+        size, normal = np.full(self.points.size, np.nan), np.ones(self.points.size, np.complex128)
+        for part in way.parts:
+            track = self._track(part.courses)
+            span = np.arange(part.node[0], part.node[-1] + 1)
+            course = np.interp(
+                self.nodes.seconds[span], self.nodes.seconds[part.node], part.position
+            )
+            if np.isfinite(self.nodes.driven).all():
+                off = part.position - self.nodes.driven[part.node]
+                course = self.nodes.driven[span] + np.interp(span, part.node, off)
+            at, size[span] = beside(track, self.points[span], course)
+            segment = track.segments(at)
+            chord = track.points[segment + 1] - track.points[segment]
+            normal[span] = 1j * chord / np.abs(chord)
+        return _Aside(size, normal)
+
+    def _track(self, courses: list[int]) -> Track:
+        """The track of courses one after the other."""
+        positions, points, begun = list[FloatArray](), list[ComplexArray](), 0.0
+        for course in courses:
+            track, length = self.edges.tracks[course // 2], float(
+                self.edges.graph.lengths[course // 2]
+            )
+            if track is not None:
+                way = slice(None, None, -1 if course % 2 else 1)
+                along = length - track.positions if course % 2 else track.positions
+                positions.append(begun + along[way])
+                points.append(track.points[way])
+            begun += length
+        position, point = np.concatenate(positions), np.concatenate(points)
+        grows = np.concatenate(([True], np.diff(np.maximum.accumulate(position)) > 0.01))
+        return Track(position[grows], point[grows], self.edges.origin)
+
+    def _steps(self, way: _Way, best: _Way, rival: _Way) -> float:
+        """What the distances driven between the fixes that two ways share cost one of them."""
+        n = self.nodes
+        both = np.intersect1d(best.chain.node, rival.chain.node)
+        mine = np.isin(way.chain.node, both)
+        node, position = way.chain.node[mine], way.position[mine]
+        number = np.repeat(np.arange(len(way.parts)), [part.node.size for part in way.parts])[mine]
+        kinds = way.chain.link
+        cost = REVERSAL * np.count_nonzero(kinds == REVERSED)
+        cost += ABSENCE * np.count_nonzero(kinds > REVERSED)
+        if node.size < 2:
+            return float(cost)
+        driven, variance = n.driven, n.driven_variance
+        if np.isnan(driven).any():
+            every = np.union1d(best.chain.node, rival.chain.node)
+            chords = np.abs(np.diff(self.points[every], prepend=self.points[every[0]]))
+            unsure = (TURN_SHARE * chords) ** 2
+            unsure += (IDLE_SPEED * np.diff(n.seconds[every], prepend=n.seconds[every[0]])) ** 2
+            driven = np.interp(np.arange(n.seconds.size), every, np.cumsum(chords))
+            variance = np.interp(np.arange(n.seconds.size), every, np.cumsum(unsure))
+        noise = n.std[node[1:]] ** 2 + n.std[node[:-1]] ** 2 + np.diff(variance[node])
+        off = np.diff(position) - np.diff(driven[node])
+        penalty = np.minimum(0.5 * off**2 / noise, STEP_PENALTY + np.abs(off) / STEP_LENGTH)
+        return float(cost + penalty[np.diff(number) == 0].sum())
+
+
+@dataclass(frozen=True, eq=False)
+class _Aside:
+    """Distances beside a way, positive to its left [m], NaN before and behind it; its normals."""
+
+    size: FloatArray
+    normal: ComplexArray
+
+    @property
+    def known(self) -> BoolArray:
+        return np.isfinite(self.size)
+
+    @property
+    def vector(self) -> ComplexArray:
+        return self.size * self.normal
+
+    def at(self, rows: BoolArray) -> _Aside:
+        return _Aside(self.size[rows], self.normal[rows])
+
+
+def _blocks(seconds: FloatArray, apart: BoolArray) -> IntArray:
+    """Numbers of blocks in which two ways run together or apart, no longer than `LASTING`."""
+    change = np.concatenate(([True], apart[1:] != apart[:-1]))
+    begun = np.maximum.accumulate(np.where(change, seconds, -np.inf))
+    within = np.floor((seconds - begun) / LASTING)
+    change |= np.concatenate(([False], within[1:] != within[:-1]))
+    return np.cumsum(change) - 1
+
+
+def _evidence(way: _Aside, block: IntArray, seconds: FloatArray, std: float) -> float:
+    """Logarithm of how probable the distances beside a way are.
+
+    Errors last: a block of time counts once, by its median. They are a shift that is the same
+    throughout, which is not known, and a part that is normal but for a share of disturbances, the
+    smaller the longer one would last.
+    """
+    first = np.flatnonzero(np.diff(block, prepend=-1))
+    last = np.append(first[1:], block.size)
+    rows = list(zip(first.tolist(), last.tolist(), strict=True))
+    middle = np.array([np.median(way.size[low:high]) for low, high in rows])
+    normal = np.array([way.normal[(low + high) // 2] for low, high in rows])
+    lasted = seconds[last - 1] - seconds[first]
+    disturbed = LEAST_DISTURBED + DISTURBED * np.exp(-lasted / DISTURBANCE)
+    noise = np.hypot(std, WHITE / np.sqrt(last - first))
+    grid = np.linspace(-2.5, 2.5, 11)
+    shifts = SHIFT * (grid[:, None] + 1j * grid[None, :]).ravel()
+    prior = np.exp(-0.5 * np.abs(shifts / SHIFT) ** 2)
+    off = middle[None, :] - (shifts[:, None] * np.conj(normal)[None, :]).real
+    fits = np.exp(-0.5 * (off / noise) ** 2) / (np.sqrt(2.0 * np.pi) * noise)
+    fits = np.where(np.isfinite(off), fits, 0.0)
+    density = (1.0 - disturbed) * fits + disturbed / (2.0 * FURTHEST)
+    return float(logsumexp(np.log(density).sum(axis=1), b=prior / prior.sum()))
