@@ -8,12 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
-from trainlog.railway.geometry import from_plane
+from trainlog.ingest import Profile
+from trainlog.railway.geometry import from_plane, to_plane
 from trainlog.railway.line import Geometry, Line, Station, StepProfile
+from trainlog.railway.network import Edge, Network, Node, Route
 
 ORIGIN = (47.4, 9.2)
 Points = NDArray[np.complex128]
@@ -101,12 +106,12 @@ PHONE = Receiver(rate=1.0 / 11.0, white=6.0, lasting=6.0, time=120.0, stated=12.
 
 
 def motion(
-    length: float, stops: Sequence[float], rng: np.random.Generator, rate: float
+    stops: Sequence[float], rng: np.random.Generator, rate: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Time [s], position [m] and speed [m/s] of a train that stops at places."""
     time, position, speed = [0.0], [float(stops[0])], [0.0]
     dt = min(0.1, 1.0 / rate) if rate >= 1.0 else 0.5
-    for begin, end in zip(stops[:-1], stops[1:], strict=True):
+    for begin, end in pairwise(stops):
         most = float(rng.uniform(14.0, 32.0))
         s, v = float(begin), 0.0
         for _ in range(int(rng.uniform(20.0, 45.0) / dt)):
@@ -123,7 +128,6 @@ def motion(
         time.append(time[-1] + dt)
         position.append(position[-1])
         speed.append(0.0)
-    del length
     every = round(1.0 / rate / dt)
     return np.array(time)[::every], np.array(position)[::every], np.array(speed)[::every]
 
@@ -183,3 +187,160 @@ def received(
         shown[np.isnan(points)] = np.nan
     stated = np.full(count, receiver.stated or np.nan)
     return Received(seconds, points, shown, stated, position)
+
+
+def network_of(
+    edges: Sequence[tuple[str, str, str, Points]],
+    stations: Sequence[str],
+    turns: dict[str, tuple[tuple[str, str], ...]] | None = None,
+) -> Network:
+    """A network of edges (name, start, end, course); nodes named as stations are stations."""
+    nodes: dict[str, Node] = {}
+    for _, start, end, course in edges:
+        for name, point in ((start, course[:1]), (end, course[-1:])):
+            latitude, longitude = from_plane(point, ORIGIN)
+            kind = "station" if name in stations else "junction"
+            nodes.setdefault(name, Node(name, kind, float(latitude[0]), float(longitude[0])))
+    lines = [
+        Edge(name, line_of(name, course, ((start, 0.0), (end, -1.0))), start, end)
+        for name, start, end, course in edges
+    ]
+    return Network("drawn", tuple(nodes.values()), tuple(lines), turns or {})
+
+
+def y_junction() -> Network:
+    """A stem from A to junction J, from there to B and to C; a bridge over it, from D to E."""
+    return network_of(
+        [
+            ("stem", "A", "J", straight(0, 5000)),
+            ("left", "J", "B", bezier(5000, 6000, 7000, 9000 + 1500j)),
+            ("right", "J", "C", bezier(5000, 6000, 7000, 9000 - 1200j)),
+            ("over", "D", "E", straight(2500 - 3000j, 2500 + 3000j)),
+            ("link", "E", "B", bezier(2500 + 3000j, 3500 + 6000j, 8000 + 5000j, 9000 + 1500j)),
+        ],
+        "ABCDE",
+        {"J": (("stem", "left"), ("stem", "right"))},
+    )
+
+
+def doubled(aside: float) -> Network:
+    """From A to D; between B and C two lines so far apart [m]."""
+    return network_of(
+        [
+            ("west", "A", "B", straight(-4000, 0)),
+            ("main", "B", "C", straight(0, 7000)),
+            ("relief", "B", "C", bowed(0, 7000, aside)),
+            ("east", "C", "D", straight(7000, 11000)),
+        ],
+        "AD",
+        {
+            "B": (("west", "main"), ("west", "relief")),
+            "C": (("main", "east"), ("relief", "east")),
+        },
+    )
+
+
+def wye() -> Network:
+    """Lines from A, B and C that meet in a triangle."""
+    return network_of(
+        [
+            ("west", "A", "W", straight(-5000, -400)),
+            ("south", "S", "B", straight(-400j, -5000j)),
+            ("east", "E", "C", straight(400, 5000)),
+            ("west-south", "W", "S", bezier(-400, -150, -150j, -400j)),
+            ("south-east", "S", "E", bezier(-400j, -150j, 150, 400)),
+            ("west-east", "W", "E", straight(-400, 400)),
+        ],
+        "ABC",
+        {
+            "W": (("west", "west-south"), ("west", "west-east")),
+            "S": (("south", "west-south"), ("south", "south-east")),
+            "E": (("east", "south-east"), ("east", "west-east")),
+        },
+    )
+
+
+def balloon() -> Network:
+    """A line from A to a loop on which trains turn."""
+    return network_of(
+        [
+            ("stem", "A", "L", straight(-6000, 0)),
+            ("loop", "L", "L", bezier(0, 3500 + 3500j, 3500 - 3500j, 0)),
+        ],
+        "A",
+    )
+
+
+def drive(
+    route: Route,
+    receiver: Receiver,
+    rng: np.random.Generator,
+    stops: Sequence[float] = (),
+    tunnels: Sequence[tuple[float, float]] = (),
+) -> Received:
+    """A trip over a route, as received."""
+    geometry = route.line.geometry
+    assert geometry is not None
+    points = to_plane(geometry.latitudes, geometry.longitudes, ORIGIN)
+    places = stops or (40.0, 0.45 * route.length, route.length - 40.0)
+    course = motion(places, rng, receiver.rate)
+    return received((geometry.positions, points), course, receiver, rng, tunnels)
+
+
+def write_csv(path: Path, fixes: Received, start: str = "2026-05-01T06:00:00") -> Path:
+    """The fixes as a table that its own profile describes."""
+    at = fixes.points.copy()
+    lost = np.isnan(at)
+    at[lost] = 0.0
+    latitude, longitude = from_plane(at, ORIGIN)
+    time = pd.Timestamp(start, tz="UTC") + pd.to_timedelta(fixes.seconds, unit="s")
+    frame = pd.DataFrame(
+        {
+            "time": time.strftime("%Y-%m-%dT%H:%M:%S.%fZ"),
+            "latitude": latitude.round(8),
+            "longitude": longitude.round(8),
+        }
+    )
+    if np.isfinite(fixes.stated).any():
+        frame["accuracy"] = fixes.stated
+    if fixes.speed is not None:
+        frame["speed"] = fixes.speed.round(3)
+    frame[~lost].to_csv(path, index=False)
+    return path
+
+
+def profile_for(fixes: Received) -> Profile:
+    """How `write_csv` writes."""
+    columns = {
+        "/gnss/fix.latitude": {"column": "latitude", "unit": "deg"},
+        "/gnss/fix.longitude": {"column": "longitude", "unit": "deg"},
+    }
+    if np.isfinite(fixes.stated).any():
+        columns["/gnss/fix.horizontal_accuracy"] = {"column": "accuracy", "unit": "m"}
+    if fixes.speed is not None:
+        columns["/gnss/motion.speed"] = {"column": "speed", "unit": "m/s"}
+    return Profile.model_validate(
+        {
+            "format": "trainlog/recorder-profile",
+            "version": 1,
+            "name": "drawn",
+            "file": {"format": "csv"},
+            "time": {"column": "time", "format": "iso"},
+            "columns": columns,
+        }
+    )
+
+
+def write_gpx(path: Path, fixes: Received, start: str = "2026-05-01T06:00:00") -> Path:
+    """The fixes as a GPX track."""
+    begun = pd.Timestamp(start, tz="UTC")
+    kept = np.flatnonzero(np.isfinite(fixes.points))
+    latitude, longitude = from_plane(fixes.points[kept], ORIGIN)
+    rows = [
+        f'<trkpt lat="{north:.8f}" lon="{east:.8f}"><ele>400</ele>'
+        f"<time>{(begun + pd.Timedelta(seconds=float(at))).isoformat()}</time></trkpt>"
+        for north, east, at in zip(latitude, longitude, fixes.seconds[kept], strict=True)
+    ]
+    head = '<?xml version="1.0"?><gpx version="1.1" creator="x"><trk><trkseg>'
+    path.write_text(head + "\n".join(rows) + "</trkseg></trk></gpx>", "utf-8")
+    return path

@@ -507,9 +507,10 @@ def _print_ingested(result: Ingested, *, alone: bool) -> None:
             console.print(f"kept {each.log}", highlight=False, soft_wrap=True)
             continue
         console.print(about(each.metadata, each.duration), highlight=False, markup=False)
-        for what in ("direction", "route"):
+        shown_as = {"direction": "direction", "route": f"route {each.metadata.get('line')}:"}
+        for what, words in shown_as.items():
             if f"{what}_evidence" in each.metadata:
-                words = f"    {what} {each.metadata[f'{what}_evidence']}"
+                words = f"    {words} {each.metadata[f'{what}_evidence']}"
                 console.print(words, highlight=False, markup=False, soft_wrap=True)
         lines = [line for line in each.report.lines() if line not in shown]
         console.print(*(f"    {line}" for line in lines), sep="\n", highlight=False, markup=False)

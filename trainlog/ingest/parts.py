@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import replace
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -277,6 +277,11 @@ def _with_facts(
         elif meant:
             shown = ", ".join(stated[:3])
             not_used[f"weather '{weather.column}', which changes within the trip ({shown})"] = 1
+    if columns.stations is not None and columns.stations in part.about:
+        words = [str(word).strip() for word in part.about[columns.stations]]
+        passed = [word for word, _ in groupby(word for word in words if word)]
+        if passed:
+            facts["stations"] = ", ".join(passed)
     return replace(part, metadata=facts, not_used=not_used)
 
 

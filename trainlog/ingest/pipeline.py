@@ -201,7 +201,10 @@ class Given:
     @property
     def options(self) -> dict[str, Any]:
         """What the provenance of a trip keeps of it; files are among its inputs."""
-        known = {"direction": self.direction, "metadata": dict(self.metadata or {})}
+        known: dict[str, Any] = {
+            "direction": self.direction,
+            "metadata": dict(self.metadata or {}),
+        }
         if self.network is not None and self.network.stations:
             known["stations"] = list(self.network.stations)
         return known
@@ -241,7 +244,7 @@ def ingested(path: str | Path, given: Given) -> Iterator[tuple[str, Trip | Train
 
 @dataclass(frozen=True, eq=False)
 class _Job:
-    """A recording that becomes a trip: with its route, if a network is given, or why it has none."""
+    """A recording that becomes a trip, with its route in a network, or why it has none."""
 
     recording: Recording
     route: OnRoute | TrainlogError | None = None
@@ -287,7 +290,8 @@ def _routed(source: _Source, recording: Recording, given: Given) -> list[_Job]:
     tables = [repaired(each, limits, profile.repair, least)[0] for each in recording.tables]
     trip = Trip(_topics(recording, profile, tables), {})
     stem = recording.metadata.get("trip", source.path.stem)
-    found = routed(given.network, recording, tables, trip, given.metadata or {}, stem)
+    column = profile.trip.columns.line
+    found = routed(given.network, recording, tables, trip, given.metadata or {}, stem, column)
     return [_Job(*each) for each in found]
 
 

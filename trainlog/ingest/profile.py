@@ -431,16 +431,30 @@ class TripColumns(_Strict):
         Column that numbers the trips: each block of rows of one number is a trip of its own.
     load : LoadColumn, optional
     weather : WeatherColumn, optional
+    line : str, optional
+        Column with the number of the line that the position of a row is the kilometre of; for
+        recordings on a network.
+    stations : str, optional
+        Column that names the stations of the trip's route one after the other, an empty cell being
+        the one before; for recordings on a network.
     """
 
     number: str | None = None
     load: LoadColumn | None = None
     weather: WeatherColumn | None = None
+    line: str | None = None
+    stations: str | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
         """The columns of the file that are needed."""
-        found = (self.number, self.load and self.load.column, self.weather and self.weather.column)
+        found = (
+            self.number,
+            self.load and self.load.column,
+            self.weather and self.weather.column,
+            self.line,
+            self.stations,
+        )
         return tuple(dict.fromkeys(name for name in found if name))
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,17 +100,14 @@ class EdgeTracks:
 
 
 def edge_tracks(
-    lengths: FloatArray,
-    turns: IntArray,
-    geometries: Sequence[Geometry | None],
-    origin: tuple[float, float],
+    graph: EdgeGraph, geometries: Sequence[Geometry | None], origin: tuple[float, float]
 ) -> EdgeTracks:
     """The edges on the plane that touches the earth at `origin`."""
     tracks = tuple(
         None if geometry is None else _track(geometry, float(length), origin)
-        for geometry, length in zip(geometries, lengths, strict=True)
+        for geometry, length in zip(geometries, graph.lengths, strict=True)
     )
-    return EdgeTracks(EdgeGraph(lengths, turns), tracks, origin)
+    return EdgeTracks(graph, tracks, origin)
 
 
 def _track(geometry: Geometry, length: float, origin: tuple[float, float]) -> Track:
@@ -211,7 +209,7 @@ def match_route(
             continue
         inside += part.node.size
         own = _between_nodes(nodes, first, last + 1)
-        found.append(replace(_Search(edges, own, between).passage(), after=after))
+        found.append(replace(Search(edges, own, between).passage(), after=after))
     return Passages(tuple(found), count, inside, reached, distance, tuple(dropped))
 
 
@@ -227,8 +225,9 @@ def _nodes(
     near = np.full(at.size, np.inf)
     np.minimum.at(near, wide[0], wide[3])
     std = _usual_std(std, near)
-    close = wide[3] <= np.maximum(GATE * std, 20.0)[wide[0]]
-    owner, edge, chainage, apart = (column[close] for column in wide)
+    owner, edge, chainage, apart = wide
+    close = apart <= np.maximum(GATE * std, 20.0)[owner]
+    owner, edge, chainage, apart = owner[close], edge[close], chainage[close], apart[close]
     counts = np.bincount(owner, minlength=at.size)
     nodes = EdgeNodes(
         seconds=fixes.seconds[chosen],
@@ -314,7 +313,7 @@ def _parts(chain: Chain) -> Iterator[tuple[Chain, str]]:
     cuts = np.flatnonzero(chain.link != ALONG)
     cuts = cuts[cuts > 0]
     edges = [0, *cuts.tolist(), chain.node.size]
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges):
         after = ""
         if first:
             after = "reversal" if chain.link[first] == REVERSED else "absence"
@@ -344,7 +343,7 @@ def _between_nodes(nodes: EdgeNodes, first: int, last: int) -> EdgeNodes:
 
 @dataclass(frozen=True, eq=False)
 class _Driven:
-    """A part of a chain as a route: its courses, and where along them each of its fixes lies [m]."""
+    """A part of a chain as a route: its courses, and where along them its fixes lie [m]."""
 
     courses: list[int]
     node: IntArray
@@ -374,7 +373,7 @@ def _driven(
 
 
 @dataclass(frozen=True, eq=False)
-class _Way:
+class Way:
     """One possible way of the train.
 
     Attributes
@@ -413,8 +412,10 @@ class _Way:
 
 @dataclass(frozen=True)
 class _Leg:
-    """An edge of a part: its course and length, where along the part it begins [m], and the first
-    and last position that was driven [m]."""
+    """An edge of a part: its course and length [m], where along the part it begins [m].
+
+    And the first and the last position along the part that was driven [m].
+    """
 
     course: int
     length: float
@@ -428,7 +429,7 @@ class _Leg:
         return self.length - along if self.course % 2 else along
 
 
-class _Search:
+class Search:
     """The best way of a train among all others, from fixes of one direction of travel."""
 
     def __init__(self, edges: EdgeTracks, nodes: EdgeNodes, between: Between) -> None:
@@ -437,7 +438,11 @@ class _Search:
         self._distances: dict[int, Between] = {}
 
     def passage(self) -> Passage:
-        """The best way, and by how much it is."""
+        """The best way as a passage."""
+        return self.passage_of(*self.best())
+
+    def best(self) -> tuple[Way, float, Way | None]:
+        """The best way, by how much it is, and the second-best."""
         best = self._way(None)
         margin, other = np.inf, None
         for _ in range(ROUNDS):
@@ -445,6 +450,10 @@ class _Search:
             if other is None or margin >= 0.0:
                 break
             best = other
+        return best, max(margin, 0.0), other
+
+    def passage_of(self, best: Way, margin: float, other: Way | None) -> Passage:
+        """A way as a passage."""
         legs = [leg for part in best.legs(self.edges.graph.lengths) for leg in part]
         seconds = self.nodes.seconds[best.chain.node]
         return Passage(
@@ -453,23 +462,23 @@ class _Search:
             end=legs[-1].chainage(legs[-1].last),
             begin=float(seconds[0]),
             finish=float(seconds[-1]),
-            margin=max(margin, 0.0),
+            margin=margin,
             other=() if other is None else self._courses(other),
         )
 
-    def _way(self, left_out: LeftOut | None) -> _Way:
+    def _way(self, left_out: LeftOut | None) -> Way:
         chain = best_chain_on(self.edges.graph, self.nodes, self.between, left_out)
         parts = [
             _driven(part, self.nodes, self.edges.graph, self.between, left_out)
             for part, _ in _parts(chain)
             if part.node.size
         ]
-        return _Way(chain, parts)
+        return Way(chain, parts)
 
-    def _courses(self, way: _Way) -> tuple[int, ...]:
+    def _courses(self, way: Way) -> tuple[int, ...]:
         return tuple(leg.course for part in way.legs(self.edges.graph.lengths) for leg in part)
 
-    def _second(self, best: _Way) -> tuple[float, _Way | None]:
+    def _second(self, best: Way) -> tuple[float, Way | None]:
         """The best of the ways that do without an edge of `best`; negative if it is better."""
         margin, found = np.inf, None
         courses = self._courses(best)
@@ -487,7 +496,7 @@ class _Search:
                 rival = self._way(left_out)
                 if not rival.parts or self._courses(rival) == courses:
                     continue
-                ahead = self._compared(best, rival)
+                ahead = self.compared(best, rival)
                 if ahead < margin:
                     margin, found = ahead, rival
         return margin, found
@@ -498,7 +507,7 @@ class _Search:
             self._distances[course] = distances(self.edges.graph, used, course)
         return self._distances[course]
 
-    def _compared(self, best: _Way, rival: _Way) -> float:
+    def compared(self, best: Way, rival: Way) -> float:
         """By how much one way fits better than another."""
         one, other = self._aside(best), self._aside(rival)
         known = one.known | other.known
@@ -507,11 +516,12 @@ class _Search:
         block = _blocks(self.nodes.seconds[known], (gap > APART)[known])
         size = MEDIAN_TO_STD * float(np.median(np.abs(one.size[known & one.known])))
         std = max(LEAST_LASTING, size)
-        fit = [_evidence(way.at(known), block, self.nodes.seconds[known], std) for way in (one, other)]
+        seconds = self.nodes.seconds[known]
+        fit = [_evidence(way.at(known), block, seconds, std) for way in (one, other)]
         steps = [self._steps(way, best, rival) for way in (best, rival)]
         return fit[0] - fit[1] + steps[1] - steps[0]
 
-    def _aside(self, way: _Way) -> _Aside:
+    def _aside(self, way: Way) -> _Aside:
         """How far beside the way each fix lies."""
         size, normal = np.full(self.points.size, np.nan), np.ones(self.points.size, np.complex128)
         for part in way.parts:
@@ -546,7 +556,7 @@ class _Search:
         grows = np.concatenate(([True], np.diff(np.maximum.accumulate(position)) > 0.01))
         return Track(position[grows], point[grows], self.edges.origin)
 
-    def _steps(self, way: _Way, best: _Way, rival: _Way) -> float:
+    def _steps(self, way: Way, best: Way, rival: Way) -> float:
         """What the distances driven between the fixes that two ways share cost one of them."""
         n = self.nodes
         both = np.intersect1d(best.chain.node, rival.chain.node)

@@ -1,7 +1,7 @@
 """Recordings on a network: which route each was driven over, cut where one route ends.
 
 By satellite fixes (`trainlog.ingest.route_matching`), by stations that are stated, by kilometres
-with the number of a line, or by the distances between stops (`trainlog.ingest.route_evidence`).
+with the number of a line, or by the distances between stops (`trainlog.ingest.route_distances`).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from estimators.route_matching import EdgeGraph
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import sha256
@@ -20,7 +21,9 @@ from trainlog.ingest.chainage import distance_driven
 from trainlog.ingest.estimates import fixes_of
 from trainlog.ingest.fixes import Fixes
 from trainlog.ingest.parts import part_of, with_cut_lines
+from trainlog.ingest.placing import stops_of
 from trainlog.ingest.recording import BoolArray, IntArray, Recording, Table
+from trainlog.ingest.route_distances import by_kilometres, by_stops, check_determined
 from trainlog.ingest.route_matching import (
     DECIDES,
     EdgeTracks,
@@ -95,6 +98,11 @@ class NetworkRoutes:
         return allowed is None or pair in allowed or pair[::-1] in allowed
 
     @cached_property
+    def graph(self) -> EdgeGraph:
+        """The edges by number."""
+        return EdgeGraph(np.array([edge.line.length for edge in self.network.edges]), self.turns)
+
+    @cached_property
     def edges(self) -> EdgeTracks:
         """The edges on a plane.
 
@@ -116,8 +124,7 @@ class NetworkRoutes:
             float(np.mean([course.latitudes.mean() for course in known])),
             float(np.mean([course.longitudes.mean() for course in known])),
         )
-        lengths = np.array([line.length for line in lines])
-        return edge_tracks(lengths, self.turns, courses, origin)
+        return edge_tracks(self.graph, courses, origin)
 
     def words(self, courses: Sequence[int]) -> str:
         """Edges with their directions, in words."""
@@ -221,6 +228,7 @@ class OnRoute:
 
     @property
     def line(self) -> Line:
+        """As travelled."""
         return self.route.line
 
     @property
@@ -243,6 +251,7 @@ def routed(
     trip: Trip,
     metadata: Mapping[str, str],
     stem: str,
+    line_column: str | None = None,
 ) -> list[Found]:
     """The parts of a recording that became a route each.
 
@@ -259,6 +268,8 @@ def routed(
         What is given of the trip.
     stem : str
         Before the numbers in the names of the trips, where there are several.
+    line_column : str, optional
+        Column with the number of the line that positions are kilometres of.
 
     Raises
     ------
@@ -272,9 +283,52 @@ def routed(
     if "/gnss/fix" in trip and trip["/gnss/fix"]["latitude"].count() > 1:
         number = next(i for i, each in enumerate(tables) if _LATITUDE in each.signals)
         return list(by_fixes(routes, recording, tables[number], fixes_of(trip), stem))
-    raise InputError(
-        f"nothing shows its route in network '{routes.network.name}'",
-        remedy="state its stations (--stations A,B)",
+    return [_without_fixes(routes, recording, tables, line_column)]
+
+
+def _without_fixes(
+    routes: NetworkRoutes, recording: Recording, tables: list[Table], line_column: str | None
+) -> Found:
+    """The route of a recording by kilometres of numbered lines, or by its stops.
+
+    Raises
+    ------
+    InputError
+        If neither shows one.
+    """
+    network, start = routes.network, None
+    words = recording.about.get(line_column or "")
+    position = "/train/state.position"
+    stops = stops_of(tables[0]) if len(tables) == 1 else None
+    if words is not None and position in recording.tables[0].signals:
+        table = recording.tables[0]
+        found = by_kilometres(network, routes.graph, table, words)
+    elif stops is not None:
+        found = by_stops(network, routes.graph, stops)
+        start = "stations"
+    else:
+        raise InputError(
+            f"nothing shows its route in network '{network.name}': it has no fixes, no column of"
+            " line numbers with kilometres, and no positions and speeds that begin and end at a"
+            " stop",
+            remedy="state its stations (--stations A,B)",
+        )
+    check_determined(found, routes.words(found.courses), routes.words(found.other))
+    route = routes.along(found.courses, found.start, found.end)
+    evidence = found.words + _margin(routes, found.margin, found.other)
+    if found.position is not None:
+        first = route.legs[0]
+        begun = first.edge_start if first.forward else first.edge_length - first.edge_start
+        moved = table.with_values(position, found.position - begun)
+        recording = replace(recording, tables=(moved, *recording.tables[1:]))
+    return recording, OnRoute(route, evidence, start)
+
+
+def _margin(routes: NetworkRoutes, margin: float, other: Sequence[int]) -> str:
+    if not other:
+        return "; no other route is possible"
+    return (
+        f"; log-likelihood {margin:.1f} better than the second-best, over {routes.words(other)}"
     )
 
 
@@ -360,18 +414,15 @@ def _undetermined(routes: NetworkRoutes, passage: Passage) -> InputError:
         f"the fixes do not determine the route: over {routes.words(passage.courses)} is by a"
         f" log-likelihood of {passage.margin:.1f} better than over {routes.words(passage.other)},"
         f" {DECIDES:g} is needed",
-        remedy="state the way: --stations with a place on the edge that was driven, as A,edge@1.2,B",
+        remedy="state the way: --stations with a place on the edge that was driven,"
+        " such as A,edge@1.2,B",
     )
 
 
 def _evidence(routes: NetworkRoutes, found: Passages, passage: Passage) -> str:
     share = found.on_network / max(found.near, 1)
-    words = f"fixes ({share:.0%} of {found.near} looked at); "
-    if not passage.other:
-        return words + "no other route is possible"
-    return words + (
-        f"log-likelihood {passage.margin:.1f} better than the second-best, over"
-        f" {routes.words(passage.other)}"
+    return f"fixes ({share:.0%} of {found.near} looked at)" + _margin(
+        routes, passage.margin, passage.other
     )
 
 

@@ -1,0 +1,236 @@
+"""Recordings matched to their routes in networks, by errors that the matcher does not assume."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from command import run
+from route_networks import (
+    GPX,
+    PHONE,
+    UBLOX,
+    Received,
+    Receiver,
+    balloon,
+    doubled,
+    drive,
+    network_of,
+    profile_for,
+    straight,
+    write_csv,
+    write_gpx,
+    wye,
+    y_junction,
+)
+from trainlog.errors import InputError
+from trainlog.formats.attached import line_of
+from trainlog.formats.network import write_network
+from trainlog.ingest import ingest, ingest_all, ingest_each, report_of
+from trainlog.ingest.live import LiveIngest, LiveOptions
+from trainlog.ingest.pipeline import Given
+from trainlog.ingest.routes import NetworkRoutes, places_in
+from trainlog.railway.network import Network, Route
+from trainlog.trip import Trip
+
+BEGUN = pd.Timestamp("2026-05-01T06:00:00", tz="UTC")
+Y, WYE, BALLOON = y_junction(), wye(), balloon()
+RATE_2 = replace(UBLOX, rate=2.0)
+
+
+def ingested(
+    folder: Path,
+    fixes: Received,
+    network: Network,
+    metadata: dict[str, str] | None = None,
+) -> Trip:
+    file = write_csv(folder / "run.csv", fixes)
+    return ingest(file, profile_for(fixes), network=network, metadata=metadata)
+
+
+def legs_of(trip: Trip) -> list[tuple[str, bool]]:
+    return [(leg.edge, leg.forward) for leg in line_of(trip).legs]
+
+
+def errors(trip: Trip, fixes: Received) -> np.ndarray:
+    """Distances [m] between the estimated and the true position."""
+    estimate = trip["/estimates/state"]
+    seconds = (estimate.index - BEGUN).total_seconds().to_numpy()
+    true = np.interp(seconds, fixes.seconds, fixes.true_position)
+    return np.abs(estimate["position"].to_numpy() - true)
+
+
+ROUTES = [
+    (Y, ("A", "B")),
+    (Y, ("C", "A")),
+    (Y, ("D", "E", "B")),
+    (WYE, ("A", "C")),
+    (WYE, ("B", "C")),
+    (BALLOON, ("A", "loop@2.0", "A")),
+]
+
+
+@pytest.mark.parametrize("receiver", [RATE_2, GPX, PHONE], ids=["ublox", "gpx", "phone"])
+@pytest.mark.parametrize(("network", "places"), ROUTES, ids=lambda each: str(each)[:12])
+def test_the_route_is_found_and_its_chainage(
+    tmp_path: Path, network: Network, places: tuple[str, ...], receiver: Receiver
+) -> None:
+    route = network.route(*places)
+    fixes = drive(route, receiver, np.random.default_rng([7, len(route.legs)]))
+    if receiver is GPX:
+        trip = ingest(write_gpx(tmp_path / "run.gpx", fixes), network=network)
+    else:
+        trip = ingested(tmp_path, fixes, network)
+    assert legs_of(trip) == [(leg.edge, leg.forward) for leg in route.legs]
+    assert trip.metadata["line"] == line_of(trip).name == f"{places[0]} - {places[-1]}"
+    assert trip.metadata["network"] == network.name
+    assert trip.metadata["direction"] == "forward"
+    assert "better than the second-best" in trip.metadata["route_evidence"]
+    found = errors(trip, fixes)
+    assert np.median(found) < 12.0
+    assert np.quantile(found, 0.95) < 40.0
+
+
+def test_lines_too_close_to_tell_apart_are_refused_with_the_margin(tmp_path: Path) -> None:
+    network = doubled(4.0)
+    fixes = drive(network.route("A", "D"), GPX, np.random.default_rng(5))
+    with pytest.raises(InputError) as caught:
+        ingested(tmp_path, fixes, network)
+    assert "do not determine the route" in caught.value.problem
+    assert "main" in caught.value.problem
+    assert "relief" in caught.value.problem
+    margin = re.search(r"log-likelihood of ([\d.]+) better", caught.value.problem)
+    assert margin is not None
+    assert float(margin[1]) < 6.0
+    trip = ingested(tmp_path, fixes, network, {"stations": "A,relief@3,D"})
+    assert [edge for edge, _ in legs_of(trip)] == ["west", "relief", "east"]
+    assert trip.metadata["route_evidence"] == "stated: A, relief@3, D"
+
+
+@pytest.mark.parametrize("edge", ["main", "relief"])
+def test_lines_20_m_apart_are_told_apart(tmp_path: Path, edge: str) -> None:
+    network = doubled(20.0)
+    fixes = drive(network.route("A", f"{edge}@3", "D"), RATE_2, np.random.default_rng(2))
+    trip = ingested(tmp_path, fixes, network)
+    assert [name for name, _ in legs_of(trip)] == ["west", edge, "east"]
+
+
+def test_a_loop_in_a_tunnel_is_not_guessed(tmp_path: Path) -> None:
+    route = BALLOON.route("A", "loop@2.0", "A")
+    loop = (route.legs[1].position - 5.0, route.legs[1].end + 5.0)
+    fixes = drive(route, RATE_2, np.random.default_rng(1), tunnels=[loop])
+    with pytest.raises(InputError, match=r"do not determine the route.*loop \(against\)"):
+        ingested(tmp_path, fixes, BALLOON)
+
+
+def test_a_trip_that_turns_back_becomes_two(tmp_path: Path) -> None:
+    route = Y.route("A", "B", "A")
+    whole = route.length
+    fixes = drive(route, RATE_2, np.random.default_rng(3), stops=(40.0, whole / 2, whole - 40.0))
+    file = write_csv(tmp_path / "day.csv", fixes)
+    there, back = ingest_each(file, profile_for(fixes), network=Y)
+    assert (there.name, back.name) == ("day-01", "day-02")
+    assert legs_of(there) == [("stem", True), ("left", True)]
+    assert legs_of(back) == [("left", False), ("stem", False)]
+    assert abs(there.start - BEGUN) < pd.Timedelta(seconds=60)
+    assert (back.start - there["/gnss/fix"].index[-1]).total_seconds() < 5.0
+
+
+def test_what_lies_off_the_network_is_left_out_and_counted(tmp_path: Path) -> None:
+    """From a depot 4 km away, by a line that the network has not."""
+    whole = network_of(
+        [
+            ("depot", "X", "A", straight(-4000 + 3000j, 0)),
+            *((e.name, e.start, e.end, straight(0, 5000)) for e in Y.edges[:1]),
+        ],
+        "XAJ",
+    )
+    fixes = drive(whole.route("X", "J"), RATE_2, np.random.default_rng(4))
+    trip = ingested(tmp_path, fixes, Y)
+    assert legs_of(trip) == [("stem", True)]
+    assert any("off the network" in line for line in report_of(trip).lines())
+    assert trip.start - BEGUN > pd.Timedelta(minutes=2)
+
+
+def test_fixes_elsewhere_and_too_few_of_them_are_refused(tmp_path: Path) -> None:
+    fixes = drive(Y.route("A", "B"), GPX, np.random.default_rng(6))
+    away = replace(fixes, points=fixes.points + 40_000j)
+    with pytest.raises(InputError, match="lie more than 150 m from network 'drawn'"):
+        ingested(tmp_path, away, Y)
+    few = np.where(np.arange(fixes.points.size) % 250 == 0, fixes.points, np.nan)
+    with pytest.raises(InputError, match="too few fixes"):
+        ingested(tmp_path, replace(fixes, points=few), Y)
+
+
+def test_a_way_that_the_turns_forbid_is_refused(tmp_path: Path) -> None:
+    open_turns = replace(Y, turns={"J": (("stem", "left"), ("stem", "right"), ("left", "right"))})
+    fixes = drive(open_turns.route("B", "J", "C"), GPX, np.random.default_rng(8))
+    with pytest.raises(InputError, match=r"follow a route that its turns allow|no trip"):
+        list(ingest_each(write_gpx(tmp_path / "b.gpx", fixes), network=Y))
+
+
+def test_a_network_without_geometry_asks_for_stations(tmp_path: Path) -> None:
+    edges = tuple(replace(e, line=replace(e.line, geometry=None)) for e in Y.edges)
+    bare = replace(Y, edges=edges)
+    fixes = drive(Y.route("A", "B"), GPX, np.random.default_rng(6))
+    with pytest.raises(InputError, match="no edge of network 'drawn' has a geometry.*--stations"):
+        ingested(tmp_path, fixes, bare)
+
+
+def test_a_route_begins_and_ends_at_stations_on_the_way() -> None:
+    """Also where they lie inside edges, and with a place between where it is not the shortest."""
+    routes = NetworkRoutes(WYE)
+    names = [edge.name for edge in WYE.edges]
+    way = [2 * names.index(n) + back for n, back in (("west", 0), ("west-south", 0), ("south", 0))]
+    route = routes.along(way, 130.0, 4_500.0)
+    assert route.places == ("A", "B")
+    assert [leg.edge for leg in route.legs] == ["west", "west-south", "south"]
+    round_trip: Route = NetworkRoutes(BALLOON).along([0, 3, 1], 50.0, 60.0)
+    assert round_trip.line.stations[0].name == round_trip.line.stations[-1].name == "A"
+    assert places_in("A, B ,") == ("A", "B")
+
+
+def test_one_bad_file_does_not_keep_the_others_from_their_routes(tmp_path: Path) -> None:
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for number, places in enumerate([("A", "B"), ("A", "C")]):
+        fixes = drive(Y.route(*places), GPX, np.random.default_rng(number))
+        write_gpx(folder / f"run{number}.gpx", fixes)
+        away = replace(fixes, points=fixes.points + 40_000j)
+    write_gpx(folder / "away.gpx", away)
+    result = ingest_all(folder, tmp_path / "out", network=Y)
+    assert [each.file.name for each in result.of("refused")] == ["away.gpx"]
+    assert "network 'drawn'" in result.of("refused")[0].reason
+    assert {each.metadata["line"] for each in result.of("made", "repaired")} == {"A - B", "A - C"}
+    again = ingest_all(folder, tmp_path / "out", network=Y)
+    assert again.counts["unchanged"] == 2
+    other = replace(Y, name="another")
+    assert ingest_all(folder, tmp_path / "out", network=other).counts["unchanged"] == 0
+
+
+def test_the_command_takes_a_network_as_such_or_as_a_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    network = tmp_path / "y.network.json"
+    write_network(Y, network)
+    fixes = drive(Y.route("A", "C"), GPX, np.random.default_rng(1))
+    words = ("ingest", write_gpx(tmp_path / "run.gpx", fixes))
+    for option in ("--network", "--line"):
+        code, shown, _ = run(
+            monkeypatch, capsys, *words, option, network, "-o", tmp_path / option[2:]
+        )
+        assert code == 0
+        assert "route A - C: fixes (" in shown
+    both = ("--network", network, "--reverse", "-o", tmp_path / "x")
+    code, _, shown = run(monkeypatch, capsys, *words, *both)
+    assert code == 2
+    assert "a network and a direction are given" in shown
+
+
+def test_live_a_network_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="found when a trip is over"):
+        LiveIngest.begun(tmp_path / "x.mcap", Given(network=NetworkRoutes(Y)), LiveOptions())
