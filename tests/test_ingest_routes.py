@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from route_networks import (
     balloon,
     doubled,
     drive,
+    motion,
     network_of,
     profile_for,
     straight,
@@ -27,13 +29,15 @@ from route_networks import (
     wye,
     y_junction,
 )
+
 from trainlog.errors import InputError
 from trainlog.formats.attached import line_of
 from trainlog.formats.network import write_network
-from trainlog.ingest import ingest, ingest_all, ingest_each, report_of
+from trainlog.ingest import Profile, ingest, ingest_all, ingest_each, report_of
 from trainlog.ingest.live import LiveIngest, LiveOptions
 from trainlog.ingest.pipeline import Given
 from trainlog.ingest.routes import NetworkRoutes, places_in
+from trainlog.railway.line import LineReference, Station
 from trainlog.railway.network import Network, Route
 from trainlog.trip import Trip
 
@@ -177,7 +181,7 @@ def test_a_network_without_geometry_asks_for_stations(tmp_path: Path) -> None:
     edges = tuple(replace(e, line=replace(e.line, geometry=None)) for e in Y.edges)
     bare = replace(Y, edges=edges)
     fixes = drive(Y.route("A", "B"), GPX, np.random.default_rng(6))
-    with pytest.raises(InputError, match="no edge of network 'drawn' has a geometry.*--stations"):
+    with pytest.raises(InputError, match=r"no edge of network 'drawn' has a geometry.*--stations"):
         ingested(tmp_path, fixes, bare)
 
 
@@ -234,3 +238,144 @@ def test_the_command_takes_a_network_as_such_or_as_a_line(
 def test_live_a_network_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="found when a trip is over"):
         LiveIngest.begun(tmp_path / "x.mcap", Given(network=NetworkRoutes(Y)), LiveOptions())
+
+
+def with_stations(network: Network, places: dict[str, list[tuple[str, float]]]) -> Network:
+    """The network with further stations inside edges."""
+    edges = [
+        replace(
+            e,
+            line=replace(
+                e.line,
+                stations=tuple(
+                    sorted(
+                        (*e.line.stations, *(Station(*each) for each in places.get(e.name, []))),
+                        key=lambda station: station.position,
+                    )
+                ),
+            ),
+        )
+        for e in network.edges
+    ]
+    return replace(network, edges=tuple(edges))
+
+
+INNER = {
+    "stem": [("A1", 1_400.0), ("A2", 3_700.0)],
+    "left": [("B1", 1_900.0)],
+    "right": [("C1", 2_600.0)],
+}
+
+
+def write_odometer(
+    path: Path, stops: list[float], more: Callable[[np.ndarray], dict[str, object]] | None = None
+) -> tuple[Path, np.ndarray]:
+    """A table of time, position and speed, the counter 0.4 per cent off; the true positions."""
+    seconds, position, speed = motion(stops, np.random.default_rng(9), 2.0)
+    time = BEGUN + pd.to_timedelta(seconds, unit="s")
+    columns: dict[str, object] = {
+        "time": time.strftime("%Y-%m-%dT%H:%M:%S.%fZ"),
+        "position": 1.004 * (position - position[0]),
+        "speed": speed,
+    }
+    pd.DataFrame(columns | (more(position) if more else {})).to_csv(path, index=False)
+    return path, position
+
+
+def odometer_profile(**columns: str) -> Profile:
+    return Profile.model_validate(
+        {
+            "format": "trainlog/recorder-profile",
+            "version": 1,
+            "name": "odometer",
+            "file": {"format": "csv"},
+            "time": {"column": "time", "format": "iso"},
+            "columns": {
+                "/train/state.position": {"column": "position", "unit": "m"},
+                "/train/state.speed": {"column": "speed", "unit": "m/s"},
+            },
+            "trip": {"columns": columns},
+        }
+    )
+
+
+def test_without_fixes_the_distances_between_stops_show_the_route(tmp_path: Path) -> None:
+    network = with_stations(Y, INNER)
+    route = network.route("A", "C")
+    stops = [0.0, 1_400.0, 3_700.0, 5_000.0 + 2_600.0, route.length]
+    file, position = write_odometer(tmp_path / "run.csv", stops)
+    trip = ingest(file, odometer_profile(), network=network)
+    assert legs_of(trip) == [("stem", True), ("right", True)]
+    assert "5 of 5 stops" in trip.metadata["route_evidence"]
+    assert np.abs(trip["/train/state"]["position"].to_numpy() - position).max() < 60.0
+    file, _ = write_odometer(tmp_path / "two.csv", [0.0, route.length])
+    with pytest.raises(InputError, match="2 stops show no route"):
+        ingest(file, odometer_profile(), network=network)
+    file, _ = write_odometer(tmp_path / "other.csv", [0.0, 2_000.0, 5_200.0, 5_800.0])
+    with pytest.raises(InputError, match="no stations of network 'drawn' lie as far apart"):
+        ingest(file, odometer_profile(), network=network)
+
+
+def test_stops_that_two_routes_have_are_not_guessed(tmp_path: Path) -> None:
+    """Stations lie alike on both lines behind the junction."""
+    alike = {"stem": INNER["stem"], "left": [("B1", 1_900.0)], "right": [("C1", 1_920.0)]}
+    network = with_stations(Y, alike)
+    file, _ = write_odometer(tmp_path / "run.csv", [0.0, 1_400.0, 3_700.0, 5_000.0 + 1_910.0])
+    with pytest.raises(InputError, match=r"do not determine the route.*6 is needed"):
+        ingest(file, odometer_profile(), network=network)
+
+
+def test_kilometres_of_numbered_lines_show_the_route(tmp_path: Path) -> None:
+    """Line 850 counts up, line 851 down from the junction: the kilometre jumps there."""
+    length = Y.edge("left").line.length
+    known = {
+        "stem": LineReference("850", [0.0], [12_000.0], [17_000.0]),
+        "left": LineReference("851", [0.0], [61_000.0], [61_000.0 - length]),
+        "right": LineReference("852", [0.0], [0.0], [Y.edge("right").line.length]),
+    }
+    edges = tuple(
+        replace(e, line=replace(e.line, reference=known.get(e.name), geometry=None))
+        for e in Y.edges
+    )
+    network = replace(Y, edges=edges)
+
+    def cells(position: np.ndarray) -> dict[str, object]:
+        behind = position > 5_000.0
+        return {
+            "position": np.where(behind, 66_000.0 - position, 12_000.0 + position).round(-1),
+            "line": np.where(behind, "851", "850"),
+        }
+
+    stops = [300.0, 3_000.0, 5_000.0 + length - 200.0]
+    file, position = write_odometer(tmp_path / "run.csv", stops, cells)
+    trip = ingest(file, odometer_profile(line="line"), network=network)
+    assert legs_of(trip) == [("stem", True), ("left", True)]
+    assert "kilometres of 2 line(s)" in trip.metadata["route_evidence"]
+    assert np.nanmax(np.abs(trip["/train/state"]["position"].to_numpy() - position)) < 30.0
+
+    def unknown(position: np.ndarray) -> dict[str, object]:
+        return {"position": 12_000.0 + position, "line": np.full(position.size, "777")}
+
+    file, _ = write_odometer(tmp_path / "no.csv", stops, unknown)
+    with pytest.raises(InputError, match="has no line '777'"):
+        ingest(file, odometer_profile(line="line"), network=network)
+
+
+def test_a_column_of_stations_states_the_route(tmp_path: Path) -> None:
+    network = with_stations(Y, INNER)
+
+    def cells(position: np.ndarray) -> dict[str, object]:
+        names = np.array(["A", "", "A2", "C"])
+        return {"stop": names[np.searchsorted([100.0, 3_700.0, 9_000.0], position)]}
+
+    length = network.route("A", "C").length
+    file, _ = write_odometer(tmp_path / "run.csv", [0.0, 3_700.0, length], cells)
+    trip = ingest(file, odometer_profile(stations="stop"), network=network)
+    assert legs_of(trip) == [("stem", True), ("right", True)]
+    assert trip.metadata["route_evidence"] == "stated: A, A2, C"
+    bare = odometer_profile()
+    file, _ = write_odometer(tmp_path / "moving.csv", [0.0, 3_700.0, length])
+    table = pd.read_csv(file)
+    table[table["speed"] > 5.0].to_csv(file, index=False)
+    with pytest.raises(InputError, match=r"nothing shows its route.*no fixes"):
+        ingest(file, bare, network=network)

@@ -278,8 +278,8 @@ def _with_facts(
             shown = ", ".join(stated[:3])
             not_used[f"weather '{weather.column}', which changes within the trip ({shown})"] = 1
     if columns.stations is not None and columns.stations in part.about:
-        words = [str(word).strip() for word in part.about[columns.stations]]
-        passed = [word for word, _ in groupby(word for word in words if word)]
+        cells = [str(word).strip() for word in part.about[columns.stations]]
+        passed = [word for word, _ in groupby(word for word in cells if word)]
         if passed:
             facts["stations"] = ", ".join(passed)
     return replace(part, metadata=facts, not_used=not_used)

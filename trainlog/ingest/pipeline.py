@@ -36,7 +36,14 @@ from trainlog.ingest.profile import (
 from trainlog.ingest.recording import Finding, Recording, Table
 from trainlog.ingest.registry import Format, format_called, format_of, is_registered, own_profile
 from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report, changes
-from trainlog.ingest.routes import NETWORK_INPUT, NetworkRoutes, OnRoute, routed, routes_of
+from trainlog.ingest.routes import (
+    NETWORK_INPUT,
+    NetworkRoutes,
+    OnRoute,
+    on_numbered_lines,
+    routed,
+    routes_of,
+)
 from trainlog.ingest.rules import refuse_switched_off, repaired
 from trainlog.progress import note
 from trainlog.railway.kilometres import km_words
@@ -285,13 +292,15 @@ def _routed(source: _Source, recording: Recording, given: Given) -> list[_Job]:
     """
     assert given.network is not None
     profile = source.profile or source.chosen.profile or default_profile()
+    numbered = on_numbered_lines(given.network, recording, profile.trip.columns.line)
+    if numbered is not None:
+        return [_Job(*numbered)]
     limits = bounded_limits(profile.limits, None, given.train)
     least = 2 if len(recording.tables) == 1 else 0
     tables = [repaired(each, limits, profile.repair, least)[0] for each in recording.tables]
     trip = Trip(_topics(recording, profile, tables), {})
     stem = recording.metadata.get("trip", source.path.stem)
-    column = profile.trip.columns.line
-    found = routed(given.network, recording, tables, trip, given.metadata or {}, stem, column)
+    found = routed(given.network, recording, tables, trip, given.metadata or {}, stem)
     return [_Job(*each) for each in found]
 
 

@@ -26,6 +26,7 @@ from trainlog.ingest.route_matching import (
     Search,
     Way,
 )
+from trainlog.ingest.rules import POSITION
 from trainlog.railway.line import Line
 from trainlog.railway.network import Network
 from trainlog.units import NANOSECONDS
@@ -105,7 +106,7 @@ def by_kilometres(
     InputError
         If the network has no such lines or kilometres, or several ways have them.
     """
-    kilometre = table.signals["/train/state.position"]
+    kilometre = table.signals[POSITION]
     words = _filled(words)
     known = np.isfinite(kilometre) & (words != "")
     lines = _edges_called(network)
@@ -120,10 +121,12 @@ def by_kilometres(
     reached = np.diff(nodes.first) > 0
     if reached.sum() < max(LEAST_NODES, LEAST_KNOWN * chosen.size):
         at = chosen[np.flatnonzero(~reached)[:1]]
-        where = f", such as {kilometre[at[0]] / 1e3:.3f} of line '{words[at[0]]}'" if at.size else ""
+        where = (
+            f", such as {kilometre[at[0]] / 1e3:.3f} of line '{words[at[0]]}'" if at.size else ""
+        )
         raise InputError(
             f"network '{network.name}' has only {int(reached.sum())} of {chosen.size} kilometres"
-            f" that were looked at{where}",
+            f" that were looked at{''.join(where)}",
             remedy="are the kilometres of the network's lines (reference) those of the recorder?",
         )
     bare = EdgeTracks(graph, tuple(None for _ in network.edges), (0.0, 0.0))
@@ -168,9 +171,7 @@ def _edges_called(network: Network) -> dict[str, list[int]]:
     return found
 
 
-def _spaced(
-    kilometre: FloatArray, words: NDArray[np.object_], known: BoolArray
-) -> IntArray:
+def _spaced(kilometre: FloatArray, words: NDArray[np.object_], known: BoolArray) -> IntArray:
     """Rows at which the line or the place is another than before."""
     rows = np.flatnonzero(known)
     stretch = np.floor(kilometre[rows] / SPACING)
@@ -384,9 +385,7 @@ def _kept(
     return arrives[column], every[source, column], [origin[each] for each in source]
 
 
-def _traced(
-    layers: list[tuple[IntArray, FloatArray, list[tuple[int, int]]]], at: int
-) -> list[int]:
+def _traced(layers: list[tuple[IntArray, FloatArray, list[tuple[int, int]]]], at: int) -> list[int]:
     found, layer = list[int](), len(layers) - 1
     while layer >= 0:
         states, _, backs = layers[layer]

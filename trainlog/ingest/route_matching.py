@@ -543,8 +543,9 @@ class Search:
         """The track of courses one after the other."""
         positions, points, begun = list[FloatArray](), list[ComplexArray](), 0.0
         for course in courses:
-            track, length = self.edges.tracks[course // 2], float(
-                self.edges.graph.lengths[course // 2]
+            track, length = (
+                self.edges.tracks[course // 2],
+                float(self.edges.graph.lengths[course // 2]),
             )
             if track is not None:
                 way = slice(None, None, -1 if course % 2 else 1)

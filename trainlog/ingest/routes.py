@@ -23,7 +23,7 @@ from trainlog.ingest.fixes import Fixes
 from trainlog.ingest.parts import part_of, with_cut_lines
 from trainlog.ingest.placing import stops_of
 from trainlog.ingest.recording import BoolArray, IntArray, Recording, Table
-from trainlog.ingest.route_distances import by_kilometres, by_stops, check_determined
+from trainlog.ingest.route_distances import Placed, by_kilometres, by_stops, check_determined
 from trainlog.ingest.route_matching import (
     DECIDES,
     EdgeTracks,
@@ -32,6 +32,7 @@ from trainlog.ingest.route_matching import (
     edge_tracks,
     match_route,
 )
+from trainlog.ingest.rules import POSITION
 from trainlog.railway.line import Leg, Line
 from trainlog.railway.network import Edge, Network, Route
 from trainlog.trip import Trip
@@ -251,7 +252,6 @@ def routed(
     trip: Trip,
     metadata: Mapping[str, str],
     stem: str,
-    line_column: str | None = None,
 ) -> list[Found]:
     """The parts of a recording that became a route each.
 
@@ -268,8 +268,6 @@ def routed(
         What is given of the trip.
     stem : str
         Before the numbers in the names of the trips, where there are several.
-    line_column : str, optional
-        Column with the number of the line that positions are kilometres of.
 
     Raises
     ------
@@ -283,53 +281,73 @@ def routed(
     if "/gnss/fix" in trip and trip["/gnss/fix"]["latitude"].count() > 1:
         number = next(i for i, each in enumerate(tables) if _LATITUDE in each.signals)
         return list(by_fixes(routes, recording, tables[number], fixes_of(trip), stem))
-    return [_without_fixes(routes, recording, tables, line_column)]
+    return [(recording, _by_stops(routes, tables))]
 
 
-def _without_fixes(
-    routes: NetworkRoutes, recording: Recording, tables: list[Table], line_column: str | None
-) -> Found:
-    """The route of a recording by kilometres of numbered lines, or by its stops.
+def on_numbered_lines(
+    routes: NetworkRoutes, recording: Recording, column: str | None
+) -> Found | None:
+    """The route of positions that are kilometres of numbered lines; None of other positions.
+
+    They become positions along the route.
+
+    Parameters
+    ----------
+    routes : NetworkRoutes
+    recording : Recording
+        As it was read: repair takes a jump of the kilometre for a defect.
+    column : str or None
+        With the number of the line at each row.
 
     Raises
     ------
     InputError
-        If neither shows one.
+        If they show no route.
     """
-    network, start = routes.network, None
-    words = recording.about.get(line_column or "")
-    position = "/train/state.position"
+    words, table = recording.about.get(column or ""), recording.tables[0]
+    if words is None or POSITION not in table.signals:
+        return None
+    found = by_kilometres(routes.network, routes.graph, table, words)
+    route = _determined(routes, found)
+    first = route.legs[0]
+    begun = first.edge_start if first.forward else first.edge_length - first.edge_start
+    assert found.position is not None
+    moved = table.with_values(POSITION, found.position - begun)
+    tables = (moved, *recording.tables[1:])
+    evidence = found.words + _margin(routes, found.margin, found.other)
+    return replace(recording, tables=tables), OnRoute(route, evidence)
+
+
+def _by_stops(routes: NetworkRoutes, tables: list[Table]) -> OnRoute:
+    """The route of a recording by the distances between its stops.
+
+    Raises
+    ------
+    InputError
+        If they show none.
+    """
     stops = stops_of(tables[0]) if len(tables) == 1 else None
-    if words is not None and position in recording.tables[0].signals:
-        table = recording.tables[0]
-        found = by_kilometres(network, routes.graph, table, words)
-    elif stops is not None:
-        found = by_stops(network, routes.graph, stops)
-        start = "stations"
-    else:
+    if stops is None:
         raise InputError(
-            f"nothing shows its route in network '{network.name}': it has no fixes, no column of"
-            " line numbers with kilometres, and no positions and speeds that begin and end at a"
-            " stop",
+            f"nothing shows its route in network '{routes.network.name}': it has no fixes, no"
+            " column of line numbers with kilometres, and no positions and speeds that begin and"
+            " end at a stop",
             remedy="state its stations (--stations A,B)",
         )
-    check_determined(found, routes.words(found.courses), routes.words(found.other))
-    route = routes.along(found.courses, found.start, found.end)
+    found = by_stops(routes.network, routes.graph, stops)
     evidence = found.words + _margin(routes, found.margin, found.other)
-    if found.position is not None:
-        first = route.legs[0]
-        begun = first.edge_start if first.forward else first.edge_length - first.edge_start
-        moved = table.with_values(position, found.position - begun)
-        recording = replace(recording, tables=(moved, *recording.tables[1:]))
-    return recording, OnRoute(route, evidence, start)
+    return OnRoute(_determined(routes, found), evidence, "stations")
+
+
+def _determined(routes: NetworkRoutes, found: Placed) -> Route:
+    check_determined(found, routes.words(found.courses), routes.words(found.other))
+    return routes.along(found.courses, found.start, found.end)
 
 
 def _margin(routes: NetworkRoutes, margin: float, other: Sequence[int]) -> str:
     if not other:
         return "; no other route is possible"
-    return (
-        f"; log-likelihood {margin:.1f} better than the second-best, over {routes.words(other)}"
-    )
+    return f"; log-likelihood {margin:.1f} better than the second-best, over {routes.words(other)}"
 
 
 def by_fixes(
