@@ -13,6 +13,7 @@ import pytest
 from command import run
 from infrastructure_files import RAILML_2, RAILML_3
 
+import trainlog
 from analysis.network.export import export_network
 from trainlog.errors import InputError
 from trainlog.formats.imports import import_file, networks_in
@@ -548,6 +549,31 @@ def test_a_planner_imports_a_network_shows_routes_and_exports_it(
         for x, y in points if each["geometry"]["type"] == "LineString" else [points]:
             assert -0.5 < x < 0.5
             assert 49.0 < y < 50.0
+
+
+@needs_osrd
+def test_a_train_of_osrd_is_driven_along_a_route_and_stops_at_its_station(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import_file(OSRD / "infras" / "small_infra.json", tmp_path)
+    stock = OSRD / "rolling_stocks" / "fast_rolling_stock.json"
+    (train,) = import_file(stock, tmp_path)
+    line = f"{tmp_path / 'small_infra.network.json'}#Mid_East_station,South_East_station"
+    words = ("--line", line, "--train", train.path, "--count", 1, "--seed", 3)
+    assert run(monkeypatch, capsys, "simulate", *words, "-o", tmp_path)[0] == 0
+    trip = trainlog.read(tmp_path / "trip-01.mcap")
+    assert trip["/truth"]["position"].iloc[-1] == pytest.approx(19_400.0, abs=5.0)
+    assert "arrival at South_East_station" in set(trip["/events"]["message"])
+    # The limits that the train recorded are those of the file where it was.
+    reading = Reading("small_infra")
+    way = reading.way("Mid_East_station", "South_East_station")
+    assert way is not None
+    true = trip["/truth"]["position"].reindex(trip["/environment"].index, method="nearest")
+    known = [
+        reading.limit(*reading.at(way[1], at)[:2]) for at in true.clip(0.01, 19_399.0).tolist()
+    ]
+    agrees = np.isclose(trip["/environment"]["speed_limit"].to_numpy(), known)
+    assert agrees.mean() > 0.98
 
 
 def test_a_network_without_coordinates_is_not_exported(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ answers with the efforts it wants. Controllers elsewhere implement the same prot
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple, Protocol
 
@@ -23,6 +23,9 @@ FloatArray = NDArray[np.float64]
 
 GRID = 5.0
 """Spacing of a driver's route knowledge [m]."""
+
+COUNTED_ON = 0.9
+"""Of full service braking a driver counts on at most so much, whatever his habit."""
 
 PERIOD = 0.1
 """Time between two demands of a driver [s]."""
@@ -282,7 +285,9 @@ class TimetableDriver:
         mass: float | None = None,
     ) -> None:
         check_stops(line, stops)
-        self.habits = habits or Habits()
+        habits = habits or Habits()
+        most = COUNTED_ON * train.max_deceleration
+        self.habits = replace(habits, deceleration=min(habits.deceleration, most))
         self.train = train
         self.stops = stops
         self.mass = train.mass if mass is None else mass
