@@ -13,6 +13,7 @@ from pathlib import Path
 
 from trainlog.catalogue import open_catalogue
 from trainlog.catalogue.schema import results, trips
+from trainlog.formats.mapmerge import merge_files
 
 PATIENCE = 60.0
 
@@ -136,6 +137,17 @@ def rows_by_trip(catalogue: str) -> list[tuple[str, int]]:
         )
         rows = connection.execute(asked.group_by(trips.c.key).order_by(trips.c.key)).all()
     return [(str(row[0]), int(row[1])) for row in rows]
+
+
+def maps_in(folder: Path) -> dict[str, bytes]:
+    """The maps of a folder, in the form in which the same recordings give the same bytes."""
+    found = {}
+    for path in sorted(folder.glob("*.map")):
+        whole = path.with_suffix(".whole")
+        merge_files([path], whole)
+        found[path.name] = whole.read_bytes()
+        whole.unlink()
+    return found
 
 
 def contents(folder: Path) -> dict[str, bytes]:

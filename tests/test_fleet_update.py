@@ -18,13 +18,16 @@ from killed_fleet import (
     contents,
     descendants,
     kill_at_random,
+    maps_in,
     rows_by_trip,
     started,
     workers,
 )
 
+from analysis.adhesion.updating import update_map
 from analysis.fleet.analyses import ANALYSES
 from analysis.fleet.codes import code_of
+from analysis.fleet.maps import maps_folder, update_maps
 from analysis.fleet.update import FleetUpdate, UpdateOptions, status, update
 from trainlog.catalogue import Catalogue, open_catalogue
 from trainlog.cli import main as cli
@@ -60,7 +63,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory, logs: Path) -> dict[st
         found = update(catalogue, None, HERE)
         assert found.trips == TRIPS
         assert set(found.counts) == set(ANALYSES)
-    return contents(folder / "results")
+    return contents(folder / "results") | maps_in(folder / "maps")
 
 
 def updated(place: Path | str, *analyses: object, **options: object) -> FleetUpdate:
@@ -79,7 +82,7 @@ def test_two_workers_give_the_same_bytes_as_one_process(
 ) -> None:
     found = updated(place, workers=2, batch=1)
     assert (found.engine, found.workers, found.trips) == ("processes", 2, TRIPS)
-    assert contents(place / "results") == undisturbed
+    assert contents(place / "results") | maps_in(place / "maps") == undisturbed
 
 
 def test_threads_as_any_executor_give_the_same_bytes(
@@ -88,7 +91,7 @@ def test_threads_as_any_executor_give_the_same_bytes(
     with ThreadPoolExecutor(2) as executor:
         found = updated(place, workers=None, executor=executor, batch=2)
     assert found.engine == "executor"
-    assert contents(place / "results") == undisturbed
+    assert contents(place / "results") | maps_in(place / "maps") == undisturbed
 
 
 def test_nothing_is_computed_twice(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -213,6 +216,42 @@ def test_the_command_states_what_it_did(place: Path, capsys: pytest.CaptureFixtu
     assert (state["pending"], state["done"]) == (0, counts["done"])
 
 
+# ---------------------------------------------------------------------------------------- maps
+
+
+def test_the_map_is_that_of_the_logs(
+    undisturbed: dict[str, bytes], logs: Path, tmp_path: Path
+) -> None:
+    (name,) = (name for name in undisturbed if name.endswith(".map"))
+    update_map(logs, tmp_path / name)
+    assert maps_in(tmp_path) == {name: undisturbed[name]}
+
+
+def test_maps_of_other_code_stand_until_all_trips_are_computed_anew(
+    place: Path, undisturbed: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert updated(place, "adhesion").maps is not None
+    with open_catalogue(place) as catalogue:
+        adhesion, folder = ANALYSES["adhesion"], maps_folder(catalogue)
+        before = maps_in(folder)
+        monkeypatch.setattr("analysis.fleet.update.code_of", lambda _: "0123456789abcdef")
+        part = update(catalogue, ["adhesion"], UpdateOptions(workers=0, where="weather = 'wet'"))
+        assert part.maps is not None
+        assert not part.maps.complete
+        assert maps_in(folder) == before
+        assert "0123456789abcdef" not in (folder / "maps.json").read_text()
+        rest = update(catalogue, ["adhesion"], HERE)
+        assert rest.maps is not None
+        assert rest.maps.complete
+        assert "0123456789abcdef" in (folder / "maps.json").read_text()
+        assert maps_in(folder) == before
+        assert not folder.with_name("maps.next").exists()
+        shutil.rmtree(folder)  # built anew from the results, without a log being read
+        again = update_maps(catalogue, adhesion, "0123456789abcdef")
+        assert again.trips == TRIPS
+        assert maps_in(folder) == before
+
+
 # ------------------------------------------------------------------------------- interruptions
 
 
@@ -224,7 +263,7 @@ def test_an_update_killed_at_random_moments_counts_each_trip_once(
     found = updated(place, workers=2)
     assert found.counts["checks"].waiting == 0
     assert {count for _, count in rows_by_trip(str(place))} == {len(ANALYSES)}
-    assert contents(place / "results") == undisturbed
+    assert contents(place / "results") | maps_in(place / "maps") == undisturbed
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")

@@ -118,6 +118,11 @@ class FleetAnalysis:
         return replace(self, parameters={**self.parameters, **parameters})
 
     @property
+    def is_default(self) -> bool:
+        """Whether it is registered so, with these parameters."""
+        return ANALYSES.get(self.name) == self
+
+    @property
     def digest(self) -> str:
         """Of the parameters."""
         return sha256(json.dumps(dict(self.parameters), sort_keys=True).encode())[:16]

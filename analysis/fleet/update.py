@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from analysis.fleet.analyses import FleetAnalysis
     from analysis.fleet.engine import Engine
+    from analysis.fleet.maps import MapsUpdate
     from analysis.fleet.work import Batch, BatchResult, Job
     from trainlog.catalogue import Catalogue
 
@@ -37,6 +38,9 @@ MERGED = 100_000
 
 PAGE = 2000
 """Trips that are asked of the catalogue at once: what is in memory does not grow with the fleet."""
+
+EVIDENCE = "adhesion"
+"""The analysis that the maps are made of, with its own parameters."""
 
 LISTED = 200
 """Problems that an update lists; the catalogue knows all of them."""
@@ -109,6 +113,8 @@ class FleetUpdate:
         Time that it took, and processor time of the workers.
     files_merged : int
         Files of results that were put together.
+    maps : MapsUpdate or None
+        What became of the maps; None where the evidence for them was not asked for.
     """
 
     counts: dict[str, Counts]
@@ -120,6 +126,7 @@ class FleetUpdate:
     seconds: float = 0.0
     worker_seconds: float = 0.0
     files_merged: int = 0
+    maps: MapsUpdate | None = None
 
     def __repr__(self) -> str:
         rows = {
@@ -148,6 +155,8 @@ class FleetUpdate:
             words += f" by {self.engine}, {counted(self.workers, 'worker')}"
         if self.unread:
             words += f"; the logs of {counted(self.unread, 'trip')} could not be read"
+        if self.maps is not None and self.maps.trips:
+            words += f"; {counted(len(self.maps.edges), 'map')} brought up to date"
         return words
 
     @property
@@ -164,6 +173,7 @@ class FleetUpdate:
             "workers": self.workers,
             "seconds_s": self.seconds,
             "worker_seconds_s": self.worker_seconds,
+            "maps": None if self.maps is None else asdict(self.maps),
             "analyses": [asdict(each) for each in self.counts.values()],
             "problems": [asdict(each) for each in self.problems],
         }
@@ -190,7 +200,7 @@ class UpdateOptions:
     retry : bool
         Compute trips that were refused, or failed, again.
     merge : bool
-        Put the files of results together at the end.
+        Put the files of results together at the end, and bring the maps up to date.
     """
 
     workers: int | None = None
@@ -272,6 +282,7 @@ def update(
         work.compute()
     if work.options.merge:
         work.merge()
+        work.bring_maps()
     work.found.seconds = time.perf_counter() - began
     return work.found
 
@@ -442,6 +453,15 @@ class _Update:
                 self.found.files_merged += self.catalogue.compact(
                     analysis.name, code, analysis.parameters
                 )
+
+    def bring_maps(self) -> None:
+        """Add the new evidence to the maps of the edges."""
+        for analysis, code in zip(self.analyses, self.codes, strict=True):
+            counts = self.found.counts[analysis.name]
+            if analysis.name == EVIDENCE and analysis.is_default and counts.known + counts.done:
+                from analysis.fleet.maps import update_maps
+
+                self.found.maps = update_maps(self.catalogue, analysis, code)
 
 
 @dataclass(frozen=True, repr=False)

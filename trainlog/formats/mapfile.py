@@ -313,23 +313,33 @@ class MapFile:
 
         When this returns, the recording is on the disk.
         """
+        return self.append_all([recording])[0]
+
+    def append_all(self, recordings: Sequence[Recording]) -> list[Appended]:
+        """Add recordings in one transaction: all of them are on the disk when this returns."""
         with self._writing() as database:
-            before = self.held(recording.key)
-            if before is not None:
-                return Appended(bool(before.counted), held=True)
-            row = self._insert(recording)
-            together = self._of_the_drive(row)
-            reasons = reasons_of(together)
-            replaced: list[str] = []
-            changed = [row]
-            for each in together:
-                counts = each.key not in reasons
-                if each.key != row.key and each.counted and not counts:
-                    replaced.append(each.known.name)
-                if bool(each.counted) != counts and each.evidence is not None:
-                    changed += [each, replace_row(database, each, counted=int(counts))]
-            add_to_total(database, changed)
-            database.execute("INSERT OR IGNORE INTO header VALUES ('live', '1')")
+            found = [self._append(database, recording) for recording in recordings]
+            if not all(each.held for each in found):
+                database.execute("INSERT OR IGNORE INTO header VALUES ('live', '1')")
+        return found
+
+    def _append(self, database: sqlite3.Connection, recording: Recording) -> Appended:
+        """Add a recording within a transaction."""
+        before = self.held(recording.key)
+        if before is not None:
+            return Appended(bool(before.counted), held=True)
+        row = self._insert(recording)
+        together = self._of_the_drive(row)
+        reasons = reasons_of(together)
+        replaced: list[str] = []
+        changed = [row]
+        for each in together:
+            counts = each.key not in reasons
+            if each.key != row.key and each.counted and not counts:
+                replaced.append(each.known.name)
+            if bool(each.counted) != counts and each.evidence is not None:
+                changed += [each, replace_row(database, each, counted=int(counts))]
+        add_to_total(database, changed)
         reason = reasons.get(row.key, "")
         return Appended(not reason, reason=reason, replaced=tuple(replaced))
 

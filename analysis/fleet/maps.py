@@ -1,0 +1,233 @@
+"""Maps of the edges of a network, or of lines, kept up to date from what workers computed.
+
+The evidence of each trip is a result of the catalogue; which trips the maps hold is one, too: the
+computation `MAPS`, without a table. A trip that was added when the process was killed before that
+was recorded is added again, which changes nothing (`trainlog.formats.mapfile`).
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from analysis.adhesion.condition_map import empty_map_of
+from trainlog.formats.files import made_folder, sha256, write_bytes
+from trainlog.formats.mapfile import MapFile
+from trainlog.formats.packed import unpack
+from trainlog.formats.recordings import Recording
+from trainlog.identity import identity_from_text
+from trainlog.progress import task
+from trainlog.railway.evidence import DailyEvidence
+
+if TYPE_CHECKING:
+    from analysis.fleet.analyses import FleetAnalysis
+    from trainlog.catalogue import Catalogue
+
+MAPS = "maps"
+"""Folder of the maps beside the results, and the computation that states which trips they hold."""
+
+MARK = "maps.json"
+"""File in that folder: which code and parameters the evidence was made by."""
+
+PAGE = 200
+"""Trips that are added at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapsUpdate:
+    """What became of the maps.
+
+    Attributes
+    ----------
+    folder : Path
+        That holds them now.
+    trips : int
+        Whose evidence was added.
+    edges : tuple of str
+        Whose maps changed.
+    complete : bool
+        Whether the maps in `folder` are of this code; else the earlier ones stand until all trips
+        were computed by it.
+    """
+
+    folder: Path
+    trips: int = 0
+    edges: tuple[str, ...] = ()
+    complete: bool = True
+
+
+def maps_folder(catalogue: Catalogue) -> Path:
+    """Where the maps of a catalogue are: a file ``<edge>.map`` an edge of the network, or a line.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.catalogue import open_catalogue
+    >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+    ...     maps_folder(catalogue).name
+    'maps'
+    """
+    return catalogue.results_folder.with_name(MAPS)
+
+
+def map_path(folder: Path, edge: str) -> Path:
+    """The file of an edge's map.
+
+    Examples
+    --------
+    >>> map_path(Path("maps"), "850 Wil - Gossau").name
+    '850 Wil - Gossau.map'
+    """
+    plain = "".join("_" if each in '/\\\\:*?"<>|\\0' else each for each in edge).lstrip(".")
+    ending = "" if plain == edge else f" {sha256(edge.encode())[:8]}"
+    return folder / f"{plain}{ending}.map"
+
+
+def update_maps(catalogue: Catalogue, adhesion: FleetAnalysis, code: str) -> MapsUpdate:
+    """Add the evidence of all trips that the maps do not hold.
+
+    Where the evidence was made by other code than that of the maps, maps are built anew beside them
+    and take their place when they hold all trips.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+    adhesion : FleetAnalysis
+        By whose parameters the evidence was made.
+    code : str
+        By which it was made.
+    """
+    work = _Maps(catalogue, adhesion, code)
+    trips, edges = work.add()
+    return MapsUpdate(work.standing, trips, tuple(sorted(edges)), work.finish())
+
+
+class _Maps:
+    """Maps of one code, being brought up to date."""
+
+    def __init__(self, catalogue: Catalogue, adhesion: FleetAnalysis, code: str) -> None:
+        self.catalogue, self.adhesion = catalogue, adhesion
+        self.about = (adhesion.name, code, adhesion.parameters)
+        self.own = (MAPS, code, adhesion.parameters)
+        self.standing = maps_folder(catalogue)
+        self._next = self.standing.with_name(f"{MAPS}.next")
+        self.mark = {"format": "trainlog/fleet-maps", "code": code} | dict(adhesion.parameters)
+
+    def add(self) -> tuple[int, set[str]]:
+        """Add what is missing; how many trips, and which edges they ran over."""
+        folder, count, edges = self._folder(), 0, set[str]()
+        waiting = self.catalogue.standing(*self.own)["pending"]
+        if not waiting:
+            return 0, set()
+        with task("mapping", waiting, "trip") as step:
+            for page, outcomes in self._pages():
+                edges |= self._added(folder, self._evidence(page))
+                self.catalogue.record(*self.own, outcomes)
+                count += len(outcomes)
+                step(count)
+        return count, edges
+
+    def _pages(self) -> Iterator[tuple[list[str], list[Any]]]:
+        """Keys of trips whose evidence is known and not in the maps, with what is recorded."""
+        from trainlog.catalogue import ResultOutcome
+
+        last = ""
+        while True:
+            page = self.catalogue.pending(*self.own, page=(last, PAGE))
+            if page.empty:
+                return
+            last = str(page["key"].iloc[-1])
+            unknown = self.catalogue.pending(*self.about, where=_chosen(page["key"]))
+            known = page[~page["key"].isin(unknown["key"])]
+            if len(known):
+                given = known[["key", "sha256"]].to_numpy().tolist()
+                yield [key for key, _ in given], [ResultOutcome(*each) for each in given]
+
+    def _evidence(self, keys: list[str]) -> pd.DataFrame:
+        return self.catalogue.results(*self.about, where=_chosen(keys))
+
+    def _added(self, folder: Path, rows: pd.DataFrame) -> set[str]:
+        """Add the evidence of trips to the maps of their edges."""
+        if rows.empty:
+            return set()
+        for edge, part in rows.groupby("edge", sort=True):
+            first = part.iloc[0]
+            empty = empty_map_of(str(edge), float(first["edge_length"]), float(first["bin_length"]))
+            with MapFile(map_path(folder, str(edge)), empty) as file:
+                file.append_all([_recording(each) for _, each in part.groupby(["key", "trip"])])
+        return set(rows["edge"])
+
+    def _folder(self) -> Path:
+        """The folder whose maps are of this code; begun anew if there is none."""
+        for folder in (self.standing, self._next):
+            if _mark_of(folder) == self.mark:
+                return folder
+        self.catalogue.forget(*self.own, states=("done", "refused", "failed"))
+        shutil.rmtree(self._next, ignore_errors=True)
+        folder = self._next if self.standing.exists() else self.standing
+        made_folder(folder)
+        write_bytes(folder / MARK, json.dumps(self.mark, sort_keys=True).encode())
+        return folder
+
+    def finish(self) -> bool:
+        """Put new maps in the place of those of other code, if they hold all trips."""
+        if _mark_of(self.standing) == self.mark:
+            return True
+        if _mark_of(self._next) != self.mark or self.catalogue.standing(*self.own)["pending"]:
+            return False
+        old = self.standing.with_name(f"{MAPS}.old")
+        shutil.rmtree(old, ignore_errors=True)
+        with suppress(FileNotFoundError):  # another update has done so
+            self.standing.rename(old)
+            self._next.rename(self.standing)
+        shutil.rmtree(old, ignore_errors=True)
+        return True
+
+
+def _chosen(keys: Any) -> str:
+    """An expression that chooses trips by their keys."""
+    return f"key in ({', '.join(repr(str(key)) for key in keys)})"
+
+
+def _mark_of(folder: Path) -> Mapping[str, Any] | None:
+    try:
+        found: Mapping[str, Any] = json.loads((folder / MARK).read_text("utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found
+
+
+def _recording(rows: pd.DataFrame) -> Recording:
+    """What a map keeps of a trip on an edge, from its rows, one a rail condition."""
+    first = rows.iloc[0]
+    entry = json.loads(first["entry"]) | {"identity": first["identity"]}
+    evidence = {
+        str(layer): evidence_of_row(data)
+        for layer, data in zip(rows["layer"], rows["evidence"], strict=True)
+    }
+    identity = identity_from_text(first["identity"])
+    return Recording(first["main_layer"], entry, identity, int(first["steps"]), evidence)
+
+
+def evidence_of_row(data: bytes) -> DailyEvidence:
+    """The evidence in a row of the table ``adhesion``.
+
+    Examples
+    --------
+    >>> from analysis.fleet.analyses import ANALYSES
+    >>> from analysis.fleet.trips import fleet_trips
+    >>> table = ANALYSES["adhesion"].table(next(fleet_trips("sample_logs/nonstop.mcap")))
+    >>> found = evidence_of_row(table["evidence"][0])
+    >>> int(found.events.sum()) == table["onsets"][0]
+    True
+    """
+    facts, arrays = unpack(zlib.decompress(data))
+    return DailyEvidence(facts["bins"], facts["levels"], **arrays)
