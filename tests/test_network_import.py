@@ -532,7 +532,8 @@ def test_a_planner_imports_a_network_shows_routes_and_exports_it(
 
     net, route, places = (tmp_path / n for n in ("s.network.json", "r.line.json", "s.geojson"))
     assert "signals: 106" in command("import", OSRD / "infras" / "small_infra.json", "-o", net)
-    shown = command("show", net, "--json")
+    shown = command("show", net, "--json", "--picture", tmp_path / "s.png")
+    assert (tmp_path / "s.png").stat().st_size > 10_000
     edges = {each["edge"]: each for each in json.loads(shown)["edges"]}
     assert edges["TA6"]["length_m"] == 10_000.0
     assert edges["TA6"]["rise_m"] == pytest.approx(4.2)

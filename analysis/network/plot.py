@@ -102,12 +102,13 @@ def draw_network(
     courses = edge_courses(network)
     drawn = _draw_edges(axes, network, courses, shown or {}, (colours, span))
     _draw_nodes(axes, network, courses)
+    _draw_stations(axes, network, courses)
     on_earth = _placed(network) is not None
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.08)
-    axes.set_xlabel(
-        "east [km]" if on_earth else "no coordinates: distances are not true", color=INK
-    )
+    straight = any(edge.line.geometry is None for edge in network.edges)
+    east = f"east [km]{'; dashed: without coordinates of its own' * straight}"
+    axes.set_xlabel(east if on_earth else "no coordinates: distances are not true", color=INK)
     axes.set_ylabel("north [km]" if on_earth else "", color=INK)
     if not on_earth:
         axes.set_xticks([])
@@ -137,9 +138,12 @@ def _draw_edges(
 ) -> LineCollection | None:
     """Draw the edges; what carries the colours, if something is shown."""
     segments, values, widths = [], [], []
+    on_earth = _placed(network) is not None
     for edge in network.edges:
         positions, points = courses[edge.name]
-        axes.plot(*points.T, color=PALE if edge.name in shown else GREY, linewidth=2.0, zorder=1)
+        colour = PALE if edge.name in shown else GREY
+        style = (0, (4, 1.5)) if on_earth and edge.line.geometry is None else "-"
+        axes.plot(*points.T, color=colour, linewidth=2.0, linestyle=style, zorder=1)
         known = shown.get(edge.name)
         if known is None:
             continue
@@ -206,6 +210,37 @@ def _draw_nodes(
                 color=INK,
                 zorder=4,
             )
+
+
+def _draw_stations(
+    axes: Axes, network: Network, courses: Mapping[str, tuple[FloatArray, FloatArray]]
+) -> None:
+    """Mark the stations inside edges, and name each once: one may lie on several tracks."""
+    places: dict[str, list[FloatArray]] = {}
+    nodes = {node.name for node in network.nodes}
+    for edge in network.edges:
+        positions, points = courses[edge.name]
+        for station in edge.line.stations:
+            if station.name not in nodes:
+                at = [np.interp(station.position, positions, points[:, axis]) for axis in (0, 1)]
+                places.setdefault(station.name, []).append(np.array(at))
+    for number, (name, found) in enumerate(places.items()):
+        for place in found:
+            axes.plot(*place, marker="|", markersize=10.0, markeredgewidth=1.6, color=INK, zorder=3)
+        # Above and below in turn: neighbours on one line do not run into each other.
+        middle, above = np.mean(found, axis=0), number % 2 == 0
+        axes.annotate(
+            name,
+            (float(middle[0]), float(middle[1])),
+            xytext=(0.0, 9.0 if above else -9.0),
+            textcoords="offset points",
+            ha="center",
+            va="bottom" if above else "top",
+            fontsize=8,
+            color=INK,
+            zorder=4,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
+        )
 
 
 def edge_courses(network: Network) -> dict[str, tuple[FloatArray, FloatArray]]:

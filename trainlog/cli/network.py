@@ -111,15 +111,24 @@ def network_build(
 @network_app.command("show")
 def network_show(
     network: NetworkArgument,
+    picture: Annotated[Path | None, typer.Option(help="Draw the network here as well.")] = None,
 ) -> None:
     """Show a network: its edges with climbs and limits, its nodes, and what is not known.
 
-    Example: trainlog network show small.network.json
+    Example: trainlog network show small.network.json --picture small.png
     """
+    if picture is not None:
+        destination(picture, ".png")
     from analysis.network.table import network_tables
     from trainlog.formats.network import read_network
 
-    console.print(network_tables(read_network(network)))
+    found = read_network(network)
+    console.print(network_tables(found))
+    if picture is not None:
+        from analysis.network.plot import draw_network
+
+        draw_network(found, picture)
+        wrote(picture)
 
 
 @network_app.command("route")
