@@ -6,6 +6,7 @@ in per mille and radii [m], right-hand bends positive, as seen along the track; 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import combinations, pairwise
@@ -104,6 +105,7 @@ class _File:
     tracks: list[_Track] = field(default_factory=list)
     data: dict[str, TrackData] = field(default_factory=dict)
     ocps: dict[str, Element] = field(default_factory=dict)
+    ocp_names: Counter[str] = field(default_factory=Counter)
     lines: dict[str, Element] = field(default_factory=dict)
     sides: dict[str, tuple[Element, list[TrackEnd]]] = field(default_factory=dict)
     crossings: list[dict[str, list[Element]]] = field(default_factory=list)
@@ -114,6 +116,7 @@ class _File:
         self.ocps = {
             each.text("id"): each for each in self.infra.all("operationControlPoints", "ocp")
         }
+        self.ocp_names = Counter(each.text("name") for each in self.ocps.values())
         self.lines = {
             reference.text("ref"): line
             for line in self.infra.all("trackGroups", "line")
@@ -241,11 +244,10 @@ class _File:
                 "add the ocp, or correct the reference",
             )
         ocp = self.ocps[reference]
-        names = [each.text("name") for each in self.ocps.values()]
         name = ocp.text("name")
         if not name:
             return reference
-        return name if names.count(name) == 1 else f"{name} ({reference})"
+        return name if self.ocp_names[name] == 1 else f"{name} ({reference})"
 
     def _course(self, track: _Track) -> Iterator[tuple[float, float, float]]:
         """Coordinates of the elements of a track that have a position."""

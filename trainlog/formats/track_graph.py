@@ -395,8 +395,12 @@ def _restrictions(
 ) -> dict[str, tuple[tuple[str, str], ...]]:
     """The turns of the nodes that do not allow every movement."""
     found = {}
+    ending: dict[str, set[str]] = {}
+    for edge in edges:
+        ending.setdefault(edge.start, set()).add(edge.name)
+        ending.setdefault(edge.end, set()).add(edge.name)
     for name in names:
-        there = sorted({edge.name for edge in edges if name in (edge.start, edge.end)})
+        there = sorted(ending[name])
         if name in turns and set(combinations(there, 2)) - turns[name]:
             found[name] = tuple(sorted(turns[name]))
     return found

@@ -237,6 +237,10 @@ class Network:
     def _turn_problems(self, where: str) -> Iterator[InputError]:
         """Turns between edges that do not meet."""
         known = {each.name for each in self.nodes}
+        ending: dict[str, set[str]] = {}
+        for edge in self.edges:
+            for name in (edge.start, edge.end):
+                ending.setdefault(name, set()).add(edge.name)
         for node, pairs in self.turns.items():
             if node not in known:
                 yield InputError(
@@ -244,7 +248,7 @@ class Network:
                     remedy=_nearest(node, known, "name one of the nodes"),
                 )
                 continue
-            there = {each.name for each in self.edges if node in (each.start, each.end)}
+            there = ending.get(node, set())
             for name in sorted({name for pair in pairs for name in pair} - there):
                 yield InputError(
                     f"{where}: turns at '{node}' name the edge '{name}', which does not end there",
