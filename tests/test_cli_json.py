@@ -34,6 +34,7 @@ ingest sample_logs/gnss.csv -o recorded
 check sample_logs
 recover cut.mcap -o whole.mcap
 simulate --count 1 -o trips
+simulate --network drawn:1 --trains 1 --days 1 --count 1 --jobs 1 -o fleet
 fit sample_logs -o parameters.json
 estimate sample_logs/nonstop.mcap -o estimated
 coast-down sample_logs -o coast-down.json
@@ -189,7 +190,7 @@ PURE = {
     *("maximum", "maximum_std", "points", "optimal_slip", "probability", "share_of_power", "bins"),
     *("share_of_adhesion", "over_weight_std", "speed", "optimal_band"),
     *("coasting", "covered", "slips", "factor", "factor_std", "false_alarms", "judged_trips"),
-    *("explained", "gaps", "axles"),
+    *("explained", "gaps", "axles", "trips", "kept"),
 }
 """Numbers without a unit, beside those of the commands of the map."""
 

@@ -187,11 +187,11 @@ def test_weather_of_the_areas_is_like_that_of_the_region(network: Network) -> No
     assert 0.6 < same < 1.0
 
 
-def test_any_trip_alone_is_the_same_as_in_the_fleet(network: Network, tmp_path: Path) -> None:
-    fleet = draw_fleet(network, trains=6, days=4, trips=12, seed=5)
+def test_any_trip_alone_is_the_same_as_in_the_fleet(tmp_path: Path) -> None:
+    fleet = draw_fleet(draw_network(seed=3, lines=4), trains=6, days=2, trips=12, seed=5)
     made = write_fleet(fleet, tmp_path / "all", jobs=2)
     assert (made.made, made.stuck) == (12, [])
-    alone = draw_fleet(draw_network(seed=3, lines=10), trains=6, days=4, trips=12, seed=5)
+    alone = draw_fleet(draw_network(seed=3, lines=4), trains=6, days=2, trips=12, seed=5)
     (tmp_path / "alone" / alone.train_of(11).name).mkdir(parents=True)
     one = write_trip(alone, 11, tmp_path / "alone")
     place = Path(alone.train_of(11).name) / f"{one.name}.mcap"
@@ -203,7 +203,7 @@ def test_any_trip_alone_is_the_same_as_in_the_fleet(network: Network, tmp_path: 
     assert (again.made, again.kept) == (1, 11)
     assert (tmp_path / "all" / place).read_bytes() == before
     with pytest.raises(InputError, match="another fleet"):
-        write_fleet(draw_fleet(fleet.network, trains=6, days=4, trips=11, seed=5), tmp_path / "all")
+        write_fleet(draw_fleet(fleet.network, trains=6, days=2, trips=11, seed=5), tmp_path / "all")
     for log in sorted((tmp_path / "all").glob("*-0*/*.mcap")):
         _check_log(trainlog.read(log), fleet)
 
@@ -223,6 +223,9 @@ def _check_log(trip: trainlog.Trip, fleet: Fleet) -> None:
     shown = json.dumps(dict(trip.metadata))
     assert not any(value in shown for value in hidden)
     assert {"r0", "mass", "head_wind", "faults", "wheel_factors"}.isdisjoint(trip.metadata)
+    by_edge = json.loads(trip.metadata["weather_by_edge"])
+    assert list(by_edge) == list(dict.fromkeys(leg.edge for leg in line.legs))
+    assert trip.metadata["weather"] in by_edge.values()
     kinds = next(each for each in fleet.trains if each.name == train)
     assert ("/gnss/fix" in trip) == kinds.recorder.satellites
     assert ("/train/axles" in trip) == kinds.recorder.axles

@@ -141,6 +141,9 @@ if TYPE_CHECKING:
     )
     from trainlog.resampling import joined as joined, resampled as resampled
     from trainlog.simulation.consist import ConsistPlant as ConsistPlant
+    from trainlog.simulation.fleet import Fleet as Fleet, draw_fleet as draw_fleet
+    from trainlog.simulation.fleet_logs import write_fleet as write_fleet
+    from trainlog.simulation.network import draw_network as draw_network
     from trainlog.simulation.rail import Change, Rail as Rail
     from trainlog.simulation.recording import simulate as simulate
     from trainlog.simulation.scenario import (
@@ -149,12 +152,14 @@ if TYPE_CHECKING:
         draw_scenarios as draw_scenarios,
         trajectory_scenarios as trajectory_scenarios,
     )
+    from trainlog.simulation.vehicles import Fault
     from trainlog.topics import Field, recorded_topic as recorded_topic
     from trainlog.trip import Trip as Trip, frame_of as frame_of
 
     # Type checkers take an assigned name, not one imported under another, for a public one.
     RailChange = Change
     TopicField = Field
+    TrainFault = Fault
     check = account_of
     frames = frames_of
     read = read_log
@@ -193,7 +198,11 @@ _NAMES = {
     "trainlog.formats.samples": "DEFAULT_LINE DEFAULT_TRAIN sample",
     "trainlog.formats.weather": "read_weather write_weather",
     "trainlog.railway.weather": "Weather",
+    "trainlog.simulation.fleet": "Fleet draw_fleet",
+    "trainlog.simulation.fleet_logs": "write_fleet",
+    "trainlog.simulation.network": "draw_network",
     "trainlog.simulation.rail": "Rail RailChange=Change",
+    "trainlog.simulation.vehicles": "TrainFault=Fault",
     "trainlog.simulation.scenario": "Scenario draw_days draw_scenarios trajectory_scenarios",
     "trainlog.simulation.recording": "simulate",
     "trainlog.simulation.consist": "ConsistPlant",

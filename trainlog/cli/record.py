@@ -354,7 +354,7 @@ def fleet_of(
         "size_bytes": logs.size,
         "elapsed_s": logs.elapsed,
     }
-    if not state(stated):
+    if not state({"fleet": stated}):
         speed = logs.duration / max(logs.elapsed, 1e-9)
         console.print(
             f"{logs.made} trips made, {logs.kept} kept, {len(logs.stuck)} did not arrive:"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -92,12 +92,15 @@ class FleetScenario(Scenario):
         Of the vehicle on that day.
     route : RouteGround
     head_wind : float [m/s]
+    conditions : dict of str to str
+        Rail condition of each edge of the route at the departure.
     """
 
     vehicle: FleetTrain | None = None
     condition: Condition | None = None
     route: RouteGround | None = None
     head_wind: float = 0.0
+    conditions: dict[str, str] = field(default_factory=dict)
 
     @property
     def ground(self) -> Line:
@@ -118,8 +121,11 @@ class FleetScenario(Scenario):
         return self.route.content, train_to_bytes(self.train)
 
     def metadata(self) -> dict[str, str]:
-        """What the log states beside what every simulated trip does: the kind of train."""
-        return {"kind": "" if self.vehicle is None else self.vehicle.kind}
+        """What the log states beside what every simulated trip does."""
+        if self.vehicle is None:
+            return {}
+        stated = json.dumps(self.conditions, ensure_ascii=False)
+        return {"kind": self.vehicle.kind, "weather_by_edge": stated}
 
     def truth(self) -> bytes:
         """The truth of the trip as JSON, in short; see `Scenario.truth`."""
@@ -350,7 +356,7 @@ class Fleet:
         condition = vehicle.at(start)
         route = self.route(*self.places(number))
         line = route.line
-        state, adhesion = self._met(line, start)
+        state, adhesion, conditions = self._met(line, start)
         temperature = state.weather.temperature
         temperature = 283.0 if not np.isfinite(temperature) else float(temperature)
         wind = self._wind(start, own)
@@ -384,10 +390,11 @@ class Fleet:
             condition=condition,
             route=route,
             head_wind=head,
+            conditions=conditions,
         )
 
-    def _met(self, line: Line, start: int) -> tuple[RailState, StepProfile]:
-        """The rail of a route at a time: what there is of each edge's then."""
+    def _met(self, line: Line, start: int) -> tuple[RailState, StepProfile, dict[str, str]]:
+        """The rail of a route at a time: what there is of each edge's then, and its condition."""
         rails = {leg.edge: self.rail(leg.edge) for leg in line.legs}
         states = {edge: rail.state(start) for edge, rail in rails.items()}
         # Trips of one minute meet the same rail, whatever their routes.
@@ -406,7 +413,8 @@ class Fleet:
             states[longest].weather,
             pd.concat(spots, ignore_index=True),
         )
-        return state, along(line, profiles.__getitem__)
+        conditions = {edge: each.weather.condition for edge, each in states.items()}
+        return state, along(line, profiles.__getitem__), conditions
 
     def _wind(self, time: int, generator: np.random.Generator) -> complex:
         """Where the air moves beside the train: east + i north [m/s]."""
@@ -516,9 +524,9 @@ def draw_fleet(
 
     Examples
     --------
-    >>> from trainlog.simulation.network import draw_network
-    >>> network = draw_network(seed=1, lines=3)
-    >>> fault = Fault.of("train=flirt-01,dragging-brake=2kN,from=2026-10-02")
+    >>> import trainlog
+    >>> network = trainlog.draw_network(seed=1, lines=3)
+    >>> fault = trainlog.TrainFault.of("train=flirt-01,dragging-brake=2kN,from=2026-10-02")
     >>> fleet = draw_fleet(network, trains=3, days=3, trips=12, faults=[fault])
     >>> before, after = (fleet.trains[0].at(fleet.departure(n)).resistance.r0 for n in (0, 6))
     >>> bool(1_900.0 < after - before < 2_100.0)

@@ -91,7 +91,8 @@ class Fault:
 
     Examples
     --------
-    >>> fault = Fault.of("train=flirt-03,dragging-brake=2000N,from=2026-10-12")
+    >>> import trainlog
+    >>> fault = trainlog.TrainFault.of("train=flirt-03,dragging-brake=2000N,from=2026-10-12")
     >>> fault.kind, fault.size, fault.train
     ('dragging brake', 2000.0, 'flirt-03')
     """
