@@ -3,8 +3,8 @@
     python benchmarks/fleet/benchmark_generate.py [--trips 60] [--jobs 2]
 
 Trips of all kinds, one after the other in this process, timed by its processor time from the
-drawing of the trip to the written log. Then the same fleet by `write_fleet` in several processes, on
-the wall.
+drawing of the trip to the written log. Then the same fleet by `write_fleet` in several processes,
+on the wall.
 """
 
 from __future__ import annotations
