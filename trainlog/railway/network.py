@@ -508,7 +508,7 @@ class Route:
     >>> network = Network("one", nodes, (Edge("850", line, "St. Gallen", "Wil"),))
     >>> route = network.route("Wil", "Gossau SG")
     >>> route.name, route.length, route.legs[0].forward
-    ('Wil - Gossau SG', 19096.1, False)
+    ('Wil - Gossau SG', 20270.0, False)
     """
 
     network: Network
