@@ -7,7 +7,8 @@ from trainlog.extras import require
 
 require("sqlalchemy", "sqlglot", "duckdb")
 
-from trainlog.catalogue.catalogue import Catalogue, open_catalogue
+from trainlog.catalogue.catalogue import Catalogue, Refreshed, open_catalogue
+from trainlog.catalogue.export import write_trips
 from trainlog.catalogue.reading import FileEntry, LogEntry, read_entry, read_file
 from trainlog.catalogue.registration import Added, FileOutcome
 from trainlog.catalogue.results import ResultOutcome
@@ -20,9 +21,11 @@ __all__ = [
     "FileEntry",
     "FileOutcome",
     "LogEntry",
+    "Refreshed",
     "ResultOutcome",
     "TripColumn",
     "open_catalogue",
     "read_entry",
     "read_file",
+    "write_trips",
 ]

@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 import os
+import signal
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -13,7 +19,14 @@ import sqlalchemy as sa
 
 from trainlog.catalogue import results as stored
 from trainlog.catalogue.reading import FileEntry, read_file
-from trainlog.catalogue.registration import Added, FileOutcome, parts, register
+from trainlog.catalogue.registration import (
+    Added,
+    FileOutcome,
+    forget,
+    parts,
+    place_again,
+    register,
+)
 from trainlog.catalogue.results import ResultOutcome, ResultState
 from trainlog.catalogue.schema import TRIP_COLUMNS, Database, files, trips
 from trainlog.catalogue.where import condition_of, times_of
@@ -21,6 +34,7 @@ from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.formats.settings import read_settings
 from trainlog.mcap import read_log
+from trainlog.progress import track
 from trainlog.trip import Trip
 
 if TYPE_CHECKING:
@@ -28,6 +42,12 @@ if TYPE_CHECKING:
 
 BATCH = 200
 """Files that are registered in one transaction."""
+
+_SECONDS = 2.0
+"""After which what was read is registered [s]: what is interrupted loses no more."""
+
+_WORTH_PROCESSES = 200
+"""Files from which on starting processes is worth it."""
 
 _DEFAULT = "catalogue"
 """Folder of the catalogue where none is named."""
@@ -143,6 +163,8 @@ class Catalogue:
         self,
         paths: str | Path | Iterable[str | Path],
         report: Callable[[FileOutcome, int, int], object] | None = None,
+        *,
+        jobs: int = 1,
     ) -> Added:
         """Register logs, and those in folders and the folders in them.
 
@@ -154,6 +176,8 @@ class Catalogue:
         paths : path, or iterable of them
         report : callable, optional
             Called with each outcome, the number of files that are finished, and that of all.
+        jobs : int
+            Processes that read, where there are many files.
 
         Returns
         -------
@@ -175,15 +199,20 @@ class Catalogue:
         every = [paths] if isinstance(paths, str | Path) else list(paths)
         found = logs_below(every)
         outcomes: list[FileOutcome] = []
-        for part in parts(found):
-            known = self._unchanged(part)
-            entries = [read_file(path) for path in part if path not in known]
-            done = [FileOutcome(path, state, reason) for path, (state, reason) in known.items()]
-            done += self.register(entries).outcomes
+
+        def state(done: Iterable[FileOutcome]) -> None:
             for outcome in done:
                 outcomes.append(outcome)
                 if report is not None:
                     report(outcome, len(outcomes), len(found))
+
+        new: list[str] = []
+        for part in parts(found):
+            known = self._unchanged(part)
+            state(FileOutcome(path, *known[path]) for path in part if path in known)
+            new += [path for path in part if path not in known]
+        for entries in _batches(read_files(new, jobs)):
+            state(self.register(entries).outcomes)
         return Added(tuple(outcomes))
 
     def register(self, entries: Sequence[FileEntry]) -> Added:
@@ -231,6 +260,161 @@ class Catalogue:
                 asked = sa.select(files.c.path).where(files.c.sha256.in_(part))
                 found |= dict.fromkeys(connection.execute(asked).scalars(), False)
         return {path: Path(path).is_file() for path in found}
+
+    def refresh(self, paths: Iterable[str | Path] = ()) -> Refreshed:
+        """Compare the catalogue with the disk: which files vanished, moved, changed or came back.
+
+        Nothing is forgotten: a trip whose file vanished stays, and is found again by its content
+        once its file is added from another place.
+
+        Parameters
+        ----------
+        paths : iterable of path
+            Folders that are searched for files that moved, as `add` does.
+
+        Examples
+        --------
+        >>> import shutil, tempfile
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     log = shutil.copy("sample_logs/nonstop.mcap", folder)
+        ...     _ = catalogue.add(folder)
+        ...     Path(log).unlink()
+        ...     catalogue.refresh()
+        Refreshed: 0 files as they were, 1 vanished
+        """
+        every = list(paths)
+        gone, back, changed, same = self._compared()
+        for part in parts(sorted(gone | back)):
+            with self._database.writing() as connection:
+                place_again(connection, part, gone)
+        added = self.add(every).outcomes if every else ()
+        read = [*self.register([read_file(path) for path in sorted(changed)]).outcomes, *added]
+        moved = [each.path for each in read if each.state == "moved"]
+        with self._database.reading() as connection:
+            asked = sa.select(files.c.path).where(files.c.state == "vanished")
+            vanished = connection.execute(asked.order_by(files.c.path)).scalars().all()
+        return Refreshed(
+            same, tuple(vanished), tuple(moved), tuple(sorted(changed)), len(back), tuple(read)
+        )
+
+    def _compared(self) -> tuple[set[int], set[int], set[str], int]:
+        """Rows of files that are gone, and back; paths whose content changed; files as before."""
+        asked = sa.select(files).where(files.c.state.in_(("present", "vanished")))
+        gone, back, changed, same = set[int](), set[int](), set[str](), 0
+        with self._database.reading() as connection:
+            rows = connection.execute(asked).mappings().all()
+        for row in track(rows, "looking for files", "file"):
+            present = row["state"] == "present"
+            try:
+                now = Path(row["path"]).stat()
+            except FileNotFoundError:
+                gone |= {row["id"]} if present else set()
+                continue
+            except OSError:
+                # A folder that may not be entered, a server that does not answer: not known.
+                continue
+            if (now.st_size, now.st_mtime_ns) != (row["size"], row["changed"]):
+                changed.add(row["path"])
+            elif present:
+                same += 1
+            else:
+                back.add(row["id"])
+        return gone, back, changed, same
+
+    def remove(self, where: str | None = None, *, vanished: bool = False) -> int:
+        """Forget trips and what was computed of them; logs stay as they are. How many went.
+
+        Another recording of the same drive counts then. A log that still stands in a folder that is
+        added comes back.
+
+        Parameters
+        ----------
+        where : str, optional
+            As for `query`.
+        vanished : bool
+            Only trips of whose logs none is present.
+
+        Raises
+        ------
+        InputError
+            If nothing limits what is removed, or as `query`.
+        """
+        if where is None and not vanished:
+            raise InputError(
+                "nothing says which trips are to be removed",
+                file=self.place,
+                remedy="give an expression, or vanished ones",
+            )
+        asked = sa.select(trips.c.id).where(
+            trips.c.standing == "counts", *self._conditions(where, None, None, None, None, None)
+        )
+        if vanished:
+            there = sa.select(files.c.trip).where(
+                files.c.trip.is_not(None), files.c.state == "present"
+            )
+            asked = asked.where(trips.c.id.not_in(there))
+        removed = 0
+        with self._database.writing() as connection:
+            for part in parts(sorted(connection.execute(asked).scalars())):
+                removed += forget(connection, part)
+        return removed
+
+    def problems(self) -> pd.DataFrame:
+        """What does not count, and why: other recordings, older versions, vanished, refused.
+
+        Returns
+        -------
+        DataFrame
+            With the columns ``path``, ``what`` and ``reason``, in the order of path.
+        """
+        other = trips.alias("other")
+        standing = (
+            sa.select(files.c.path, trips.c.standing, other.c.name, trips.c.share, other.c.key)
+            .select_from(trips)
+            .join(files, files.c.trip == trips.c.id)
+            .join(other, other.c.id == trips.c.same_as)
+            .where(files.c.state == "present", trips.c.standing != "counts")
+        )
+        state = sa.select(files.c.path, files.c.state, files.c.reason).where(
+            files.c.state.in_(("vanished", "refused"))
+        )
+        with self._database.reading() as connection:
+            found = [
+                (path, what, f"{'' if share is None else f'{share:.0%} in '}'{name}' ({key[:8]})")
+                for path, what, name, share, key in connection.execute(standing)
+            ]
+            found += [(path, what, reason) for path, what, reason in connection.execute(state)]
+        return pd.DataFrame(sorted(found), columns=["path", "what", "reason"])
+
+    def overview(self) -> pd.DataFrame:
+        """One row a train and line, of the trips that count.
+
+        Returns
+        -------
+        DataFrame
+            ``train``, ``kind``, ``line``, ``trips``, ``first`` and ``last`` start, ``distance`` [m]
+            and ``duration`` [s] in all.
+        """
+        by = (trips.c.train, trips.c.kind, trips.c.line)
+        asked = (
+            sa.select(
+                *by,
+                sa.func.count(),
+                sa.func.min(trips.c.start),
+                sa.func.max(trips.c.start),
+                sa.func.sum(trips.c.distance),
+                sa.func.sum(trips.c.duration),
+            )
+            .where(trips.c.standing == "counts")
+            .group_by(*by)
+        )
+        names = ["train", "kind", "line", "trips", "first", "last", "distance", "duration"]
+        with self._database.reading() as connection:
+            frame = pd.DataFrame(connection.execute(asked).all(), columns=names)
+        for name in ("first", "last"):
+            frame[name] = pd.to_datetime(frame[name].astype("Int64"), unit="ns", utc=True)
+        order = frame[["train", "kind", "line"]].fillna("")
+        return frame.loc[order.sort_values(["train", "kind", "line"]).index].reset_index(drop=True)
 
     # ---------------------------------------------------------------------------------- trips
 
@@ -606,6 +790,83 @@ class Catalogue:
             Default: those that were recorded last.
         """
         return stored.compact(self._database, analysis, code, parameters)
+
+
+@dataclass(frozen=True, repr=False)
+class Refreshed:
+    """How a catalogue compares with the disk.
+
+    Attributes
+    ----------
+    same : int
+        Files as they were.
+    vanished, moved, changed : tuple of str
+        Paths of files that are not there, of those that were found in another place, and of those
+        whose content is another.
+    back : int
+        Files that had vanished and are there again.
+    outcomes : tuple of FileOutcome
+        Of what was read.
+    """
+
+    same: int
+    vanished: tuple[str, ...] = ()
+    moved: tuple[str, ...] = ()
+    changed: tuple[str, ...] = ()
+    back: int = 0
+    outcomes: tuple[FileOutcome, ...] = ()
+
+    def __repr__(self) -> str:
+        return as_text(f"Refreshed: {self.sentence}", {})
+
+    @property
+    def sentence(self) -> str:
+        """All of it in a line."""
+        words = [f"{counted(self.same, 'file')} as they were"]
+        words += [f"{len(self.vanished)} vanished"] if self.vanished else []
+        words += [f"{len(self.moved)} moved"] if self.moved else []
+        words += [f"{len(self.changed)} changed"] if self.changed else []
+        words += [f"{self.back} back"] if self.back else []
+        return ", ".join(words)
+
+
+def read_files(paths: Sequence[str], jobs: int = 1) -> Iterator[FileEntry]:
+    """Files as the catalogue registers them, read by several processes where there are many."""
+    if jobs < 2 or len(paths) < _WORTH_PROCESSES:
+        yield from map(read_file, paths)
+        return
+    done = 0
+    with suppress(BrokenProcessPool):
+        context = get_context("spawn")
+        with ProcessPoolExecutor(jobs, context, _leave_interruption) as executor:
+            try:
+                for part in parts(paths):
+                    for entry in executor.map(read_file, part, chunksize=8):
+                        yield entry
+                        done += 1
+            except (GeneratorExit, KeyboardInterrupt):
+                executor.shutdown(wait=False, cancel_futures=True)
+                raise
+    # A process that was killed, for want of memory perhaps, leaves the rest to this one.
+    yield from map(read_file, paths[done:])
+
+
+def _leave_interruption() -> None:
+    """Leave Ctrl-C to the process that registers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _batches(entries: Iterable[FileEntry]) -> Iterator[list[FileEntry]]:
+    """Entries in batches: as many as a transaction takes, or those of some seconds."""
+    batch: list[FileEntry] = []
+    begun = time.monotonic()
+    for entry in entries:
+        batch.append(entry)
+        if len(batch) == BATCH or time.monotonic() - begun > _SECONDS:
+            yield batch
+            batch, begun = [], time.monotonic()
+    if batch:
+        yield batch
 
 
 def logs_below(paths: Iterable[str | Path]) -> list[str]:

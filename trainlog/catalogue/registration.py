@@ -15,7 +15,7 @@ import numpy as np
 import sqlalchemy as sa
 
 from trainlog.catalogue.reading import FileEntry
-from trainlog.catalogue.schema import files, trip_edges, trips
+from trainlog.catalogue.schema import files, results, trip_edges, trips
 from trainlog.display import as_text, counted
 from trainlog.identity import Known, TripIdentity, same_drives
 
@@ -221,6 +221,35 @@ def _insert(connection: sa.Connection, entries: Sequence[FileEntry], now: int) -
         ]
     if edges:
         connection.execute(sa.insert(trip_edges), edges)
+
+
+def place_again(connection: sa.Connection, rows: Sequence[int], gone: set[int]) -> None:
+    """Mark files as vanished, those of `gone`, or as present again."""
+    touched = set[int]()
+    for number in rows:
+        before, after = ("present", "vanished") if number in gone else ("vanished", "present")
+        asked = (
+            sa.update(files)
+            .where(files.c.id == number, files.c.state == before)
+            .values(state=after)
+            .returning(files.c.trip)
+        )
+        touched |= set(connection.execute(asked).scalars()) - {None}
+    settle(connection, touched)
+
+
+def forget(connection: sa.Connection, numbers: Sequence[int]) -> int:
+    """Remove trips with their files and results; other recordings of their drives count then."""
+    older = sa.select(trips.c.id).where(
+        trips.c.same_as.in_(numbers), trips.c.standing == "older version"
+    )
+    every = sorted({*numbers, *connection.execute(older).scalars()})
+    for table in (results, trip_edges, files):
+        connection.execute(sa.delete(table).where(table.c.trip.in_(every)))
+    connection.execute(sa.delete(trips).where(trips.c.id.in_(every)))
+    left = sa.select(trips.c.id).where(trips.c.same_as.in_(every))
+    settle(connection, set(connection.execute(left).scalars()))
+    return len(numbers)
 
 
 def parts(values: Sequence[Any]) -> Iterable[Sequence[Any]]:

@@ -7,16 +7,21 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from copy import copy
 from functools import wraps
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
+from typer.models import ParameterInfo
 
 from trainlog.cli.help import print_help, shown_type
+from trainlog.cli.options import CatalogueOption, ChosenTrips, chosen_logs
 from trainlog.cli.progress_bar import ProgressDisplay, progress_shown
 from trainlog.cli.terminal import Output, console, output_of, print_error
 from trainlog.display import counted
+from trainlog.errors import InputError
 from trainlog.formats.settings import read_settings
 
 if TYPE_CHECKING:
@@ -29,6 +34,8 @@ JSON = Annotated[
     bool, typer.Option("--json", help="Print the result as one JSON object, and nothing else.")
 ]
 QUIET = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
+
+TRIPS = "Trips of the catalogue, beside logs that are named: \"line = 'X' and weather = 'wet'\", or all."
 
 STATUSES = {
     0: "done",
@@ -60,12 +67,69 @@ def prepared(panel: typer.Typer) -> None:
     for command in panel.registered_commands:
         command.cls = Command
         if command.callback is not None:
+            command.callback = _with_trips(command.callback)
+        if command.callback is not None:
             command.callback = _with_output(command.callback)
     for group in panel.registered_groups:
         group.cls = Group
         if group.typer_instance is not None:
             group.typer_instance.info.cls = Group
             prepared(group.typer_instance)
+
+
+def _with_trips(callback: Callable[..., Any]) -> Callable[..., Any]:
+    """A command that takes logs with the options that choose trips of a catalogue instead."""
+    signature = inspect.signature(callback, eval_str=True)
+    marked = [each for each in signature.parameters.values() if ChosenTrips in _notes(each)]
+    if not marked:
+        return callback
+    (logs,) = marked
+    needed = logs.default is inspect.Parameter.empty
+    known = copy(next(each for each in _notes(logs) if isinstance(each, ParameterInfo)))
+    if needed:
+        known.help = f"{known.help} Or --trips."
+    optional = logs.replace(annotation=Annotated[list[Path] | None, known], default=None)
+    # A command may have a flag of that name, which lists the trips of a map.
+    option = "--trips" if "trips" not in signature.parameters else "--chosen"
+    wanted = Annotated[str | None, typer.Option(option, metavar="WHERE", help=TRIPS)]
+    added = {"chosen_trips": wanted, "catalogue": CatalogueOption}
+
+    @wraps(callback)
+    def command(
+        *parts: Any, chosen_trips: str | None = None, catalogue: str | None = None, **rest: Any
+    ) -> Any:
+        given = rest[logs.name]
+        if chosen_trips is not None:
+            rest[logs.name] = [*(given or ()), *chosen_logs(chosen_trips, catalogue)]
+        elif catalogue is not None:
+            raise InputError(
+                f"--catalogue {catalogue} is given, but not which of its trips",
+                remedy=f"choose them with {option} \"weather = 'wet'\", or {option} all",
+            )
+        elif needed and not given:
+            raise InputError(
+                "no logs are given",
+                remedy=f"name logs or folders, or choose trips of a catalogue with {option}",
+            )
+        return callback(*parts, **rest)
+
+    kept = [optional if each is logs else each for each in signature.parameters.values()]
+    kept += [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+        for name, annotation in added.items()
+    ]
+    command.__signature__ = signature.replace(  # type: ignore[attr-defined]
+        parameters=[each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in kept]
+    )
+    command.__annotations__ = {each.name: each.annotation for each in kept}
+    del command.__wrapped__  # type: ignore[attr-defined]  # its signature is not what is asked for
+    return command
+
+
+def _notes(parameter: inspect.Parameter) -> tuple[Any, ...]:
+    """What the annotation of a parameter says beside its type."""
+    annotation = parameter.annotation
+    return getattr(annotation, "__metadata__", ())
 
 
 def _with_output(callback: Callable[..., Any]) -> Callable[..., Any]:

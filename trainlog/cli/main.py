@@ -16,6 +16,7 @@ from typer.exceptions import TyperException
 
 from trainlog import __version__
 from trainlog.cli import (
+    catalogue,
     compare,
     convert,
     docs,
@@ -73,6 +74,7 @@ for _panel in (
     network,
     live,
     convert,
+    catalogue,
     show,
     look,
     replay,

@@ -10,6 +10,7 @@ import typer
 from trainlog.cli.map import map_app
 from trainlog.cli.options import (
     AtOption,
+    ChosenTrips,
     MapArgument,
     ZoneOption,
     destination,
@@ -73,7 +74,9 @@ def map_forecast(
 def map_score(
     forecast: Annotated[Path, typer.Argument(help="Map file, or a forecast (.csv).")],
     logs: Annotated[
-        list[Path] | None, typer.Argument(help="Logs (.mcap) of later trips, or folders of logs.")
+        list[Path] | None,
+        typer.Argument(help="Logs (.mcap) of later trips, or folders of logs."),
+        ChosenTrips,
     ] = None,
     rolling: Annotated[
         bool,

@@ -27,7 +27,23 @@ if TYPE_CHECKING:
 NETWORK_SUFFIX = ".network.json"
 """End of the names of network files."""
 
-Logs = Annotated[list[Path], typer.Argument(help="Logs (.mcap), or folders of logs.")]
+class ChosenTrips:
+    """Marks the logs of a command: trips of a catalogue may be chosen in their place.
+
+    `trainlog.cli.commands.prepared` gives commands whose parameter is annotated with it the options
+    ``--trips`` and ``--catalogue``.
+    """
+
+
+Logs = Annotated[list[Path], typer.Argument(help="Logs (.mcap), or folders of logs."), ChosenTrips]
+CatalogueOption = Annotated[
+    str | None,
+    typer.Option(
+        "--catalogue",
+        metavar="WHERE",
+        help="Folder or URL of the catalogue; default: as set, else the folder catalogue.",
+    ),
+]
 LineOption = Annotated[
     Path | None, typer.Option("--line", help="Line file; default: as set, else St.Gallen-Wil.")
 ]
@@ -359,6 +375,21 @@ def line_and_train(line: Path | None, train: Path | None) -> tuple[Line, Train]:
 def logs_in(paths: list[Path]) -> list[Path]:
     """The logs named, and those in the folders named, in order of name."""
     return [log for path in paths for log in logs_of(path)]
+
+
+def chosen_logs(where: str, catalogue: str | None) -> list[Path]:
+    """The logs of the trips that an expression chooses in a catalogue; ``all`` chooses all.
+
+    Raises
+    ------
+    InputError
+        If there is no such catalogue, the expression is not understood, no trip is found, or the
+        logs of some have vanished.
+    """
+    from trainlog.catalogue import open_catalogue
+
+    with open_catalogue(catalogue, create=False) as opened:
+        return opened.paths(None if where.strip().lower() == "all" else where)
 
 
 FACTS = ("trip", "weather", "load", "clock", "start_position", "stations")

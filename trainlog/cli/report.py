@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from trainlog.cli.options import destination
+from trainlog.cli.options import ChosenTrips, destination
 from trainlog.cli.terminal import console, print_error, working, wrote
 from trainlog.errors import InputError
 
@@ -38,6 +38,7 @@ def report(
         typer.Option(
             "--logs", help="Logs that a fit was made of, or their folder: shows the residuals."
         ),
+        ChosenTrips,
     ] = None,
     zone: Annotated[
         str, typer.Option(help="Zone of the timetable, in which times are stated: Europe/Zurich.")

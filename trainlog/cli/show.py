@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
+from trainlog.cli.options import ChosenTrips
 from trainlog.cli.terminal import console, current, plain, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
@@ -26,6 +27,7 @@ Files = Annotated[
         help="Anything that trainlog makes or reads: logs, lines, trains, maps, parameter sets,"
         " trajectories, profiles, recorders' files; folders of them."
     ),
+    ChosenTrips,
 ]
 
 
