@@ -84,8 +84,10 @@ def reading() -> None:
     for _ in range(REPEATS):
         read_file(log)
     cpu = 1e3 * (time.process_time() - begun) / REPEATS
-    print(f"read a log of {Path(log).stat().st_size / 1e6:.1f} MB to register it:"
-          f" {median_ms(lambda: read_file(log)):.1f} ms, of processor time {cpu:.1f} ms")
+    print(
+        f"read a log of {Path(log).stat().st_size / 1e6:.1f} MB to register it:"
+        f" {median_ms(lambda: read_file(log)):.1f} ms, of processor time {cpu:.1f} ms"
+    )
 
 
 def fill(catalogue: Catalogue, trips: int) -> None:

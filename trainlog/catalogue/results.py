@@ -485,14 +485,15 @@ def compact(
     once = rows[~rows.duplicated(KEY)]
     table = _table_of(folder, once)
     name = write_table(folder, table)
-    chosen = {int(trip): int(file) for trip, file in zip(once["trip"], once["file"], strict=True)}
+    others = sorted(set(rows["trip"].tolist()) - set(once["trip"].tolist()))
     with database.writing() as connection:
         file = file_id(connection, number, name, table.num_rows)
-        for trip in sorted(chosen):
+        # All rows of a file were recorded at once: none has come since they were read.
+        for part in parts(sorted(set(once["file"].tolist()) - {file})):
             asked = sa.update(results).where(
                 results.c.computation == number,
-                results.c.trip == trip,
-                results.c.file == chosen[trip],
+                results.c.file.in_(part),
+                results.c.trip.not_in(others),
             )
             connection.execute(asked.values(file=file))
         used = sa.select(results.c.file).where(results.c.file.is_not(None))

@@ -207,6 +207,44 @@ results = sa.Table(
 """One row a log, analysis, code and parameters: ``"done"``, ``"refused"`` or ``"failed"``."""
 
 
+_NETWORK_DRIVES = """
+9p afs ceph cifs davfs fuse.davfs2 fuse.glusterfs fuse.rclone fuse.s3fs fuse.sshfs glusterfs gpfs lustre
+ncpfs nfs nfs3 nfs4 smb2 smb3 smbfs
+"""
+"""File systems of Linux that several computers share."""
+
+
+def network_drive(folder: Path, mounts: Path = Path("/proc/mounts")) -> str:
+    r"""The kind of the network drive that a folder is on; empty if it is on none, or not known.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     mounts = Path(folder) / "mounts"
+    ...     _ = mounts.write_text("disk / ext4 rw 0 0\nserver:/data /srv/data nfs4 rw 0 0\n")
+    ...     [network_drive(Path(each), mounts) for each in ("/srv/data/fleet", "/srv/database")]
+    ['nfs4', '']
+    """
+    if str(folder).startswith("\\\\"):
+        return "a share of Windows"
+    try:
+        lines = [line.split(" ") for line in mounts.read_text("utf-8", "replace").splitlines()]
+    except OSError:
+        return ""
+    found = max(
+        (
+            (len(place), number, kind)
+            for number, (place, kind) in enumerate(
+                (each[1].replace("\\040", " "), each[2]) for each in lines if len(each) > 2
+            )
+            if folder.is_relative_to(place)
+        ),
+        default=(0, 0, ""),
+    )
+    return found[2] if found[2] in _NETWORK_DRIVES.split() else ""
+
+
 class Database:
     """The database of a catalogue, open.
 
@@ -244,6 +282,13 @@ class Database:
                 )
             if create:
                 made_folder(self.folder)
+            kind = network_drive(self.folder)
+            if kind:
+                raise InputError(
+                    f"is on a network drive ({kind}), where SQLite does not keep processes apart",
+                    file=where,
+                    remedy="name a folder on a disk of this computer, or a PostgreSQL database",
+                )
             url = URL.create("sqlite", database=str(self.folder / DATABASE))
             self.place = str(where)
         self.engine = self._engine(url)
@@ -379,7 +424,13 @@ class Database:
             with self.engine.connect() as connection:
                 raw = connection.connection.driver_connection
                 assert raw is not None
-                raw.execute("PRAGMA journal_mode=WAL")
+                (mode,) = raw.execute("PRAGMA journal_mode=WAL").fetchone()
+                if mode != "wal":
+                    raise InputError(
+                        "its disk does not let SQLite write ahead",
+                        file=self.place,
+                        remedy="name a folder on a disk of this computer, or a PostgreSQL database",
+                    )
         with self.writing() as connection:
             if self.is_server:
                 name = '"' + self.schema.replace('"', '""') + '"'

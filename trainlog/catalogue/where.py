@@ -127,7 +127,7 @@ class _Compiler:
         if len(parsed) != 1 or not isinstance(parsed[0], exp.Paren):
             raise self.refused("is more than one expression", remedy="join them by and")
         try:
-            return self.truth(parsed[0])
+            return self.truth(parsed[0].this)
         except RecursionError:
             raise self.refused(
                 "is nested too deeply", remedy="write it with fewer brackets"
