@@ -53,6 +53,7 @@ def trips_as_data(frame: pd.DataFrame) -> list[dict[str, Any]]:
     """The same as JSON holds it: numbers with their units, all columns."""
     units = {"s": "_s", "m": "_m", "kg": "_kg"}
     names = {name: f"{name}{units.get(unit, '')}" for name, unit in frame.attrs["units"].items()}
+    names |= {"km_from": "from_km", "km_to": "to_km"}
     records = frame.rename(columns=names).to_dict("records")
     return [{str(key): value for key, value in record.items()} for record in records]
 
@@ -87,7 +88,7 @@ def overview_table(catalogue: Catalogue) -> WordTable:
 
 
 def problems_table(frame: pd.DataFrame) -> WordTable:
-    """Files that do not count, as `trainlog.catalogue.Catalogue.problems` gives them."""
+    """Files that do not count, as `trainlog.catalogue.Catalogue.uncounted` gives them."""
     table = new_table("Files that do not count", "file", "what", "of, or reason", name="problems")
     for row in frame.to_dict("records"):
         table.add_row(row["path"], row["what"], row["reason"])

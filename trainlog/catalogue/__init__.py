@@ -1,31 +1,38 @@
 """The catalogue: which trips there are, where their logs stand, and what was computed of them."""
 
-# The extra is checked before the modules that import it.
-# ruff: noqa: E402
+from typing import TYPE_CHECKING
 
 from trainlog.extras import require
+from trainlog.public import names_on_first_use
 
-require("sqlalchemy", "sqlglot", "duckdb")
+require("sqlalchemy", "sqlglot")
 
-from trainlog.catalogue.catalogue import Catalogue, Refreshed, open_catalogue
-from trainlog.catalogue.export import write_trips
-from trainlog.catalogue.reading import FileEntry, LogEntry, read_entry, read_file
-from trainlog.catalogue.registration import Added, FileOutcome
-from trainlog.catalogue.results import ResultOutcome
-from trainlog.catalogue.schema import TRIP_COLUMNS, TripColumn
+if TYPE_CHECKING:
+    from trainlog.catalogue.catalogue import (
+        Catalogue as Catalogue,
+        Refreshed as Refreshed,
+        open_catalogue as open_catalogue,
+    )
+    from trainlog.catalogue.export import write_trips as write_trips
+    from trainlog.catalogue.reading import (
+        FileEntry as FileEntry,
+        LogEntry as LogEntry,
+        read_entry as read_entry,
+        read_file as read_file,
+    )
+    from trainlog.catalogue.registration import Added as Added, FileOutcome as FileOutcome
+    from trainlog.catalogue.results import ResultOutcome as ResultOutcome
+    from trainlog.catalogue.schema import TRIP_COLUMNS as TRIP_COLUMNS, TripColumn as TripColumn
 
-__all__ = [
-    "TRIP_COLUMNS",
-    "Added",
-    "Catalogue",
-    "FileEntry",
-    "FileOutcome",
-    "LogEntry",
-    "Refreshed",
-    "ResultOutcome",
-    "TripColumn",
-    "open_catalogue",
-    "read_entry",
-    "read_file",
-    "write_trips",
-]
+if not TYPE_CHECKING:  # type checkers refuse names that are not listed above
+    __all__, __getattr__, __dir__ = names_on_first_use(
+        "trainlog.catalogue",
+        {
+            "trainlog.catalogue.catalogue": "Catalogue Refreshed open_catalogue",
+            "trainlog.catalogue.export": "write_trips",
+            "trainlog.catalogue.reading": "FileEntry LogEntry read_entry read_file",
+            "trainlog.catalogue.registration": "Added FileOutcome",
+            "trainlog.catalogue.results": "ResultOutcome",
+            "trainlog.catalogue.schema": "TRIP_COLUMNS TripColumn",
+        },
+    )

@@ -18,7 +18,6 @@ import pandas as pd
 import sqlalchemy as sa
 
 from trainlog.catalogue import results as stored
-from trainlog.catalogue.reading import FileEntry, read_file
 from trainlog.catalogue.registration import (
     Added,
     FileOutcome,
@@ -28,17 +27,24 @@ from trainlog.catalogue.registration import (
     register,
 )
 from trainlog.catalogue.results import ResultOutcome, ResultState
-from trainlog.catalogue.schema import TRIP_COLUMNS, Database, files, trips
-from trainlog.catalogue.where import condition_of, times_of
+from trainlog.catalogue.schema import (
+    TRIP_COLUMNS,
+    Database,
+    files,
+    on_line,
+    trip_edges,
+    trips,
+)
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.formats.settings import read_settings
-from trainlog.mcap import read_log
 from trainlog.progress import track
-from trainlog.trip import Trip
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+    from trainlog.catalogue.reading import FileEntry
+    from trainlog.trip import Trip
 
 BATCH = 200
 """Files that are registered in one transaction."""
@@ -288,7 +294,7 @@ class Catalogue:
             with self._database.writing() as connection:
                 place_again(connection, part, gone)
         added = self.add(every).outcomes if every else ()
-        read = [*self.register([read_file(path) for path in sorted(changed)]).outcomes, *added]
+        read = [*self.register(list(read_files(sorted(changed)))).outcomes, *added]
         moved = [each.path for each in read if each.state == "moved"]
         with self._database.reading() as connection:
             asked = sa.select(files.c.path).where(files.c.state == "vanished")
@@ -359,7 +365,7 @@ class Catalogue:
                 removed += forget(connection, part)
         return removed
 
-    def problems(self) -> pd.DataFrame:
+    def uncounted(self) -> pd.DataFrame:
         """What does not count, and why: other recordings, older versions, vanished, refused.
 
         Returns
@@ -486,14 +492,15 @@ class Catalogue:
     def _conditions(
         self, where: str | None, train: Any, line: Any, start: Any, end: Any, zone: str | None
     ) -> list[sa.ColumnElement[bool]]:
-        found = []
+        from trainlog.catalogue.days import times_of
+
+        found: list[sa.ColumnElement[bool]] = []
         if where is not None:
-            found.append(condition_of(where, zone))
+            found.append(_condition(where, zone))
         if train is not None:
             found.append(trips.c.train == train)
         if line is not None:
-            quoted = str(line).replace("'", "''")
-            found.append(condition_of(f"line = '{quoted}'"))
+            found.append(on_line(trips.c.line == line, trip_edges.c.edge == line))
         if start is not None:
             found.append(trips.c.start >= times_of(start, zone)[0])
         if end is not None:
@@ -560,6 +567,8 @@ class Catalogue:
             what = f"several trips begin with '{key}'" if found else f"there is no trip '{key}'"
             raise InputError(what, file=self.place, remedy="give the key that 'query' lists")
         (path,) = self.paths(f"key = '{found[0][0]}'")
+        from trainlog.mcap import read_log
+
         return read_log(path, topics or None)
 
     # -------------------------------------------------------------------------------- results
@@ -595,7 +604,7 @@ class Catalogue:
         DataFrame
             With the columns ``key``, ``sha256`` and ``path``.
         """
-        condition = None if where is None else condition_of(where)
+        condition = None if where is None else _condition(where)
         return stored.pending(self._database, analysis, code, parameters, condition, page)
 
     def standing(
@@ -610,7 +619,7 @@ class Catalogue:
 
         Parameters are those of `pending`.
         """
-        condition = None if where is None else condition_of(where)
+        condition = None if where is None else _condition(where)
         return stored.standing(self._database, analysis, code, parameters, condition)
 
     def problems(
@@ -631,7 +640,7 @@ class Catalogue:
         DataFrame
             With the columns ``key``, ``name``, ``path``, ``state`` and ``reason``.
         """
-        condition = None if where is None else condition_of(where)
+        condition = None if where is None else _condition(where)
         return stored.problems(self._database, analysis, code, parameters, condition, most)
 
     def forget(
@@ -647,7 +656,7 @@ class Catalogue:
 
         Parameters are those of `pending`, and the states that are forgotten.
         """
-        condition = None if where is None else condition_of(where)
+        condition = None if where is None else _condition(where)
         return stored.forget(self._database, analysis, code, parameters, condition, states)
 
     def record(
@@ -723,7 +732,7 @@ class Catalogue:
             The columns of the analysis, with ``key``, and ``train``, ``kind``, ``line`` and
             ``start`` of the trip where it has none of that name.
         """
-        condition = None if where is None else condition_of(where)
+        condition = None if where is None else _condition(where)
         return stored.merged(self._database, analysis, code, parameters, condition)
 
     def computations(self) -> pd.DataFrame:
@@ -832,6 +841,8 @@ class Refreshed:
 
 def read_files(paths: Sequence[str], jobs: int = 1) -> Iterator[FileEntry]:
     """Files as the catalogue registers them, read by several processes where there are many."""
+    from trainlog.catalogue.reading import read_file
+
     if jobs < 2 or len(paths) < _WORTH_PROCESSES:
         yield from map(read_file, paths)
         return
@@ -867,6 +878,12 @@ def _batches(entries: Iterable[FileEntry]) -> Iterator[list[FileEntry]]:
             batch, begun = [], time.monotonic()
     if batch:
         yield batch
+
+
+def _condition(where: str, zone: str | None = None) -> sa.ColumnElement[bool]:
+    from trainlog.catalogue.where import condition_of
+
+    return condition_of(where, zone)
 
 
 def logs_below(paths: Iterable[str | Path]) -> list[str]:

@@ -9,15 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import sqlalchemy as sa
 
-from trainlog.catalogue.reading import FileEntry
 from trainlog.catalogue.schema import files, results, trip_edges, trips
 from trainlog.display import as_text, counted
 from trainlog.identity import Known, TripIdentity, same_drives
+
+if TYPE_CHECKING:
+    from trainlog.catalogue.reading import FileEntry
 
 FileState = Literal["new", "version", "moved", "copy", "known", "refused"]
 

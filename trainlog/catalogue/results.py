@@ -13,9 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import pandas as pd
-import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
 import sqlalchemy as sa
 
 from trainlog.catalogue.registration import parts
@@ -24,6 +21,8 @@ from trainlog.errors import InputError
 from trainlog.formats.files import made_folder, sha256 as digest, write_bytes
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from trainlog.catalogue.schema import Database
 
 ResultState = Literal["done", "refused", "failed"]
@@ -304,6 +303,9 @@ def file_id(connection: sa.Connection, computation: int, name: str, rows: int) -
 
 def write_table(folder: Path, table: pa.Table) -> str:
     """Write a table under the name of its content; the name."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd", row_group_size=ROWS, write_page_checksum=True)
     data = sink.getvalue().to_pybytes()
@@ -315,6 +317,8 @@ def write_table(folder: Path, table: pa.Table) -> str:
 
 def _check(table: pa.Table, outcomes: Sequence[ResultOutcome]) -> None:
     """Refuse a table that does not hold the rows that its outcomes state."""
+    import pyarrow.compute as pc
+
     if KEY not in table.column_names:
         raise InputError(
             f"the table of results has no column '{KEY}'", remedy="name the trip of each row"
@@ -513,6 +517,10 @@ def compact(
 
 def _table_of(folder: Path, rows: pd.DataFrame) -> pa.Table:
     """The rows of trips, each of the file that is named beside it, in the order of trip."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+
     pieces = []
     for name, group in rows.groupby("name", sort=True):
         table = pq.read_table(folder / str(name), partitioning=None)

@@ -208,8 +208,8 @@ results = sa.Table(
 
 
 _NETWORK_DRIVES = """
-9p afs ceph cifs davfs fuse.davfs2 fuse.glusterfs fuse.rclone fuse.s3fs fuse.sshfs glusterfs gpfs lustre
-ncpfs nfs nfs3 nfs4 smb2 smb3 smbfs
+9p afs ceph cifs davfs fuse.davfs2 fuse.glusterfs fuse.rclone fuse.s3fs fuse.sshfs glusterfs gpfs
+lustre ncpfs nfs nfs3 nfs4 smb2 smb3 smbfs
 """
 """File systems of Linux that several computers share."""
 
@@ -243,6 +243,11 @@ def network_drive(folder: Path, mounts: Path = Path("/proc/mounts")) -> str:
         default=(0, 0, ""),
     )
     return found[2] if found[2] in _NETWORK_DRIVES.split() else ""
+
+
+def on_line(condition: sa.ColumnElement[bool], over: sa.ColumnElement[bool]) -> Any:
+    """Whether a trip is of a line, or ran over one, by a condition on its name and on an edge's."""
+    return sa.or_(condition, trips.c.id.in_(sa.select(trip_edges.c.trip).where(over)))
 
 
 class Database:

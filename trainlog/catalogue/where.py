@@ -15,14 +15,13 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
 
-import pandas as pd
 import sqlalchemy as sa
 import sqlglot
 from sqlglot import exp
 
-from trainlog.catalogue.schema import TRIP_COLUMNS, trip_edges, trips
+from trainlog.catalogue.days import times_of
+from trainlog.catalogue.schema import TRIP_COLUMNS, on_line, trip_edges, trips
 from trainlog.errors import InputError
-from trainlog.spans import utc
 
 UNITS: dict[str, dict[str, float]] = {
     "s": {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0},
@@ -48,7 +47,6 @@ FUNCTIONS = {
 
 _COLUMNS = {each.name: each for each in TRIP_COLUMNS}
 _WORDS = [each.name for each in TRIP_COLUMNS if each.kind != "json"]
-_DAY = re.compile(r"\d{4}-\d{2}-\d{2}")
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-z]+)?\s*")
 _NANOSECONDS_A_DAY = 86_400_000_000_000
 
@@ -191,9 +189,8 @@ class _Compiler:
 
     def of_text(self, kind: Any, node: Any, value: _Value, text: str) -> sa.ColumnElement[bool]:
         if self.is_line(node) and kind in (exp.EQ, exp.NEQ):
-            over = _over_edge(trip_edges.c.edge == text)
-            found = sa.or_(value.element == text, over)
-            return found.self_group() if kind is exp.EQ else sa.not_(found)
+            found = on_line(value.element == text, trip_edges.c.edge == text)
+            return self.result(found.self_group() if kind is exp.EQ else sa.not_(found))
         return self.result(_COMPARISONS[kind](value.element, text))
 
     def like(self, node: Any) -> sa.ColumnElement[bool]:
@@ -207,8 +204,8 @@ class _Compiler:
             raise self.refused("the pattern ends in a backslash", node.expression, "write it twice")
         found = value.element.like(pattern, escape="\\")
         if self.is_line(node.this):
-            over = _over_edge(trip_edges.c.edge.like(pattern, escape="\\"))
-            return sa.or_(found, over).self_group()
+            over = trip_edges.c.edge.like(pattern, escape="\\")
+            return self.result(on_line(found, over).self_group())
         return self.result(found)
 
     def unknown(self, node: Any) -> sa.ColumnElement[bool]:
@@ -403,50 +400,6 @@ class _Compiler:
         shown = self.text if len(self.text) <= 200 else f"{self.text[:200]}..."
         where = f'expression "{shown}"' + (f", column {column}" if column is not None else "")
         return InputError(problem, place=where, remedy=remedy or None)
-
-
-def times_of(text: Any, zone: str | None = None) -> tuple[int, int]:
-    """The first and last nanosecond that a time stands for: of a day all of it.
-
-    Parameters
-    ----------
-    text : anything that `pandas.Timestamp` takes
-    zone : str, optional
-        Of a time that states none; default UTC.
-
-    Raises
-    ------
-    InputError
-        If it is no time.
-
-    Examples
-    --------
-    >>> first, last = times_of("2026-10-01")
-    >>> (last - first + 1) / 3600e9
-    24.0
-    >>> times_of("2026-10-25", "Europe/Zurich")[0] == times_of("2026-10-24T22:00Z")[0]
-    True
-    """
-    day = isinstance(text, str) and _DAY.fullmatch(text) is not None
-    try:
-        stamp = pd.Timestamp(text)
-        if stamp.tzinfo is None and zone is not None:
-            following = (stamp + pd.Timedelta(days=1)).tz_localize(zone)
-            stamp = stamp.tz_localize(zone)
-        else:
-            following = stamp + pd.Timedelta(days=1)
-    except (ValueError, TypeError, KeyError, OverflowError) as error:
-        raise InputError(
-            f"'{text}' is not a time{f' in the zone {zone!r}' if zone else ''}",
-            remedy="write it as 2026-10-01 or 2026-10-01T06:30Z",
-        ) from error
-    first = int(utc(stamp).value)
-    return first, int(utc(following).value) - 1 if day else first
-
-
-def _over_edge(condition: sa.ColumnElement[bool]) -> sa.ColumnElement[bool]:
-    """Whether a trip ran over a line of which the condition holds."""
-    return trips.c.id.in_(sa.select(trip_edges.c.trip).where(condition))
 
 
 def _calendar(name: str, time: Any) -> Any:

@@ -132,7 +132,7 @@ def catalogue_list(
 
     with open_catalogue(catalogue, create=False) as opened:
         counts = opened.counts()
-        shown = problems_table(opened.problems()) if problems else overview_table(opened)
+        shown = problems_table(opened.uncounted()) if problems else overview_table(opened)
         state({"catalogue": opened.place, "counts": counts})
     console.print(shown)
     words = ", ".join(f"{count:,} {name}" for name, count in counts.items() if count)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 NETWORK_SUFFIX = ".network.json"
 """End of the names of network files."""
 
+
 class ChosenTrips:
     """Marks the logs of a command: trips of a catalogue may be chosen in their place.
 
