@@ -781,7 +781,7 @@ class Catalogue:
         >>> found["reason"].tolist(), made[["analysis", "refused"]].values.tolist()
         (['no stop', 'no stop'], [['stops', 2]])
         """
-        condition = None if where is None else condition_of(where)
+        condition = None if where is None else _condition(where)
         return stored.outcomes_of(self._database, analysis, code, parameters, condition)
 
     def compact(
