@@ -52,14 +52,6 @@ TrainOption = Annotated[
     Path | None, typer.Option("--train", help="Train file; default: as set, else Stadler FLIRT.")
 ]
 
-CatalogueOption = Annotated[
-    str | None,
-    typer.Option(
-        "--catalogue",
-        metavar="WHERE",
-        help="Folder or URL of the catalogue; default: as set, else the folder catalogue.",
-    ),
-]
 RiskOption = Annotated[
     float | None,
     typer.Option(
