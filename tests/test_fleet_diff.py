@@ -1,0 +1,322 @@
+"""What changed between two versions over a fleet: found where it is, and nowhere else."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from command import run
+
+from analysis.fleet.analyses import ANALYSES
+from analysis.fleet.diff import FleetDiff, Results, compared, daily_evidence
+from analysis.fleet.diff_table import details, sentence, tables
+from analysis.fleet.trips import fleet_trips
+from analysis.fleet.versions import Version, parameters_of
+from trainlog.errors import InputError
+from trainlog.formats.recordings import packed_evidence
+
+SIDES = tuple(Version(name, {"made up": name}, {"made up": {}}) for name in "ab")
+
+DAY = pd.Timestamp("2026-01-01", tz="UTC")
+
+
+def made_up(trains: int = 5, trips: int = 40, seed: int = 1) -> pd.DataFrame:
+    """A mass with its band, and an energy without, of each trip."""
+    generator = np.random.default_rng(seed)
+    count = trains * trips
+    std = generator.uniform(100.0, 300.0, count)
+    return pd.DataFrame(
+        {
+            "key": [f"{number:05d}" for number in range(count)],
+            "trip": [f"trip-{number}" for number in range(count)],
+            "train": [f"unit-{number // trips}" for number in range(count)],
+            "kind": "unit",
+            "line": [f"line {number % 3}" for number in range(count)],
+            "start": DAY,
+            "mass": 1e5 + std * generator.standard_t(4.0, count),
+            "mass_std": std,
+            "energy": generator.uniform(1e8, 2e8, count),
+            "source": "recorded",
+        }
+    )
+
+
+def outcomes_of(table: pd.DataFrame, refused: tuple[str, ...] = ()) -> pd.DataFrame:
+    found = table[["key", "trip", "train", "kind", "line", "start"]].drop_duplicates("key")
+    found = found.rename(columns={"trip": "name"})
+    states = ["refused" if key in refused else "done" for key in found["key"]]
+    reasons = ["too short" if key in refused else "" for key in found["key"]]
+    return found.assign(state=states, reason=reasons)
+
+
+def difference(one: pd.DataFrame, other: pd.DataFrame, name: str = "made up") -> FleetDiff:
+    sides = (Results(each, outcomes_of(each)) for each in (one, other))
+    return compared(*SIDES, {name: tuple(sides)})
+
+
+def changed(column: str, change: Callable[[np.ndarray], np.ndarray]) -> FleetDiff:
+    table = made_up()
+    return difference(table, table.assign(**{column: change(table[column].to_numpy())}))
+
+
+def test_where_nothing_changed_everything_is_the_same_to_the_byte() -> None:
+    found = changed("mass", lambda mass: mass.copy())
+    assert found.same
+    assert not found.beyond
+    assert found.trip_counts["same"].tolist() == [200]
+    assert sentence(found) == "every result of 200 trips is the same to the byte"
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "kind"),
+    [
+        ("mass", 1.0 + 1e-8, "rounding"),
+        ("mass", 1.0 + 1e-4, "within"),
+        ("mass", 1.01, "beyond"),
+        ("energy", 1.0 + 1e-7, "rounding"),
+        ("energy", 1.005, "within"),
+        ("energy", 1.02, "beyond"),
+        ("mass_std", 1.2, "within"),
+    ],
+)
+def test_a_difference_is_of_the_class_that_its_band_gives(
+    column: str, factor: float, kind: str
+) -> None:
+    found = changed(column, lambda values: factor * values)
+    assert found.trip_counts[kind].tolist() == [200]
+    assert not found.same
+    assert len(found.moved) == (200 if kind == "beyond" else 0)
+    if column == "mass_std":
+        rows = found.estimates.set_index("estimate")
+        assert rows.loc["mass", "band_ratio"] == pytest.approx(1.2)
+
+
+def test_a_shift_too_small_for_any_trip_is_found_in_the_mean_of_its_train_alone() -> None:
+    table = made_up()
+    generator = np.random.default_rng(2)
+    noise = 0.1 * table["mass_std"] * generator.standard_t(3.0, len(table))
+    shifted = 0.7 * table["mass_std"] * (table["train"] == "unit-3")
+    found = difference(table, table.assign(mass=table["mass"] + noise + shifted))
+    assert len(found.moved) <= 2, "single trips but for the farthest of the noise are within"
+    means = found.means[(found.means["of"] == "train") & found.means["beyond"]]
+    assert means["name"].tolist() == ["unit-3"]
+    shift, std = means[["shift", "shift_std"]].to_numpy()[0]
+    own = table[table["train"] == "unit-3"]
+    weight = own["mass_std"] ** -2
+    assert shift == pytest.approx(
+        float(0.7 * (weight * own["mass_std"]).sum() / weight.sum()), abs=4 * std
+    )
+    assert "unit-3" in [row["name"] for row in details(found)["means"]]
+
+
+def test_differences_that_scatter_around_zero_are_rarely_called_systematic() -> None:
+    """Of twenty comparisons with 50 trains each, at a rate of one in twenty."""
+    called = 0
+    for seed in range(20):
+        table = made_up(trains=50, trips=6, seed=seed)
+        generator = np.random.default_rng(1_000 + seed)
+        noise = 0.2 * table["mass_std"] * generator.standard_t(3.0, len(table))
+        found = difference(table, table.assign(mass=table["mass"] + noise))
+        called += bool(found.means["systematic"].any())
+    assert called <= 4
+
+
+def test_trips_that_one_side_alone_accepts_are_listed_with_the_reason() -> None:
+    table = made_up()
+    left = Results(table, outcomes_of(table))
+    kept = table[~table["key"].isin(["00003", "00100"])]
+    right = Results(kept, outcomes_of(table, refused=("00003", "00100")))
+    found = compared(*SIDES, {"made up": (left, right)})
+    assert found.verdicts[["trip", "first", "second"]].to_numpy().tolist() == [
+        ["trip-3", "done", "refused: too short"],
+        ["trip-100", "done", "refused: too short"],
+    ]
+    assert found.beyond
+    assert found.trip_counts["beyond"].tolist() == [2]
+    again = compared(*SIDES, {"made up": (right, left)})
+    assert again.verdicts["first"].tolist() == 2 * ["refused: too short"]
+
+
+def test_texts_that_differ_are_listed_but_no_estimate_moved() -> None:
+    table = made_up()
+    other = table.assign(
+        source=["assumed" if key == "00007" else "recorded" for key in table["key"]]
+    )
+    found = difference(table, other)
+    assert not found.beyond
+    assert found.words[["trip", "estimate", "second"]].to_numpy().tolist() == [
+        ["trip-7", "source", "assumed"]
+    ]
+
+
+@pytest.fixture(scope="module")
+def adhesion() -> pd.DataFrame:
+    """What the two sample trips show of the maximum adhesion."""
+    frames = []
+    for name in ("nonstop", "stopping"):
+        trip = next(fleet_trips(f"sample_logs/{name}.mcap"))
+        about = {"key": name, "train": "unit-1", "kind": "unit", "line": trip.line.name}
+        frames.append(ANALYSES["adhesion"].table(trip).assign(**about, start=DAY))
+    return pd.concat(frames, ignore_index=True)
+
+
+def test_a_place_of_the_map_that_moved_is_named(adhesion: pd.DataFrame) -> None:
+    def with_more_adhesion(data: bytes) -> bytes:
+        """The same evidence, but for more adhesion at the onsets of 18 to 21 km."""
+        daily = daily_evidence(data)
+        there = (daily.bin >= 720) & (daily.bin < 840)
+        log = daily.weighted_log / np.where(daily.weight > 0.0, daily.weight, 1.0)
+        moved = np.where(there, log + 0.4, log)
+        changed = {"weighted_log": moved * daily.weight, "weighted_square": moved**2 * daily.weight}
+        return zlib.compress(packed_evidence(replace(daily, **changed)))
+
+    wet = adhesion["layer"] == "wet"
+    changed = adhesion["evidence"].where(~wet, adhesion["evidence"].map(with_more_adhesion))
+    found = difference(adhesion, adhesion.assign(evidence=changed), "adhesion")
+    assert found.beyond
+    places = found.places
+    assert set(places["layer"]) == {"wet"}
+    assert places["from_km"].min() > 17.0
+    assert places["to_km"].max() < 22.0
+    assert (places["second"] > 1.2 * places["first"]).all()
+    assert "Places of the track-condition map" in " ".join(
+        str(each.title) for each in tables(found)
+    )
+
+
+def test_parameters_that_no_analysis_has_are_refused() -> None:
+    with pytest.raises(InputError, match=r"no analysis 'resistence'.*resistance"):
+        parameters_of("resistence.speeds=3")
+    with pytest.raises(InputError, match=r"'speeds=3' is no parameter"):
+        parameters_of("speeds=3")
+
+
+# ------------------------------------------------------------------------------------- the command
+
+CHECKOUT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A catalogue of the sample trips."""
+    pytest.importorskip("sqlalchemy")
+    from trainlog.catalogue import open_catalogue
+
+    place = tmp_path_factory.mktemp("fleet") / "catalogue"
+    with open_catalogue(place) as catalogue:
+        catalogue.add("sample_logs")
+    return place
+
+
+def copied(folder: Path, file: str, old: str, new: str) -> Path:
+    """Another checkout, with one line changed."""
+    for name in ("trainlog", "analysis", "estimators"):
+        kept = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(CHECKOUT / name, folder / name, ignore=kept)
+    shutil.copytree(CHECKOUT / "sample_logs", folder / "sample_logs")
+    path = folder / file
+    text = path.read_text("utf-8")
+    assert text.count(old) == 1
+    path.write_text(text.replace(old, new), "utf-8")
+    return folder
+
+
+def test_a_line_broken_in_another_checkout_is_named(
+    place: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    other = copied(
+        tmp_path / "other", "analysis/fleet/checks.py",
+        "recorded.duration", "1.02 * recorded.duration",
+    )  # fmt: skip
+    words = ["fleet", "diff", "now", other, "--catalogue", place, "--analysis", "checks"]
+    words += ["--workers", 0, "-o", tmp_path / "changes", "--json"]
+    status, printed, complaint = run(monkeypatch, capsys, *words)
+    assert (status, complaint) == (1, "")
+    found = json.loads(printed)
+    assert {(each["estimate"], each["trip"]) for each in found["moved"]} == {
+        ("duration", "trip-01"), ("duration", "trip-03"),
+    }  # fmt: skip
+    moved = [each["second"] / each["first"] for each in found["moved"]]
+    assert moved == pytest.approx([1.02, 1.02])
+    assert "<h2>" in (tmp_path / "changes" / "diff.html").read_text("utf-8")
+    assert len(pd.read_csv(tmp_path / "changes" / "moved.csv")) == 2
+    # Its results are recorded under its own version: once they are there, no code is needed.
+    code = found["second"].partition("(")[2].rstrip(")")
+    again = ["fleet", "diff", code[:8], "now", *words[4:7], "checks", "--workers", 0]
+    shutil.rmtree(other)
+    assert run(monkeypatch, capsys, *again)[0] == 1
+    assert run(monkeypatch, capsys, *again[:2], "now", "now", *again[4:])[0] == 0
+
+
+def test_parameters_that_change_the_bins_of_a_map(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("--catalogue", place, "--workers", 0, "--trips", "weather = 'wet'")
+    status, shown, _ = run(
+        monkeypatch, capsys, "fleet", "diff", "now", "adhesion.bin_length=50", *words
+    )
+    assert status == 1
+    assert "on 1 trip." in shown
+    assert "resistance" not in shown, "the other analyses have no other parameters"
+
+
+@pytest.mark.parametrize(
+    ("side", "message"),
+    [
+        ("no-such-version", "'no-such-version' is no version"),
+        ("adhesion.bins=3", "has no parameter 'bins'; it has bin_length"),
+        ("sample_logs", "holds no code of trainlog"),
+        ("sample_logs/gnss.csv", "cannot be run"),
+    ],
+)
+def test_what_is_no_version_is_refused(
+    place: Path,
+    side: str,
+    message: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    status, _, complaint = run(
+        monkeypatch, capsys, "fleet", "diff", "now", side, "--catalogue", place
+    )
+    assert (status, complaint.count("\n")) == (2, 1)
+    assert message in complaint
+
+
+@pytest.mark.long
+def test_a_wrong_gravity_moves_what_rests_on_gradients_and_a_revision_is_itself(
+    place: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Of simulated trips over a hilly line: the mean of noise sizes and bands, by train."""
+    trips = tmp_path / "trips"
+    command = [sys.executable, "-m", "trainlog", "simulate", "--count", "8", "-o", str(trips)]
+    subprocess.run(command, check=True, capture_output=True)
+    from trainlog.catalogue import open_catalogue
+
+    with open_catalogue(tmp_path / "catalogue") as catalogue:
+        catalogue.add(trips)
+    other = copied(tmp_path / "other", "trainlog/units.py", "GRAVITY = 9.81", "GRAVITY = 9.9")
+    words = ("--catalogue", tmp_path / "catalogue", "--analysis", "resistance", "--json")
+    status, printed, _ = run(monkeypatch, capsys, "fleet", "diff", "now", other, *words)
+    assert status == 1
+    found = json.loads(printed)
+    assert "noise_gradient" in {each["estimate"] for each in found["means"]}
+    assert {each["same"] for each in found["analyses"]} == {0}
+    if (CHECKOUT / ".git").exists():
+        status, printed, _ = run(monkeypatch, capsys, "fleet", "diff", "HEAD", "HEAD", *words)
+        assert (status, json.loads(printed)["same"]) == (0, True)
