@@ -378,6 +378,14 @@ def evidence_of_log(
     return replace(piece, recorded=found, steps=len(trip.provenance), details=details)
 
 
+def slips_of_log(path: Path) -> Iterator[SlipAnalysis]:
+    """The slip analysis of a log; of a long log stretch by stretch."""
+    for stretch in stretches(path, TOPICS):
+        # A stretch in which the axles were not recorded has no slip.
+        if stretch.count == 1 or len(stretch.trip["/train/axles"]) > 1:
+            yield slip(stretch.trip).part(stretch.span)
+
+
 def _decides(trip: Trip) -> bool:
     """Whether the topics that slip needs hold the column that identifies the drive."""
     topic, column, _ = COLUMNS[0]

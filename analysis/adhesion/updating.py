@@ -9,7 +9,8 @@ from __future__ import annotations
 import pickle
 import time
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, astuple, dataclass, replace
 from functools import cached_property
 from os import stat_result
@@ -221,7 +222,7 @@ def update_map(
     >>> again.sentence
     '0 trips added, 1 held already; the map holds 2 trips of 1 day'
     """
-    update = _Update(Path(path), layer, weather, retry)
+    update = FileUpdate(Path(path), layer, weather, retry)
     outcomes: list[LogOutcome] = []
     try:
         given = [logs] if isinstance(logs, str | Path) else logs
@@ -237,8 +238,15 @@ def update_map(
     return MapUpdate(update.path, tuple(outcomes), trips, days, made=update.file is not None)
 
 
-class _Update:
-    """An update of a map's file, which is begun with the first trip if it is not there."""
+class FileUpdate:
+    """An update of a map's file, which is begun with the first trip if it is not there.
+
+    Parameters
+    ----------
+    path : Path
+    layer, weather, retry
+        As of `update_map`.
+    """
 
     def __init__(self, path: Path, layer: str | None, weather: Weather | None, retry: bool) -> None:
         self.path, self.layer, self.weather, self.retry = path, layer, weather, retry
@@ -256,12 +264,12 @@ class _Update:
         finally:
             self.file.close()
 
-    def outcome(self, log: Path) -> LogOutcome:
-        """Add a log's trip, if it is usable and new."""
+    def outcome(self, log: Path, digest: str = "") -> LogOutcome:
+        """Add a log's trip, if it is usable and new; `digest`: its SHA-256, if it is known."""
         try:
             state = _state(log)
             known = self.file.digest_of(log, state) if self.file else ""
-            digest = known or sha256_of(log)
+            digest = known or digest or sha256_of(log)
         except TrainlogError as error:
             return LogOutcome(str(log), "refused", reason=str(error))
         found = _held(self.file, log, digest, self.layer) or self._refused_before(log, digest)
@@ -274,7 +282,7 @@ class _Update:
     def _tried(self, log: Path, state: stat_result, digest: str) -> LogOutcome:
         """The outcome of a log that the map does not hold."""
         try:
-            piece, track, damage = _analysed(self.file, log, digest, self.layer, self.weather)
+            piece, track, damage = self.analysed(log, digest)
         except TrainlogError as error:
             if _has_changed(log, state) or isinstance(error.__cause__, OSError):
                 # Not because of what the log holds.
@@ -284,6 +292,25 @@ class _Update:
             return _changed(log, piece)
         self.file = self.file or MapFile(self.path, track)
         return _added(self.file, log, piece, damage)
+
+    def analysed(self, log: Path, digest: str) -> tuple[Evidence, TrackConditionMap, str]:
+        """The evidence of a log, the map that it is for, without trips, and what of it is lost.
+
+        Raises
+        ------
+        TrainlogError
+            If the log cannot be used, naming its file.
+        """
+        from analysis.adhesion.condition_map import empty_map, evidence_of_log, own_line
+        from trainlog.mcap import read_log
+
+        with naming_log(log) as losses:
+            if self.file:
+                track = self.file.without_evidence
+            else:
+                track = empty_map(own_line(read_log(log, topics=[])))
+            piece = evidence_of_log(log, track, self.layer, self.weather, sha256=digest)
+        return piece, track, losses[-1] if losses else ""
 
     def _refused_before(self, log: Path, digest: str) -> LogOutcome | None:
         """The outcome of a log that was refused when nothing else was given; else None."""
@@ -341,28 +368,24 @@ def _changed(log: Path, piece: Evidence) -> LogOutcome:
     return LogOutcome(str(log), "refused", piece.trip, piece.layer, str(error))
 
 
-def _analysed(
-    file: MapFile | None, log: Path, digest: str, layer: str | None, weather: Weather | None
-) -> tuple[Evidence, TrackConditionMap, str]:
-    """The evidence of a log, the map that it is for, without trips, and what of the log is lost."""
-    from analysis.adhesion.condition_map import empty_map, evidence_of_log, own_line
-    from trainlog.mcap import DamageWarning, read_log
+@contextmanager
+def naming_log(log: Path) -> Iterator[list[str]]:
+    """Name the log in errors; gives what of it is lost, in sentences, once the block has run."""
+    from trainlog.mcap import DamageWarning
 
+    losses: list[str] = []
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            track = file.without_evidence if file else empty_map(own_line(read_log(log, topics=[])))
-            piece = evidence_of_log(log, track, layer, weather, sha256=digest)
+            yield losses
     except TrainlogError as error:
         if error.file:
             raise
         raise type(error)(error.problem, file=log, remedy=error.remedy) from error
-    losses = ""
     for each in caught:
         warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
         if isinstance(each.message, DamageWarning):
-            losses = each.message.account.sentence
-    return piece, track, losses
+            losses.append(each.message.account.sentence)
 
 
 def _added(file: MapFile, log: Path, piece: Evidence, damage: str) -> LogOutcome:

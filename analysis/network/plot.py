@@ -97,9 +97,11 @@ def draw_network(
     >>> figure.axes[0].get_xlabel()
     'east [km]'
     """
-    figure = new_figure(9.0, 6.5)
-    axes = figure.add_subplot()
     courses = edge_courses(network)
+    every = np.concatenate([points for _, points in courses.values()])
+    wide, high = np.maximum(np.ptp(every, axis=0), 1e-9).tolist()
+    figure = new_figure(9.0, float(np.clip(8.0 * high / wide + 1.5, 3.5, 9.0)))
+    axes = figure.add_subplot()
     drawn = _draw_edges(axes, network, courses, shown or {}, (colours, span))
     _draw_nodes(axes, network, courses)
     _draw_stations(axes, network, courses)

@@ -14,7 +14,9 @@ from trainlog.errors import InputError
 from trainlog.progress import task
 
 if TYPE_CHECKING:
-    from analysis.adhesion.updating import LogOutcome
+    from collections.abc import Callable
+
+    from analysis.adhesion.updating import LogOutcome, MapUpdate
 
 app = typer.Typer()
 map_app = typer.Typer(no_args_is_help=True, help="The track-condition map: maximum adhesion.")
@@ -25,8 +27,15 @@ app.add_typer(map_app, name="map", rich_help_panel="Learn")
 def map_update(
     logs: Logs,
     condition: Annotated[
-        Path, typer.Option("--map", help="Map file (.map); made if it is not there.")
+        Path,
+        typer.Option(
+            "--map", help="Map file (.map), or a network's folder of maps; made if not there."
+        ),
     ],
+    network: Annotated[
+        Path | None,
+        typer.Option(help="Network file: one map an edge, in the folder that --map names."),
+    ] = None,
     layer: Annotated[
         str | None,
         typer.Option(help="Rail condition, such as wet or leaves; default: what each log states."),
@@ -52,9 +61,13 @@ def map_update(
     one given; 2 if none could be used. A log that cannot be used is reported once: the map
     remembers it by its content, and later updates only count it.
 
+    With --network trips count on each edge that their route runs over, by the edge's own chainage;
+    trips on an ordinary line on the edge of its name. The folder keeps the network.
+
     Example: trainlog map update results/trips --map results/wil.map
     """
     from collections import Counter
+    from functools import partial
 
     from analysis.adhesion.updating import update_map
     from trainlog.formats.mapfile import MapFile
@@ -62,7 +75,16 @@ def map_update(
 
     if condition.is_file():
         MapFile(condition).close()  # what is no map is named before logs are read
-    destination(condition, ".map")
+    of_network = network is not None or condition.is_dir()
+    if of_network:
+        from analysis.network.maps import update_network_map
+        from trainlog.formats.network import read_network
+
+        edges = None if network is None else read_network(network)
+        adding: Callable[..., MapUpdate] = partial(update_network_map, network=edges)
+    else:
+        destination(condition, ".map")
+        adding = update_map
     stated = None if weather is None else read_weather(weather)
     found, done = logs_in(logs), Counter[str]()
 
@@ -78,12 +100,12 @@ def map_update(
 
     def finished() -> str:
         added = f"{counted(done['added'], 'trip')} added"
-        return added if condition.is_file() else f"{added}, no map was made"
+        return added if condition.exists() else f"{added}, no map was made"
 
     output = current()
     output.finished = finished
     with task("mapping", len(found), "log") as step:
-        result = update_map(found, condition, layer, stated, retry=retry, report=report)
+        result = adding(found, condition, layer=layer, weather=stated, retry=retry, report=report)
     if not state(result.details()):
         console.print(result.sentence, highlight=False, soft_wrap=True)
     if result.refused:

@@ -11,7 +11,7 @@ from trainlog.cli.map import map_app
 from trainlog.cli.options import (
     AtOption,
     ChosenTrips,
-    MapArgument,
+    MapOrFolder,
     ZoneOption,
     destination,
     logs_in,
@@ -22,6 +22,8 @@ from trainlog.errors import InputError
 from trainlog.progress import task, track
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from analysis.verification.scoring import Score
 
 app = typer.Typer()
@@ -30,8 +32,10 @@ app = typer.Typer()
 
 @map_app.command("forecast")
 def map_forecast(
-    condition: MapArgument,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Forecast (CSV).")],
+    condition: MapOrFolder,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Forecast (CSV); of a network a folder of them.")
+    ],
     at: AtOption = None,
     zone: ZoneOption = None,
     hours: Annotated[float, typer.Option(help="For how long it is said to hold.")] = 24.0,
@@ -51,6 +55,9 @@ def map_forecast(
     from trainlog.formats.condition import read_map
     from trainlog.formats.forecast import write_forecast
 
+    if condition.is_dir():
+        _forecast_network(condition, output, moment(at, zone), hours, layer)
+        return
     destination(output, ".csv")
     track = read_map(condition)
     time = moment(at, zone) or first_free(track)
@@ -70,9 +77,28 @@ def map_forecast(
     wrote(output)
 
 
+def _forecast_network(
+    folder: Path, output: Path, time: pd.Timestamp | None, hours: float, layer: str | None
+) -> None:
+    """Write a forecast for each edge of a network's folder of maps."""
+    from analysis.network.maps import forecasts_of_network, network_map
+    from trainlog.formats.files import output_folder
+    from trainlog.formats.forecast import write_forecast
+
+    when, found = forecasts_of_network(network_map(folder), time, layer, hours)
+    with output_folder(output) as place:
+        for path, forecast in found.items():
+            write_forecast(forecast, place / path)
+    state({"forecasts": str(output), "edges": len(found), "from": when.isoformat()})
+    wrote(output)
+
+
 @map_app.command("score")
 def map_score(
-    forecast: Annotated[Path, typer.Argument(help="Map file, or a forecast (.csv).")],
+    forecast: Annotated[
+        Path,
+        typer.Argument(help="Map file, a network's folder of maps, or a forecast (.csv)."),
+    ],
     logs: Annotated[
         list[Path] | None,
         typer.Argument(help="Logs (.mcap) of later trips, or folders of logs."),
@@ -107,7 +133,11 @@ def map_score(
 
     if picture is not None:
         destination(picture, ".png")
-    found = _scored(forecast, logs or [], rolling, layer, weather)
+    found = (
+        _scored_network(forecast, logs or [], rolling, layer)
+        if forecast.is_dir()
+        else _scored(forecast, logs or [], rolling, layer, weather)
+    )
     for words in found.refused:
         print_error(words)
     if picture is not None:
@@ -120,6 +150,19 @@ def map_score(
         wrote(picture)
     if found.refused:
         raise typer.Exit(1)
+
+
+def _scored_network(folder: Path, logs: list[Path], rolling: bool, layer: str | None) -> Score:
+    from analysis.network.maps import network_map, score_network
+
+    if logs or not rolling:
+        raise InputError(
+            "the maps of a network are scored on their own days",
+            remedy="give --rolling and no logs",
+        )
+    with task("forecasting edge by edge", unit="edge") as step:
+        chosen = None if layer is None else [layer]
+        return score_network(network_map(folder), chosen, lambda done, edges: step(done, edges))[0]
 
 
 def _scored(

@@ -13,6 +13,7 @@ from trainlog.cli.options import (
     AtOption,
     LayersOption,
     MapArgument,
+    MapOrFolder,
     ZoneOption,
     destination,
     moment,
@@ -22,6 +23,8 @@ from trainlog.cli.terminal import console, state, wrote
 from trainlog.errors import InputError
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from trainlog.railway import Line, TrackConditionMap
 
 app = typer.Typer()
@@ -39,7 +42,7 @@ CourseOption = Annotated[
 
 @map_app.command("show")
 def map_show(
-    condition: MapArgument,
+    condition: MapOrFolder,
     at: AtOption = None,
     zone: ZoneOption = None,
     layer: LayersOption = None,
@@ -58,7 +61,8 @@ def map_show(
     Lasting beside expected maximum adhesion at the lowest places, passing spots with the
     probability that they still lie there, and changes of the lasting condition with their dates;
     with --model the numbers of the model with their uncertainty. Of a past --at the map is shown
-    as it was known then: made of the evidence of the days before alone.
+    as it was known then: made of the evidence of the days before alone. Of a network's folder
+    of maps a row an edge and rail condition, and the network drawn by expected adhesion.
 
     Example: trainlog map show results/wil.map --at 2026-11-22T06:00+01:00 --picture map.png
     """
@@ -67,6 +71,15 @@ def map_show(
     when, ends = moment(at, zone), _kilometres(km)
     if ends is not None and picture is None:
         raise InputError("--km chooses what a picture shows", remedy="name it with --picture")
+
+    if condition.is_dir():
+        if ends is not None or line is not None or model:
+            raise InputError(
+                "--km, --line and --model are for the map of one line",
+                remedy="leave them out, or name the map of an edge",
+            )
+        _show_network(condition, when, layer, picture)
+        return
 
     from analysis.adhesion.map_state import map_state, state_table
     from trainlog.formats.condition import read_map
@@ -85,6 +98,24 @@ def map_show(
         draw_map(shown.track, picture, line=known, at=when, part=part)
     if not state(shown.as_json()):
         console.print(state_table(shown, model=model))
+    if picture is not None:
+        wrote(picture)
+
+
+def _show_network(
+    folder: Path, when: pd.Timestamp | None, layers: list[str] | None, picture: Path | None
+) -> None:
+    """Show the maps of a network's folder."""
+    from analysis.network.map_table import draw_network_map, network_rows, network_table
+    from analysis.network.maps import network_map
+
+    maps = network_map(folder)
+    shown = maps if when is None else maps.known_before(when)
+    rows = network_rows(shown, when, layers)
+    if picture is not None:
+        draw_network_map(shown, picture, time=when, layer=None if not layers else layers[0])
+    if not state({"folder": str(folder), "edges": rows}):
+        console.print(network_table(shown, rows))
     if picture is not None:
         wrote(picture)
 

@@ -70,6 +70,9 @@ RunTimeOption = Annotated[
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")]
 MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="Map file (.map).")]
+MapOrFolder = Annotated[
+    Path, typer.Argument(metavar="MAP", help="Map file (.map), or a network's folder of maps.")
+]
 LayersOption = Annotated[
     list[str] | None, typer.Option("--layer", help="Only this layer; may be given several times.")
 ]
@@ -287,10 +290,13 @@ def _zoneless(at: str) -> bool:
         return False
 
 
-def map_of_run(condition: Path, at: str | None) -> tuple[TrackConditionMap, pd.Timestamp | None]:
+def map_of_run(
+    condition: Path, at: str | None, line: Line
+) -> tuple[TrackConditionMap, pd.Timestamp | None]:
     """The map, made of the evidence of the days before the time of the run alone, and that time.
 
-    What is left out is printed. Without a time all evidence counts.
+    What is left out is printed. Without a time all evidence counts. Of a network's folder of maps
+    it is the map along the `line`, in its own direction.
 
     Raises
     ------
@@ -300,7 +306,13 @@ def map_of_run(condition: Path, at: str | None) -> tuple[TrackConditionMap, pd.T
     from trainlog.condition import known_before, left_out
     from trainlog.formats.condition import read_map
 
-    time, track = moment(at, None), read_map(condition)
+    if condition.is_dir():
+        from analysis.network.maps import network_map
+
+        track = network_map(condition).along(line)
+    else:
+        track = read_map(condition)
+    time = moment(at, None)
     if time is None:
         return track, None
     words = left_out(track, time)

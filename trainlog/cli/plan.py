@@ -71,7 +71,11 @@ def optimise(
         ),
     ] = "wheel",
     condition: Annotated[
-        Path | None, typer.Option("--map", help="Track-condition map that limits the efforts.")
+        Path | None,
+        typer.Option(
+            "--map",
+            help="Track-condition map that limits the efforts, or a network's folder of maps.",
+        ),
     ] = None,
     layer: Annotated[
         str | None,
@@ -186,10 +190,11 @@ def optimise(
         )
     if as_fast_as is not None:
         running_time = fastest_nonstop(logs_in([as_fast_as]), the_line)
+    own_line = the_line
     if reverse:
         the_line = the_line.reversed()
     start, end = stretch(km, the_line) or (None, None)
-    track, time = (None, None) if condition is None else map_of_run(condition, at)
+    track, time = (None, None) if condition is None else map_of_run(condition, at, own_line)
     if track is not None and layer is None:
         console.print("  no --layer is given: wet", highlight=False)
     given: dict[str, Any] = {

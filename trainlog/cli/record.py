@@ -209,7 +209,7 @@ def simulate(
     the_line, the_train = line_and_train(line, train)
     the_map = time = None
     if condition is not None and (trajectory is not None or traction == "cooperative"):
-        the_map, time = map_of_run(condition, None if trajectory is None else at)
+        the_map, time = map_of_run(condition, None if trajectory is None else at, the_line)
     over_days = None
     if trajectory is None:
         following = {

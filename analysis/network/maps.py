@@ -1,0 +1,539 @@
+"""Maps of the track condition of a network: a folder with one map an edge.
+
+What a trip on a route shows counts on each edge that it ran over, by the edge's own chainage,
+whichever way it ran. Such a folder is kept as a single map is: trips are added as they come, each
+once, by several processes if need be, and whatever interrupts an update, the next one goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from analysis.adhesion.updating import FileUpdate, LogOutcome, MapUpdate
+from trainlog.condition import estimated, known_before
+from trainlog.display import as_text, counted
+from trainlog.errors import InputError, LogError
+from trainlog.formats.condition import read_map
+from trainlog.formats.files import logs_of, made_folder, read_bytes, sha256_of, write_bytes
+from trainlog.formats.network import network_from_bytes, network_to_bytes
+from trainlog.railway.condition import ConditionLayer, TrackConditionMap
+from trainlog.railway.evidence import DailyEvidence
+from trainlog.railway.line import Leg, Line
+from trainlog.railway.network import Network
+
+if TYPE_CHECKING:
+    from analysis.adhesion.evidence import Evidence
+    from analysis.verification.scoring import Score
+    from trainlog.railway.forecast import AdhesionForecast
+    from trainlog.railway.weather import Weather
+
+NETWORK_FILE = "network.json"
+"""In a folder of maps: the network that they are of."""
+
+SUFFIX = ".map"
+
+
+def edge_map_path(folder: str | Path, edge: str) -> Path:
+    """The file of an edge's map in a folder.
+
+    Examples
+    --------
+    >>> edge_map_path("maps", "Wil/Gossau").name
+    'Wil%2FGossau.map'
+    """
+    return Path(folder) / f"{quote(edge, safe=' ()+,')}{SUFFIX}"
+
+
+@dataclass(frozen=True, repr=False)
+class NetworkMap:
+    """Maximum adhesion along the edges of a network.
+
+    Attributes
+    ----------
+    folder : Path
+    network : Network or None
+        None: the folder does not state it; then routes are taken as their lines state them.
+    maps : dict of str to TrackConditionMap
+        By edge; an edge without a map was not observed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     updated = update_network_map("sample_logs/nonstop.mcap", folder)
+    ...     network_map(folder)
+    Track-condition maps of 1 edge
+      CH_StGallen_Wil  1 trip: dry
+    """
+
+    folder: Path
+    network: Network | None
+    maps: Mapping[str, TrackConditionMap]
+
+    def __repr__(self) -> str:
+        named = f" of network '{self.network.name}'" if self.network is not None else ""
+        of_all = f" of {len(self.network.edges)}" if self.network is not None else ""
+        edges = counted(len(self.maps), "edge")
+        rows = {
+            name: f"{counted(len(track.trips), 'trip')}: {', '.join(track.layers)}"
+            for name, track in list(self.maps.items())[:6]
+        }
+        if len(self.maps) > 6:
+            rows["..."] = f"{len(self.maps) - 6} more"
+        return as_text(f"Track-condition maps of {edges}{of_all}{named}", rows)
+
+    @property
+    def layers(self) -> tuple[str, ...]:
+        """Rail conditions that some edge has evidence of."""
+        return tuple(sorted({name for track in self.maps.values() for name in track.layers}))
+
+    def known_before(self, time: pd.Timestamp) -> NetworkMap:
+        """The maps as they were known then: of the evidence of the days before.
+
+        Edges without any are left out.
+        """
+        kept = {}
+        for name, track in self.maps.items():
+            if track.days.size and track.days[0] < time.timestamp() // 86_400:
+                kept[name] = known_before(track, time)
+        return replace(self, maps=kept)
+
+    def along(self, line: Line) -> TrackConditionMap:
+        """The map along a route's line, or a line that is an edge itself.
+
+        It is made of the evidence of the edges that the line runs over, each bin of an edge at the
+        bin of the line that holds its middle: places are right to half a bin. Edges without a map
+        stay unobserved.
+
+        Raises
+        ------
+        InputError
+            If no edge of the line has a map, or maps differ in their bins.
+        """
+        return map_along(line, self.maps)
+
+
+def network_map(folder: str | Path) -> NetworkMap:
+    """Read a folder of maps, one an edge.
+
+    Raises
+    ------
+    InputError
+        If it is no folder with maps, or one of them cannot be read.
+
+    Examples
+    --------
+    >>> network_map("docs")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: docs: holds no track-condition maps (*.map); ...
+    """
+    place = Path(folder)
+    files = sorted(place.glob(f"*{SUFFIX}")) if place.is_dir() else []
+    if not files:
+        raise InputError(
+            f"holds no track-condition maps (*{SUFFIX})",
+            file=place,
+            remedy="add trips with 'trainlog map update LOGS --network NETWORK --map FOLDER'",
+        )
+    network = _network_of(place)
+    maps = {}
+    for path in files:
+        track = read_map(path)
+        maps[track.line] = track
+    return NetworkMap(place, network, maps)
+
+
+def _network_of(folder: Path) -> Network | None:
+    path = folder / NETWORK_FILE
+    return network_from_bytes(read_bytes(path), file=path) if path.is_file() else None
+
+
+def map_along(line: Line, maps: Mapping[str, TrackConditionMap]) -> TrackConditionMap:
+    """The map along a line of the maps of the edges that it runs over; see `NetworkMap.along`.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> nodes = (trainlog.Node("St. Gallen"), trainlog.Node("Wil"))
+    >>> edge = trainlog.Edge("850", line, "St. Gallen", "Wil")
+    >>> route = trainlog.Network("one", nodes, (edge,)).route("Wil", "Gossau SG").line
+    >>> known = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
+    >>> found = map_along(route, {"850": known})
+    >>> found.line, bool(found.layer("wet").events.sum() < known.layer("wet").events.sum())
+    ('Wil - Gossau SG', True)
+    """
+    legs = line.legs or (Leg(line.name, 0.0, line.length, 0.0, line.length, line.length),)
+    used = [leg for leg in legs if leg.edge in maps]
+    if not used:
+        named = ", ".join(f"'{leg.edge}'" for leg in legs[:3])
+        raise InputError(
+            f"there is no map of an edge of line '{line.name}' ({named})",
+            remedy=f"maps there are of {', '.join(sorted(maps)[:4])}",
+        )
+    first = maps[used[0].edge]
+    for leg in used:
+        track = maps[leg.edge]
+        if abs(track.length - leg.edge_length) > 1e-3:
+            raise InputError(
+                f"the map of edge '{leg.edge}' is of {track.length:.1f} m, the route's edge of"
+                f" {leg.edge_length:.1f} m",
+                remedy="give the maps of the network that the route was made of",
+            )
+        same = np.array_equal(track.levels, first.levels) and track.settings == first.settings
+        if track.bin_length != first.bin_length or not same:
+            raise InputError(
+                f"the maps of edges '{used[0].edge}' and '{leg.edge}' differ in bins or settings",
+                remedy="make both with the same settings",
+            )
+    whole = replace(first, line=line.name, length=line.length, layers={}, trips=())
+    pieces: dict[str, list[DailyEvidence]] = {}
+    trips: dict[tuple[str, str], dict[str, Any]] = {}
+    for leg in used:
+        track = maps[leg.edge]
+        rows = _bins_of_line(leg, track, whole)
+        for name, layer in track.layers.items():
+            pieces.setdefault(name, []).append(_moved(layer.evidence, rows, whole.bins))
+        for entry in track.trips:
+            trips.setdefault((str(entry.get("sha256")), str(entry.get("layer"))), entry)
+    layers = {
+        name: ConditionLayer.unestimated(DailyEvidence.total(pieces[name]))
+        for name in sorted(pieces)
+    }
+    return estimated(replace(whole, layers=layers, trips=tuple(trips.values())))
+
+
+def _bins_of_line(leg: Leg, track: TrackConditionMap, whole: TrackConditionMap) -> NDArray[Any]:
+    """By bin of an edge the bin of the line in which its middle lies; -1: not on the leg."""
+    ends = np.minimum(np.arange(track.bins + 1) * track.bin_length, track.length)
+    middle = 0.5 * (ends[1:] + ends[:-1])
+    low, high = sorted((leg.edge_start, leg.edge_end))
+    there = (middle >= low) & (middle <= high)
+    return np.where(there, whole.bin_of(leg.on_line(middle)), -1)
+
+
+def _moved(evidence: DailyEvidence, rows: NDArray[Any], bins: int) -> DailyEvidence:
+    """Evidence with its bins numbered anew; what is numbered -1 is left out."""
+    own, used = rows[evidence.bin] >= 0, rows[evidence.used_bin] >= 0
+    measured = ("day", "trips", "events", "weight", "weighted_log", "weighted_square", "common")
+    return DailyEvidence(
+        bins,
+        evidence.levels,
+        bin=rows[evidence.bin][own],
+        used_bin=rows[evidence.used_bin][used],
+        **{name: getattr(evidence, name)[own] for name in measured},
+        **{
+            name: getattr(evidence, name)[used] for name in ("used_day", "used_level", "used_trips")
+        },
+    )
+
+
+# ------------------------------------------------------------------------------------- update
+
+
+def update_network_map(
+    logs: str | Path | Iterable[str | Path],
+    folder: str | Path,
+    network: Network | None = None,
+    layer: str | None = None,
+    weather: Weather | None = None,
+    *,
+    retry: bool = False,
+    report: Callable[[LogOutcome], None] | None = None,
+) -> MapUpdate:
+    """Add the trips of logs to the maps of a network's edges.
+
+    As `analysis.update_map`, edge by edge: a trip is on the disk on all its edges when it is
+    reported; an update that is interrupted between two of them adds the others when the log is
+    given again. A trip on an ordinary line belongs to the edge of its name.
+
+    Parameters
+    ----------
+    logs : path or iterable of paths
+        Logs, and folders of logs.
+    folder : path
+        Of the maps; made if it is not there.
+    network : Network, optional
+        Which edges there are: a log on another is refused. Kept in the folder; default: the one
+        that is there.
+    layer, weather, retry, report
+        As of `analysis.update_map`.
+
+    Returns
+    -------
+    MapUpdate
+        Of which `trips` are those of all edges, a trip counted on each.
+
+    Raises
+    ------
+    InputError
+        If a map cannot be read or written, the folder is of another network, or no log is given.
+    """
+    place = made_folder(folder)
+    known = _kept_network(place, network)
+    edges: dict[str, _EdgeUpdate] = {}
+    outcomes: list[LogOutcome] = []
+    try:
+        given = [logs] if isinstance(logs, str | Path) else logs
+        for log in (log for each in given for log in logs_of(Path(each))):
+            outcomes.append(_outcome(log, place, known, edges, (layer, weather, retry)))
+            if report is not None:
+                report(outcomes[-1])
+        if not outcomes:
+            raise InputError("no log was given", remedy="name logs, or folders of logs")
+        open_ones = [each for each in edges.values() if each.file is not None]
+        amounts = [each.file.amount() for each in open_ones if each.file is not None]
+    finally:
+        for each in edges.values():
+            each.close()
+    trips, days = sum(a[0] for a in amounts), max((a[1] for a in amounts), default=0)
+    return MapUpdate(place, tuple(outcomes), trips, days, made=bool(open_ones))
+
+
+def _kept_network(folder: Path, network: Network | None) -> Network | None:
+    """The network of a folder, kept there if it is given for the first time."""
+    before = _network_of(folder)
+    if network is None:
+        return before
+    if before is None:
+        write_bytes(folder / NETWORK_FILE, network_to_bytes(network))
+    elif network_to_bytes(before) != network_to_bytes(network):
+        raise InputError(
+            f"holds maps of network '{before.name}', which differs from the '{network.name}' given",
+            file=folder,
+            remedy="name another folder, or give the network that it was made with",
+        )
+    return network
+
+
+class _Log:
+    """A log that is added to the maps of its edges; it is analysed once at most."""
+
+    def __init__(self, path: Path, network: Network | None) -> None:
+        from analysis.adhesion.condition_map import own_line
+        from analysis.network.edges import edges_of
+        from trainlog.mcap import read_log
+
+        self.path = path
+        self.trip = read_log(path, topics=[])
+        self.line = own_line(self.trip)
+        self.edges = edges_of(self.line)
+        for edge in self.edges if network is not None else ():
+            assert network is not None
+            length = network.edge(edge.name).line.length
+            if abs(length - edge.length) > 1e-3:
+                raise InputError(
+                    f"edge '{edge.name}' is {edge.length:.1f} m long in it, and {length:.1f} m in"
+                    f" network '{network.name}'",
+                    file=path,
+                    remedy="record or ingest it with a route of this network",
+                )
+
+    @cached_property
+    def pieces(self) -> list[Any]:
+        """Slip analyses of the stretches of the log."""
+        from analysis.adhesion.condition_map import slips_of_log
+
+        return list(slips_of_log(self.path))
+
+
+class _EdgeUpdate(FileUpdate):
+    """An update of the map of an edge."""
+
+    def __init__(
+        self, path: Path, edge: str, layer: str | None, weather: Weather | None, retry: bool
+    ) -> None:
+        super().__init__(path, layer, weather, retry)
+        self.edge = edge
+        self.log: _Log | None = None
+
+    def analysed(self, log: Path, digest: str) -> tuple[Evidence, TrackConditionMap, str]:
+        """The evidence of the log on the edge, the map that it is for, and what is lost of it."""
+        from analysis.adhesion.condition_map import empty_map_of
+        from analysis.adhesion.covariates import covariates
+        from analysis.adhesion.evidence import condition_of, evidence_of_parts
+        from analysis.adhesion.updating import naming_log
+        from analysis.network.edges import on_edge
+        from trainlog.mcap.reader import identity_of_log
+
+        assert self.log is not None
+        given = self.log
+        edge = next(each for each in given.edges if each.name == self.edge)
+        with naming_log(log) as losses:
+            track = (
+                self.file.without_evidence if self.file else empty_map_of(edge.name, edge.length)
+            )
+            of_line = replace(track, line=given.line.name, length=given.line.length)
+            condition = condition_of(given.trip, of_line, self.layer, self.weather)
+            parts = [on_edge(piece, edge) for piece in given.pieces]
+            parts = [part for part in parts if part.time.size]
+            if not parts:
+                raise LogError(
+                    f"trip '{given.trip.name}' was not recorded on edge '{self.edge}' of its route"
+                )
+            piece = evidence_of_parts(parts, track, condition, sha256=digest)
+            details = piece.details | covariates(given.trip, piece.span, self.weather)
+            found = replace(
+                piece,
+                recorded=identity_of_log(log),
+                steps=len(given.trip.provenance),
+                details=details,
+            )
+        return found, track, "; ".join(losses)
+
+
+def _outcome(
+    log: Path,
+    folder: Path,
+    network: Network | None,
+    edges: dict[str, _EdgeUpdate],
+    options: tuple[str | None, Weather | None, bool],
+) -> LogOutcome:
+    """What became of a log on all its edges."""
+    from trainlog.errors import TrainlogError
+
+    try:
+        given = _Log(log, network)
+    except TrainlogError as error:
+        return LogOutcome(str(log), "refused", reason=_with_file(error, log))
+    found: list[LogOutcome] = []
+    digest = sha256_of(log)
+    for edge in given.edges:
+        update = edges.get(edge.name)
+        if update is None:
+            update = _EdgeUpdate(edge_map_path(folder, edge.name), edge.name, *options)
+            edges[edge.name] = update
+        update.log = given
+        found.append(update.outcome(log, digest))
+        update.log = None
+    return _of_all(found)
+
+
+def _with_file(error: Any, log: Path) -> str:
+    return str(error if error.file else type(error)(error.problem, file=log, remedy=error.remedy))
+
+
+def _of_all(found: list[LogOutcome]) -> LogOutcome:
+    """One outcome of those on the edges: the first of these that one of them has."""
+    for outcome in ("added", "same drive", "held", "refused", "refused before"):
+        those = [each for each in found if each.outcome == outcome]
+        if those:
+            trip = those[0].trip.partition("@")[0]
+            replaced = tuple(dict.fromkeys(name for each in those for name in each.replaced))
+            return replace(those[0], trip=trip, replaced=replaced)
+    raise AssertionError("a log has an edge")
+
+
+# --------------------------------------------------------------------------- forecast, score
+
+
+def score_network(
+    maps: NetworkMap,
+    layers: list[str] | None = None,
+    report: Callable[[int, int], None] | None = None,
+) -> tuple[Score, dict[str, Score]]:
+    """Score what the maps of a network would have expected of each day from the days before alone.
+
+    Parameters
+    ----------
+    maps : NetworkMap
+    layers : list of str, optional
+        Rail conditions to score; default: all.
+    report : callable, optional
+        Called with the number of edges done and that of all.
+
+    Returns
+    -------
+    whole : Score
+        Of all edges together, added up by day: its bands are of days, as weather is alike on all.
+    edges : dict of str to Score
+        By edge, those that have evidence of two days.
+
+    Raises
+    ------
+    InputError
+        If no edge has evidence of two days.
+    """
+    from analysis.verification.scoring import Score, score_rolling
+    from analysis.verification.verify import Verification
+
+    found: dict[str, Score] = {}
+    short = []
+    for number, (name, track) in enumerate(maps.maps.items(), start=1):
+        chosen = None if layers is None else [each for each in layers if each in track.layers]
+        if track.days.size < 2 or chosen == []:
+            short.append(name)
+        else:
+            found[name] = score_rolling(track, chosen)
+        if report is not None:
+            report(number, len(maps.maps))
+    if not found:
+        raise InputError(
+            "no edge has evidence of two days: no day can be forecast from the days before",
+            file=maps.folder,
+            remedy="count in trips of several days",
+        )
+    names = sorted({name for each in found.values() for name in each.layers} - {"all"})
+    pooled = {
+        name: Verification.together(
+            {edge: each.layers[name] for edge, each in found.items() if name in each.layers}
+        )
+        for name in [*names, "all"]
+    }
+    limits = (
+        (f"{counted(len(short), 'edge')} without evidence of two days: not scored",)
+        if short
+        else ()
+    )
+    network = maps.network.name if maps.network is not None else maps.folder.name
+    whole = Score(f"network {network}", "the maps, day by day", pooled, limits=limits)
+    return whole, found
+
+
+def forecasts_of_network(
+    maps: NetworkMap,
+    time: pd.Timestamp | None = None,
+    layer: str | None = None,
+    hours: float = 24.0,
+) -> tuple[pd.Timestamp, dict[str, AdhesionForecast]]:
+    """What the maps of a network expect at a time, by the name of each edge's forecast file.
+
+    Parameters
+    ----------
+    maps : NetworkMap
+    time : Timestamp, optional
+        Default: the day after the last evidence of all edges.
+    layer : str, optional
+        Rail condition; default: all.
+    hours : float
+
+    Raises
+    ------
+    InputError
+        If no edge has evidence of a day before.
+    """
+    from analysis.verification.forecasts import first_free, forecast_of
+
+    when = time or max(first_free(track) for track in maps.maps.values() if track.days.size)
+    found = {}
+    for name, track in maps.known_before(when).maps.items():
+        if layer is None or layer in track.layers:
+            path = edge_map_path("", name).with_suffix(".csv").name
+            found[path] = forecast_of(track, when, layer=layer, hours=hours)
+    if not found:
+        raise InputError(
+            f"no edge has evidence of a day before {when:%Y-%m-%d}"
+            + ("" if layer is None else f" in rail condition '{layer}'"),
+            file=maps.folder,
+            remedy="ask for a later time",
+        )
+    return when, found

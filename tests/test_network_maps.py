@@ -1,0 +1,183 @@
+"""Maps of a network: what trips on routes show counts on the edges that they ran over."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+import trainlog
+from analysis.adhesion.updating import update_map
+from analysis.network.maps import (
+    NetworkMap,
+    edge_map_path,
+    forecasts_of_network,
+    map_along,
+    network_map,
+    score_network,
+    update_network_map,
+)
+from trainlog.cli.main import app
+from trainlog.errors import InputError
+from trainlog.formats.line import line_to_bytes, read_line
+from trainlog.formats.samples import sample
+from trainlog.railway import Edge, Line, Network, Node
+
+WHOLE = read_line(sample("CH_StGallen_Wil.line.json"))
+CUT = 10_000.0
+"""A whole number of bins, so that edges have the bins of the whole line."""
+
+pytestmark = pytest.mark.usefixtures("remembered_estimates")
+
+
+def network() -> Network:
+    """The sample line as two edges, the second counted the other way."""
+    return Network(
+        "cut",
+        (Node("East"), Node("Mid", "junction"), Node("West")),
+        (
+            Edge("east", WHOLE.section(0.0, CUT), "East", "Mid"),
+            Edge("west/old", WHOLE.section(CUT, WHOLE.length).reversed(), "West", "Mid"),
+        ),
+    )
+
+
+def on_line(name: str, line: Line, path: Path, days: float = 0.0) -> Path:
+    """A sample log with another line attached, as if it had been driven there, days later."""
+    trip = trainlog.read(sample(name))
+    topics = {}
+    for topic, frame in trip.topics.items():
+        topics[topic] = frame.set_axis(frame.index + pd.Timedelta(days=days))
+        topics[topic].attrs = frame.attrs
+    named = {"line": line.name, "trip": path.stem, "weather": "wet"}
+    attached = {**trip.attachments, "line.json": line_to_bytes(line)}
+    moved = replace(trip, topics=topics, metadata=trip.metadata | named, attachments=attached)
+    trainlog.write(moved, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("network")
+    route = network().route("East", "West").line
+    for number in range(3):
+        on_line("stopping.mcap", route, folder / f"day-{number}.mcap", days=float(number))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def maps(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("maps") / "maps"
+    update_network_map(logs, folder, network())
+    return folder
+
+
+def test_a_trip_on_a_route_counts_on_its_edges_as_it_does_on_its_line(
+    logs: Path, maps: Path, tmp_path: Path
+) -> None:
+    update_map(logs, tmp_path / "route.map")
+    route = trainlog.read_map(tmp_path / "route.map").layer("wet").evidence
+    found = network_map(maps)
+    assert found.network == network()
+    east, west = (found.maps[name].layer("wet").evidence for name in ("east", "west/old"))
+    bins = int(CUT / 25.0)
+    np.testing.assert_array_equal(route.by_bin("events")[:bins], east.by_bin("events"))
+    # Bins of the edge that is counted the other way begin at its own end.
+    lasts = west.by_bin("events")[::-1]
+    assert lasts.sum() == route.by_bin("events")[bins:].sum() > 0
+    np.testing.assert_allclose(east.by_bin("weighted_log"), route.by_bin("weighted_log")[:bins])
+    assert found.maps["west/old"].trips[0]["trip"] == "day-0@west/old"
+
+
+def test_the_map_along_a_route_has_places_and_directions_right(maps: Path) -> None:
+    found = network_map(maps)
+    there = found.along(network().route("East", "West").line).layer("wet")
+    back = found.along(network().route("West", "East").line).layer("wet")
+    east = found.maps["east"].layer("wet")
+    bins = int(CUT / 25.0)
+    np.testing.assert_array_equal(there.events[:bins], east.events)
+    at = np.flatnonzero(there.events)
+    mirrored = (WHOLE.length - (at + 0.5) * 25.0) // 25.0
+    seen = np.flatnonzero(back.events)
+    assert np.abs(np.sort(mirrored) - seen).max() <= 1.0
+    assert there.events.sum() == back.events.sum()
+    only = map_along(network().route("East", "West").line, {"east": found.maps["east"]})
+    assert not only.layer("wet").observed[bins + 40 :].any()
+    with pytest.raises(InputError, match="no map of an edge of line 'CH_StGallen_Wil'"):
+        found.along(WHOLE)
+
+
+def test_a_second_update_adds_nothing_and_an_interrupted_one_is_finished(
+    logs: Path, maps: Path, tmp_path: Path
+) -> None:
+    again = update_network_map(logs, maps)
+    assert (len(again.added), len(again.of("held"))) == (0, 3)
+    # Killed between the edges of a trip, an update leaves a folder like this one.
+    folder = tmp_path / "killed"
+    update_network_map(logs / "day-0.mcap", folder, network())
+    edge_map_path(folder, "west/old").unlink()
+    finished = update_network_map(logs, folder)
+    assert len(finished.added) == 3
+    one, other = network_map(folder).maps, network_map(maps).maps
+    assert one.keys() == other.keys()
+    for name, track in one.items():
+        assert track.layer("wet").evidence == other[name].layer("wet").evidence
+        assert [each["sha256"] for each in track.trips] == [
+            each["sha256"] for each in other[name].trips
+        ]
+
+
+def test_trips_on_ordinary_lines_go_to_the_edge_of_their_name(tmp_path: Path) -> None:
+    update_network_map(sample("nonstop.mcap"), tmp_path / "maps")
+    assert list(network_map(tmp_path / "maps").maps) == ["CH_StGallen_Wil"]
+    refused = update_network_map(sample("nonstop.mcap"), tmp_path / "other", network())
+    assert "has no edge 'CH_StGallen_Wil'" in refused.refused[0].reason
+    with pytest.raises(InputError, match="differs from the 'cut' given"):
+        update_network_map(
+            sample("nonstop.mcap"), tmp_path / "other", replace(network(), source="else")
+        )
+    with pytest.raises(InputError, match="holds no track-condition maps"):
+        network_map(tmp_path / "other")
+
+
+def test_forecasts_and_scores_of_all_edges(maps: Path) -> None:
+    found = network_map(maps)
+    whole, edges = score_network(found)
+    assert set(edges) == {"east", "west/old"}
+    onsets = sum(each.layers["all"].onsets + each.layers["all"].unknown_onsets
+                 for each in edges.values())  # fmt: skip
+    pooled = whole.layers["all"]
+    assert pooled.onsets + pooled.unknown_onsets == onsets > 0
+    assert pooled.days.size == 2
+    # The same trip on three days: the day before foresees the next better than the prior.
+    assert pooled.log_score("onsets", over="prior").value > 0.0
+    when, forecasts = forecasts_of_network(found)
+    assert set(forecasts) == {"east.csv", "west%2Fold.csv"}
+    assert when.date() > pd.Timestamp("2024-10-07").date()
+    early = pd.Timestamp("2024-10-08T00:00Z")
+    assert sum(len(track.trips) for track in found.known_before(early).maps.values()) == 2
+    with pytest.raises(InputError, match="no edge has evidence of a day before 2020"):
+        forecasts_of_network(found, pd.Timestamp("2020-01-01T00:00Z"))
+    with pytest.raises(InputError, match="no edge has evidence of two days"):
+        score_network(NetworkMap(maps, None, {}))
+
+
+def test_commands_take_a_folder_of_maps(maps: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "network.png"
+    run = CliRunner().invoke(app, ["map", "show", str(maps), "--picture", str(picture)])
+    assert run.exit_code == 0, run.output
+    assert "west/old" in run.output
+    assert picture.stat().st_size > 5_000
+    run = CliRunner().invoke(app, ["map", "forecast", str(maps), "-o", str(tmp_path / "forecast")])
+    assert run.exit_code == 0, run.output
+    assert sorted(path.name for path in (tmp_path / "forecast").iterdir()) == [
+        "east.csv",
+        "west%2Fold.csv",
+    ]
+    run = CliRunner().invoke(app, ["map", "score", str(maps), "--rolling"])
+    assert run.exit_code == 0, run.output
+    assert "network cut" in run.output
