@@ -324,13 +324,13 @@ class TestCommand:
             file.remove([trips[0].name])
         assert len(update_map(log, path).refused) == 1
         tried = []
-        analysed = updating._analysed
+        analysed = updating.FileUpdate.analysed
 
         def seen(*given: Any) -> Any:
             tried.append(given)
             return analysed(*given)
 
-        monkeypatch.setattr(updating, "_analysed", seen)
+        monkeypatch.setattr(updating.FileUpdate, "analysed", seen)
         assert len(update_map(log, path).refused_before) == 1
         assert not tried
         monkeypatch.setattr(updating, "code_version", lambda: "another")

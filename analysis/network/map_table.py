@@ -173,8 +173,9 @@ def draw_network_map(
         network,
         path,
         shown=shown,
-        label=f"lowest expected adhesion of {piece:.0f} m (wider: surer)",
-        title=f"{network.name}: expected adhesion, {layer} rail{when}; grey: not observed",
+        label="lowest expected adhesion",
+        title=f"{network.name}: expected adhesion, {layer} rail{when}; pieces of {piece:.0f} m,"
+        " the surer the wider; grey: not observed",
     )
 
 
