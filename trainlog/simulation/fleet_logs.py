@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import os
 import signal
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, field
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait as wait_for
 from pathlib import Path
 from typing import NamedTuple
 
@@ -226,10 +228,22 @@ _work: tuple[Fleet, str] | None = None
 
 
 def _begin(fleet: Fleet, folder: str) -> None:
-    """Prepare a process: an interruption is the business of the first one alone."""
+    """Prepare a process: an interruption is the business of the first one alone.
+
+    When the first one is killed this one ends as well: nobody would give it work or ask for it.
+    """
     global _work
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     _work = fleet, folder
+
+
+def _end_with_parent() -> None:
+    """Wait for the end of the process that began this one, and end."""
+    parent = parent_process()
+    if parent is not None:
+        wait_for([parent.sentinel])
+        os._exit(1)
 
 
 def _batch(numbers: list[int]) -> list[Made]:
