@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import json
+import os
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pyarrow as pa
 import pytest
 import sqlalchemy as sa
+from command import run
+from test_cli_help import commands
 
 import trainlog
 from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue
@@ -233,3 +238,163 @@ def test_adders_that_are_killed_leave_the_catalogue_of_one_that_was_not(
     found = catalogue.results("length")
     assert found["key"].tolist() == sorted(keys)
     assert len(catalogue.pending("length", "1")) == 0
+
+
+# --------------------------------------------------------------- files that vanish, and the rest
+
+
+def test_files_that_vanish_are_stated_and_come_back(
+    where: Callable[[], Catalogue], logs: Path
+) -> None:
+    catalogue = where()
+    catalogue.add(logs)
+    path = logs / "deep" / "stopping.mcap"
+    kept = path.read_bytes()
+    stat = path.stat()
+    path.unlink()
+    found = catalogue.refresh()
+    assert found.vanished == (str(path),)
+    assert len(catalogue) == 2, "it is not forgotten"
+    assert catalogue.query("weather = 'wet'")["path"].tolist() == [None]
+    with pytest.raises(InputError, match=r"1 trip have vanished: trip-03"):
+        catalogue.paths()
+    assert catalogue.pending("stops", "1")["path"].tolist() == [str(logs / "nonstop.mcap")]
+    assert catalogue.uncounted()["what"].tolist() == ["vanished", "same drive"]
+
+    path.write_bytes(kept)
+    os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    assert catalogue.refresh().back == 1
+    assert len(catalogue.paths()) == 2
+
+    path.unlink()
+    catalogue.refresh()
+    assert catalogue.remove(vanished=True) == 1
+    # The part of the drive that is still there counts now.
+    assert catalogue.query()["path"].tolist() == [
+        str(logs / f"{n}.mcap") for n in ("nonstop", "part")
+    ]
+
+
+def test_a_file_that_cannot_be_used_is_listed_and_tried_again_once_it_changes(
+    where: Callable[[], Catalogue], logs: Path
+) -> None:
+    catalogue = where()
+    bad = logs / "bad.mcap"
+    bad.write_text("no log at all")
+    for _ in range(2):
+        assert [each.path for each in catalogue.add(logs).of("refused")] == [str(bad)]
+    assert "not an MCAP file" in catalogue.uncounted().set_index("what")["reason"]["refused"]
+    shutil.copy(SAMPLES / "nonstop.mcap", bad)
+    assert [each.state for each in catalogue.add(bad).outcomes] == ["copy"]
+    assert catalogue.counts()["refused"] == 0
+    with pytest.raises(InputError, match="does not exist"):
+        catalogue.add(logs / "absent")
+    with pytest.raises(InputError, match="no log"):
+        catalogue.add(SAMPLES / ".." / "docs" / "reference")
+
+
+def test_a_damaged_log_is_a_trip_that_says_so(
+    where: Callable[[], Catalogue], tmp_path: Path
+) -> None:
+    data = (SAMPLES / "stopping.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
+    catalogue = where()
+    catalogue.add(tmp_path / "cut.mcap")
+    row = catalogue.query("quality = 'damaged' and damage like '%lost%'").iloc[0]
+    whole = trainlog.read(SAMPLES / "stopping.mcap")
+    assert 0.5 * whole.duration < row["duration"] < 0.8 * whole.duration
+    catalogue.add(SAMPLES)
+    assert catalogue.query("weather = 'wet'")["quality"].tolist() == ["whole"]
+
+
+def test_many_files_are_read_by_several_processes_with_the_same_result(
+    many_logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("trainlog.catalogue.catalogue._WORTH_PROCESSES", 2)
+    held = []
+    for jobs in (1, 2):
+        with open_catalogue(tmp_path / str(jobs)) as catalogue:
+            catalogue.add(many_logs, jobs=jobs)
+            held.append(_held(catalogue))
+    assert held[0] == held[1]
+
+
+def test_a_later_version_and_what_is_no_catalogue_are_refused(
+    where: Callable[[], Catalogue], place: str, tmp_path: Path
+) -> None:
+    catalogue = where()
+    header = metadata.tables["header"]
+    with catalogue._database.writing() as connection:
+        later = sa.update(header).where(header.c.key == "version").values(value="2")
+        connection.execute(later)
+    with pytest.raises(InputError, match=r"newer than this trainlog knows .*update trainlog"):
+        open_catalogue(place)
+    with pytest.raises(InputError, match="holds no catalogue"):
+        open_catalogue(tmp_path / "none", create=False)
+    with pytest.raises(InputError, match=r"holds a catalogue|is no database") as refused:
+        open_catalogue("oracle://me:secret@host/database")
+    assert "secret" not in str(refused.value)
+    (tmp_path / "text").mkdir()
+    (tmp_path / "text" / "catalogue.sqlite").write_text("no database " * 500)
+    with pytest.raises(InputError, match="file is not a database"):
+        open_catalogue(tmp_path / "text")
+
+
+# ------------------------------------------------------------------------------ the command line
+
+
+def test_every_command_that_takes_logs_takes_trips_of_a_catalogue() -> None:
+    named = {"logs", "paths", "files"}
+    without = {"catalogue add", "merge"}
+    for words, command in commands():
+        names = {each.name for each in command.params}
+        options = {option for each in command.params for option in each.opts}
+        if {"chosen_trips", "catalogue"} <= names:
+            assert options & {"--trips", "--chosen"}, words
+        elif named & names and words not in without:
+            takes = next(each for each in command.params if each.name in named)
+            assert ".mcap" not in (takes.help or ""), words
+    found = {words for words, command in commands() if "chosen_trips" in _names(command)}
+    asked = "fit estimate coast-down compare replay report check recover show"
+    assert {*asked.split(), "map update", "map score", "line build"} <= found
+
+
+def _names(command: Any) -> set[str]:
+    return {each.name for each in command.params}
+
+
+def test_commands_take_the_trips_of_an_expression(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], logs: Path, tmp_path: Path
+) -> None:
+    fleet = str(tmp_path / "fleet")
+
+    def ran(*words: object) -> tuple[int, str, str]:
+        return run(monkeypatch, capsys, *words, "--catalogue", fleet)
+
+    assert ran("catalogue", "list")[0] == 2
+    status, shown, _ = ran("catalogue", "add", logs)
+    assert (status, shown) == (0, "3 new trips\n")
+    status, shown, _ = ran("check", "--trips", "weather = 'wet'", "--json")
+    assert [each["log"] for each in json.loads(shown)["logs"]] == [
+        str(logs / "deep" / "stopping.mcap")
+    ]
+    page = tmp_path / "map.map"
+    assert ran("map", "update", "--trips", "all", "--map", page, "-q")[0] == 0
+    status, shown, _ = ran("show", "--chosen", "weather = 'wet'", "--json")
+    assert json.loads(shown)["logs"][0]["metadata"]["trip"] == "trip-03"
+    for words, complaint in (
+        (["--trips", "train = 'none'"], "no trip of the 2 trips of the catalogue is chosen"),
+        (["--trips", "wether = 'wet'"], "did you mean 'weather'"),
+        ([], "but not which of its trips"),
+    ):
+        status, _, said = ran("check", *words)
+        assert status == 2
+        assert complaint in said
+    assert "--trips" in run(monkeypatch, capsys, "check")[2]
+    (logs / "nonstop.mcap").unlink()
+    status, shown, _ = ran("catalogue", "refresh")
+    assert status == 1
+    assert f"vanished: {logs / 'nonstop.mcap'}" in shown
+    status, _, said = ran("check", "--trips", "all")
+    assert status == 2
+    assert "vanished: trip-01" in said

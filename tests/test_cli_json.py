@@ -210,7 +210,6 @@ PURE = {
     *("share_of_adhesion", "over_weight_std", "speed", "optimal_band"),
     *("coasting", "covered", "slips", "factor", "factor_std", "false_alarms", "judged_trips"),
     *("explained", "gaps", "axles", "trips", "kept"),
-    *("explained", "gaps", "axles"),
     *("trips", "repairs", "samples", "count", "same", "back", "removed"),
 }
 """Numbers without a unit, beside those of the commands of the map."""

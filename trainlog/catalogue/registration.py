@@ -109,6 +109,13 @@ def register(
             if state in ("new", "moved", "copy") and each.sha256 not in known_before:
                 state, known_before = "new", known_before | {each.sha256}
         found.append(FileOutcome(each.path, state, each.reason))
+    new_rows = [
+        {name: value for name, value in row.items() if name != "id"}
+        for row in rows
+        if row["id"] is None
+    ]
+    if new_rows:
+        connection.execute(sa.insert(files), new_rows)
     settle(connection, touched)
     return found
 
@@ -133,7 +140,8 @@ def _place_file(
         if row is same:
             continue
         if row["trip"] is None:
-            connection.execute(sa.delete(files).where(files.c.id == row["id"]))
+            if row["id"] is not None:
+                connection.execute(sa.delete(files).where(files.c.id == row["id"]))
             rows.remove(row)
             continue
         state = "version" if trip is not None else state
@@ -159,15 +167,16 @@ def _place_file(
     if same is not None:
         _set_file(connection, same, touched, **values)
     else:
-        added = connection.execute(sa.insert(files).values(values).returning(files.c.id))
-        rows.append({"id": added.scalar_one(), **values})
+        rows.append({"id": None, **values})
     return state
 
 
 def _set_file(
     connection: sa.Connection, row: dict[str, Any], touched: set[int], **values: Any
 ) -> None:
-    connection.execute(sa.update(files).where(files.c.id == row["id"]).values(values))
+    """Change a row of files; one without a number is inserted with all others of its batch."""
+    if row["id"] is not None:
+        connection.execute(sa.update(files).where(files.c.id == row["id"]).values(values))
     touched.update({row["trip"]} - {None})
     row.update(values)
 
