@@ -426,21 +426,13 @@ def combine(trips: pd.DataFrame | Sequence[TripFit]) -> CommonFit:
     (('trip-01',), True)
     """
     rows = accepted(trips)
-    top = float(rows["asked_highest"].min())
-    # Curve values at three speeds are far better conditioned than the coefficients.
-    nodes = powers(np.linspace(0.0, top, 3))
-    values = parameters_of(rows)[:, :3] @ nodes.T
-    size = np.median(values, axis=0)
-    nodes, values = nodes / size[:, None], values / size
-    variances = nodes @ covariances_of(rows)[:, :3, :3] @ nodes.T
-    # An assumed gain is that of the recorder: all trips err alike, and do not differ by it.
-    gain_std = np.nan_to_num(rows["assumed_gain_std"].to_numpy(np.float64))
-    variances -= gain_std[:, None, None] ** 2 * values[:, :, None] * values[:, None, :]
+    curves = node_curves(rows)
+    values, variances, gain_std = curves.values, curves.variances, curves.gain_std
     expected = BETWEEN_TRIPS**2 * np.eye(3)
     found = random_effects(values, variances, expected, PRIOR_TRIPS)
     weights = found.variance @ np.linalg.inv(variances + found.between)
-    shared = shared_variance(weights, nodes @ surveys_of(rows) @ nodes.T, _lines(rows))
-    back = np.linalg.inv(nodes)
+    shared = shared_variance(weights, curves.survey, _lines(rows))
+    back = np.linalg.inv(curves.nodes)
     gain = float(np.mean(gain_std)) * found.mean
     covariance = back @ (found.variance + shared + np.outer(gain, gain)) @ back.T
     return CommonFit(
@@ -449,12 +441,55 @@ def combine(trips: pd.DataFrame | Sequence[TripFit]) -> CommonFit:
         covariance=covariance,
         between=back @ found.between @ back.T,
         freedom=len(rows) - 1 + int(PRIOR_TRIPS),
-        asked=(float(rows["asked_lowest"].max()), top),
+        asked=(float(rows["asked_lowest"].max()), curves.top),
         speed_range=(float(rows["speed_lowest"].min()), float(rows["speed_highest"].max())),
         trips=tuple(rows["trip"]),
         betas=found.single @ back.T,
         covariances=back @ found.single_variance @ back.T,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class NodeCurves:
+    """Curves of trips by their values at three speeds, over the median of all trips there.
+
+    They are far better conditioned than the coefficients.
+
+    Attributes
+    ----------
+    top : float [m/s]
+        Highest speed that every trip was asked for: that of the last node.
+    nodes : (3, 3) array
+        Of coefficients to values.
+    values : (k, 3) array
+    variances : (k, 3, 3) array
+        Without that of an assumed gain: all trips of a recorder err alike, and do not differ by it.
+    survey : (k, 3, 3) array
+        The part of it that errors of the line bring in.
+    gain_std : (k,) array
+        Of an assumed gain; 0 where it was found.
+    """
+
+    top: float
+    nodes: FloatArray
+    values: FloatArray
+    variances: FloatArray
+    survey: FloatArray
+    gain_std: FloatArray
+
+
+def node_curves(rows: pd.DataFrame) -> NodeCurves:
+    """Curves of trips that were accepted, by their values at three speeds."""
+    top = float(rows["asked_highest"].min())
+    nodes = powers(np.linspace(0.0, top, 3))
+    values = parameters_of(rows)[:, :3] @ nodes.T
+    size = np.median(values, axis=0)
+    nodes, values = nodes / size[:, None], values / size
+    variances = nodes @ covariances_of(rows)[:, :3, :3] @ nodes.T
+    gain_std = np.nan_to_num(rows["assumed_gain_std"].to_numpy(np.float64))
+    variances -= gain_std[:, None, None] ** 2 * values[:, :, None] * values[:, None, :]
+    survey = nodes @ surveys_of(rows) @ nodes.T
+    return NodeCurves(top, nodes, values, variances, survey, gain_std)
 
 
 def _lines(rows: pd.DataFrame) -> NDArray[np.int64]:

@@ -1,0 +1,314 @@
+"""What each trip shows of its train's state, in one number each: the channels.
+
+A channel is a series of numbers with variances, one a trip: a constant part of the running
+resistance, the size of the whole curve, the gain and the delay of the recorded efforts, the scale
+of the speed, its noise. Of each number that is taken off which other trains of the kind, on that
+line and in that period, show too; what is left is the train's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.special import stdtr
+
+from analysis.fleet.mixed import TAIL, Group, mixed_effects
+from analysis.fleet.resistance import FEWEST_TRAINS, KindResistance, periods_of, positive, ways_of
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """What a channel is.
+
+    Attributes
+    ----------
+    name : str
+    unit : str
+        ``"N"``, ``"s"`` or ``"1"`` (a share).
+    tolerance : float
+        A change that is smaller is none that counts.
+    between, trips, periods : float
+        How much trains, trips and days are expected to differ.
+    about : str
+        What it is, in words.
+    """
+
+    name: str
+    unit: str
+    tolerance: float
+    between: float
+    trips: float
+    periods: float
+    about: str
+
+
+CHANNELS = (
+    Channel("constant resistance", "N", 300.0, 400.0, 300.0, 150.0, "force that no speed changes"),
+    Channel(
+        "size of the curve", "1", 0.03, 0.04, 0.03, 0.015, "running resistance over the kind's"
+    ),
+    Channel("effort gain", "1", 0.01, 0.02, 0.006, 0.002, "recorded over true effort, load known"),
+    Channel("effort over mass", "1", 0.02, 0.03, 0.04, 0.005, "the same where no load is recorded"),
+    Channel("power", "1", 0.02, 0.02, 0.03, 0.005, "largest power reached"),
+    Channel("speed scale", "1", 0.002, 0.003, 0.0005, 0.0002, "recorded over true speed"),
+    Channel("effort delay", "s", 0.05, 0.05, 0.02, 0.005, "of recorded efforts against the speed"),
+    Channel("speed noise", "1", 0.25, 0.2, 0.1, 0.03, "of the recorded speed, over the kind's"),
+)
+"""The tolerances are what a workshop would not act on."""
+
+PRIOR = 3.0
+"""What is expected of trains, trips and days counts as so many of them."""
+
+WHOLE_POWER = 0.12
+"""Powers further from the highest of the kind than this share are not the train's limit."""
+
+FEWEST_TRIPS = 8
+"""A kind with fewer trips that show a channel does not show how trips differ in it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """A channel of all trips of a kind that show it, in order of start.
+
+    Attributes
+    ----------
+    channel : Channel
+    rows : (k,) int array
+        Of the trips in the kind's table.
+    value : (k,) array
+        As it was found.
+    own : (k,) array
+        Less what the other trains show.
+    std : (k,) array
+        Of a trip around its train's level.
+    between : float
+        Scale of trains around the kind, and of the common part's uncertainty.
+    freedom : float
+        Degrees of freedom of that.
+    tail : float
+        Degrees of freedom of the trips' deviations over `std`.
+    wander : float
+        Variance by which a train's level changes in a day.
+    common : bool
+        Whether the trips of other trains were there to compare with.
+    """
+
+    channel: Channel
+    rows: IntArray
+    value: FloatArray
+    own: FloatArray
+    std: FloatArray
+    between: float
+    freedom: float
+    tail: float
+    wander: float
+    common: bool
+
+
+def channel_table(
+    kind: KindResistance, trips: pd.DataFrame
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Values and variances of each channel for every trip, NaN where a trip does not show it.
+
+    Parameters
+    ----------
+    kind : KindResistance
+    trips : DataFrame
+        Of the kind: summaries joined with passports, in order of start; see
+        `analysis.fleet.trains.joined`.
+    """
+
+    def column(name: str) -> FloatArray:
+        if name not in trips:
+            return np.full(len(trips), np.nan)
+        return trips[name].to_numpy(np.float64)
+
+    def text(name: str) -> NDArray[np.str_]:
+        return trips[name].fillna("").to_numpy(str) if name in trips else np.full(len(trips), "")
+
+    found = _resistance_channels(kind, trips)
+    gain, ratio = column("effort_gain"), column("effort_over_mass")
+    shown = text("effort_gain_source") == "estimated"
+    weighed = shown & (text("load_source") == "recorded")
+    found["effort gain"] = _logarithm(gain, column("effort_gain_std"), weighed)
+    unweighed = (text("load_source") != "recorded") & (
+        text("effort_over_mass_source") == "estimated"
+    )
+    found["effort over mass"] = _logarithm(ratio, column("effort_over_mass_std"), unweighed)
+    accepted = text("refused") == ""
+    power = column("max_power")
+    # A driver who does not ask for all of it shows a lower limit that is not the train's.
+    highest = np.quantile(power[np.isfinite(power)], 0.9) if np.isfinite(power).any() else np.nan
+    whole = accepted & (np.abs(power / highest - 1.0) < WHOLE_POWER)
+    found["power"] = _logarithm(power, column("max_power_std"), whole)
+    scaled = np.isin(text("speed_scale_source"), ("GNSS speed", "balises"))
+    found["speed scale"] = _logarithm(column("speed_scale"), column("speed_scale_std"), scaled)
+    timed = text("effort_delay_source") == "estimated"
+    delay = np.where(timed, column("effort_delay"), np.nan)
+    found["effort delay"] = delay, np.where(timed, column("effort_delay_std") ** 2, np.nan)
+    noise = column("speed_noise") if "speed_noise" in trips else column("noise_speed")
+    found["speed noise"] = _logarithm(noise, 0.03 * noise, noise > 0.0)
+    return found
+
+
+def _logarithm(
+    value: FloatArray, std: FloatArray, shown: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Logarithm and its variance, NaN where it is not shown."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return (
+            np.where(shown, np.log(value), np.nan),
+            np.where(shown, (std / value) ** 2, np.nan),
+        )
+
+
+def _resistance_channels(
+    kind: KindResistance, trips: pd.DataFrame
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """The constant part of a trip's curve, and its size, by generalised least squares."""
+    curves, found = kind.curves, kind.effects
+    variances = positive(curves.variances)
+    trust = np.linalg.inv(variances + found.within)
+    off = curves.values - found.mean
+    place = np.flatnonzero((trips["refused"] == "").to_numpy())
+    constant = curves.nodes[:, 0]
+    channels = {}
+    for name, direction in (("constant resistance", constant), ("size of the curve", found.mean)):
+        weight = np.einsum("i,kij,j->k", direction, trust, direction)
+        value, variance = np.full(len(trips), np.nan), np.full(len(trips), np.nan)
+        value[place] = np.einsum("i,kij,kj->k", direction, trust, off) / weight
+        # Without the part of the trips' own deviations, which the series finds anew.
+        own = np.einsum("i,kij,kjl,klm,m->k", direction, trust, variances, trust, direction)
+        variance[place] = own / weight**2
+        channels[name] = value, variance
+    return channels
+
+
+def series_of(
+    channel: Channel,
+    values: tuple[FloatArray, FloatArray],
+    trips: pd.DataFrame,
+) -> Series | None:
+    """A channel's series; None where too few trips show it."""
+    value, variance = values
+    rows = np.flatnonzero(np.isfinite(value) & np.isfinite(variance))
+    if rows.size < FEWEST_TRIPS:
+        return None
+    used = trips.iloc[rows]
+    names, train = np.unique(used["train"].to_numpy(str), return_inverse=True)
+    common = names.size >= FEWEST_TRAINS
+    number, periods, _ = periods_of(used["start"])
+    line = ways_of(used)
+    unit = np.eye(1)
+    y, v = value[rows, None] / channel.between, variance[rows, None, None] / channel.between**2
+    relative = channel.trips / channel.between, channel.periods / channel.between
+    lines = int(line.max()) + 1
+    groups = (
+        Group(train, names.size, None, unit, PRIOR, heavy=True),
+        Group(
+            number if common else np.full(rows.size, -1),
+            len(periods) if common else 0,
+            None,
+            relative[1] ** 2 * unit,
+            PRIOR,
+        ),
+        Group(line, lines, None, relative[0] ** 2 * unit, PRIOR),
+    )
+    found = mixed_effects(y, v, groups, relative[0] ** 2 * unit, PRIOR)
+    expected = np.empty(rows.size)
+    for each in range(names.size):
+        mine = train == each
+        if names.size > 1:
+            expected[mine] = found.left_out(mine)[:, 0]
+        else:
+            expected[mine] = found.without(0)[:, 0]
+    own = y[:, 0] - expected
+    std = np.sqrt(v[:, 0, 0] + found.within[0, 0])
+    mean_variance = float(found.block(0, 0)[0, 0])
+    tail, size = _tail(own / std, train)
+    days = (used["start"] - used["start"].min()) / pd.Timedelta(days=1)
+    wander = _wander(own, train, days.to_numpy(np.float64))
+    scale = channel.between
+    return Series(
+        channel=channel,
+        rows=rows,
+        value=value[rows],
+        own=own * scale,
+        std=std * size * scale,
+        between=float(np.sqrt(found.spreads[0][0, 0] + mean_variance)) * scale,
+        freedom=min(names.size - 1 + PRIOR, TAIL),
+        tail=tail,
+        wander=wander * scale**2,
+        common=names.size > 1,
+    )
+
+
+TAILS = np.array([2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 20.0, 60.0])
+
+NEIGHBOURS = 10
+"""Trips of the same train, before, whose median a trip is compared with to see how trips differ."""
+
+
+CHI_SQUARE_QUARTILE = 0.1015
+"""A quarter of squares of one degree of freedom are below it."""
+
+
+def _tail(deviation: FloatArray, train: IntArray) -> tuple[float, float]:
+    """Degrees of freedom and scale of a Student distribution of trips around their neighbours."""
+    frame = pd.Series(deviation).groupby(train)
+    before = frame.transform(lambda each: each.shift(1).rolling(NEIGHBOURS, min_periods=4).median())
+    apart = (pd.Series(deviation) - before).dropna().to_numpy()
+    if apart.size < 3 * NEIGHBOURS:
+        return TAIL, 1.2
+    best = (-np.inf, TAIL, 1.0)
+    for tail in TAILS:
+        scale = 1.4826 * float(np.median(np.abs(apart)))
+        for _ in range(30):
+            weight = (tail + 1.0) / (tail + (apart / scale) ** 2)
+            scale = float(np.sqrt(np.mean(weight * apart**2)))
+        likelihood = _log_student(apart / scale, float(tail)).sum() - apart.size * np.log(scale)
+        best = max(best, (float(likelihood), float(tail), scale))
+    return best[1], best[2]
+
+
+def _log_student(x: FloatArray, tail: float) -> FloatArray:
+    from scipy.special import gammaln
+
+    constant = gammaln(0.5 * (tail + 1.0)) - gammaln(0.5 * tail) - 0.5 * np.log(tail * np.pi)
+    return np.asarray(constant - 0.5 * (tail + 1.0) * np.log1p(x**2 / tail))
+
+
+def _wander(own: FloatArray, train: IntArray, days: FloatArray) -> float:
+    """Variance a day by which levels of trains change, by the lower quartile of changes."""
+    groups = pd.Series(own).groupby(train)
+    smooth = groups.transform(lambda each: each.rolling(5, min_periods=5).median())
+    by_train = smooth.groupby(train)
+    near = (smooth - by_train.shift(5)).to_numpy()
+    far = (smooth - by_train.shift(20)).to_numpy()
+    day = pd.Series(days).groupby(train)
+    gap = (pd.Series(days) - day.shift(20)).to_numpy()
+    gap = gap - (pd.Series(days) - day.shift(5)).to_numpy()
+    changes = pd.DataFrame({"far": far**2, "near": near**2, "gap": gap})[gap > 0.0].dropna()
+    trains = changes.groupby(train[changes.index])
+    # The smaller ones: half of the pairs may lie on both sides of a jump.
+    medians = trains.quantile(0.25).assign(gap=trains["gap"].median())
+    if len(changes) < 30:
+        return 0.0
+    # By the train in the middle: one that jumped does not make all others wander. Less what the
+    # trains differ by: noise alone must not look like wandering.
+    rate = ((medians["far"] - medians["near"]) / medians["gap"]).to_numpy()
+    middle = float(np.median(rate))
+    doubt = 1.4826 * float(np.median(np.abs(rate - middle))) * np.sqrt(0.5 * np.pi / rate.size)
+    return float(max(middle - 2.0 * doubt, 0.0) / CHI_SQUARE_QUARTILE)
+
+
+def beyond(x: FloatArray, tail: float) -> FloatArray:
+    """Probability that a Student distribution is beyond x."""
+    return np.asarray(stdtr(tail, -x))

@@ -1,0 +1,194 @@
+"""Pictures of what a fleet shows of its trains."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+from numpy.typing import NDArray
+
+from analysis.fleet.mixed import TAIL
+from analysis.fleet.resistance import KindResistance
+from analysis.fleet.trains import FleetTrains
+from analysis.fleet.trains_table import AT
+from analysis.fleet.unlike import Finding
+from analysis.plotting import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    PALE,
+    RED,
+    dress,
+    headline,
+    legend,
+    new_figure,
+    write_figure,
+)
+from analysis.resistance.regression import band_factor, curve_std
+from trainlog.display import counted
+from trainlog.units import KMH
+
+FloatArray = NDArray[np.float64]
+
+MOST_NAMED = 60
+"""More trains than this are not named one by one."""
+
+CHANNEL_UNITS = {"1": (100.0, "%"), "N": (1e-3, "kN"), "s": (1.0, "s")}
+
+
+def draw_resistance(kind: KindResistance, found: FleetTrains, path: str | Path) -> None:
+    """Each train's curve with the kind's spread, and at 80 km/h by train with its band."""
+    named = min(len(kind.trains), MOST_NAMED)
+    figure = new_figure(11.0, max(4.6, 1.8 + 0.2 * named))
+    left, right = figure.subplots(1, 2)
+    speed = np.linspace(0.0, kind.mean.asked[1], 120)
+    unlike = {each.train for each in found.unlike.findings if each.kind == kind.kind}
+    factor = band_factor(kind.another.covariance, (0.0, kind.mean.asked[1]), kind.another.freedom)
+    spread = factor * curve_std(kind.another.covariance, speed)
+    mean = kind.mean.resistance(speed)
+    left.fill_between(
+        KMH * speed,
+        (mean - spread) / 1e3,
+        (mean + spread) / 1e3,
+        color=PALE,
+        alpha=0.7,
+        lw=0.0,
+        label="95 % of trains of this kind",
+    )
+    for each in kind.trains:
+        other = each.train in unlike
+        left.plot(
+            KMH * speed,
+            each.resistance(speed) / 1e3,
+            color=RED if other else BLUE,
+            lw=1.2 if other else 0.7,
+            alpha=1.0 if other else 0.6,
+        )
+    left.plot(KMH * speed, mean / 1e3, color=INK, lw=1.6, label="mean of the kind")
+    left.plot([], [], color=BLUE, lw=0.9, label="a train")
+    if unlike:
+        left.plot([], [], color=RED, lw=1.2, label="a train with a finding")
+    dress(left, x="speed [km/h]", y="running resistance [kN]", title="curves")
+    left.set_xlim(0.0, KMH * float(speed[-1]))
+    left.set_ylim(bottom=0.0)
+    legend(left)
+    _by_train(right, kind, unlike)
+    trips = counted(kind.mean.trips, "trip")
+    headline(figure, f"{counted(len(kind.trains), 'train')} of kind {kind.kind}, {trips}")
+    write_figure(figure, path)
+
+
+def _by_train(axes: Axes, kind: KindResistance, unlike: set[str]) -> None:
+    """Resistance at 80 km/h of each train, the least first."""
+    trains = sorted(kind.trains, key=lambda each: float(each.resistance(AT)))
+    value = np.array([float(each.resistance(AT)) for each in trains]) / 1e3
+    reach = np.array([1.96 * float(each.std(AT)) for each in trains]) / 1e3
+    place = np.arange(len(trains))
+    middle = float(kind.mean.resistance(AT)) / 1e3
+    from scipy.special import stdtrit
+
+    wide = float(stdtrit(min(kind.another.freedom, TAIL), 0.975)) * float(kind.another.std(AT))
+    axes.axvspan(middle - wide / 1e3, middle + wide / 1e3, color=PALE, alpha=0.7, lw=0.0)
+    axes.axvline(middle, color=INK, lw=1.0)
+    colours = [RED if each.train in unlike else BLUE for each in trains]
+    axes.hlines(place, value - reach, value + reach, colors=colours, lw=1.4)
+    axes.scatter(value, place, c=colours, s=16, zorder=3)
+    dress(
+        axes,
+        x="running resistance at 80 km/h [kN]",
+        y="",
+        title="by train, with 95 % band; grey: 95 % of trains of this kind",
+    )
+    few = len(trains) <= MOST_NAMED
+    axes.set_yticks(place if few else [])
+    if few:
+        axes.set_yticklabels([f"{each.train} ({each.trips})" for each in trains], fontsize=7)
+
+
+def draw_drift(kind: str, found: FleetTrains, path: str | Path) -> None:
+    """Channels of a kind over time: each trip, and the running level of each train."""
+    channels = [
+        name
+        for name in ("size of the curve", "speed scale", "effort gain", "effort delay")
+        if name in found.unlike.series[kind]
+    ]
+    trips = found.trips[kind]
+    figure = new_figure(10.0, 2.3 * len(channels) + 0.6)
+    panels = np.atleast_1d(figure.subplots(len(channels), 1, sharex=True))
+    findings = [each for each in found.unlike.findings if each.kind == kind]
+    for axes, name in zip(panels, channels, strict=True):
+        series = found.unlike.series[kind][name]
+        factor, unit = CHANNEL_UNITS[series.channel.unit]
+        start = trips["start"].iloc[series.rows]
+        names = trips["train"].to_numpy(str)[series.rows]
+        own = factor * (series.own if series.common else series.value - np.median(series.value))
+        axes.plot(start, own, ".", color=GREY, ms=2.0, alpha=0.5)
+        for train in np.unique(names).tolist():
+            mine = names == train
+            level = np.array(
+                [np.median(own[mine][max(k - 4, 0) : k + 5]) for k in range(int(mine.sum()))]
+            )
+            other = any(each.train == train for each in findings)
+            axes.plot(start[mine], level, color=RED if other else BLUE, lw=1.1 if other else 0.6)
+        low, high = np.quantile(own, (0.005, 0.995))
+        margin = 0.15 * (high - low)
+        axes.set_ylim(low - margin, high + margin)
+        dress(axes, x="", y=f"{unit}", title=f"{name}: {series.channel.about}")
+        shown = [each for each in findings if each.channel == name]
+        for number, each in enumerate(shown):
+            axes.axvline(each.since, color=RED, lw=0.8, ls="--")
+            axes.annotate(
+                f"{each.train}: {each.explanation.cause.what} ",
+                (each.since, 0.93 - 0.11 * (number % 8)),
+                xycoords=("data", "axes fraction"),
+                fontsize=7,
+                color=RED,
+                va="top",
+                ha="right",
+            )
+    locator = AutoDateLocator(minticks=4, maxticks=9)  # type: ignore[no-untyped-call]
+    panels[-1].xaxis.set_major_locator(locator)
+    panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
+    what = "against the other trains" if len(np.unique(trips["train"])) > 1 else "over time"
+    headline(
+        figure, f"Kind {kind}, {what}: each trip (grey), median of nine trips of a train (blue)"
+    )
+    write_figure(figure, path)
+
+
+def draw_findings(found: FleetTrains, path: str | Path) -> None:
+    """Each finding: the channel that showed it, trip by trip, and since when."""
+    findings: list[Finding] = list(found.unlike.findings)[:24]
+    columns = min(3, max(len(findings), 1))
+    rows = -(-max(len(findings), 1) // columns)
+    figure = new_figure(4.0 * columns, 2.7 * rows + 0.5)
+    panels = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+    for axes, each in zip(panels, findings, strict=False):
+        series = found.unlike.series[each.kind][each.channel]
+        trips = found.trips[each.kind].iloc[series.rows]
+        mine = (trips["train"] == each.train).to_numpy()
+        factor, unit = CHANNEL_UNITS[series.channel.unit]
+        start = trips["start"][mine]
+        own, std = factor * series.own[mine], factor * series.std[mine]
+        after = (start >= each.since).to_numpy()
+        axes.errorbar(np.arange(own.size), own, 1.96 * std, fmt="none", ecolor=PALE, elinewidth=1.0)
+        order = np.arange(own.size)
+        axes.plot(order[~after], own[~after], "o", color=BLUE, ms=3.0)
+        axes.plot(order[after], own[after], "o", color=RED, ms=3.0)
+        axes.axhline(0.0, color=GREEN, lw=0.8)
+        cause = each.explanation.cause
+        dress(axes, x="trip of this train", y=f"{each.channel} [{unit}]")
+        axes.set_title(f"{each.train}\n{cause}", loc="left", fontsize=9, color=INK)
+    for axes in panels[len(findings) :]:
+        axes.set_axis_off()
+    if not findings:
+        panels[0].text(0.0, 0.5, "no train is unlike the others", color=INK)
+    headline(
+        figure,
+        f"{counted(len(found.unlike.findings), 'finding')}; at most"
+        f" {100.0 * found.unlike.rate:g} % of healthy trains raise an alarm in a month",
+    )
+    write_figure(figure, path)

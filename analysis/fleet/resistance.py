@@ -1,0 +1,364 @@
+"""Running resistance of every train of a fleet, and of each kind of train.
+
+Trains of a kind are alike, but not the same; a train's trips differ, too, by wind and weather, of
+which those of one period share a part; trips over one line share the errors of its survey, and
+those of a recorder of which no load shows the gain share that. All of it is one linear mixed model
+of the trips' summaries (`analysis.fleet.mixed`): a train with many trips has its own curve, one
+with few is drawn towards its kind, and one without any has the kind's, as wide as trains differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+
+from analysis.fleet.mixed import TAIL, Group, MixedEffects, mixed_effects
+from analysis.resistance.combination import (
+    BETWEEN_TRIPS,
+    PRIOR_TRIPS,
+    SAME_DRIVE,
+    NodeCurves,
+    each_drive_once,
+    nearest_physical,
+    node_curves,
+)
+from analysis.resistance.fit import curve_picture, curve_words
+from analysis.resistance.regression import band_factor, curve_std
+from trainlog.display import as_html, as_text, counted
+from trainlog.errors import InputError, NotIdentifiableError
+from trainlog.railway.resistance import RunningResistance
+from trainlog.units import KMH
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+BETWEEN_TRAINS = 0.04
+"""How much trains of a kind are expected to differ from each other, over the curve."""
+
+PRIOR_TRAINS = 3.0
+"""This expectation counts as much as so many trains beside the observed ones."""
+
+BETWEEN_PERIODS = 0.02
+"""How much one day is expected to differ from another, over the curve."""
+
+PRIOR_PERIODS = 3.0
+"""This expectation counts as so many days."""
+
+MOST_PERIODS = 90
+"""Where the trips are spread over more days than this, periods are of several days each."""
+
+EMPTY_MASS_STD = 0.005
+"""Standard deviation of a train's true empty mass over that of its file: all efforts, and so the
+whole curve, are in its measure, and a train's trips share it."""
+
+FEWEST_ON_LINE = 3
+"""Fewer trips than this over a line do not show what they have in common."""
+
+MOST_LINES = 60
+"""What trips have in common is looked for on the lines that are run over most, at most so many."""
+
+FEWEST_TRAINS = 4
+"""Of fewer trains than this, what a day does to all cannot be distinguished from what one does."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrainResistance:
+    """A curve with its uncertainty: of a train, or of a kind of train.
+
+    Attributes
+    ----------
+    train, kind : str
+        The train is empty for the curve of a kind.
+    trips : int
+        That determine it.
+    resistance : RunningResistance
+    covariance : (3, 3) array
+        Of r0, r1, r2.
+    freedom : float
+        Degrees of freedom of the covariance.
+    asked : (float, float) [m/s]
+        Speeds between which all trips of the kind were asked for it.
+    """
+
+    train: str
+    kind: str
+    trips: int
+    resistance: RunningResistance
+    covariance: FloatArray
+    freedom: float
+    asked: tuple[float, float]
+
+    def __repr__(self) -> str:
+        return as_text(self._title, {"curve": curve_words(self)})
+
+    def _repr_html_(self) -> str:
+        return as_html(self._title, {"curve": curve_words(self)}, curve_picture(self))
+
+    @property
+    def _title(self) -> str:
+        whose = f"train {self.train}" if self.train else f"a {self.kind}"
+        return f"Running resistance of {whose} on {counted(self.trips, 'trip')}"
+
+    def std(self, speed: ArrayLike) -> FloatArray:
+        """Standard deviation of the curve [N] at each speed [m/s]."""
+        return curve_std(self.covariance, speed)
+
+    def band(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper end [N] of the 95 % band of the whole curve, from standstill up."""
+        factor = band_factor(self.covariance, (0.0, self.asked[1]), self.freedom)
+        value, reach = self.resistance(speed), factor * self.std(speed)
+        return value - reach, value + reach
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class KindResistance:
+    """The trains of one kind.
+
+    Attributes
+    ----------
+    kind : str
+    mean : TrainResistance
+        What they have in common; its covariance is that of the mean.
+    another : TrainResistance
+        What is expected of a train of this kind without trips.
+    trains : tuple of TrainResistance
+        In the order of their names.
+    between, within : (3, 3) array
+        Scale of trains around the mean, and of a train's trips around it, of r0, r1, r2; of
+        Student distributions of `TAIL` degrees of freedom.
+    rows : DataFrame
+        The summaries that were used.
+    curves : NodeCurves
+        Of these rows.
+    periods : (p,) array of Timestamp
+        Beginnings of the periods that were looked at; none where the trains are too few.
+    width : Timedelta
+        Of a period.
+    effects : MixedEffects
+        Of trains, periods, lines and gains.
+    """
+
+    kind: str
+    mean: TrainResistance
+    another: TrainResistance
+    trains: tuple[TrainResistance, ...]
+    between: FloatArray
+    within: FloatArray
+    rows: pd.DataFrame
+    curves: NodeCurves
+    periods: pd.DatetimeIndex
+    width: pd.Timedelta
+    effects: MixedEffects
+
+    def __repr__(self) -> str:
+        top = self.mean.asked[1]
+        spread = float(curve_std(self.between, top)) / 1e3
+        rows = {
+            "mean": curve_words(self.mean),
+            "between trains": f"{spread:.2f} kN at {KMH * top:.0f} km/h",
+        }
+        return as_text(f"{counted(len(self.trains), 'train')} of kind {self.kind}", rows)
+
+    def __getitem__(self, train: str) -> TrainResistance:
+        """The curve of a train; of one without trips what is expected of it."""
+        return next((one for one in self.trains if one.train == train), self.another)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FleetResistance:
+    """Running resistance of a fleet.
+
+    Attributes
+    ----------
+    kinds : tuple of KindResistance
+        In the order of their names.
+    refused : DataFrame
+        Trips that show nothing, with ``refused`` and ``message``.
+    """
+
+    kinds: tuple[KindResistance, ...]
+    refused: pd.DataFrame
+
+    def __repr__(self) -> str:
+        rows = {
+            each.kind: f"{counted(len(each.trains), 'train')},"
+            f" {counted(each.mean.trips, 'trip')}; {curve_words(each.mean)}"
+            for each in self.kinds
+        }
+        return as_text("Running resistance of a fleet", rows)
+
+    def __iter__(self) -> Iterator[KindResistance]:
+        return iter(self.kinds)
+
+    def __getitem__(self, kind: str) -> KindResistance:
+        for each in self.kinds:
+            if each.kind == kind:
+                return each
+        known = ", ".join(each.kind for each in self.kinds)
+        raise InputError(f"no trips of kind '{kind}'", remedy=f"known are: {known}")
+
+
+def fleet_resistance(table: pd.DataFrame) -> FleetResistance:
+    """Running resistance of each train and of each kind.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Summaries of trips (`trainlog.formats.summaries.COLUMNS`) with the columns ``kind`` and
+        ``start``, as `Catalogue.results` gives them. Without ``kind`` a train is its own kind,
+        without ``start`` no period is distinguished.
+
+    Returns
+    -------
+    FleetResistance
+
+    Raises
+    ------
+    NotIdentifiableError
+        If no trip determines a curve.
+
+    Examples
+    --------
+    >>> from analysis.resistance.combination import summarised
+    >>> from analysis.resistance.fit import fit_trip
+    >>> fits = [fit_trip(f"sample_logs/{name}.mcap") for name in ("nonstop", "stopping")]
+    >>> found = fleet_resistance(summarised(fits).assign(kind="FLIRT"))
+    >>> one = found["FLIRT"].trains[0]
+    >>> one.trips, bool(one.std(25.0) < found["FLIRT"]["another train"].std(25.0))
+    (2, True)
+    """
+    rows = drives_of(table)
+    used = rows[rows["refused"] == ""]
+    if used.empty:
+        raise NotIdentifiableError(
+            "no trip determines the running resistance", remedy="give more, or more varied, trips"
+        )
+    kinds = tuple(
+        _kind_resistance(str(kind), group.reset_index(drop=True))
+        for kind, group in used.groupby("kind", sort=True)
+    )
+    return FleetResistance(kinds, rows[rows["refused"] != ""].reset_index(drop=True))
+
+
+def drives_of(table: pd.DataFrame) -> pd.DataFrame:
+    """Summaries with kind and start, each drive once, in order of start."""
+    given = table.copy()
+    if "kind" not in given:
+        given["kind"] = given["train"]
+    given["kind"] = given["kind"].where(given["kind"].fillna("") != "", given["train"])
+    if "start" not in given:
+        given["start"] = pd.NaT
+    given["start"] = pd.to_datetime(given["start"], utc=True)
+    pieces = [each_drive_once(group) for _, group in given.groupby("train", sort=True)]
+    rows = pd.concat(pieces, ignore_index=True) if pieces else given
+    rows = rows[rows["refused"] != SAME_DRIVE]
+    return rows.sort_values(["start", "train", "trip"], kind="stable", ignore_index=True)
+
+
+def periods_of(start: pd.Series) -> tuple[IntArray, pd.DatetimeIndex, pd.Timedelta]:
+    """Number of the period of each trip (-1: not known), beginnings of the periods, their width."""
+    day = pd.Timedelta(days=1)
+    known = start.notna().to_numpy()
+    if not known.any():
+        return np.full(len(start), -1), pd.DatetimeIndex([], tz="UTC"), day
+    first = start.min().floor("D")
+    days = int((start.max() - first) / day) + 1
+    width = day * int(np.ceil(days / MOST_PERIODS))
+    number = np.full(len(start), -1, dtype=np.int64)
+    number[known] = ((start[known] - first) // width).to_numpy(np.int64)
+    count = int(number.max()) + 1
+    return number, first + width * np.arange(count), width
+
+
+def ways_of(rows: pd.DataFrame) -> IntArray:
+    """Number of the line as travelled of each trip; -1 where too few others ran over it."""
+    way = rows["gradients"].fillna("").astype(str)
+    counts = way[way != ""].value_counts()
+    counts = counts[counts >= FEWEST_ON_LINE].sort_index().nlargest(MOST_LINES)
+    return np.asarray(pd.Index(counts.index).get_indexer(pd.Index(way)), dtype=np.int64)
+
+
+def _kind_resistance(kind: str, rows: pd.DataFrame) -> KindResistance:
+    """Trains of one kind; Henderson (1975)."""
+    curves = node_curves(rows)
+    names, train = np.unique(rows["train"].to_numpy(str), return_inverse=True)
+    number, periods, width = periods_of(rows["start"])
+    if names.size < FEWEST_TRAINS:
+        number, periods = np.full(len(rows), -1), periods[:0]
+    found = _effects(curves, rows, train, names.size, number, len(periods))
+    back = np.linalg.inv(curves.nodes)
+    asked = (float(rows["asked_lowest"].max()), curves.top)
+
+    def curve(
+        name: str, trips: int, value: FloatArray, covariance: FloatArray, freedom: float
+    ) -> TrainResistance:
+        beta, turned = back @ value, back @ covariance @ back.T
+        turned = 0.5 * (turned + turned.T)
+        resistance = nearest_physical(beta, turned)
+        return TrainResistance(name, kind, trips, resistance, turned, freedom, asked)
+
+    own = np.bincount(train, minlength=names.size)
+    freedom = names.size - 1 + PRIOR_TRAINS
+    trains = []
+    for place, name in enumerate(names.tolist()):
+        value, covariance = found.of(0, place)
+        trips = int(own[place])
+        trains.append(curve(name, trips, value, covariance, trips - 1 + freedom))
+    every = len(rows)
+    mean = curve("", every, found.mean, found.block(0, 0), freedom)
+    spread = found.block(0, 0) + found.spreads[0]
+    another = curve("", 0, found.mean, spread, min(freedom, TAIL))
+    return KindResistance(
+        kind=kind,
+        mean=mean,
+        another=another,
+        trains=tuple(trains),
+        between=back @ found.spreads[0] @ back.T,
+        within=back @ found.within @ back.T,
+        rows=rows,
+        curves=curves,
+        periods=periods,
+        width=width,
+        effects=found,
+    )
+
+
+def _effects(
+    curves: NodeCurves,
+    rows: pd.DataFrame,
+    train: IntArray,
+    trains: int,
+    period: IntArray,
+    periods: int,
+) -> MixedEffects:
+    """The mixed model of the curves: trains, periods, lines, gains."""
+    one = np.eye(3)
+    values, vectors = np.linalg.eigh(curves.survey)
+    roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :] @ vectors.transpose(0, 2, 1)
+    line = ways_of(rows)
+    # Errors of a line that no other trip shows stay with the trip.
+    shared = np.where((line >= 0)[:, None, None], curves.survey, 0.0)
+    gains = np.zeros((len(rows), 3, 3))
+    gains[:, :, 0] = np.hypot(curves.gain_std, EMPTY_MASS_STD)[:, None] * curves.values
+    groups = (
+        Group(train, trains, None, BETWEEN_TRAINS**2 * one, PRIOR_TRAINS, heavy=True),
+        Group(period, periods, None, BETWEEN_PERIODS**2 * one, PRIOR_PERIODS),
+        Group(line, int(line.max(initial=-1)) + 1, roots, one),
+        Group(train, trains, gains, one),
+    )
+    variances = positive(curves.variances - shared)
+    within = BETWEEN_TRIPS**2 * one
+    return mixed_effects(curves.values, variances, groups, within, PRIOR_TRIPS)
+
+
+def positive(variances: FloatArray) -> FloatArray:
+    """The covariances with no eigenvalue below a hundredth of the largest on the diagonal."""
+    values, vectors = np.linalg.eigh(variances)
+    least = 1e-4 * np.maximum(values[:, -1:], 1e-12)
+    return np.asarray(
+        (vectors * np.maximum(values, least)[:, None, :]) @ vectors.transpose(0, 2, 1)
+    )

@@ -1,0 +1,487 @@
+"""Trains that are not like the others, or like themselves before, with a stated false-alarm rate.
+
+Each channel of a train (`analysis.fleet.channels`) is watched for a change: the median of the last
+trips is compared with the level that the train had before, and that level, once, with the kind's.
+A median of n values is beyond x only if half of them are, so that its probability follows from
+that of a single trip by the binomial distribution; single trips follow the Student distribution
+that the fleet's own trips show. The probability of an alarm on a healthy train within a month is
+shared out among all that is looked at in a month (Bonferroni): overlapping windows are counted as
+if each were another chance, so that the true rate is below the stated one.
+
+What changed is named afterwards: a fault moves several channels in a known proportion, and the one
+that explains all of them best is stated, with those that explain them about as well.
+
+References
+----------
+Willsky, A. S., Jones, H. L. (1976), A generalized likelihood ratio approach to the detection and
+estimation of jumps in linear systems, IEEE Transactions on Automatic Control 21(1).
+David, H. A., Nagaraja, H. N. (2003), Order Statistics, 3rd ed., eq. (2.1.3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.special import betainc
+
+from analysis.fleet.channels import CHANNELS, Series, beyond, channel_table, series_of
+from analysis.fleet.naming import Explanation, Shift, explained
+from analysis.fleet.resistance import KindResistance
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+FALSE_ALARMS = 0.01
+"""Probability of an alarm on a healthy train within a month."""
+
+MONTH = pd.Timedelta(days=30)
+
+WINDOWS = (3, 5, 9, 15, 31)
+"""Trips whose median is taken."""
+
+BEFORE = 40
+"""At most so many trips before a change show the level that the train had."""
+
+FEWEST_BEFORE = 6
+"""A level that fewer trips show is not compared with."""
+
+POWER = 0.9
+"""Share of faults of a stated least size that are seen."""
+
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(21)
+_WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A train that is unlike the others of its kind, or unlike itself before.
+
+    Attributes
+    ----------
+    train, kind : str
+    explanation : Explanation
+        What it is, how large, and what else it may be.
+    since : Timestamp
+        Start of the first trip that shows it.
+    trip : str
+        This trip.
+    between : (Timestamp, Timestamp)
+        When it began: not before the first, not after the second, with 95 %.
+    noticed : Timestamp
+        Start of the trip after which it was seen.
+    trips : int
+        Trips from the change to that one.
+    against : {"own past", "kind"}
+        What it was compared with when it was seen.
+    channel : str
+        That showed it first.
+    p : float
+        Probability that a healthy train shows as much, in that one comparison.
+    """
+
+    train: str
+    kind: str
+    explanation: Explanation
+    since: pd.Timestamp
+    trip: str
+    between: tuple[pd.Timestamp, pd.Timestamp]
+    noticed: pd.Timestamp
+    trips: int
+    against: str
+    channel: str
+    p: float
+
+    @property
+    def what(self) -> str:
+        """The fault's name."""
+        return self.explanation.what
+
+    def __str__(self) -> str:
+        since = f"since {self.since:%Y-%m-%d %H:%M} (trip {self.trip})"
+        if self.against == "kind":
+            since = "since its first trip, against its kind"
+        return f"{self.train}: {self.explanation}, {since}; seen within {self.trips} trips"
+
+
+@dataclass(frozen=True)
+class Limit:
+    """What would not be seen on a train.
+
+    Attributes
+    ----------
+    train, channel : str
+    unit : str
+    change : float
+        Smallest change that is seen within five trips, nine times in ten; NaN where none is.
+    constant : float
+        Smallest difference from the kind, from the first trip on, that is seen; NaN where none is.
+    reason : str
+        Why none is seen.
+    """
+
+    train: str
+    channel: str
+    unit: str
+    change: float
+    constant: float
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class UnlikeTrains:
+    """What was looked for among trains, and found.
+
+    Attributes
+    ----------
+    findings : tuple of Finding
+        By train and time.
+    limits : tuple of Limit
+        Of each train and channel.
+    rate : float
+        Stated probability of an alarm on a healthy train within a month, at most.
+    train_months : float
+        Months of trains that were looked at.
+    """
+
+    findings: tuple[Finding, ...]
+    limits: tuple[Limit, ...]
+    rate: float
+    train_months: float
+    series: dict[str, dict[str, Series]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class _Watched:
+    """A channel of one train: its trips in order, and what they are compared with."""
+
+    series: Series
+    place: IntArray
+    own: FloatArray
+    std: FloatArray
+    days: FloatArray
+
+
+def unlike_trains(
+    kinds: Iterable[tuple[KindResistance, pd.DataFrame]], rate: float = FALSE_ALARMS
+) -> UnlikeTrains:
+    """Trains that are not like the others of their kind, or like themselves before.
+
+    Parameters
+    ----------
+    kinds : iterable of (KindResistance, DataFrame)
+        Each kind, and its trips: summaries joined with passports in order of start.
+    rate : float
+        Probability of an alarm on a healthy train within a month, at most.
+    """
+    findings: list[Finding] = []
+    limits: list[Limit] = []
+    every: dict[str, dict[str, Series]] = {}
+    months = 0.0
+    for kind, trips in kinds:
+        table = channel_table(kind, trips)
+        found = {
+            channel.name: series
+            for channel in CHANNELS
+            if (series := series_of(channel, table[channel.name], trips)) is not None
+        }
+        every[kind.kind] = found
+        for train, rows in trips.groupby("train", sort=True):
+            start = rows["start"]
+            months += max(float((start.max() - start.min()) / MONTH), 1.0 / 30.0)
+            watch = _Watch(str(train), kind, trips, found, rate)
+            findings += watch.findings()
+            limits += watch.limits()
+    return UnlikeTrains(tuple(findings), tuple(limits), rate, months, every)
+
+
+class _Watch:
+    """One train, all its channels."""
+
+    def __init__(
+        self,
+        train: str,
+        kind: KindResistance,
+        trips: pd.DataFrame,
+        series: dict[str, Series],
+        rate: float,
+    ) -> None:
+        self.train, self.kind, self.trips, self.series = train, kind, trips, series
+        self.mine = trips["train"].to_numpy(str) == train
+        day = pd.Timedelta(days=1)
+        self.days = ((trips["start"] - trips["start"].min()) / day).to_numpy(np.float64)
+        self.watched: dict[str, _Watched] = {}
+        for name, each in series.items():
+            has = self.mine[each.rows]
+            place = each.rows[has]
+            self.watched[name] = _Watched(
+                each, place, each.own[has], each.std[has], self.days[place]
+            )
+        own = self.days[self.mine]
+        span = max(float(own[-1] - own[0]), 1.0) if own.size else 1.0
+        # Comparisons in a month: each window at each trip, in each channel, upwards and downwards.
+        a_month = max(own.size * 30.0 / max(span, 30.0), 1.0)
+        tests = 2.0 * len(CHANNELS) * (len(WINDOWS) * a_month + 1.0)
+        self.level = 0.5 * rate / tests
+        self.once = 0.5 * rate / (2.0 * len(CHANNELS))
+
+    def findings(self) -> list[Finding]:
+        """What was found, in order of time."""
+        found: list[Finding] = []
+        first = -1
+        places = np.flatnonzero(self.mine)
+        while True:
+            alarm = self._first_change(first)
+            if alarm is None:
+                break
+            p, name, since, seen = alarm
+            found.append(self._finding(name, p, since, seen, first, "own past"))
+            first = since
+        end = places[-1] + 1
+        if found:
+            end = int(
+                np.flatnonzero(self.mine & (self.trips["start"] >= found[0].since).to_numpy())[0]
+            )
+        constant = self._from_the_start(end)
+        if constant is not None:
+            p, name, seen = constant
+            found.insert(0, self._finding(name, p, int(places[0]), seen, -1, "kind", end))
+        return found
+
+    def _first_change(self, first: int) -> tuple[float, str, int, int] | None:
+        """The alarm that comes first: p, channel, first trip of the change, trip of the alarm."""
+        best: tuple[int, float, str] | None = None
+        for name, one in self.watched.items():
+            if one.series.channel.name == "power":
+                continue
+            used = one.place >= first
+            place = one.place[used]
+            chance = _changes(one.series, one.own[used], one.std[used], one.days[used])
+            alarms = np.flatnonzero(chance < self.level)
+            if alarms.size == 0:
+                continue
+            at = int(alarms[0])
+            key = int(place[at]), float(chance[at]), name
+            if best is None or key < best:
+                best = key
+        if best is None:
+            return None
+        seen, p, name = best
+        return p, name, self._since(name, seen, first), seen
+
+    def _since(self, name: str, seen: int, first: int) -> int:
+        """The trip from which on the change explains the trips best."""
+        one = self.watched[name]
+        used = (one.place >= first) & (one.place <= seen)
+        place, own, std = one.place[used], one.own[used], one.std[used]
+        likelihood, starts = _step_likelihood(own, std, one.series.tail)
+        best = starts[int(np.argmax(likelihood))] if starts.size else 0
+        return int(place[best])
+
+    def _from_the_start(self, end: int) -> tuple[float, str, int] | None:
+        """What is unlike the kind from the first trip on: p, channel, trip that shows it."""
+        found: list[tuple[int, float, str]] = []
+        for name, one in self.watched.items():
+            if not one.series.common or name == "power":
+                continue
+            used = one.place < end
+            own, std, place = one.own[used], one.std[used], one.place[used]
+            chance = _against_kind(one.series, own, std)
+            alarms = np.flatnonzero(chance < self.once)
+            if alarms.size and chance[-1] < self.once:
+                found.append((int(place[alarms[0]]), float(chance[alarms[0]]), name))
+        if not found:
+            return None
+        seen, p, name = min(found)
+        return p, name, seen
+
+    def _finding(
+        self,
+        name: str,
+        p: float,
+        since: int,
+        seen: int,
+        first: int,
+        against: str,
+        end: int | None = None,
+    ) -> Finding:
+        places = np.flatnonzero(self.mine)
+        if end is None:
+            end = int(places[-1]) + 1
+        shifts = [
+            shift
+            for one in self.watched.values()
+            if (shift := self._shift(one, since, end, first, against)) is not None
+        ]
+        start = self.trips["start"]
+        low, high = (
+            self._began(name, since, seen, first) if against == "own past" else (since, since)
+        )
+        return Finding(
+            train=self.train,
+            kind=self.kind.kind,
+            explanation=explained(shifts, self.kind, self.trips.iloc[places], name),
+            since=start.iloc[since],
+            trip=str(self.trips["trip"].iloc[since]),
+            between=(start.iloc[low], start.iloc[high]),
+            noticed=start.iloc[seen],
+            trips=int(np.count_nonzero((places >= since) & (places <= seen))),
+            against=against,
+            channel=name,
+            p=p,
+        )
+
+    def _began(self, name: str, since: int, seen: int, first: int) -> tuple[int, int]:
+        """First and last trip at which the change may have come, with 95 %."""
+        one = self.watched[name]
+        used = (one.place >= first) & (one.place <= seen)
+        place = one.place[used]
+        likelihood, starts = _step_likelihood(one.own[used], one.std[used], one.series.tail)
+        if starts.size == 0:
+            return since, since
+        weight = np.exp(likelihood - likelihood.max())
+        shares = np.cumsum(weight) / weight.sum()
+        low, high = np.searchsorted(shares, (0.025, 0.975))
+        last = starts.size - 1
+        return int(place[starts[min(low, last)]]), int(place[starts[min(high, last)]])
+
+    def _shift(self, one: _Watched, since: int, end: int, first: int, against: str) -> Shift | None:
+        """By how much a channel moved, with its standard deviation."""
+        after = (one.place >= since) & (one.place < end)
+        if not after.any() or (one.series.channel.name == "power" and after.sum() < 3):
+            return None
+        tail = one.series.tail
+        value, variance = _level(one.own[after], one.std[after], tail)
+        if against == "kind":
+            if not one.series.common:
+                return None
+            return Shift(one.series.channel, value, variance + one.series.between**2)
+        before = (one.place >= first) & (one.place < since)
+        if np.count_nonzero(before) < 3:
+            return None
+        past, past_variance = _level(one.own[before][-BEFORE:], one.std[before][-BEFORE:], tail)
+        return Shift(one.series.channel, value - past, variance + past_variance)
+
+    def limits(self) -> list[Limit]:
+        """What would not be seen on this train."""
+        found = []
+        for channel in CHANNELS:
+            if channel.name in ("power", "effort over mass"):
+                continue
+            name, one = channel.name, self.watched.get(channel.name)
+            if one is None or one.place.size == 0:
+                found.append(Limit(self.train, name, channel.unit, np.nan, np.nan, _missing(name)))
+                continue
+            std = float(np.median(one.std))
+            change = np.nan
+            count = min(one.place.size, BEFORE)
+            if one.place.size >= FEWEST_BEFORE:
+                change = _least_change(one.series, std, count, self.level)
+            constant = np.nan
+            if one.series.common:
+                spread = np.hypot(one.series.between, 1.25 * std / np.sqrt(5.0))
+                constant = channel.tolerance + spread * (
+                    _quantile(self.once, one.series.freedom) + 1.3
+                )
+            reason = "" if np.isfinite(change) else f"fewer than {FEWEST_BEFORE} trips show it"
+            found.append(Limit(self.train, name, channel.unit, change, float(constant), reason))
+        return found
+
+
+def _missing(name: str) -> str:
+    """Why no trip shows a channel."""
+    reasons = {
+        "effort gain": "no trip with a recorded load shows it",
+        "speed scale": "neither satellites nor balises show the train's true speed",
+        "effort delay": "no trip with line, train and efforts shows it",
+    }
+    return reasons.get(name, "no trip shows it")
+
+
+def _level(own: FloatArray, std: FloatArray, tail: float) -> tuple[float, float]:
+    """Median of trips and its variance; of a few trips with the tails of single ones."""
+    heavy = tail / (tail - 2.0) if own.size < WINDOWS[1] else 1.0
+    variance = 0.5 * np.pi * heavy * float(np.median(std)) ** 2 / own.size
+    return float(np.median(own)), variance
+
+
+def _changes(series: Series, own: FloatArray, std: FloatArray, days: FloatArray) -> FloatArray:
+    """Least probability over the windows that end at each trip."""
+    best = np.ones(own.size)
+    frame, sizes, when = pd.Series(own), pd.Series(std), pd.Series(days)
+    past = frame.rolling(BEFORE, min_periods=FEWEST_BEFORE).median()
+    count = frame.rolling(BEFORE, min_periods=1).count()
+    typical = sizes.rolling(BEFORE, min_periods=1).median()
+    centre = when.rolling(BEFORE, min_periods=1).mean()
+    for window in WINDOWS:
+        if own.size < window + FEWEST_BEFORE:
+            break
+        level = past.shift(window).to_numpy()
+        size = sizes.rolling(window).median().to_numpy()
+        gap = (when.rolling(window).mean() - centre.shift(window)).to_numpy()
+        known = 0.5 * np.pi * typical.shift(window).to_numpy() ** 2 / count.shift(window).to_numpy()
+        apart = np.abs(frame.rolling(window).median().to_numpy() - level)
+        p = _median_beyond(
+            (apart - series.channel.tolerance) / size,
+            np.sqrt(known + series.wander * gap) / size,
+            window,
+            series.tail,
+        )
+        best = np.fmin(best, p)
+    return best
+
+
+def _median_beyond(x: FloatArray, uncertain: FloatArray, window: int, tail: float) -> FloatArray:
+    """Probability that a median of trips is beyond x, the level known to `uncertain`."""
+    half = 0.5 * (window + 1)
+    total = np.zeros(x.shape)
+    for node, weight in zip(_NODES, _WEIGHTS, strict=True):
+        single = beyond(x - node * uncertain, tail)
+        total += weight * betainc(half, half, single)
+    return np.where(x > 0.0, total, 1.0)
+
+
+def _against_kind(series: Series, own: FloatArray, std: FloatArray) -> FloatArray:
+    """Probability of a level as far from the kind's, by the trips up to each."""
+    if own.size < WINDOWS[0]:
+        return np.ones(own.size)
+    level = pd.Series(own).expanding(WINDOWS[0]).median().to_numpy()
+    count = np.arange(1, own.size + 1)
+    variance = 0.5 * np.pi * pd.Series(std).expanding().median().to_numpy() ** 2 / count
+    spread = np.sqrt(variance + series.between**2)
+    p = beyond((np.abs(level) - series.channel.tolerance) / spread, series.freedom)
+    return np.where(np.isfinite(p), p, 1.0)
+
+
+def _step_likelihood(own: FloatArray, std: FloatArray, tail: float) -> tuple[FloatArray, IntArray]:
+    """Log likelihood of a step at each trip, and these trips."""
+    if own.size < WINDOWS[0]:
+        return np.zeros(0), np.zeros(0, dtype=np.int64)
+    starts = np.arange(1, own.size)
+    last = min(2, own.size - 1)
+    starts = starts[starts <= own.size - last]
+    found = []
+    for start in starts:
+        before, after = np.median(own[max(start - BEFORE, 0) : start]), np.median(own[start:])
+        rest = np.concatenate([own[:start] - before, own[start:] - after]) / std
+        found.append(-0.5 * (tail + 1.0) * float(np.sum(np.log1p(rest**2 / tail))))
+    return np.array(found), starts
+
+
+def _least_change(series: Series, std: float, count: int, level: float) -> float:
+    """Smallest change that is seen within five trips, with the probability `POWER`."""
+    x = np.linspace(0.05, 60.0, 1200)
+    uncertain = np.sqrt(0.5 * np.pi / count) * np.ones_like(x)
+    p = _median_beyond(x, uncertain, 5, series.tail)
+    seen = x[int(np.argmax(p < level))] if (p < level).any() else np.nan
+    # The median of five trips is below its mean by this much in one case of ten.
+    return float(series.channel.tolerance + std * (seen + 1.3 * np.sqrt(0.5 * np.pi / 5.0)))
+
+
+def _quantile(p: float, freedom: float) -> float:
+    from scipy.special import stdtrit
+
+    return float(-stdtrit(freedom, p))

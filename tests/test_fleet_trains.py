@@ -1,0 +1,278 @@
+"""What a fleet knows that a trip does not: resistance per train and kind, drift, unlike trains."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from analysis.fleet.drift import Drift
+from analysis.fleet.mixed import Group, mixed_effects
+from analysis.fleet.resistance import KindResistance, TrainResistance, fleet_resistance
+from analysis.fleet.trains import FleetTrains, fleet_trains, trains_in
+from analysis.fleet.trains_table import trains_data
+from trainlog.errors import InputError, NotIdentifiableError
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "fleet"))
+
+from drawn_trains import Fault, drawn_fleet
+
+SPEEDS = np.linspace(5.0, 34.0, 30)
+FAULTS = {
+    "dragging brake": 2000.0,
+    "mass": 0.05,
+    "wheel diameter": 0.01,
+    "effort gain": 0.05,
+    "sensor delay": 0.3,
+}
+SINCE = 40
+
+
+@cache
+def pool(kind: str | None = None) -> pd.DataFrame:
+    """Summaries and passports of trips that were simulated, recorded and fitted."""
+    rows = pd.read_parquet(Path(__file__).parent / "data" / "fleet_trips.parquet")
+    return rows if kind is None else rows[rows["kind"] == kind].reset_index(drop=True)
+
+
+@cache
+def faulty(seed: int = 1) -> FleetTrains:
+    """Seven trains of each kind, five of which have a fault from trip 40 on."""
+    faults = tuple(Fault(what, size, n, SINCE) for n, (what, size) in enumerate(FAULTS.items()))
+    return fleet_trains(drawn_fleet(pool(), seed, trains=7, trips=60, faults=faults))
+
+
+def curve(one: TrainResistance) -> np.ndarray:
+    return np.asarray(one.resistance(SPEEDS))
+
+
+def true_curves(kind: KindResistance, rows: pd.DataFrame) -> dict[str, np.ndarray]:
+    """Each train's own curve times what days and season add to all of the kind."""
+    rows = rows[rows["kind"] == kind.kind]
+    names = ("r0", "r1", "r2")
+    days = [np.median(rows[f"true_{name}"] / rows[f"own_{name}"]) for name in names]
+    first = rows.groupby("train")[[f"own_{name}" for name in names]].first() * days
+    return {
+        str(train): np.polyval(own[::-1], SPEEDS)
+        for train, own in zip(first.index, first.to_numpy(), strict=True)
+    }
+
+
+# ------------------------------------------------------------------------------- resistance
+
+
+def test_bands_hold_the_true_curves_after_one_trip_and_after_many() -> None:
+    for trips in (1, 5):
+        inside = []
+        for seed in range(2):
+            rows = drawn_fleet(pool(), 50 + seed, trains=8, trips=trips)
+            for kind in fleet_resistance(rows):
+                true = true_curves(kind, rows)
+                for one in kind.trains:
+                    low, high = one.band(SPEEDS)
+                    inside.append(np.all((low <= true[one.train]) & (true[one.train] <= high)))
+        assert len(inside) == 48
+        # Trains of one fleet share the errors of lines: more may miss at once than by chance.
+        assert np.mean(inside) >= 0.9, trips
+
+
+def test_a_train_with_few_trips_is_drawn_towards_its_kind_and_one_without_is_its_kind() -> None:
+    rows = drawn_fleet(pool("flirt"), 3, trains=8, trips=12)
+    few = rows[(rows["train"] != "flirt-01") | (rows.groupby("train").cumcount() < 1)]
+    found = fleet_resistance(few)["flirt"]
+    lone = few[few["train"] == "flirt-01"].iloc[0]
+    own = np.polyval([lone["r2"], lone["r1"], lone["r0"]], 22.0)
+    kind = float(found.mean.resistance(22.0))
+    drawn = (float(found["flirt-01"].resistance(22.0)) - kind) / (own - kind)
+    assert 0.1 < drawn < 0.9
+    names = ("flirt-02", "flirt-01", "no such train")
+    std = [float(found[name].std(22.0)) for name in names]
+    assert std[0] < std[1] < std[2]
+    assert curve(found["no such train"]) == pytest.approx(curve(found.mean))
+
+
+def test_one_bad_train_moves_neither_its_kind_nor_the_spread_by_much() -> None:
+    rows = drawn_fleet(pool("kiss"), 4, trains=8, trips=20)
+    bad = rows.copy()
+    bad.loc[bad["train"] == "kiss-08", "r0"] += 6000.0
+    without = fleet_resistance(rows[rows["train"] != "kiss-08"])["kiss"].mean
+    found, mean = fleet_resistance(bad)["kiss"], np.mean(curve(without))
+    moved = np.abs(np.mean(curve(found.mean)) - mean)
+    assert moved < 0.3 * 6000.0 / 8.0
+    assert np.mean(curve(found["kiss-08"])) - mean > 5000.0
+
+
+def test_the_result_does_not_depend_on_the_order_of_trips() -> None:
+    rows = drawn_fleet(pool("virm"), 5, trains=4, trips=6)
+    one = fleet_resistance(rows)["virm"]
+    other = fleet_resistance(rows.sample(frac=1.0, random_state=2))["virm"]
+    assert one.mean.resistance == other.mean.resistance
+    assert np.array_equal(one.mean.covariance, other.mean.covariance)
+
+
+def test_trips_that_share_an_error_do_not_average_it_away() -> None:
+    generator = np.random.default_rng(0)
+    line = np.repeat(np.arange(2), 200)
+    values = 1.0 + generator.normal(0.0, 0.01, (400, 1))
+    groups = [Group(line, 2, None, np.array([[0.04]]))]
+    found = mixed_effects(values, np.full((400, 1, 1), 1e-4), groups, np.array([[1e-4]]), 2.0)
+    assert found.block(0, 0)[0, 0] == pytest.approx(0.04 / 2.0, rel=0.02)
+
+
+def test_no_trip_that_determines_a_curve_is_refused() -> None:
+    rows = pool("flirt").head(3).assign(refused="too short", message="too short")
+    with pytest.raises(NotIdentifiableError, match="no trip determines"):
+        fleet_resistance(rows)
+    with pytest.raises(InputError, match="known are: flirt"):
+        fleet_resistance(pool("flirt"))["kiss"]
+
+
+# -------------------------------------------------------------------------- unlike trains
+
+
+@pytest.mark.parametrize("what", FAULTS)
+def test_a_fault_is_named_with_its_beginning_and_its_size(what: str) -> None:
+    found = faulty()
+    number = 1 + list(FAULTS).index(what)
+    for kind in ("flirt", "kiss", "virm"):
+        (finding,) = found.of(f"{kind}-{number:02d}")
+        cause = finding.explanation.cause
+        named = {finding.what, *(each.what for each in finding.explanation.others)}
+        assert what in named
+        if what not in ("mass", "effort gain"):
+            assert finding.what == what
+        assert abs(int(finding.trip[-5:]) - SINCE) <= 1
+        assert finding.trips <= 8
+        if finding.what == what:
+            assert abs(cause.size - FAULTS[what]) < 3.0 * cause.std
+        assert finding.p < found.unlike.rate
+        assert finding.between[0] <= finding.since <= finding.between[1]
+
+
+def test_healthy_trains_raise_no_alarm() -> None:
+    found = faulty()
+    assert {each.train[-2:] for each in found.unlike.findings} == {"01", "02", "03", "04", "05"}
+    healthy = fleet_trains(drawn_fleet(pool(), 9, trains=6, trips=60))
+    assert healthy.unlike.findings == ()
+    assert healthy.unlike.train_months == pytest.approx(18.0, abs=1.0)
+
+
+def test_a_lone_train_is_compared_with_its_own_past() -> None:
+    fault = Fault("dragging brake", 3000.0, 0, SINCE)
+    rows = drawn_fleet(pool("flirt"), 2, trains=1, trips=60, faults=(fault,))
+    found = fleet_trains(rows)
+    (finding,) = found.unlike.findings
+    assert (finding.what, finding.against) == ("dragging brake", "own past")
+    assert all(np.isnan(each.constant) for each in found.unlike.limits)
+
+
+def test_a_train_that_was_always_unlike_is_compared_with_its_kind() -> None:
+    fault = Fault("sensor delay", 0.9, 1, 0)
+    found = fleet_trains(drawn_fleet(pool("flirt"), 6, trains=9, trips=30, faults=(fault,)))
+    (finding,) = found.unlike.findings
+    assert (finding.train, finding.what, finding.against) == ("flirt-02", "sensor delay", "kind")
+
+
+def test_what_is_not_recorded_is_not_judged_and_this_is_stated() -> None:
+    fault = Fault("wheel diameter", 0.01, 0, SINCE), Fault("effort gain", 0.05, 1, SINCE)
+    rows = drawn_fleet(pool("flirt"), 7, trains=5, trips=60, faults=fault)
+    blind = rows["train"].isin(["flirt-01", "flirt-02"])
+    rows.loc[blind, "speed_scale_source"] = "nothing"
+    rows.loc[blind, "load_source"] = "assumed"
+    rows.loc[blind, "effort_gain_source"] = "assumed"
+    found = fleet_trains(rows)
+    assert not any(each.what == "wheel diameter" for each in found.of("flirt-01"))
+    limits = {(each.train, each.channel): each for each in found.unlike.limits}
+    nowhere = limits["flirt-01", "speed scale"]
+    assert np.isnan(nowhere.change)
+    assert "neither satellites nor balises" in nowhere.reason
+    assert np.isnan(limits["flirt-02", "effort gain"].change)
+    assert limits["flirt-03", "speed scale"].change < 0.01
+
+
+def test_a_single_bad_trip_is_not_a_fault_of_its_train() -> None:
+    rows = drawn_fleet(pool("flirt"), 8, trains=5, trips=50)
+    bad = rows.index[(rows["train"] == "flirt-01")][45]
+    rows.loc[bad, "r0"] += 20e3
+    rows.loc[bad, "effort_delay"] += 2.0
+    assert fleet_trains(rows).unlike.findings == ()
+
+
+def test_the_data_hold_no_number_that_json_has_not() -> None:
+    content = json.loads(json.dumps(trains_data(faulty()), allow_nan=False))
+    assert {each["train"] for each in content["findings"]} >= {"flirt-01", "kiss-03"}
+    assert content["false_alarms_per_train_and_month"] == 0.01
+    one = faulty().only("flirt-01")
+    assert [each.train for kind in one.resistance for each in kind.trains] == ["flirt-01"]
+    with pytest.raises(InputError, match="known are"):
+        faulty().only("flirt-99")
+
+
+# -------------------------------------------------------------------------------- drift
+
+
+def drift(found: FleetTrains, train: str, channel: str) -> Drift:
+    return next(each for each in found.drift if (each.train, each.channel) == (train, channel))
+
+
+def test_the_wear_of_wheels_and_a_season_are_found_where_the_trips_span_enough() -> None:
+    rows = drawn_fleet(
+        pool("flirt"), 11, trains=5, trips=180, trips_a_day=0.5, wear=0.0, season=0.06
+    )
+    months = (rows["start"] - rows["start"].min()) / pd.Timedelta(days=30.4375)
+    rows.loc[rows["train"] == "flirt-02", "speed_scale"] += 0.0005 * months
+    found = fleet_trains(rows)
+    worn = drift(found, "flirt-02", "speed scale")
+    low, high = worn.band
+    assert low < 0.0005 < high
+    assert worn.drifts
+    # The others are compared with a kind of which it is one in five.
+    assert abs(drift(found, "flirt-04", "speed scale").trend) < 0.00005
+    season = drift(found, "", "size of the curve")
+    assert abs(season.season - 0.06) < 3.0 * season.season_std + 0.01
+    # The drawn season is highest four months after the start in January.
+    assert season.highest in (4, 5, 6)
+
+
+def test_too_short_a_span_shows_no_trend_and_no_season() -> None:
+    short = drift(faulty(), "flirt-06", "speed scale")
+    rows = drawn_fleet(pool("flirt"), 12, trains=4, trips=20)
+    shorter = drift(fleet_trains(rows), "flirt-02", "speed scale")
+    assert np.isnan(shorter.trend)
+    assert "show no trend" in shorter.reason
+    assert np.isnan(short.season)
+
+
+# -------------------------------------------------------------------------------- catalogue
+
+
+def test_stored_results_of_a_catalogue_show_its_trains(tmp_path: Path) -> None:
+    pytest.importorskip("sqlalchemy", reason="needs the extra fleet")
+    from analysis.fleet.analyses import ANALYSES
+    from analysis.fleet.trips import fleet_trips
+    from trainlog.catalogue import ResultOutcome, open_catalogue
+
+    with open_catalogue(tmp_path) as catalogue:
+        catalogue.add("sample_logs")
+        for name in ("resistance", "passport"):
+            analysis = ANALYSES[name]
+            for row in catalogue.pending(name, "code", {}).itertuples():
+                trip = next(fleet_trips(str(row.path)))
+                table = analysis.arrow([(row.key, analysis.table(trip))])
+                outcome = ResultOutcome(row.key, row.sha256, rows=table.num_rows)
+                catalogue.record(name, "code", {}, [outcome], table)
+        found = trains_in(catalogue)
+        (kind,) = found.resistance
+        assert len(kind.trains) == 1
+        assert kind.trains[0].trips == 2
+        with pytest.raises(InputError, match="no trips of kind"):
+            trains_in(catalogue, kind="steam")
+        with pytest.raises(InputError, match="fleet update"):
+            trains_in(catalogue, where="train = 'nobody'")
+    assert replace(found).unlike.findings == ()
