@@ -3,8 +3,8 @@
     python benchmarks/fleet/benchmark_trains.py [--part bands|faults|missing|false-alarms|drift]
 
 Bands and faults: trains of three kinds on three lines, simulated, recorded by their sensors and
-fitted (`simulated_trains`). False alarms, missing channels and drift: tables drawn from the errors of such fits, with
-heavier tails and effects than the estimator takes for true (`drawn_trains`). A fault begins after
+fitted (`simulated_trains`). False alarms, missing channels and drift: tables drawn from the errors
+of such fits, with other tails and effects than the estimator takes for true (`drawn_trains`). A fault begins after
 30 trips (40 where drawn); "seen within" counts the trips from then on. Rates have the 95 % band of
 Clopper and Pearson.
 """
@@ -207,9 +207,12 @@ def drift(seeds: int) -> None:
             rows = drawn_fleet(pool, 500 + seed, trains=6, trips=trips, trips_a_day=0.7, wear=0.0)
             since = (rows["start"] - rows["start"].min()) / pd.Timedelta(days=30.4375)
             rows.loc[rows["train"].str.endswith("01"), "speed_scale"] += 0.0004 * since
-            for each in fleet_trains(rows).drift:
-                if each.channel == "speed scale" and each.train.endswith("-01"):
-                    held.append(each.band[0] < 0.0004 < each.band[1])
+            worn = [
+                each
+                for each in fleet_trains(rows).drift
+                if each.channel == "speed scale" and each.train.endswith("-01")
+            ]
+            held += [each.band[0] < 0.0004 < each.band[1] for each in worn]
         print(
             f"  wear of 0.04 % a month over {months} months: true trend in the 95 % band"
             f" {band(sum(held), len(held))}",
