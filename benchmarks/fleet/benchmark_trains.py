@@ -5,8 +5,8 @@
 Bands and faults: trains of three kinds on three lines, simulated, recorded by their sensors and
 fitted (`simulated_trains`). False alarms, missing channels and drift: tables drawn from the errors
 of such fits, with other tails and effects than the estimator takes for true (`drawn_trains`). A
-fault begins after 30 trips (40 where drawn); "seen within" counts the trips from then on. Rates have the 95 % band of
-Clopper and Pearson.
+fault begins after 30 trips (40 where drawn); "seen within" counts the trips from then on. Rates
+have the 95 % band of Clopper and Pearson.
 """
 
 from __future__ import annotations
