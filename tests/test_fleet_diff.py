@@ -17,8 +17,9 @@ import pytest
 from command import run
 
 from analysis.fleet.analyses import ANALYSES
-from analysis.fleet.diff import FleetDiff, Results, compared, daily_evidence
+from analysis.fleet.diff import FleetDiff, Results, compared
 from analysis.fleet.diff_table import details, sentence, tables
+from analysis.fleet.maps import evidence_of_row
 from analysis.fleet.trips import fleet_trips
 from analysis.fleet.versions import Version, parameters_of
 from trainlog.errors import InputError
@@ -172,7 +173,7 @@ def adhesion() -> pd.DataFrame:
 def test_a_place_of_the_map_that_moved_is_named(adhesion: pd.DataFrame) -> None:
     def with_more_adhesion(data: bytes) -> bytes:
         """The same evidence, but for more adhesion at the onsets of 18 to 21 km."""
-        daily = daily_evidence(data)
+        daily = evidence_of_row(data)
         there = (daily.bin >= 720) & (daily.bin < 840)
         log = daily.weighted_log / np.where(daily.weight > 0.0, daily.weight, 1.0)
         moved = np.where(there, log + 0.4, log)

@@ -8,7 +8,6 @@ together, against the scatter of the differences (is it systematic?).
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -21,11 +20,11 @@ from scipy.special import stdtr
 from analysis.adhesion.condition_map import empty_map_of
 from analysis.adhesion.map_difference import q_values
 from analysis.fleet.analyses import ANALYSES
+from analysis.fleet.maps import evidence_of_row
 from analysis.fleet.versions import Version, ensure_results, opened_version
 from trainlog.condition import estimated
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
-from trainlog.formats.packed import unpack
 from trainlog.formats.summaries import COVARIANCE, PARAMETERS
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
@@ -650,14 +649,7 @@ def _layer(rows: pd.DataFrame) -> tuple[float, ConditionLayer] | None:
     if not len(given):
         return None
     edge, layer, length, bin_length = given.iloc[0][["edge", "layer", "edge_length", "bin_length"]]
-    total = DailyEvidence.total(daily_evidence(each) for each in given["evidence"])
+    total = DailyEvidence.total(evidence_of_row(each) for each in given["evidence"])
     empty = empty_map_of(edge, float(length), float(bin_length))
     made = estimated(replace(empty, layers={layer: ConditionLayer.unestimated(total)}))
     return float(bin_length), made.layers[layer]
-
-
-def daily_evidence(data: bytes) -> DailyEvidence:
-    """The evidence of a trip, as results of the analysis ``adhesion`` keep it."""
-    facts, arrays = unpack(zlib.decompress(data))
-    kept: dict[str, Any] = {**arrays}
-    return DailyEvidence(facts["bins"], facts["levels"], **kept)

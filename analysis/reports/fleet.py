@@ -1,0 +1,463 @@
+"""The report on a fleet: what the catalogue holds, and what is known of its trains and lines."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from analysis.fleet.analyses import ANALYSES
+from analysis.fleet.codes import code_of
+from analysis.fleet.driving import LOST
+from analysis.fleet.maps import maps_folder
+from analysis.plotting import BLUE, GREEN, GREY, ORANGE, dress, legend, new_figure, write_figure
+from analysis.reports.page import Page, Part, Section, Warned
+from analysis.reports.pictures import Picture, drawn
+from analysis.tables import (
+    DURATION,
+    NUMBER,
+    SHARE,
+    Column,
+    Quantity,
+    WordTable,
+    new_table,
+)
+from trainlog.display import counted
+from trainlog.errors import InputError, TrainlogError
+from trainlog.progress import note
+from trainlog.units import JOULES_PER_KWH
+
+if TYPE_CHECKING:
+    from trainlog.catalogue import Catalogue
+    from trainlog.railway.network import Network
+
+FloatArray = NDArray[np.float64]
+
+MOST_ROWS = 60
+"""Rows of a table by line, train or reason; the others are counted."""
+
+MOST_BARS = 40
+"""Trains or edges of one picture."""
+
+DISTANCE = Quantity("m", "km", 1e-3, 0)
+PER_KM = Quantity("J_m", "kWh/km", 1e3 / JOULES_PER_KWH, 2)
+HOURS = Quantity("s", "h", 1.0 / 3600.0, 1)
+
+
+@dataclass(frozen=True)
+class FleetReportOptions:
+    """What a report on a fleet is made with beside the catalogue.
+
+    Attributes
+    ----------
+    where : str, optional
+        Chooses trips, as for `Catalogue.query`.
+    network : Network, optional
+        On which the condition of the rail is drawn.
+    maps : Path, optional
+        Folder of the maps of its edges; default: that of the catalogue.
+    at : Timestamp, optional
+        For which the condition is forecast; default: the day after the last trip.
+    """
+
+    where: str | None = None
+    network: Network | None = None
+    maps: Path | None = None
+    at: pd.Timestamp | None = None
+
+
+@dataclass(frozen=True)
+class _Fleet:
+    """What of a catalogue the report shows; each part is read when it is first needed."""
+
+    catalogue: Catalogue
+    options: FleetReportOptions
+
+    @cached_property
+    def trips(self) -> pd.DataFrame:
+        """All trips that are chosen."""
+        return self.catalogue.query(self.options.where)
+
+    def results(self, name: str) -> pd.DataFrame:
+        """What the present code has of an analysis, train and kind as the catalogue knows them."""
+        analysis = ANALYSES[name]
+        found = self.catalogue.results(
+            name, code_of(analysis), analysis.parameters, where=self.options.where
+        )
+        if not len(found):
+            # Made by other code, until the fleet is updated.
+            found = self.catalogue.results(name, where=self.options.where)
+        about = self.trips.set_index("key")
+        return found.assign(**{each: found["key"].map(about[each]) for each in ("train", "kind")})
+
+    def outcomes(self, name: str) -> pd.DataFrame:
+        """What became of an analysis of each trip, by the code whose results are shown."""
+        analysis = ANALYSES[name]
+        given = (name, code_of(analysis), analysis.parameters)
+        found = self.catalogue.outcomes(*given, where=self.options.where)
+        return found if len(found) else self.catalogue.outcomes(name, where=self.options.where)
+
+
+def write_fleet_report(
+    catalogue: Catalogue, path: str | Path, options: FleetReportOptions | None = None
+) -> Page:
+    """Write the report on a fleet as one HTML page that needs no network.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        Whose results `trainlog fleet update` made.
+    path : path
+        HTML file; written whole or not at all. The same results give the same bytes.
+    options : FleetReportOptions, optional
+
+    Raises
+    ------
+    InputError
+        If no trip is chosen, or the page cannot be written.
+    """
+    page = fleet_page(catalogue, options or FleetReportOptions())
+    page.write(path)
+    return page
+
+
+def fleet_page(catalogue: Catalogue, options: FleetReportOptions) -> Page:
+    """The page of a fleet; parameters and errors as of `write_fleet_report`."""
+    fleet = _Fleet(catalogue, options)
+    if fleet.trips.empty:
+        raise InputError(
+            "no trip is chosen", file=catalogue.place, remedy="choose others, or add logs"
+        )
+    parts: Mapping[str, Callable[[_Fleet], list[Part]]] = {
+        "The fleet in numbers": _numbers,
+        "Trips": _trips,
+        "Condition of the rail": _condition,
+        "Energy": _energy,
+        "Refused and failed": _refused,
+        "Quality of the recordings": _quality,
+    }
+    sections = list[Section]()
+    for title, made in parts.items():
+        note(title)
+        try:
+            shown = made(fleet)
+        except TrainlogError as error:
+            shown = [Warned(f"Not shown: {error}.")]
+        sections.append(Section(title, shown, whole_page=bool(sections)))
+    chosen = f"trips: {options.where}" if options.where else ""
+    return Page(f"Fleet of {counted(len(fleet.trips), 'trip')}", chosen, sections)
+
+
+# ------------------------------------------------------------------------------------ catalogue
+
+
+def _numbers(fleet: _Fleet) -> list[Part]:
+    trips = fleet.trips
+    driving = fleet.results("driving")
+    table = new_table("", "", "result", name="fleet")
+    first, last = trips["start"].min(), trips["start"].max()
+    days = trips["start"].dt.date.nunique()
+    kinds = ", ".join(sorted(filter(None, trips["kind"].dropna().unique())))
+    facts = {
+        "trips": f"{len(trips):,}, {HOURS.words(float(trips['duration'].sum()))},"
+        f" {DISTANCE.words(float(trips['distance'].sum()))}",
+        "trains": f"{trips['train'].nunique():,}" + (f" of kind {kinds}" if kinds else ""),
+        "lines and routes": f"{trips['line'].nunique():,}",
+        "edges that were run over": f"{driving['edge'].nunique():,}"
+        if len(driving)
+        else "not known",
+        "days": f"{days:,}, {first:%Y-%m-%d} to {last:%Y-%m-%d}",
+        "rail condition": ", ".join(
+            f"{count:,} {name or 'not stated'}"
+            for name, count in trips["weather"].fillna("").value_counts().items()
+        ),
+        "recorded by": ", ".join(
+            f"{name} ({count:,})" for name, count in trips["software"].value_counts().items()
+        ),
+    }
+    for name, words in facts.items():
+        table.add_row(name, words)
+    done = new_table(
+        "Computed of them", "analysis", *(Column(each, NUMBER) for each in
+        ("done", "refused", "failed", "pending")), "version of the code", name="computed",
+    )  # fmt: skip
+    late = []
+    for name, analysis in ANALYSES.items():
+        states = fleet.outcomes(name)["state"].value_counts()
+        pending = len(trips) - int(states.sum())
+        code = code_of(analysis)
+        made = fleet.catalogue.computations()
+        latest = made[made["analysis"] == name]["code"]
+        known = code if (latest == code).any() else next(iter(latest), "")
+        late += [name] if known not in ("", code) else []
+        counts = [int(states.get(each, 0)) for each in ("done", "refused", "failed")]
+        done.add_cells(name, *counts, pending, known or "-")
+    parts: list[Part] = [table, done]
+    if late:
+        words = f"Computed by other code than this: {', '.join(late)}."
+        parts.insert(0, Warned(f"{words} 'trainlog fleet update' computes them anew."))
+    return parts
+
+
+def _trips(fleet: _Fleet) -> list[Part]:
+    trips = fleet.trips
+    month = trips["start"].dt.strftime("%Y-%m")
+    parts: list[Part] = [_by_day(trips)]
+    for title, keys in (
+        ("line or route", trips["line"]),
+        ("train", trips["train"]),
+        ("month", month),
+    ):
+        parts.append(_grouped(trips, title, keys))
+    return parts
+
+
+def _grouped(trips: pd.DataFrame, title: str, keys: pd.Series) -> WordTable:
+    """Trips counted by line, train or month; of many those with most trips."""
+    name = title.split(" ")[0]
+    groups = trips.assign(_by=keys.fillna("not stated"), _lost=trips["quality"] != "whole")
+    found = groups.groupby("_by").agg(
+        trips=("key", "size"), trains=("train", "nunique"), distance=("distance", "sum"),
+        duration=("duration", "sum"), lost=("_lost", "sum"),
+    )  # fmt: skip
+    kept = found.nlargest(MOST_ROWS, "trips") if len(found) > MOST_ROWS else found
+    table = new_table(
+        f"By {title}", name, Column("trips", NUMBER), Column("trains", NUMBER),
+        Column("distance", DISTANCE), Column("time", HOURS), Column("not whole", NUMBER),
+        name=f"by_{name}", caption=_more(len(found) - len(kept)), caption_justify="left",
+    )  # fmt: skip
+    for key, row in kept.sort_index().iterrows():
+        table.add_cells(
+            str(key), int(row["trips"]), int(row["trains"]), float(row["distance"]),
+            float(row["duration"]), int(row["lost"]),
+        )  # fmt: skip
+    return table
+
+
+def _more(count: int) -> str | None:
+    return f"{count:,} more with fewer trips" if count > 0 else None
+
+
+def _by_day(trips: pd.DataFrame) -> Picture:
+    """Trips a day, of each kind of train."""
+    day = trips["start"].dt.tz_localize(None).dt.floor("D")
+    counts = trips.assign(_kind=trips["kind"].fillna("").replace("", "kind not stated"))
+    table = pd.crosstab(day, counts["_kind"])
+    table = table.reindex(pd.date_range(day.min(), day.max()), fill_value=0)
+
+    def draw(path: Path) -> None:
+        figure = new_figure(9.0, 2.6)
+        axes = dress(figure.subplots(), x="", y="trips a day")
+        below = np.zeros(len(table))
+        colours = (BLUE, ORANGE, GREEN, GREY)
+        for number, kind in enumerate(table):
+            values = table[kind].to_numpy(np.float64)
+            axes.bar(
+                table.index, values, bottom=below, width=0.85, label=str(kind),
+                color=colours[min(number, len(colours) - 1)],
+            )  # fmt: skip
+            below += values
+        axes.set_ylim(0.0, 1.28 * float(below.max()))
+        legend(axes, ncols=4)
+        write_figure(figure, path)
+
+    return drawn(draw, "Trips of each day, by kind of train.")
+
+
+# ------------------------------------------------------------------------------------ condition
+
+
+def _condition(fleet: _Fleet) -> list[Part]:
+    from analysis.reports.fleet_condition import condition_parts
+
+    folder = fleet.options.maps or maps_folder(fleet.catalogue)
+    return condition_parts(folder, fleet.options.network, fleet.options.at)
+
+
+# --------------------------------------------------------------------------------------- energy
+
+
+def _energy(fleet: _Fleet) -> list[Part]:
+    rows = fleet.results("driving")
+    if rows.empty:
+        return ["No trip has its times and energy computed."]
+    rows = rows[rows["distance"] > 0.0]
+    by_edge, by_train = (_energy_of(rows, by) for by in ("edge", "train"))
+    sources = rows["line_energy_source"].value_counts()
+    words = ", ".join(f"{count:,} {name or 'not known'}" for name, count in sources.items())
+    return [
+        _bars(by_train, "train"),
+        _energy_table(by_train, "train"),
+        _bars(by_edge, "line or edge"),
+        _energy_table(by_edge, "line or edge"),
+        f"Energy from the line, of runs over an edge: {words}.",
+        _lost(rows),
+    ]
+
+
+def _energy_of(rows: pd.DataFrame, by: str) -> pd.DataFrame:
+    """Sums of runs by edge or train; energy only of runs of which it is known."""
+    known = {
+        name: rows["distance"].where(rows[name].notna()) for name in ("traction", "line_energy")
+    }
+    given = rows.assign(_traction_m=known["traction"], _line_m=known["line_energy"])
+    found = given.groupby(by).agg(
+        runs=("distance", "size"), distance=("distance", "sum"), traction=("traction", "sum"),
+        dynamic=("dynamic_braking", "sum"), line_energy=("line_energy", "sum"),
+        traction_m=("_traction_m", "sum"), line_m=("_line_m", "sum"), slips=("slips", "sum"),
+    )  # fmt: skip
+    for name, over in (("traction", "traction_m"), ("line_energy", "line_m")):
+        distance = found[over].replace(0.0, np.nan)
+        found[f"{name}_per_m"] = found[name] / distance
+    found["dynamic_per_m"] = found["dynamic"] / found["traction_m"].replace(0.0, np.nan)
+    return found
+
+
+def _energy_table(found: pd.DataFrame, what: str) -> WordTable:
+    kept = found.nlargest(MOST_ROWS, "distance") if len(found) > MOST_ROWS else found
+    table = new_table(
+        f"Energy by {what}", what, Column("runs over an edge", NUMBER, "runs"),
+        Column("distance", DISTANCE), Column("traction at the wheel", PER_KM, "traction"),
+        Column("dynamic brake at the wheel", PER_KM, "dynamic_brake"),
+        Column("from the line less fed back", PER_KM, "from_the_line"),
+        Column("slip protection acted", NUMBER, "slips"),
+        name=f"energy_by_{what.split(' ')[0]}", caption=_more(len(found) - len(kept)),
+        caption_justify="left",
+    )  # fmt: skip
+    for name, row in kept.sort_index().iterrows():
+        table.add_cells(
+            str(name), int(row["runs"]), float(row["distance"]), float(row["traction_per_m"]),
+            float(row["dynamic_per_m"]), float(row["line_energy_per_m"]), float(row["slips"]),
+        )  # fmt: skip
+    return table
+
+
+def _bars(found: pd.DataFrame, what: str) -> Picture:
+    """Energy a kilometre, a bar each."""
+    rows = found.nlargest(MOST_BARS, "distance").sort_index().iloc[::-1]
+    per_km = 1e3 / JOULES_PER_KWH
+
+    def draw(path: Path) -> None:
+        figure = new_figure(9.0, 0.9 + 0.21 * len(rows))
+        axes = dress(figure.subplots(), x="energy, kWh/km", y="")
+        at = np.arange(len(rows))
+        axes.barh(at, per_km * rows["traction_per_m"], 0.78, color=BLUE, alpha=0.35,
+                  label="traction at the wheel")  # fmt: skip
+        axes.barh(at, per_km * rows["line_energy_per_m"], 0.42, color=BLUE,
+                  label="from the line less fed back")  # fmt: skip
+        axes.barh(at, -per_km * rows["dynamic_per_m"], 0.78, color=GREEN, alpha=0.6,
+                  label="dynamic brake at the wheel")  # fmt: skip
+        axes.set_yticks(at, [str(each) for each in rows.index])
+        axes.set_ylim(-0.7, len(rows) - 0.3)
+        figure.legend(loc="outside upper left", ncols=3, fontsize=8, frameon=False)
+        write_figure(figure, path)
+
+    return drawn(
+        draw,
+        f"Energy a kilometre by {what}: at the wheel, by the dynamic brake, and from the line.",
+    )
+
+
+def _lost(rows: pd.DataFrame) -> WordTable:
+    """Time lost against the shortest run with the same stops, by cause."""
+    table = new_table(
+        "Time against the shortest run with the same stops", "cause", Column("a run", DURATION),
+        Column("share of the running time", SHARE, "share"), name="lost_time",
+    )  # fmt: skip
+    for cause in LOST:
+        column = f"lost_{cause.replace(' ', '_')}"
+        if column not in rows:
+            continue
+        values = rows[column].to_numpy(np.float64)
+        known = np.isfinite(values)
+        if known.any():
+            time = float(rows["running_time"].to_numpy(np.float64)[known].sum())
+            table.add_cells(cause, float(values[known].mean()), float(values[known].sum()) / time)
+    return table
+
+
+# -------------------------------------------------------------------------------------- quality
+
+_NUMBERS = re.compile(r"[-+]?\d+(?:[.,]\d+)*(?:e[-+]?\d+)?")
+_QUOTED = re.compile(r"'[^']*'")
+
+
+def _refused(fleet: _Fleet) -> list[Part]:
+    """Trips without a result, by analysis and reason; figures and names do not part reasons."""
+    table = new_table(
+        "Without a result", "analysis", "state", Column("trips", NUMBER), Column("trains", NUMBER),
+        "reason, of one of them", "this trip", name="refused",
+    )  # fmt: skip
+    for name in ANALYSES:
+        found = fleet.outcomes(name)
+        found = found[found["state"] != "done"]
+        form = found["reason"].map(lambda words: _NUMBERS.sub("#", _QUOTED.sub("''", words)))
+        groups = list(found.groupby(["state", form]))
+        for (state, _), rows in sorted(groups, key=lambda each: -len(each[1]))[:MOST_ROWS]:
+            first = rows.iloc[0]
+            trains = rows["train"].nunique()
+            table.add_cells(name, str(state), len(rows), trains, first["reason"], first["name"])
+    return [table] if table.row_count else ["Every analysis has a result of every trip."]
+
+
+def _quality(fleet: _Fleet) -> list[Part]:
+    rows = fleet.results("checks")
+    if rows.empty:
+        return ["No recording was checked."]
+    table = new_table(
+        "What is doubtful", "what", Column("trips", NUMBER), Column("trains", NUMBER),
+        "most of them", name="checks",
+    )  # fmt: skip
+    for what, chosen in _doubts(rows):
+        trains = rows["train"][chosen].value_counts()
+        most = ", ".join(f"{name} ({count:,})" for name, count in trains.head(4).items())
+        table.add_cells(what, int(chosen.sum()), len(trains), most)
+    numbers = new_table(
+        "Figures of all recordings", "figure", "median", "95 % of the trips are below", "largest",
+        name="figures",
+    )  # fmt: skip
+    for name, words, factor in _FIGURES:
+        values = rows[name].to_numpy(np.float64)
+        known = factor * np.abs(values[np.isfinite(values)])
+        if known.size:
+            numbers.add_row(
+                words, *(f"{each:.3g}" for each in (*np.quantile(known, (0.5, 0.95)), known.max()))
+            )
+    nothing = ["Nothing is doubtful."] if not table.row_count else [table]
+    return [*nothing, numbers]
+
+
+_FIGURES = (
+    ("gap_time", "time in gaps, s", 1.0),
+    ("repairs", "repairs by ingest", 1.0),
+    ("fix_beside", "fixes beside the line's geometry, m", 1.0),
+    ("fix_along", "fixes along the line against the recorded chainage, m", 1.0),
+)
+
+
+def _doubts(rows: pd.DataFrame) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    """Each doubt with the trips that have it."""
+    yield from _doubt("damaged log", rows["damage"] != "")
+    yield from _doubt("gaps in the train's state", rows["gaps"] > 0)
+    yield from _doubt("repaired by ingest", rows["repairs"] > 0)
+    for column, words in (("missing", "not recorded: {}"), ("frozen", "repeats a value: {}")):
+        listed = rows[column].str.split(", ")
+        names = sorted({name for each in listed for name in each if name})
+        for name in names:
+            yield from _doubt(words.format(name), listed.map(lambda each, name=name: name in each))
+    off = (rows["speed_scale"] - 1.0).abs() > 1.96 * rows["speed_scale_std"]
+    yield from _doubt("recorded speed off by more than its band", off)
+    yield from _doubt("not all could be checked", rows["doubts"] != "")
+
+
+def _doubt(words: str, chosen: pd.Series) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    found = chosen.to_numpy(bool)
+    if found.any():
+        yield words, found

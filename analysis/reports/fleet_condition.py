@@ -1,0 +1,139 @@
+"""The condition of the rail on all edges of a network, as a report shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from analysis.adhesion.condition_table import bins_table
+from analysis.reports.page import Part, Warned
+from analysis.reports.pictures import drawn
+from analysis.tables import NUMBER, POSITION, SHARE, Column, Quantity, WordTable, new_table
+from trainlog.display import counted
+from trainlog.errors import TrainlogError
+from trainlog.formats.condition import read_map
+from trainlog.railway import Network
+
+FloatArray = NDArray[np.float64]
+
+ADHESION = Quantity("", "", 1.0, 3)
+
+MOST_PLACES = 20
+"""Places that are listed of each rail condition."""
+
+APART = 500.0
+"""Two places that are listed lie at least so far from each other on their edge [m]."""
+
+
+def condition_parts(
+    folder: Path, network: Network | None = None, at: pd.Timestamp | None = None
+) -> list[Part]:
+    """Maps of all edges in a folder: what is expected at a time, where, and how sure that is.
+
+    Parameters
+    ----------
+    folder : Path
+        As `trainlog fleet update` keeps them: a file an edge.
+    network : Network, optional
+        On which it is drawn.
+    at : Timestamp, optional
+        Default: a day after the last evidence.
+    """
+    paths = sorted(folder.glob("*.map")) if folder.is_dir() else []
+    if not paths:
+        return ["No trip's evidence is in a map yet: 'trainlog fleet update' adds it."]
+    tracks, bad = [], list[Part]()
+    for path in paths:
+        try:
+            tracks.append(read_map(path))
+        except TrainlogError as error:
+            bad.append(Warned(f"{path.name} could not be read: {error}."))
+    last = max(
+        (
+            int(layer.evidence.days.max(initial=-1))
+            for track in tracks
+            for layer in track.layers.values()
+        ),
+        default=-1,
+    )
+    if at is None:
+        at = pd.Timestamp(last + 1, unit="D", tz="UTC")
+    tables = [
+        bins_table(track, None, at).assign(edge=track.line) for track in tracks if track.layers
+    ]
+    if not tables:
+        return [*bad, "The maps hold no evidence yet."]
+    bins = pd.concat(tables, ignore_index=True)
+    layers = sorted(bins["layer"].unique())
+    span = (0.0, max(0.3, float(bins["expected"].max(skipna=True))))
+    parts: list[Part] = [*bad, f"What is expected on {at:%Y-%m-%d %H:%M} UTC, by the maps of"
+                         f" {counted(len(tracks), 'edge')}."]  # fmt: skip
+    for layer in layers:
+        rows = bins[bins["layer"] == layer]
+        if network is not None and rows["expected"].notna().any():
+            parts.append(_drawn(network, layer, rows, span))
+    return [*parts, _observed(bins), *(_lowest(bins, layer) for layer in layers)]
+
+
+def _drawn(network: Network, layer: str, rows: pd.DataFrame, span: tuple[float, float]) -> Part:
+    from analysis.network.plot import AlongEdge, draw_network
+
+    shown: Mapping[str, AlongEdge] = {
+        str(edge): AlongEdge(
+            np.append(part["start_m"].to_numpy(np.float64), float(part["end_m"].iloc[-1])),
+            part["expected"].to_numpy(np.float64),
+        )
+        for edge, part in rows.groupby("edge", sort=True)
+    }
+    draw = partial(
+        draw_network, network, shown=shown, label="expected maximum adhesion",
+        title=f"{layer} rail", span=span,
+    )  # fmt: skip
+    return drawn(
+        lambda path: draw(path),
+        f"The network, coloured by the maximum adhesion that is expected on {layer} rail; grey"
+        " where nothing was observed.",
+        "Grey where nothing was observed: there the maps have no estimate.",
+    )
+
+
+def _observed(bins: pd.DataFrame) -> WordTable:
+    table = new_table(
+        "Maps of the edges", "edge", "rail", Column("observed", SHARE), Column("onsets", NUMBER),
+        Column("lowest expected", ADHESION, "lowest"), name="maps",
+    )  # fmt: skip
+    for (edge, layer), part in bins.groupby(["edge", "layer"], sort=True):
+        expected = part["expected"].to_numpy(np.float64)
+        known = np.isfinite(expected)
+        table.add_cells(
+            str(edge), str(layer), float(known.mean()), float(part["events"].sum()),
+            float(expected[known].min()) if known.any() else None,
+        )  # fmt: skip
+    return table
+
+
+def _lowest(bins: pd.DataFrame, layer: str) -> WordTable:
+    """The places with the least expected adhesion, each once."""
+    table = new_table(
+        f"Lowest on {layer} rail", "edge", Column("chainage on the edge", POSITION, "position"),
+        Column("expected", ADHESION), "95 % band", Column("onsets", NUMBER),
+        name=f"lowest_{layer}",
+    )  # fmt: skip
+    rows = bins[(bins["layer"] == layer) & bins["expected"].notna()].sort_values("expected")
+    taken: list[tuple[str, float]] = []
+    for row in rows.to_dict("records"):
+        middle = 0.5 * (row["start_m"] + row["end_m"])
+        near = (edge == row["edge"] and abs(middle - place) < APART for edge, place in taken)
+        if any(near):
+            continue
+        taken.append((row["edge"], middle))
+        band = f"{row['expected_low']:.3f} to {row['expected_high']:.3f}"
+        table.add_cells(row["edge"], middle, row["expected"], band, float(row["events"]))
+        if len(taken) == MOST_PLACES:
+            break
+    return table

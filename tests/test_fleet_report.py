@@ -1,0 +1,146 @@
+"""The report on a fleet holds what the catalogue's tables say."""
+
+from __future__ import annotations
+
+import re
+from html import unescape
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import run
+
+pytest.importorskip("sqlalchemy")
+
+from analysis.fleet.analyses import ANALYSES
+from analysis.fleet.codes import code_of
+from analysis.fleet.update import UpdateOptions, update
+from analysis.reports.fleet import FleetReportOptions, fleet_page
+from analysis.reports.page import Page, Section
+from analysis.tables import WordTable, records
+from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue
+from trainlog.formats.line import read_line
+from trainlog.formats.network import write_network
+from trainlog.formats.samples import DEFAULT_LINE, sample
+from trainlog.railway import Edge, Network, Node
+from trainlog.units import JOULES_PER_KWH
+
+REASON = "the wheels' diameters <b>cannot</b> be told apart: 3.4 of 5 samples"
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A catalogue of the two sample trips; of one of them the passport is refused."""
+    place = tmp_path_factory.mktemp("fleet") / "catalogue"
+    with open_catalogue(place) as catalogue:
+        catalogue.add("sample_logs")
+        passport = ANALYSES["passport"]
+        about = (passport.name, code_of(passport), passport.parameters)
+        first = catalogue.pending(*about).iloc[0]
+        catalogue.record(*about, [ResultOutcome(first.key, first.sha256, "refused", REASON)])
+        names = ["adhesion", "driving", "checks"]
+        update(catalogue, names, UpdateOptions(workers=0))
+    return place
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    line = read_line(sample(DEFAULT_LINE))
+    nodes = (Node("St.Gallen"), Node("Wil"))
+    path = tmp_path_factory.mktemp("network") / "one.network.json"
+    write_network(Network("one", nodes, (Edge(line.name, line, *(n.name for n in nodes)),)), path)
+    return path
+
+
+def table_of(page: Page, name: str) -> list[dict]:  # type: ignore[type-arg]
+    """The rows of a table, by its name, wherever it stands."""
+
+    def parts(section: Section):  # type: ignore[no-untyped-def]
+        for part in section.parts:
+            yield from parts(part) if isinstance(part, Section) else [part]
+
+    every = [part for section in page.sections for part in parts(section)]
+    (found,) = [part for part in every if isinstance(part, WordTable) and part.name == name]
+    return records(found)
+
+
+@pytest.fixture(scope="module")
+def catalogue(place: Path):  # type: ignore[no-untyped-def]
+    with open_catalogue(place) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def page(catalogue: Catalogue) -> Page:
+    return fleet_page(catalogue, FleetReportOptions())
+
+
+def test_trips_and_energy_are_those_of_the_tables(catalogue: Catalogue, page: Page) -> None:
+    trips = catalogue.query()
+    by_train = table_of(page, "by_train")
+    assert sum(row["trips"] for row in by_train) == len(trips) == 2
+    assert sum(row["distance_m"] for row in by_train) == pytest.approx(trips["distance"].sum())
+    driving = catalogue.results("driving")
+    (energy,) = table_of(page, "energy_by_train")
+    assert energy["traction_J_m"] == pytest.approx(
+        driving["traction"].sum() / driving["distance"].sum()
+    )
+    assert 3.0 < 1e3 * energy["traction_J_m"] / JOULES_PER_KWH < 12.0
+    (edge,) = table_of(page, "energy_by_line")
+    assert edge["runs"] == len(driving)
+    lost = {row["cause"]: row["a_run_s"] for row in table_of(page, "lost_time")}
+    assert lost["slower"] == pytest.approx(driving["lost_slower"].mean())
+
+
+def test_what_was_refused_is_listed_with_its_reason_and_nothing_in_it_is_code(page: Page) -> None:
+    (row,) = table_of(page, "refused")
+    assert (row["analysis"], row["trips"]) == ("passport", 1)
+    assert row["reason_of_one_of_them"] == REASON
+    computed = {row["analysis"]: row for row in table_of(page, "computed")}
+    assert computed["passport"]["refused"] == computed["passport"]["pending"] == 1
+    assert computed["resistance"]["pending"] == computed["driving"]["done"] == 2
+    html = page.to_html()
+    assert "<b>cannot" not in html
+    assert REASON in unescape(html)
+
+
+def test_the_condition_is_that_of_the_maps(catalogue: Catalogue, page: Page) -> None:
+    rows = table_of(page, "maps")
+    assert {row["rail"] for row in rows} == {"dry", "wet"}
+    evidence = catalogue.results("adhesion").groupby("layer")["onsets"].sum()
+    assert {row["rail"]: row["onsets"] for row in rows} == evidence.to_dict()
+    lowest = [row["expected"] for row in table_of(page, "lowest_wet")]
+    assert np.all(np.diff(lowest) >= 0.0)
+    assert min(row["lowest"] for row in rows) == pytest.approx(lowest[0])
+
+
+def test_doubts_of_recordings_are_counted(catalogue: Catalogue, page: Page) -> None:
+    checks = catalogue.results("checks")
+    titles = [section.title for section in page.sections]
+    assert titles[-1] == "Quality of the recordings"
+    figures = {row["figure"]: row for row in table_of(page, "figures")}
+    gaps = figures["time in gaps, s"]
+    assert float(gaps["largest"]) == pytest.approx(checks["gap_time"].max(), rel=0.01)
+
+
+def test_the_command_writes_one_page_that_asks_for_nothing(
+    place: Path,
+    network: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ("fleet", "report", "--catalogue", place, "--network", network, "-o", tmp_path / "new")
+    status, shown, _ = run(monkeypatch, capsys, *words)
+    assert status == 0
+    assert "fleet.html" in shown
+    html = (tmp_path / "new" / "fleet.html").read_text("utf-8")
+    assert "coloured by the maximum adhesion that is expected on wet rail" in html
+    links = re.findall(r'(?:src|href)="([^"]*)"', html)
+    assert all(each.startswith(("#", "data:")) for each in links)
+    assert re.search(r"script-src 'none'|script-src 'sha256-", html)
+    wrong = ("fleet", "report", "--catalogue", place, "--trips", "train = 'none'")
+    status, _, complaint = run(monkeypatch, capsys, *wrong, "-o", tmp_path / "a.html")
+    assert (status, complaint.count("\n")) == (2, 1)
+    assert "no trip is chosen" in complaint
+    assert not (tmp_path / "a.html").exists()
