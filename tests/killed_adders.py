@@ -19,9 +19,9 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from trainlog.catalogue import ResultOutcome, catalogue as module, open_catalogue
+from trainlog.catalogue import ResultOutcome, disk, open_catalogue
 
-module.BATCH = 3
+disk.BATCH = 3
 
 
 def work(where: str, results: str | None, logs: list[str], seed: int) -> None:

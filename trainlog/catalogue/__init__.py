@@ -10,9 +10,9 @@ require("sqlalchemy", "sqlglot")
 if TYPE_CHECKING:
     from trainlog.catalogue.catalogue import (
         Catalogue as Catalogue,
-        Refreshed as Refreshed,
         open_catalogue as open_catalogue,
     )
+    from trainlog.catalogue.disk import Refreshed as Refreshed
     from trainlog.catalogue.export import write_trips as write_trips
     from trainlog.catalogue.reading import (
         FileEntry as FileEntry,
@@ -28,7 +28,8 @@ if not TYPE_CHECKING:  # type checkers refuse names that are not listed above
     __all__, __getattr__, __dir__ = names_on_first_use(
         "trainlog.catalogue",
         {
-            "trainlog.catalogue.catalogue": "Catalogue Refreshed open_catalogue",
+            "trainlog.catalogue.catalogue": "Catalogue open_catalogue",
+            "trainlog.catalogue.disk": "Refreshed",
             "trainlog.catalogue.export": "write_trips",
             "trainlog.catalogue.reading": "FileEntry LogEntry read_entry read_file",
             "trainlog.catalogue.registration": "Added FileOutcome",

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
-from dataclasses import dataclass
-from multiprocessing import get_context
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import pandas as pd
 import sqlalchemy as sa
 
-from trainlog.catalogue import results as stored
+from trainlog.catalogue import disk, results as stored
+from trainlog.catalogue.disk import Refreshed, batches, logs_below, read_files
 from trainlog.catalogue.registration import (
     Added,
     FileOutcome,
@@ -45,15 +39,6 @@ if TYPE_CHECKING:
 
     from trainlog.catalogue.reading import FileEntry
     from trainlog.trip import Trip
-
-BATCH = 200
-"""Files that are registered in one transaction."""
-
-_SECONDS = 2.0
-"""After which what was read is registered [s]: what is interrupted loses no more."""
-
-_WORTH_PROCESSES = 200
-"""Files from which on starting processes is worth it."""
 
 _DEFAULT = "catalogue"
 """Folder of the catalogue where none is named."""
@@ -217,12 +202,12 @@ class Catalogue:
             known = self._unchanged(part)
             state(FileOutcome(path, *known[path]) for path in part if path in known)
             new += [path for path in part if path not in known]
-        for entries in _batches(read_files(new, jobs)):
+        for entries in batches(read_files(new, jobs)):
             state(self.register(entries).outcomes)
         return Added(tuple(outcomes))
 
     def register(self, entries: Sequence[FileEntry]) -> Added:
-        """Register files that were looked at, in transactions of at most `BATCH` files.
+        """Register files that were looked at, in transactions of some hundred files.
 
         Examples
         --------
@@ -233,8 +218,8 @@ class Catalogue:
         Added: 1 new trip
         """
         outcomes: list[FileOutcome] = []
-        for at in range(0, len(entries), BATCH):
-            part = entries[at : at + BATCH]
+        for at in range(0, len(entries), disk.BATCH):
+            part = entries[at : at + disk.BATCH]
             present = self._present(part)
             with self._database.writing() as connection:
                 outcomes += register(connection, part, time.time_ns(), present)
@@ -801,120 +786,10 @@ class Catalogue:
         return stored.compact(self._database, analysis, code, parameters)
 
 
-@dataclass(frozen=True, repr=False)
-class Refreshed:
-    """How a catalogue compares with the disk.
-
-    Attributes
-    ----------
-    same : int
-        Files as they were.
-    vanished, moved, changed : tuple of str
-        Paths of files that are not there, of those that were found in another place, and of those
-        whose content is another.
-    back : int
-        Files that had vanished and are there again.
-    outcomes : tuple of FileOutcome
-        Of what was read.
-    """
-
-    same: int
-    vanished: tuple[str, ...] = ()
-    moved: tuple[str, ...] = ()
-    changed: tuple[str, ...] = ()
-    back: int = 0
-    outcomes: tuple[FileOutcome, ...] = ()
-
-    def __repr__(self) -> str:
-        return as_text(f"Refreshed: {self.sentence}", {})
-
-    @property
-    def sentence(self) -> str:
-        """All of it in a line."""
-        words = [f"{counted(self.same, 'file')} as they were"]
-        words += [f"{len(self.vanished)} vanished"] if self.vanished else []
-        words += [f"{len(self.moved)} moved"] if self.moved else []
-        words += [f"{len(self.changed)} changed"] if self.changed else []
-        words += [f"{self.back} back"] if self.back else []
-        return ", ".join(words)
-
-
-def read_files(paths: Sequence[str], jobs: int = 1) -> Iterator[FileEntry]:
-    """Files as the catalogue registers them, read by several processes where there are many."""
-    from trainlog.catalogue.reading import read_file
-
-    if jobs < 2 or len(paths) < _WORTH_PROCESSES:
-        yield from map(read_file, paths)
-        return
-    done = 0
-    with suppress(BrokenProcessPool):
-        context = get_context("spawn")
-        with ProcessPoolExecutor(jobs, context, _leave_interruption) as executor:
-            try:
-                for part in parts(paths):
-                    for entry in executor.map(read_file, part, chunksize=8):
-                        yield entry
-                        done += 1
-            except (GeneratorExit, KeyboardInterrupt):
-                executor.shutdown(wait=False, cancel_futures=True)
-                raise
-    # A process that was killed, for want of memory perhaps, leaves the rest to this one.
-    yield from map(read_file, paths[done:])
-
-
-def _leave_interruption() -> None:
-    """Leave Ctrl-C to the process that registers."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _batches(entries: Iterable[FileEntry]) -> Iterator[list[FileEntry]]:
-    """Entries in batches: as many as a transaction takes, or those of some seconds."""
-    batch: list[FileEntry] = []
-    begun = time.monotonic()
-    for entry in entries:
-        batch.append(entry)
-        if len(batch) == BATCH or time.monotonic() - begun > _SECONDS:
-            yield batch
-            batch, begun = [], time.monotonic()
-    if batch:
-        yield batch
-
-
 def _condition(where: str, zone: str | None = None) -> sa.ColumnElement[bool]:
     from trainlog.catalogue.where import condition_of
 
     return condition_of(where, zone)
-
-
-def logs_below(paths: Iterable[str | Path]) -> list[str]:
-    """The logs named and those in folders, however deep, each once.
-
-    Raises
-    ------
-    InputError
-        If a path does not exist, or there is no log.
-    """
-    found: dict[str, None] = {}
-    for path in paths:
-        given = os.path.abspath(Path(path).expanduser())  # noqa: PTH100
-        if not Path(given).exists():
-            raise InputError("does not exist", file=path, remedy="check the path")
-        for each in _below(given) if Path(given).is_dir() else (given,):
-            found[each] = None
-    if not found:
-        raise InputError(
-            "no log (*.mcap) was found",
-            remedy="name logs or folders, or make logs of recordings with 'trainlog ingest'",
-        )
-    return list(found)
-
-
-def _below(folder: str) -> Iterator[str]:
-    for place, folders, names in os.walk(folder):
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
-        for name in sorted(names):
-            if name.endswith(".mcap") and not name.startswith("."):
-                yield str(Path(place) / name)
 
 
 def _frame(rows: Sequence[Any], names: Sequence[str]) -> pd.DataFrame:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 from trainlog.cli.commands import end_in_part
-from trainlog.cli.options import ChosenTrips, Logs, destination, logs_in
+from trainlog.cli.options import ChosenTrips, Logs, destination, distinct, logs_in
 from trainlog.cli.terminal import console, print_error, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError
@@ -110,6 +110,7 @@ def estimate(
     found, refused, analysed = logs_in(logs), 0, list[Path]()
     estimated: list[dict[str, object]] = []
     table = None if slips is None else destination(slips, ".csv")
+    distinct([log.name for log in found], found)
     with output_folder(output):
         for log in track(found, "estimating", "log"):
             if (output / log.name).resolve() == log.resolve():
