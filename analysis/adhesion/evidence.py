@@ -25,7 +25,7 @@ from trainlog.formats.attached import line_of
 from trainlog.identity import TripIdentity, identity_of
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
-from trainlog.railway.weather import Weather, check_condition
+from trainlog.railway.weather import Weather, check_condition, stated_condition
 from trainlog.trip import Trip
 from trainlog.units import DAY
 
@@ -125,11 +125,13 @@ def condition_of(
     track: TrackConditionMap,
     layer: str | None = None,
     weather: Weather | None = None,
+    edge: str = "",
 ) -> str | Weather:
     """The rail condition of a trip on the map's line, or the weather that states it over time.
 
     The first of these that there is: the `layer` given; what the trip itself states (metadata
-    ``weather``), which who drove or recorded it saw; the `weather` at the line.
+    ``weather``, or ``weather_by_edge`` of an `edge` of its route), which who drove or recorded it
+    saw; the `weather` at the line.
 
     Raises
     ------
@@ -141,7 +143,7 @@ def condition_of(
     """
     line = line_of(trip)
     check_line(track, trip.name, line.name, line.length)
-    condition = layer or trip.metadata.get("weather", "")
+    condition = layer or stated_condition(trip.metadata, edge)
     if condition:
         return check_condition(condition, track.layers)
     if weather is not None:

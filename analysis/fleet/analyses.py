@@ -271,7 +271,10 @@ def adhesion(trip: FleetTrip, bin_length: float = BIN_LENGTH) -> pd.DataFrame:
     A trip that never met an edge's limit gives a row there, too: what it used without slip.
     """
     line = trip.own_line
-    condition = condition_of(trip.trip, empty_map_of(line.name, line.length))
+    of_line = empty_map_of(line.name, line.length)
+    conditions = {
+        edge.name: condition_of(trip.trip, of_line, edge=edge.name) for edge in edges_of(line)
+    }
     analysis = trip.slip
     rows = []
     for edge in edges_of(line):
@@ -279,7 +282,7 @@ def adhesion(trip: FleetTrip, bin_length: float = BIN_LENGTH) -> pd.DataFrame:
         seen = on_edge(analysis, edge)
         if not seen.time.size:
             continue
-        found = evidence_of(seen, track, condition, sha256=trip.sha256)
+        found = evidence_of(seen, track, conditions[edge.name], sha256=trip.sha256)
         details = found.details | covariates(trip.trip, found.span)
         found = replace(found, recorded=trip.identity, details=details)
         entry = {name: each for name, each in entry_of(found).items() if name != "identity"}

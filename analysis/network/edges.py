@@ -24,6 +24,7 @@ from trainlog.railway.line import (
 )
 from trainlog.railway.network import Network
 from trainlog.railway.profiles import TINY
+from trainlog.railway.weather import WEATHER_BY_EDGE, stated_condition
 from trainlog.spans import spans_within
 from trainlog.trip import LINE_ATTACHMENT, PASSPORT_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 from trainlog.version import __version__
@@ -219,10 +220,13 @@ def _on_leg(part: Trip, line: Line, leg: Leg, network: Network | None) -> Trip:
     direction = "forward" if leg.forward else "reverse"
     named = {"trip": f"{part.name}@{leg.edge}", "line": leg.edge, "direction": direction}
     kept = {name: part.attachments[name] for name in CARRIED if name in part.attachments}
+    condition = stated_condition(part.metadata, leg.edge)
+    metadata = part.metadata | named | ({"weather": condition} if condition else {})
+    metadata.pop(WEATHER_BY_EDGE, None)
     return replace(
         part,
         topics=topics,
-        metadata=part.metadata | named,
+        metadata=metadata,
         attachments={LINE_ATTACHMENT: line_to_bytes(own), **kept},
     ).with_step("edge", software=f"trainlog {__version__}", route=line.name, **named)
 

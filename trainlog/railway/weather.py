@@ -7,8 +7,9 @@ nothing is interpolated, and where no row holds nothing is known.
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from difflib import get_close_matches
 
@@ -31,7 +32,46 @@ LONGEST_HOLD = 3 * 3600 * NANOSECONDS
 MILLIMETRE_PER_HOUR = 1.0 / 3.6e6
 """In m/s."""
 
+WEATHER_BY_EDGE = "weather_by_edge"
+"""Metadata of a trip on a route: the rail's condition on each edge, as JSON."""
+
 _LABEL = re.compile(r"[a-z][a-z0-9_-]*")
+
+
+def stated_condition(metadata: Mapping[str, str], edge: str = "") -> str:
+    """The rail's condition that a trip states, on an edge of its route; empty if it states none.
+
+    Parameters
+    ----------
+    metadata : mapping of str to str
+        Of the trip.
+    edge : str
+        Empty, or one of which nothing else is stated: the trip's one condition.
+
+    Raises
+    ------
+    InputError
+        If the conditions by edge are no JSON object of words.
+
+    Examples
+    --------
+    >>> stated = {"weather": "dry", "weather_by_edge": '{"A-B": "dry", "B-C": "wet"}'}
+    >>> stated_condition(stated), stated_condition(stated, "B-C")
+    ('dry', 'wet')
+    """
+    whole = metadata.get("weather", "")
+    if not edge or WEATHER_BY_EDGE not in metadata:
+        return whole
+    try:
+        stated = json.loads(metadata[WEATHER_BY_EDGE])
+    except ValueError:
+        stated = None
+    if not isinstance(stated, dict) or not all(isinstance(each, str) for each in stated.values()):
+        raise InputError(
+            f"metadata {WEATHER_BY_EDGE} is no JSON object of rail conditions",
+            remedy='write it as {"A-B": "wet", "B-C": "dry"}',
+        )
+    return str(stated.get(edge, whole))
 
 
 def check_condition(label: str, known: Iterable[str] = ()) -> str:

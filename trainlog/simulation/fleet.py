@@ -35,6 +35,7 @@ from trainlog.simulation.vehicles import (
     draw_trains,
     resistance_of_trip,
 )
+from trainlog.railway.weather import WEATHER_BY_EDGE
 from trainlog.simulation.weather import HOUR, draw_weather, local_weather
 from trainlog.topics import TRUTH
 from trainlog.trip import Trip
@@ -125,7 +126,7 @@ class FleetScenario(Scenario):
         if self.vehicle is None:
             return {}
         stated = json.dumps(self.conditions, ensure_ascii=False)
-        return {"kind": self.vehicle.kind, "weather_by_edge": stated}
+        return {"kind": self.vehicle.kind, WEATHER_BY_EDGE: stated}
 
     def truth(self) -> bytes:
         """The truth of the trip as JSON, in short; see `Scenario.truth`."""
