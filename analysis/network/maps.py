@@ -373,9 +373,7 @@ class _EdgeUpdate(FileUpdate):
                 self.file.without_evidence if self.file else empty_map_of(edge.name, edge.length)
             )
             of_line = replace(track, line=given.line.name, length=given.line.length)
-            condition = condition_of(
-                given.trip, of_line, self.layer, self.weather, edge=self.edge
-            )
+            condition = condition_of(given.trip, of_line, self.layer, self.weather, edge=self.edge)
             parts = [on_edge(piece, edge) for piece in given.pieces]
             parts = [part for part in parts if part.time.size]
             if not parts:

@@ -24,6 +24,7 @@ from trainlog.formats.train import train_to_bytes
 from trainlog.railway import Line, Network, StepProfile
 from trainlog.railway.geometry import to_plane
 from trainlog.railway.motion import running_time
+from trainlog.railway.weather import WEATHER_BY_EDGE
 from trainlog.simulation.drivers import Stop
 from trainlog.simulation.plant import Plant
 from trainlog.simulation.rail import WARM_UP, Rail, RailState, midnight
@@ -35,7 +36,6 @@ from trainlog.simulation.vehicles import (
     draw_trains,
     resistance_of_trip,
 )
-from trainlog.railway.weather import WEATHER_BY_EDGE
 from trainlog.simulation.weather import HOUR, draw_weather, local_weather
 from trainlog.topics import TRUTH
 from trainlog.trip import Trip
