@@ -390,3 +390,22 @@ def test_an_assumed_gain_of_the_efforts_does_not_average_out() -> None:
     assert share["estimated"] < 0.03
     # Trips do not differ by what they have in common.
     assert found["assumed"].spread(speed) < 1.5 * combine(fits).spread(speed)
+
+
+def test_trips_on_different_routes_share_the_errors_of_their_edges() -> None:
+    """Of an edge that all ran over for half of their way half of the errors do not average out."""
+    survey = np.zeros((4, 4))
+    survey[:3, :3] = covariance_of((200.0, 200.0, 200.0))
+    apart = [f'{{"edge {number}": 1.0}}' for number in range(20)]
+    half = [f'{{"common": 0.5, "edge {number}": 0.5}}' for number in range(20)]
+    whole = ["a digest"] * 20
+    variances = []
+    for every in (apart, half, whole):
+        fits = [
+            fit_of(f"{n}", TRUE, covariance_of((300.0, 300.0, 300.0)), survey=survey, gradients=key)
+            for n, key in enumerate(every)
+        ]
+        variances.append(float(combine(fits).std(20.0)) ** 2)
+    independent, shared, same = variances
+    assert independent < shared < same
+    assert shared - independent == pytest.approx(0.5 * (same - independent), rel=0.05)

@@ -13,8 +13,9 @@ A line is surveyed once (`shared_variance`). Trips over the same line in the sam
 same errors of its gradients, and their mean keeps them, however many trips there are. How alike
 they are from trip to trip depends on how each was driven; they are taken for wholly alike in one
 direction, and for independent between directions, though there they cancel in part: the band of
-the mean is rather too wide than too narrow. The gain of a recorder's efforts, where no recorded
-load shows it, is taken for the same on all trips.
+the mean is rather too wide than too narrow. Of trips on routes in a network the errors of each edge
+are shared by all that ran over it, with the edge's share of the route's length. The gain of a
+recorder's efforts, where no recorded load shows it, is taken for the same on all trips.
 
 References
 ----------
@@ -26,6 +27,7 @@ convergence of any EM algorithm, Scandinavian Journal of Statistics 35(2), schem
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -431,7 +433,9 @@ def combine(trips: pd.DataFrame | Sequence[TripFit]) -> CommonFit:
     expected = BETWEEN_TRIPS**2 * np.eye(3)
     found = random_effects(values, variances, expected, PRIOR_TRIPS)
     weights = found.variance @ np.linalg.inv(variances + found.between)
-    shared = shared_variance(weights, curves.survey, _lines(rows))
+    trip, line, share = surveyed_shares(rows)
+    survey = share[:, None, None] * curves.survey[trip]
+    shared = shared_variance(weights[trip], survey, line)
     back = np.linalg.inv(curves.nodes)
     gain = float(np.mean(gain_std)) * found.mean
     covariance = back @ (found.variance + shared + np.outer(gain, gain)) @ back.T
@@ -492,12 +496,25 @@ def node_curves(rows: pd.DataFrame) -> NodeCurves:
     return NodeCurves(top, nodes, values, variances, survey, gain_std)
 
 
-def _lines(rows: pd.DataFrame) -> NDArray[np.int64]:
-    """Number of the line and direction of each trip; trips of which it is not known share none."""
-    known = rows["gradients"].to_numpy() != ""
-    numbers = np.arange(len(rows), dtype=np.int64)
-    numbers[known] = len(rows) + pd.factorize(rows["gradients"][known])[0]
-    return numbers
+def surveyed_shares(rows: pd.DataFrame) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
+    """Over which lines trips ran: number of the trip, of line and direction, and its share.
+
+    A trip on a route has a row for each edge, by how much of the route it is; other trips have
+    one. Trips of which the line is not known share none.
+    """
+    codes, texts = pd.factorize(rows["gradients"])
+    known: dict[str, int] = {}
+    parts: list[tuple[list[int], list[float]]] = []
+    for text in texts:
+        shares = json.loads(text) if text.startswith("{") else {text: 1.0}
+        lines = [known.setdefault(key, len(known)) for key in shares]
+        parts.append((lines, [float(share) for share in shares.values()]))
+    count = np.array([len(lines) for lines, _ in parts], dtype=np.int64)[codes]
+    trip = np.repeat(np.arange(len(rows), dtype=np.int64), count)
+    line = np.concatenate([np.array(parts[code][0], dtype=np.int64) for code in codes])
+    share = np.concatenate([np.array(parts[code][1]) for code in codes])
+    unknown = (rows["gradients"].to_numpy() == "")[trip]
+    return trip, np.where(unknown, len(known) + trip, line), share
 
 
 def accepted(trips: pd.DataFrame | Sequence[TripFit]) -> pd.DataFrame:

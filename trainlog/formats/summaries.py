@@ -93,7 +93,12 @@ COLUMNS: tuple[Column, ...] = (
     Column("speed_scale", "1", "measured over true speed"),
     Column("speed_scale_std", "1", "its standard deviation"),
     Column("speed_scale_source", "", "what it was calibrated against", "text"),
-    Column("gradients", "", "SHA-256 of the line's gradients as travelled", "text"),
+    Column(
+        "gradients",
+        "",
+        "SHA-256 of the line's gradients as travelled; of a route edges",
+        "text",
+    ),
     *(
         Column(name, f"{_UNITS[i]} {_UNITS[j]}", "what errors of the gradients bring into it")
         for name, (i, j) in zip(
