@@ -134,13 +134,17 @@ def motion(
 
 @dataclass(frozen=True, eq=False)
 class Received:
-    """Fixes as received, NaN where there is none, and where the train was [m]."""
+    """Fixes as received, NaN where there is none, and where the train was [m].
+
+    The plane of the points touches the earth at `origin` [deg].
+    """
 
     seconds: FloatArray
     points: Points
     speed: FloatArray | None
     stated: FloatArray
     true_position: FloatArray
+    origin: tuple[float, float] = ORIGIN
 
 
 def received(
@@ -292,7 +296,7 @@ def write_csv(path: Path, fixes: Received, start: str = "2026-05-01T06:00:00") -
     at = fixes.points.copy()
     lost = np.isnan(at)
     at[lost] = 0.0
-    latitude, longitude = from_plane(at, ORIGIN)
+    latitude, longitude = from_plane(at, fixes.origin)
     time = pd.Timestamp(start, tz="UTC") + pd.to_timedelta(fixes.seconds, unit="s")
     frame = pd.DataFrame(
         {
@@ -335,7 +339,7 @@ def write_gpx(path: Path, fixes: Received, start: str = "2026-05-01T06:00:00") -
     """The fixes as a GPX track."""
     begun = pd.Timestamp(start, tz="UTC")
     kept = np.flatnonzero(np.isfinite(fixes.points))
-    latitude, longitude = from_plane(fixes.points[kept], ORIGIN)
+    latitude, longitude = from_plane(fixes.points[kept], fixes.origin)
     rows = [
         f'<trkpt lat="{north:.8f}" lon="{east:.8f}"><ele>400</ele>'
         f"<time>{(begun + pd.Timedelta(seconds=float(at))).isoformat()}</time></trkpt>"

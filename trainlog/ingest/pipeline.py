@@ -428,6 +428,8 @@ def _finished(source: _Source, job: _Job, given: Given) -> Trip:
         start = facts.pop("start_position", None)
         profile = _with_start(profile, metadata.get("start_position", start))
         trip, report, raw = _trip(recording, profile, line, given.train, direction)
+        if job.route is not None:
+            trip.metadata.pop("direction_evidence", None)  # the route's, not the line's
         if line is not None:
             _check_on_line(trip, line)
         stated = {**trip.metadata, **metadata}.get("load")
