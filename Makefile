@@ -9,10 +9,14 @@ BIN := .venv/bin
 endif
 READY := .venv/ready
 
-.PHONY: demo test docs report-pictures wheel portable long check format lock clean
+.PHONY: demo fleet-demo test docs report-pictures wheel portable long check format lock clean
 
 demo: $(READY)
 	$(BIN)/trainlog demo --output results
+
+# A hundred trips over a network, two trains with faults, what a fleet shows of them; minutes.
+fleet-demo: $(READY)
+	$(BIN)/trainlog fleet demo --output results-fleet
 
 test: $(READY) check
 	$(BIN)/python -m pytest -n 2 --dist worksteal

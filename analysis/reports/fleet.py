@@ -17,7 +17,9 @@ from analysis.fleet.analyses import ANALYSES
 from analysis.fleet.codes import code_of
 from analysis.fleet.driving import LOST
 from analysis.fleet.maps import maps_folder
+from analysis.fleet.trains import FleetTrains, trains_in
 from analysis.plotting import BLUE, GREEN, GREY, ORANGE, dress, legend, new_figure, write_figure
+from analysis.reports.fleet_trains import drift_parts, resistance_parts, unlike_parts
 from analysis.reports.page import Page, Part, Section, Warned
 from analysis.reports.pictures import Picture, drawn
 from analysis.tables import (
@@ -85,6 +87,11 @@ class _Fleet:
         """All trips that are chosen."""
         return self.catalogue.query(self.options.where)
 
+    @cached_property
+    def trains(self) -> FleetTrains:
+        """What is known of them."""
+        return trains_in(self.catalogue, where=self.options.where)
+
     def results(self, name: str) -> pd.DataFrame:
         """What the present code has of an analysis, train and kind as the catalogue knows them."""
         analysis = ANALYSES[name]
@@ -138,6 +145,9 @@ def fleet_page(catalogue: Catalogue, options: FleetReportOptions) -> Page:
     parts: Mapping[str, Callable[[_Fleet], list[Part]]] = {
         "The fleet in numbers": _numbers,
         "Trips": _trips,
+        "Running resistance": lambda fleet: resistance_parts(fleet.trains),
+        "Trains unlike the others": lambda fleet: unlike_parts(fleet.trains),
+        "Drift": lambda fleet: drift_parts(fleet.trains),
         "Condition of the rail": _condition,
         "Energy": _energy,
         "Refused and failed": _refused,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import perf_counter
 
@@ -74,7 +74,23 @@ def _clear(output: Path) -> None:
     marker.write_text("Results of 'trainlog demo'; the next demo replaces this folder.\n", "utf-8")
 
 
-def run_demo(output: Path, console: Console, run: Callable[[list[str]], int]) -> None:
+def following(output: Path) -> list[str]:
+    """Commands to go on with."""
+    return [
+        f"trainlog replay {output / 'trips'} -o {output / 'all.rrd'}",
+        f"trainlog optimise {output / 'parameters.json'} --reserve 5 -o {output / 'faster.json'}",
+        f"trainlog ingest YOUR.csv --profile {output / 'sample_logs' / 'recorder.profile.toml'}"
+        f" -o {output / 'recorded'}",
+    ]
+
+
+def run_demo(
+    output: Path,
+    console: Console,
+    run: Callable[[list[str]], int],
+    steps: Sequence[list[str]] | None = None,
+    then: Sequence[str] | None = None,
+) -> None:
     """Run the whole chain and say where the results are.
 
     Parameters
@@ -84,6 +100,8 @@ def run_demo(output: Path, console: Console, run: Callable[[list[str]], int]) ->
     console : rich Console
     run : callable
         Runs one command, given as a list of arguments, and returns its exit status.
+    steps, then : sequences, optional
+        Of another demo: its commands, and those to go on with.
 
     Raises
     ------
@@ -94,7 +112,7 @@ def run_demo(output: Path, console: Console, run: Callable[[list[str]], int]) ->
     """
     begin = perf_counter()
     _clear(output)
-    steps = commands(output)
+    steps = commands(output) if steps is None else steps
     for number, step in enumerate(steps, start=1):
         passed = f"{number} of {len(steps)}, {perf_counter() - begin:.0f} s"
         console.rule(Text(passed, style="dim"), align="left")
@@ -105,10 +123,5 @@ def run_demo(output: Path, console: Console, run: Callable[[list[str]], int]) ->
             raise typer.Exit(status)
     console.rule(Text(f"done in {perf_counter() - begin:.0f} s", style="dim"), align="left")
     console.print(f"Everything is in {output}. Next, try:", highlight=False)
-    for command in (
-        f"trainlog replay {output / 'trips'} -o {output / 'all.rrd'}",
-        f"trainlog optimise {output / 'parameters.json'} --reserve 5 -o {output / 'faster.json'}",
-        f"trainlog ingest YOUR.csv --profile {output / 'sample_logs' / 'recorder.profile.toml'}"
-        f" -o {output / 'recorded'}",
-    ):
+    for command in following(output) if then is None else then:
         console.print(f"  {command}", highlight=False, soft_wrap=True)

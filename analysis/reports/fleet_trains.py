@@ -1,0 +1,61 @@
+"""What a fleet shows of its trains, as sections of its report."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from analysis.fleet.plot import draw_drift, draw_findings, draw_resistance
+from analysis.fleet.trains import FleetTrains
+from analysis.fleet.trains_table import findings_table, limits_table, trains_table
+from analysis.reports.page import Part
+from analysis.reports.pictures import drawn
+from analysis.tables import new_table
+
+MOST_ROWS = 60
+"""Channels that drift, of which a table lists at most so many."""
+
+
+def resistance_parts(found: FleetTrains) -> list[Part]:
+    """Running resistance of each train against its kind."""
+    pictures = [
+        drawn(
+            partial(draw_resistance, kind, found),
+            f"Running resistance of the trains of kind {kind.kind}, with the spread of the kind.",
+        )
+        for kind in found.resistance
+    ]
+    # Findings and limits have a section of their own.
+    return [*pictures, trains_table(found).renderables[0]]
+
+
+def unlike_parts(found: FleetTrains) -> list[Part]:
+    """Trains that are not like the others, with the rate of false alarms and what is not seen."""
+    parts: list[Part] = [findings_table(found)]
+    if found.unlike.findings:
+        words = "Of each finding the channel that shows it, trip by trip."
+        parts.append(drawn(partial(draw_findings, found), words))
+    return [*parts, limits_table(found)]
+
+
+def drift_parts(found: FleetTrains) -> list[Part]:
+    """What changes over months."""
+    pictures: list[Part] = [
+        drawn(
+            partial(draw_drift, kind.kind, found),
+            f"What is estimated of trains of kind {kind.kind}, over time.",
+        )
+        for kind in found.resistance
+    ]
+    drifting = [str(each) for each in found.drift if each.drifts]
+    if not drifting:
+        words = "No channel of a train or kind has a trend whose 95 % band leaves out zero."
+        return [*pictures, words]
+    more = len(drifting) - MOST_ROWS
+    table = new_table(
+        "Channels that drift", "train or kind", "channel and trend", name="drift",
+        caption=f"{more:,} more" if more > 0 else None, caption_justify="left",
+    )  # fmt: skip
+    for words in drifting[:MOST_ROWS]:
+        whose, _, rest = words.partition(": ")
+        table.add_row(whose, rest)
+    return [*pictures, table]
