@@ -1,0 +1,157 @@
+"""Engines of a fleet's work that other programs provide: Dask and MPI."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from failing_analyses import DEADLY
+from fleet_trips import short_trips
+from killed_fleet import contents, descendants
+
+from analysis.fleet.engine import MPI, Dask
+from analysis.fleet.update import UpdateOptions, update
+from trainlog.catalogue import open_catalogue
+from trainlog.errors import InputError, MissingExtraError
+
+TRIPS = 4
+TESTS = Path(__file__).parent
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A catalogue of trips whose checks and passports were computed in one process."""
+    folder = tmp_path_factory.mktemp("engines")
+    short_trips(folder / "logs", TRIPS)
+    for name in ("one", "dask", "mpi", "killed"):
+        with open_catalogue(folder / name) as catalogue:
+            catalogue.add(folder / "logs")
+            if name == "one":
+                update(catalogue, ["passport", "checks"], UpdateOptions(workers=0))
+    return folder
+
+
+def free_port() -> int:
+    with socket.socket() as bound:
+        bound.bind(("127.0.0.1", 0))
+        return int(bound.getsockname()[1])
+
+
+@contextmanager
+def dask_cluster(folder: Path) -> Iterator[tuple[str, int]]:
+    """A scheduler and two workers; its address, and the process that has the workers."""
+    address = f"tcp://127.0.0.1:{free_port()}"
+    port = address.rpartition(":")[2]
+    dask, quiet = [sys.executable, "-m", "dask"], {"stdout": subprocess.DEVNULL}
+    path = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", str(TESTS.parent))])
+    known = {"cwd": folder, "env": {**os.environ, "PYTHONPATH": path}, "stderr": subprocess.DEVNULL}
+    scheduler = subprocess.Popen(
+        [*dask, "scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard"],
+        **quiet, **known,  # type: ignore[call-overload]
+    )  # fmt: skip
+    workers = subprocess.Popen(
+        [*dask, "worker", address, "--nworkers", "2", "--nthreads", "1", "--no-dashboard"],
+        **quiet, **known,  # type: ignore[call-overload]
+    )  # fmt: skip
+    try:
+        yield address, workers.pid
+    finally:
+        for process in (workers, scheduler):
+            process.send_signal(signal.SIGTERM)
+        for process in (workers, scheduler):
+            try:
+                process.wait(20)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def when_ready(address: str, patience: float = 60.0) -> None:
+    """Wait until two workers have come."""
+    until = time.monotonic() + patience
+    while time.monotonic() < until:
+        try:
+            with Dask(address) as engine:
+                if engine.workers == 2:
+                    return
+        except InputError:
+            time.sleep(0.2)
+    raise AssertionError("no Dask")
+
+
+def test_dask_gives_the_same_bytes_as_one_process(place: Path) -> None:
+    pytest.importorskip("distributed")
+    with dask_cluster(place) as (address, _):
+        when_ready(address)
+        with open_catalogue(place / "dask") as catalogue:
+            options = UpdateOptions(scheduler=address, batch=1)
+            found = update(catalogue, ["passport", "checks"], options)
+    assert (found.engine, found.workers, found.trips) == ("Dask", 2, TRIPS)
+    assert contents(place / "dask" / "results") == contents(place / "one" / "results")
+
+
+@pytest.mark.long
+def test_dask_goes_on_when_its_workers_die(place: Path) -> None:
+    pytest.importorskip("distributed")
+    with dask_cluster(place) as (address, pid):
+        when_ready(address)
+        with open_catalogue(place / "killed") as catalogue:
+            found = update(catalogue, [DEADLY], UpdateOptions(scheduler=address, batch=2))
+            assert found.counts["deadly"].done == TRIPS - 1
+            (problem,) = found.problems
+            assert Path(problem.path).stem == "trip-002"
+            for worker in descendants(pid)[:1]:
+                os.kill(worker, signal.SIGKILL)
+            more = update(catalogue, ["checks"], UpdateOptions(scheduler=address, batch=1))
+            assert more.counts["checks"].done == TRIPS
+
+
+def test_a_scheduler_that_does_not_answer_is_named() -> None:
+    pytest.importorskip("distributed")
+    address = f"tcp://127.0.0.1:{free_port()}"
+    with pytest.raises(InputError, match=f"no Dask scheduler answers at {address}"):
+        Dask(address)
+
+
+def test_mpi_gives_the_same_bytes_as_one_process(place: Path) -> None:
+    pytest.importorskip("mpi4py")
+    mpiexec = Path(sys.executable).with_name("mpiexec")
+    found = str(mpiexec) if mpiexec.exists() else shutil.which("mpiexec")
+    if found is None:
+        pytest.skip("mpiexec is not installed")
+    command = [found, "-n", "3", sys.executable, "-m", "mpi4py.futures", "-m", "trainlog"]
+    command += ["fleet", "update", "--mpi", "--catalogue", str(place / "mpi"), "--batch", "1"]
+    command += ["--analysis", "passport", "--analysis", "checks"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    if done.returncode != 0 and "trainlog" not in done.stderr:
+        pytest.skip(f"mpiexec does not run here: {done.stderr.strip()[-200:]}")
+    assert done.returncode == 0, done.stderr
+    assert "by MPI, 2 workers" in done.stdout
+    assert contents(place / "mpi" / "results") == contents(place / "one" / "results")
+
+
+def test_mpi_without_workers_states_how_it_is_started() -> None:
+    pytest.importorskip("mpi4py")
+    script = "from analysis.fleet.engine import MPI; MPI()"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert "MPI has no workers" in done.stderr
+    assert "mpiexec -n 3 python -m mpi4py.futures" in done.stderr
+
+
+def test_an_extra_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("trainlog.extras.find_spec", lambda _: None)
+    with pytest.raises(MissingExtraError, match="distributed, which is not installed"):
+        Dask("tcp://127.0.0.1:1")
+    with pytest.raises(MissingExtraError, match="mpi4py, which is not installed"):
+        MPI()
