@@ -36,6 +36,13 @@ if TYPE_CHECKING:
         with_traction as with_traction,
     )
     from analysis.estimates import with_estimates as with_estimates
+    from analysis.fleet.analyses import FleetAnalysis as FleetAnalysis
+    from analysis.fleet.trips import fleet_trips as fleet_trips
+    from analysis.fleet.update import (
+        UpdateOptions as UpdateOptions,
+        status as fleet_status,
+        update as update_fleet,
+    )
     from analysis.geometry.centre_line import geometry_of as geometry_of, line_of as line_of
     from analysis.passports import passport as passport
     from analysis.reports.build import ReportOptions as ReportOptions, write_report as write_report
@@ -96,6 +103,9 @@ _NAMES = {
     "analysis.reports.build": "write_report ReportOptions",
     "analysis.trajectory.advice": "journey_advice",
     "analysis.estimates": "with_estimates",
+    "analysis.fleet.analyses": "FleetAnalysis",
+    "analysis.fleet.trips": "fleet_trips",
+    "analysis.fleet.update": "UpdateOptions fleet_status=status update_fleet=update",
     "analysis.geometry.centre_line": "geometry_of line_of",
     "analysis.verification.scoring": "score_forecast score_map score_rolling",
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from analysis.fleet.update import Counts, FleetStatus, Problem
 from analysis.tables import NUMBER, Column, WordTable, new_table
@@ -34,5 +35,5 @@ def problems_table(problems: Sequence[Problem]) -> WordTable:
     table = new_table("Without a result", "trip", "analysis", "state", "reason")
     for (key, state, reason), group in together.items():
         names = ", ".join(each.analysis for each in group if each.analysis)
-        table.add_row(group[0].name or key[:12], names, state, reason)
+        table.add_row(group[0].name or Path(group[0].path).stem or key[:12], names, state, reason)
     return table

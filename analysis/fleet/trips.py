@@ -65,7 +65,7 @@ TOPICS = tuple(
 )  # fmt: skip
 """What is read of each log."""
 
-ROWS = 1_000_000
+ROWS = 500_000
 """Rows over all these topics up to which a log is one trip; the parts of a longer one have at most
 so many, too."""
 

@@ -201,6 +201,11 @@ class UpdateOptions:
         Compute trips that were refused, or failed, again.
     merge : bool
         Put the files of results together at the end, and bring the maps up to date.
+
+    Examples
+    --------
+    >>> UpdateOptions(workers=2, where="weather = 'wet'").batch
+    16
     """
 
     workers: int | None = None
