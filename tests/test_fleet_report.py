@@ -25,7 +25,7 @@ from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.railway import Edge, Network, Node
 from trainlog.units import JOULES_PER_KWH
 
-REASON = "the wheels' diameters <b>cannot</b> be told apart: 3.4 of 5 samples"
+REASON = "the wheels' diameters <b>cannot</b> be distinguished: 3.4 of 5 samples"
 
 
 @pytest.fixture(scope="module")

@@ -64,7 +64,7 @@ def fleet_demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path(
         "results-fleet"
     ),
-    trips: Annotated[int, typer.Option(min=12, help="That are simulated.")] = 100,
+    count: Annotated[int, typer.Option(min=12, help="Trips that are simulated.")] = 100,
 ) -> None:
     """Simulate a fleet with two faulty trains, and find out what it shows; takes minutes.
 
@@ -76,5 +76,5 @@ def fleet_demo(
     from trainlog.cli.demo import run_demo
     from trainlog.cli.main import run
 
-    steps = commands(output, trips)
+    steps = commands(output, count)
     run_demo(output, console, lambda words: run(words), steps, following(output))
