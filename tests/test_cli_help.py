@@ -21,6 +21,7 @@ DIFFERENT = {
     "--km": "a part of a line; one place",
     "--line": "a file; of the catalogue, a name",
     "--model": "a file; the numbers of a map's model",
+    "--network": "a file; to simulate also one that is drawn",
     "--output": "a file or a folder",
     "--speed": "of a study's train; of measured points",
     "--train": "a file; of the catalogue, a name",

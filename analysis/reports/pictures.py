@@ -125,7 +125,7 @@ def inline(picture: Picture, prefix: str) -> str:
     text = re.sub(r'^<svg ([^>]*?)height="[^"]*"', r"<svg \1", text)
     # To a hundredth of a point: more is not seen, and is half of the file.
     text = re.sub(r' d="[^"]*"', lambda path: _LONG.sub(r"\1", path[0]), text)
-    for name in DRAWN:
+    for name in ("paper", *DRAWN):
         text = text.replace(f": {LIGHT[name]}", f": var(--{name})")
     text = re.sub(r"\s*\n\s*", "\n", text)
     return text.replace("<svg ", f'<svg role="img" aria-label="{alt}" ', 1)

@@ -12,6 +12,8 @@ from trainlog.cli.terminal import console
 
 app = typer.Typer()
 
+TRIPS = 100
+
 TRAIN = "flirt-01"
 """Whose observed set is planned for."""
 
@@ -21,7 +23,7 @@ FAULTS = (
 )
 
 
-def commands(output: Path, trips: int = 100, places: str | None = None) -> list[list[str]]:
+def commands(output: Path, trips: int = TRIPS, places: str | None = None) -> list[list[str]]:
     """The commands of the demo, without the leading ``trainlog``; results go to `output`."""
     fleet, catalogue = output / "fleet", ["--catalogue", output / "catalogue"]
     network = fleet / "network.network.json"
@@ -64,7 +66,9 @@ def fleet_demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path(
         "results-fleet"
     ),
-    count: Annotated[int, typer.Option(min=12, help="Trips that are simulated.")] = 100,
+    count: Annotated[
+        int | None, typer.Option(min=12, help="Trips that are simulated; default 100.")
+    ] = None,
 ) -> None:
     """Simulate a fleet with two faulty trains, and find out what it shows; takes minutes.
 
@@ -76,5 +80,5 @@ def fleet_demo(
     from trainlog.cli.demo import run_demo
     from trainlog.cli.main import run
 
-    steps = commands(output, count)
+    steps = commands(output, count or TRIPS)
     run_demo(output, console, lambda words: run(words), steps, following(output))

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from trainlog.cli.fleet import fleet_app
+from trainlog.cli.options import CatalogueOption
 from trainlog.cli.terminal import console, wrote
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write, output_folder
@@ -18,15 +19,14 @@ app = typer.Typer()
 @fleet_app.command("trains")
 def trains(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for JSON and pictures.")],
-    catalogue: Annotated[
-        str | None, typer.Option(help="Catalogue: a folder, or a database's URL.")
-    ] = None,
+    catalogue: CatalogueOption = None,
     kind: Annotated[str | None, typer.Option(help="Only trains of this kind.")] = None,
     train: Annotated[
         str | None, typer.Option(help="Show only this train; others are compared with it.")
     ] = None,
     where: Annotated[
-        str | None, typer.Option(help="Only trips of which this holds: \"line = 'X'\".")
+        str | None,
+        typer.Option(metavar="EXPRESSION", help="Only trips of which this holds: \"line = 'X'\"."),
     ] = None,
     false_alarms: Annotated[
         float, typer.Option(help="Share (%) of healthy trains that raise an alarm in a month.")
