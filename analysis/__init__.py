@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from analysis.fleet.trips import fleet_trips as fleet_trips
     from analysis.fleet.update import (
         UpdateOptions as UpdateOptions,
-        status as fleet_status,
-        update as update_fleet,
+        fleet_status as fleet_status,
+        update_fleet as update_fleet,
     )
     from analysis.geometry.centre_line import geometry_of as geometry_of, line_of as line_of
     from analysis.passports import passport as passport
@@ -105,7 +105,7 @@ _NAMES = {
     "analysis.estimates": "with_estimates",
     "analysis.fleet.analyses": "FleetAnalysis",
     "analysis.fleet.trips": "fleet_trips",
-    "analysis.fleet.update": "UpdateOptions fleet_status=status update_fleet=update",
+    "analysis.fleet.update": "UpdateOptions fleet_status update_fleet",
     "analysis.geometry.centre_line": "geometry_of line_of",
     "analysis.verification.scoring": "score_forecast score_map score_rolling",
 }

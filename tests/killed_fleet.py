@@ -121,10 +121,10 @@ def kill_at_random(
 
 def pending(catalogue: str) -> int:
     """Trips for which an analysis is pending."""
-    from analysis.fleet.update import status
+    from analysis.fleet.update import fleet_status
 
     with open_catalogue(catalogue) as opened:
-        return status(opened).pending
+        return fleet_status(opened).pending
 
 
 def rows_by_trip(catalogue: str) -> list[tuple[str, int]]:

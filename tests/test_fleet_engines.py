@@ -19,7 +19,7 @@ from fleet_trips import short_trips
 from killed_fleet import contents, descendants
 
 from analysis.fleet.engine import MPI, Dask
-from analysis.fleet.update import UpdateOptions, update
+from analysis.fleet.update import UpdateOptions, update_fleet
 from trainlog.catalogue import open_catalogue
 from trainlog.errors import InputError, MissingExtraError
 
@@ -36,7 +36,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         with open_catalogue(folder / name) as catalogue:
             catalogue.add(folder / "logs")
             if name == "one":
-                update(catalogue, ["passport", "checks"], UpdateOptions(workers=0))
+                update_fleet(catalogue, ["passport", "checks"], UpdateOptions(workers=0))
     return folder
 
 
@@ -94,7 +94,7 @@ def test_dask_gives_the_same_bytes_as_one_process(place: Path) -> None:
         when_ready(address)
         with open_catalogue(place / "dask") as catalogue:
             options = UpdateOptions(scheduler=address, batch=1)
-            found = update(catalogue, ["passport", "checks"], options)
+            found = update_fleet(catalogue, ["passport", "checks"], options)
     assert (found.engine, found.workers, found.trips) == ("Dask", 2, TRIPS)
     assert contents(place / "dask" / "results") == contents(place / "one" / "results")
 
@@ -105,13 +105,13 @@ def test_dask_goes_on_when_its_workers_die(place: Path) -> None:
     with dask_cluster(place) as (address, pid):
         when_ready(address)
         with open_catalogue(place / "killed") as catalogue:
-            found = update(catalogue, [DEADLY], UpdateOptions(scheduler=address, batch=2))
+            found = update_fleet(catalogue, [DEADLY], UpdateOptions(scheduler=address, batch=2))
             assert found.counts["deadly"].done == TRIPS - 1
             (problem,) = found.problems
             assert Path(problem.path).stem == "trip-002"
             for worker in descendants(pid)[:1]:
                 os.kill(worker, signal.SIGKILL)
-            more = update(catalogue, ["checks"], UpdateOptions(scheduler=address, batch=1))
+            more = update_fleet(catalogue, ["checks"], UpdateOptions(scheduler=address, batch=1))
             assert more.counts["checks"].done == TRIPS
 
 

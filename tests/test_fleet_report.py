@@ -14,7 +14,7 @@ pytest.importorskip("sqlalchemy")
 
 from analysis.fleet.analyses import ANALYSES
 from analysis.fleet.codes import code_of
-from analysis.fleet.update import UpdateOptions, update
+from analysis.fleet.update import UpdateOptions, update_fleet
 from analysis.reports.fleet import FleetReportOptions, fleet_page
 from analysis.reports.page import Page, Section
 from analysis.tables import WordTable, records
@@ -39,7 +39,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         first = catalogue.pending(*about).iloc[0]
         catalogue.record(*about, [ResultOutcome(first.key, first.sha256, "refused", REASON)])
         names = ["adhesion", "driving", "checks"]
-        update(catalogue, names, UpdateOptions(workers=0))
+        update_fleet(catalogue, names, UpdateOptions(workers=0))
     return place
 
 

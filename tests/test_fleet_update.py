@@ -28,7 +28,7 @@ from analysis.adhesion.updating import update_map
 from analysis.fleet.analyses import ANALYSES
 from analysis.fleet.codes import code_of
 from analysis.fleet.maps import maps_folder, update_maps
-from analysis.fleet.update import FleetUpdate, UpdateOptions, status, update
+from analysis.fleet.update import FleetUpdate, UpdateOptions, fleet_status, update_fleet
 from trainlog.catalogue import Catalogue, open_catalogue
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
@@ -60,7 +60,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory, logs: Path) -> dict[st
     folder = tmp_path_factory.mktemp("undisturbed")
     with open_catalogue(folder) as catalogue:
         catalogue.add(logs)
-        found = update(catalogue, None, HERE)
+        found = update_fleet(catalogue, None, HERE)
         assert found.trips == TRIPS
         assert set(found.counts) == set(ANALYSES)
     return contents(folder / "results") | maps_in(folder / "maps")
@@ -69,7 +69,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory, logs: Path) -> dict[st
 def updated(place: Path | str, *analyses: object, **options: object) -> FleetUpdate:
     given = {"workers": 0, **options}
     with open_catalogue(place) as catalogue:
-        return update(catalogue, analyses or None, UpdateOptions(**given))  # type: ignore[arg-type]
+        return update_fleet(catalogue, analyses or None, UpdateOptions(**given))  # type: ignore[arg-type]
 
 
 def results(place: Path, analysis: str) -> pd.DataFrame:
@@ -143,7 +143,7 @@ def test_a_trip_that_goes_wrong_is_listed_and_stops_no_other(place: Path) -> Non
     assert state == "failed"
     assert reason.startswith("ZeroDivisionError: no samples at all (failing_analyses.py, line")
     with open_catalogue(place) as catalogue:
-        known = status(catalogue, [WRONG])
+        known = fleet_status(catalogue, [WRONG])
         assert {each.name: each.state for each in known.problems} == {
             "trip-001": "refused",
             "trip-002": "failed",
@@ -235,12 +235,14 @@ def test_maps_of_other_code_stand_until_all_trips_are_computed_anew(
         adhesion, folder = ANALYSES["adhesion"], maps_folder(catalogue)
         before = maps_in(folder)
         monkeypatch.setattr("analysis.fleet.update.code_of", lambda _: "0123456789abcdef")
-        part = update(catalogue, ["adhesion"], UpdateOptions(workers=0, where="weather = 'wet'"))
+        part = update_fleet(
+            catalogue, ["adhesion"], UpdateOptions(workers=0, where="weather = 'wet'")
+        )
         assert part.maps is not None
         assert not part.maps.complete
         assert maps_in(folder) == before
         assert "0123456789abcdef" not in (folder / "maps.json").read_text()
-        rest = update(catalogue, ["adhesion"], HERE)
+        rest = update_fleet(catalogue, ["adhesion"], HERE)
         assert rest.maps is not None
         assert rest.maps.complete
         assert "0123456789abcdef" in (folder / "maps.json").read_text()

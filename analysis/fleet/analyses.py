@@ -73,7 +73,8 @@ class FleetAnalysis:
 
     Examples
     --------
-    >>> from analysis.fleet.trips import fleet_trips
+    >>> from analysis import fleet_trips
+    >>> from analysis.fleet.analyses import ANALYSES
     >>> trip = next(fleet_trips("sample_logs/nonstop.mcap"))
     >>> found = ANALYSES["resistance"].table(trip)
     >>> len(found), bool(abs(found["mass"][0] - 145e3) < 1e3)
@@ -106,6 +107,7 @@ class FleetAnalysis:
 
         Examples
         --------
+        >>> from analysis.fleet.analyses import ANALYSES
         >>> ANALYSES["adhesion"].with_parameters(bin_length=50.0).parameters
         {'bin_length': 50.0}
         """

@@ -86,7 +86,7 @@ def map_path(folder: Path, edge: str) -> Path:
     >>> map_path(Path("maps"), "850 Wil - Gossau").name
     '850 Wil - Gossau.map'
     """
-    plain = "".join("_" if each in '/\\\\:*?"<>|\\0' else each for each in edge).lstrip(".")
+    plain = "".join("_" if each in '/\\:*?"<>|\0' else each for each in edge).lstrip(".")
     ending = "" if plain == edge else f" {sha256(edge.encode())[:8]}"
     return folder / f"{plain}{ending}.map"
 
@@ -226,7 +226,7 @@ def evidence_of_row(data: bytes) -> DailyEvidence:
     >>> from analysis.fleet.trips import fleet_trips
     >>> table = ANALYSES["adhesion"].table(next(fleet_trips("sample_logs/nonstop.mcap")))
     >>> found = evidence_of_row(table["evidence"][0])
-    >>> int(found.events.sum()) == table["onsets"][0]
+    >>> int(found.events.sum()) == int(table["onsets"][0])
     True
     """
     facts, arrays = unpack(zlib.decompress(data))

@@ -242,7 +242,7 @@ class UpdateOptions:
         return engine.InProcess() if self.workers == 0 else engine.Processes(self.workers)
 
 
-def update(
+def update_fleet(
     catalogue: Catalogue,
     analyses: Iterable[str | FleetAnalysis] | None = None,
     options: UpdateOptions | None = None,
@@ -274,8 +274,8 @@ def update(
     >>> from trainlog.catalogue import open_catalogue
     >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
     ...     _ = catalogue.add("sample_logs")
-    ...     first = update(catalogue, ["checks"], UpdateOptions(workers=0))
-    ...     again = update(catalogue, ["checks"], UpdateOptions(workers=0))
+    ...     first = update_fleet(catalogue, ["checks"], UpdateOptions(workers=0))
+    ...     again = update_fleet(catalogue, ["checks"], UpdateOptions(workers=0))
     ...     found = catalogue.results("checks")
     >>> first.trips, again.sentence, found["trip"].tolist()
     (2, 'nothing new', ['trip-01', 'trip-03'])
@@ -508,7 +508,7 @@ class FleetStatus:
         }
 
 
-def status(
+def fleet_status(
     catalogue: Catalogue,
     analyses: Iterable[str | FleetAnalysis] | None = None,
     *,
@@ -533,7 +533,7 @@ def status(
     >>> from trainlog.catalogue import open_catalogue
     >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
     ...     _ = catalogue.add("sample_logs")
-    ...     status(catalogue, ["checks"])
+    ...     fleet_status(catalogue, ["checks"])
     State of a fleet
       checks  2 pending
     """

@@ -257,10 +257,10 @@ def ensure_results(
         return
     note(str(version))
     if version.present:
-        from analysis.fleet.update import UpdateOptions, update
+        from analysis.fleet.update import UpdateOptions, update_fleet
 
         asked = [ANALYSES[name].with_parameters(**version.parameters[name]) for name in missing]
-        update(catalogue, asked, UpdateOptions(workers, where=where))
+        update_fleet(catalogue, asked, UpdateOptions(workers, where=where))
         return
     if not version.command:
         raise InputError(

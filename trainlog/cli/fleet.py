@@ -86,7 +86,7 @@ def fleet_update(
     Example: trainlog fleet update --workers 2
     """
     from analysis.fleet.table import problems_table, update_table
-    from analysis.fleet.update import UpdateOptions, update
+    from analysis.fleet.update import UpdateOptions, update_fleet
     from trainlog.catalogue import open_catalogue
 
     options = UpdateOptions(workers, scheduler, mpi, batch=batch, where=trips, retry=retry)
@@ -99,7 +99,7 @@ def fleet_update(
 
     with open_catalogue(catalogue, create=False) as opened:
         current().finished = lambda: "each batch that was finished is kept; update again"
-        found = update(opened, analyses, options, report)
+        found = update_fleet(opened, analyses, options, report)
         current().finished = None
     if not state(found.details()):
         console.print(update_table(found.counts))
@@ -128,11 +128,11 @@ def fleet_status(
     Example: trainlog fleet status --problems
     """
     from analysis.fleet.table import problems_table, status_table
-    from analysis.fleet.update import status
+    from analysis.fleet.update import fleet_status
     from trainlog.catalogue import open_catalogue
 
     with open_catalogue(catalogue, create=False) as opened:
-        found = status(opened, analyses, where=trips)
+        found = fleet_status(opened, analyses, where=trips)
     if state(found.details()):
         return
     console.print(status_table(found))
