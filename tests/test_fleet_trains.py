@@ -276,3 +276,34 @@ def test_stored_results_of_a_catalogue_show_its_trains(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="fleet update"):
             trains_in(catalogue, where="train = 'nobody'")
     assert replace(found).unlike.findings == ()
+
+
+def test_a_fit_of_chosen_trips_uses_stored_summaries_instead_of_logs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("sqlalchemy", reason="needs the extra fleet")
+    from analysis.fleet import stored
+    from analysis.fleet.analyses import ANALYSES
+    from analysis.fleet.trips import fleet_trips
+    from analysis.resistance.logs import fit
+    from trainlog.catalogue import ResultOutcome, open_catalogue
+    from trainlog.cli.options import chosen_summaries
+
+    analysis = ANALYSES["resistance"]
+    code = stored.code_of(analysis)
+    with open_catalogue(tmp_path) as catalogue:
+        catalogue.add("sample_logs")
+        row = next(catalogue.pending(analysis.name, code, analysis.parameters).itertuples())
+        table = analysis.arrow([(row.key, analysis.table(next(fleet_trips(str(row.path)))))])
+        outcome = ResultOutcome(row.key, row.sha256, rows=1)
+        catalogue.record(analysis.name, code, analysis.parameters, [outcome], table)
+        every = [Path(path) for path in catalogue.paths()]
+    given = chosen_summaries("all", str(tmp_path))
+    assert [path.suffix for path in given] == [".parquet", ".mcap"]
+    assert str(given[1]) != row.path
+    kept, read = fit(given).parameters, fit(every).parameters
+    assert kept.configurations == read.configurations
+    assert np.array_equal(kept.common_covariance, read.common_covariance)
+    # By other code nothing is stored: the logs are read.
+    monkeypatch.setattr(stored, "code_of", lambda _: "other")
+    assert [path.suffix for path in chosen_summaries("all", str(tmp_path))] == [".mcap"] * 2

@@ -17,7 +17,13 @@ from typer.core import TyperCommand, TyperGroup
 from typer.models import ParameterInfo
 
 from trainlog.cli.help import print_help, shown_type
-from trainlog.cli.options import CatalogueOption, ChosenTrips, chosen_logs
+from trainlog.cli.options import (
+    CatalogueOption,
+    ChosenTrips,
+    TakesSummaries,
+    chosen_logs,
+    chosen_summaries,
+)
 from trainlog.cli.progress_bar import ProgressDisplay, progress_shown
 from trainlog.cli.terminal import Output, console, output_of, print_error
 from trainlog.display import counted
@@ -103,7 +109,8 @@ def _with_trips(callback: Callable[..., Any]) -> Callable[..., Any]:
     ) -> Any:
         given = rest[logs.name]
         if chosen_trips is not None:
-            rest[logs.name] = [*(given or ()), *chosen_logs(chosen_trips, catalogue)]
+            chosen = chosen_summaries if TakesSummaries in _notes(logs) else chosen_logs
+            rest[logs.name] = [*(given or ()), *chosen(chosen_trips, catalogue)]
         elif catalogue is not None:
             raise InputError(
                 f"--catalogue {catalogue} is given, but not which of its trips",

@@ -9,7 +9,14 @@ from typing import Annotated, Literal
 import typer
 
 from trainlog.cli.commands import end_in_part
-from trainlog.cli.options import ChosenTrips, Logs, destination, distinct, logs_in
+from trainlog.cli.options import (
+    ChosenTrips,
+    Logs,
+    TakesSummaries,
+    destination,
+    distinct,
+    logs_in,
+)
 from trainlog.cli.terminal import console, print_error, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError
@@ -32,6 +39,7 @@ def fit(
             help="Logs (.mcap), folders of logs, and summaries of earlier fits (.parquet)."
         ),
         ChosenTrips,
+        TakesSummaries,
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Observed parameter set (JSON).")],
     cover: Annotated[

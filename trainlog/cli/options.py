@@ -36,6 +36,10 @@ class ChosenTrips:
     """
 
 
+class TakesSummaries:
+    """Marks logs of a command that takes summaries of fits, too: stored ones stand for the logs."""
+
+
 Logs = Annotated[list[Path], typer.Argument(help="Logs (.mcap), or folders of logs."), ChosenTrips]
 CatalogueOption = Annotated[
     str | None,
@@ -395,6 +399,31 @@ def chosen_logs(where: str, catalogue: str | None) -> list[Path]:
 
     with open_catalogue(catalogue, create=False) as opened:
         return opened.paths(None if where.strip().lower() == "all" else where)
+
+
+def chosen_summaries(where: str, catalogue: str | None) -> list[Path]:
+    """Stored summaries of the trips that are chosen, as a file, and the logs of those without one.
+
+    The file lasts as long as the program. Errors as `chosen_logs`.
+    """
+    import atexit
+    import shutil
+    import tempfile
+
+    from analysis.fleet.stored import stored_summaries
+    from trainlog.catalogue import open_catalogue
+    from trainlog.formats.summaries import SUFFIX, write_summaries
+
+    with open_catalogue(catalogue, create=False) as opened:
+        asked = None if where.strip().lower() == "all" else where
+        summaries, logs = stored_summaries(opened, asked)
+    if summaries.empty:
+        return logs
+    folder = tempfile.mkdtemp(prefix="trainlog-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    path = Path(folder) / f"summaries{SUFFIX}"
+    write_summaries(summaries, path)
+    return [path, *logs]
 
 
 FACTS = ("trip", "weather", "load", "clock", "start_position", "stations")
