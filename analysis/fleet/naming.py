@@ -186,7 +186,7 @@ def explained(
     causes, distances = [], []
     for what, (unit, moves) in faults_of(kind, trips).items():
         direction = np.array([moves.get(name, 0.0) for name in names])
-        if moves.get(seen, 0.0) == 0.0:
+        if seen not in names or moves.get(seen, 0.0) == 0.0:
             continue
         weight = float(direction @ trust @ direction)
         amount = float(direction @ trust @ size) / weight

@@ -460,7 +460,7 @@ def _step_likelihood(own: FloatArray, std: FloatArray, tail: float) -> tuple[Flo
     """Log likelihood of a step at each trip, and these trips."""
     if own.size < WINDOWS[0]:
         return np.zeros(0), np.zeros(0, dtype=np.int64)
-    starts = np.arange(1, own.size)
+    starts = np.arange(min(WINDOWS[0], own.size - 2), own.size)
     last = min(2, own.size - 1)
     starts = starts[starts <= own.size - last]
     found = []
