@@ -67,6 +67,11 @@ catalogue query --catalogue fleet --where weather='wet'
 catalogue export trips.csv --catalogue fleet
 catalogue refresh --catalogue fleet
 check --trips all --catalogue fleet
+fleet update --catalogue fleet --workers 0
+fleet status --catalogue fleet --problems
+fleet diff now now --catalogue fleet --analysis checks
+fleet trains --catalogue fleet -o trains
+fleet report --catalogue fleet -o fleet.html
 catalogue remove --catalogue fleet --where weather='wet'
 compare sample_logs
 compare sample_logs/nonstop.mcap --calculated sample_logs/CH_Stadler_FLIRT_TPF.train.json
@@ -211,6 +216,9 @@ PURE = {
     *("coasting", "covered", "slips", "factor", "factor_std", "false_alarms", "judged_trips"),
     *("explained", "gaps", "axles", "trips", "kept"),
     *("trips", "repairs", "samples", "count", "same", "back", "removed"),
+    *("against_kind", "against_kind_std", "band_ratio", "beyond", "done", "failed", "known"),
+    *("moved_in_all", "pending", "refused", "rounding", "rows", "unread", "verdicts_in_all"),
+    *("waiting", "within", "words", "workers"),
 }
 """Numbers without a unit, beside those of the commands of the map."""
 

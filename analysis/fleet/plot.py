@@ -108,13 +108,15 @@ def _by_train(axes: Axes, kind: KindResistance, unlike: set[str]) -> None:
         axes.set_yticklabels([f"{each.train} ({each.trips})" for each in trains], fontsize=7)
 
 
+def channels_over_time(kind: str, found: FleetTrains) -> list[str]:
+    """The channels of a kind that `draw_drift` draws; none where its trips are too few."""
+    shown = ("size of the curve", "speed scale", "effort gain", "effort delay")
+    return [name for name in shown if name in found.unlike.series.get(kind, {})]
+
+
 def draw_drift(kind: str, found: FleetTrains, path: str | Path) -> None:
     """Channels of a kind over time: each trip, and the running level of each train."""
-    channels = [
-        name
-        for name in ("size of the curve", "speed scale", "effort gain", "effort delay")
-        if name in found.unlike.series[kind]
-    ]
+    channels = channels_over_time(kind, found)
     trips = found.trips[kind]
     figure = new_figure(10.0, 2.3 * len(channels) + 0.6)
     panels = np.atleast_1d(figure.subplots(len(channels), 1, sharex=True))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from analysis.fleet.plot import draw_drift, draw_findings, draw_resistance
+from analysis.fleet.plot import channels_over_time, draw_drift, draw_findings, draw_resistance
 from analysis.fleet.trains import FleetTrains
 from analysis.fleet.trains_table import findings_table, limits_table, trains_table
 from analysis.reports.page import Part
@@ -45,6 +45,7 @@ def drift_parts(found: FleetTrains) -> list[Part]:
             f"What is estimated of trains of kind {kind.kind}, over time.",
         )
         for kind in found.resistance
+        if channels_over_time(kind.kind, found)
     ]
     drifting = [str(each) for each in found.drift if each.drifts]
     if not drifting:

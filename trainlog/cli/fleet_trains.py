@@ -41,7 +41,12 @@ def trains(
     """
     import json
 
-    from analysis.fleet.plot import draw_drift, draw_findings, draw_resistance
+    from analysis.fleet.plot import (
+        channels_over_time,
+        draw_drift,
+        draw_findings,
+        draw_resistance,
+    )
     from analysis.fleet.trains import trains_in
     from analysis.fleet.trains_table import trains_data, trains_table
     from trainlog.catalogue import open_catalogue
@@ -62,9 +67,11 @@ def trains(
             temporary.write_text(content + "\n", "utf-8")
         written.append(path)
         for each in shown.resistance:
-            written += [output / f"{each.kind}.resistance.png", output / f"{each.kind}.drift.png"]
-            draw_resistance(each, shown, written[-2])
-            draw_drift(each.kind, shown, written[-1])
+            written.append(output / f"{each.kind}.resistance.png")
+            draw_resistance(each, shown, written[-1])
+            if channels_over_time(each.kind, shown):
+                written.append(output / f"{each.kind}.drift.png")
+                draw_drift(each.kind, shown, written[-1])
         written.append(output / "findings.png")
         draw_findings(shown, written[-1])
     console.print(trains_table(shown))
