@@ -77,6 +77,16 @@ def remembered_estimates(estimates: dict[bytes, ConditionLayer]) -> Iterator[Non
 
 
 @pytest.fixture(scope="session")
+def fleet_logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Logs of a few short trips, which tests of a fleet read and none changes."""
+    from fleet_trips import TRIPS, short_trips
+
+    folder = tmp_path_factory.mktemp("fleet") / "logs"
+    short_trips(folder, TRIPS)
+    return folder
+
+
+@pytest.fixture(scope="session")
 def postgresql_server() -> Iterator[str]:
     """URL of a PostgreSQL server that runs as long as the tests of this process."""
     pytest.importorskip("psycopg", reason="the extra postgresql is not installed")

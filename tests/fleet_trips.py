@@ -11,7 +11,9 @@ import trainlog
 from trainlog.trip import Trip
 
 SAMPLES = ("sample_logs/nonstop.mcap", "sample_logs/stopping.mcap")
-MINUTES = 4
+MINUTES = 3
+TRIPS = 4
+"""So many are made for all tests of a session, in the fixture `fleet_logs`."""
 
 
 def short_trips(folder: Path, count: int) -> list[Path]:

@@ -41,7 +41,7 @@ def commands(of: Any = None, name: str = "") -> Iterator[tuple[str, Any]]:
             yield words, command
 
 
-@pytest.mark.parametrize("columns", ["80", "120"])
+@pytest.mark.parametrize("columns", ["80", pytest.param("120", marks=pytest.mark.long)])
 def test_help_of_every_command_fits_the_terminal_and_loses_nothing(
     columns: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -152,7 +152,7 @@ def test_a_value_that_was_corrected_by_hand_is_read(log: Path, tmp_path: Path) -
     assert read_log(tmp_path / "again.mcap")[TRAIN_STATE.name]["position"].iloc[1] == 1010.5
 
 
-@pytest.mark.parametrize("kind", ["mcap", "parquet", "csv"])
+@pytest.mark.parametrize("kind", ["mcap", "parquet", pytest.param("csv", marks=pytest.mark.long)])
 def test_a_part_is_what_slicing_gives(kind: str, log: Path, tmp_path: Path) -> None:
     source = log
     if kind != "mcap":
@@ -347,7 +347,7 @@ def test_a_stretch_of_a_folder_without_positions_is_refused(tmp_path: Path) -> N
         convert(tmp_path / "none.parquet", tmp_path / "none.mcap", position=(0.0, 1.0))
 
 
-@pytest.mark.parametrize("suffix", [".mcap", ".parquet"])
+@pytest.mark.parametrize("suffix", [".mcap", pytest.param(".parquet", marks=pytest.mark.long)])
 def test_what_a_damaged_log_lost_stays_with_what_is_made_of_it(
     suffix: str, log: Path, tmp_path: Path
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -33,12 +34,11 @@ LINK = re.compile(r"\]\(([^)#\s]+)")
 
 
 def with_code() -> list[object]:
-    """Pages with Python or commands; the developer's tutorial is run as a notebook."""
+    """Pages with Python or commands."""
     found = [page for page in PAGES if pages.blocks_of(page.read_text("utf-8"))]
     return [
         pytest.param(page, marks=[pytest.mark.long] if page.name in LONG else [], id=page.name)
         for page in found
-        if page != TUTORIAL
     ]
 
 
@@ -51,6 +51,19 @@ def test_code_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert len(outputs) == len(pages.blocks_of(text))
     if text.startswith(pages.EXECUTED):
         assert_written(page, tmp_path)
+    if page == TUTORIAL:
+        assert_titles(output.html for output in outputs)
+
+
+TITLES = ("Trip ", "Line ", "Train ", "Track-condition map ", "Running res", "Trajectory ")
+"""Of the objects that the developer's tutorial shows."""
+
+
+def assert_titles(shown: Iterable[str]) -> None:
+    """Each of the objects is shown as HTML."""
+    every = list(shown)
+    for title in TITLES:
+        assert any(html.startswith(f"<div><b>{title}") for html in every), title
 
 
 def assert_written(page: Path, folder: Path) -> None:
@@ -67,6 +80,7 @@ def test_the_notebook_is_the_tutorial() -> None:
     assert kept == notebook.written(notebook.from_page(TUTORIAL.read_text("utf-8")))
 
 
+@pytest.mark.long
 def test_the_notebook_runs_and_shows_objects_as_html(tmp_path: Path) -> None:
     import nbformat
     from nbclient import NotebookClient
@@ -75,14 +89,12 @@ def test_the_notebook_runs_and_shows_objects_as_html(tmp_path: Path) -> None:
     found = nbformat.read(TUTORIAL.with_suffix(".ipynb"), as_version=4)
     nbformat.validate(found)
     NotebookClient(found, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
-    shown = [
+    assert_titles(
         output.data["text/html"]
         for cell in found.cells
         for output in cell.get("outputs", ())
         if "text/html" in output.get("data", {})
-    ]
-    for title in ("Trip ", "Line ", "Train ", "Track-condition map ", "Running res", "Trajectory "):
-        assert any(html.startswith(f"<div><b>{title}") for html in shown), title
+    )
     assert_written(TUTORIAL, tmp_path)
 
 

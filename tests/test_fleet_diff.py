@@ -218,11 +218,11 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def copied(folder: Path, file: str, old: str, new: str) -> Path:
-    """Another checkout, with one line changed."""
+def copied(folder: Path, file: str, old: str, new: str, compiled: bool = False) -> Path:
+    """Another checkout, with one line changed, and with what was compiled if that stays."""
     for name in ("trainlog", "analysis", "estimators"):
-        kept = shutil.ignore_patterns("__pycache__")
-        shutil.copytree(CHECKOUT / name, folder / name, ignore=kept)
+        left_out = None if compiled else shutil.ignore_patterns("__pycache__")
+        shutil.copytree(CHECKOUT / name, folder / name, ignore=left_out)
     shutil.copytree(CHECKOUT / "sample_logs", folder / "sample_logs")
     path = folder / file
     text = path.read_text("utf-8")
@@ -239,7 +239,7 @@ def test_a_line_broken_in_another_checkout_is_named(
 ) -> None:
     other = copied(
         tmp_path / "other", "analysis/fleet/checks.py",
-        "recorded.duration", "1.02 * recorded.duration",
+        "recorded.duration", "1.02 * recorded.duration", compiled=True,
     )  # fmt: skip
     words = ["fleet", "diff", "now", other, "--catalogue", place, "--analysis", "checks"]
     words += ["--workers", 0, "-o", tmp_path / "changes", "--json"]

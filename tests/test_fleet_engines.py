@@ -9,13 +9,13 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import pytest
 from failing_analyses import DEADLY
-from fleet_trips import short_trips
+from fleet_trips import TRIPS
 from killed_fleet import contents, descendants
 
 from analysis.fleet.engine import MPI, Dask
@@ -23,18 +23,17 @@ from analysis.fleet.update import UpdateOptions, update_fleet
 from trainlog.catalogue import open_catalogue
 from trainlog.errors import InputError, MissingExtraError
 
-TRIPS = 4
 TESTS = Path(__file__).parent
+Started = Callable[[Path], AbstractContextManager[tuple[str, int]]]
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def place(tmp_path_factory: pytest.TempPathFactory, fleet_logs: Path) -> Path:
     """A catalogue of trips whose checks and passports were computed in one process."""
     folder = tmp_path_factory.mktemp("engines")
-    short_trips(folder / "logs", TRIPS)
-    for name in ("one", "dask", "mpi", "killed"):
+    for name in ("one", "killed"):
         with open_catalogue(folder / name) as catalogue:
-            catalogue.add(folder / "logs")
+            catalogue.add(fleet_logs)
             if name == "one":
                 update_fleet(catalogue, ["passport", "checks"], UpdateOptions(workers=0))
     return folder
@@ -88,15 +87,33 @@ def when_ready(address: str, patience: float = 60.0) -> None:
     raise AssertionError("no Dask")
 
 
-def test_dask_gives_the_same_bytes_as_one_process(place: Path) -> None:
+@contextmanager
+def dask_threads(folder: Path) -> Iterator[tuple[str, int]]:
+    """A scheduler and two workers that are threads of this process, reached by TCP."""
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, protocol="tcp://",
+        dashboard_address=None, local_directory=str(folder / "scratch"),
+    ) as cluster:  # fmt: skip
+        yield cluster.scheduler_address, os.getpid()
+
+
+@pytest.mark.parametrize(
+    "started", [dask_threads, pytest.param(dask_cluster, marks=pytest.mark.long)]
+)
+def test_dask_gives_the_same_bytes_as_one_process(
+    place: Path, tmp_path: Path, fleet_logs: Path, started: Started
+) -> None:
     pytest.importorskip("distributed")
-    with dask_cluster(place) as (address, _):
+    with started(tmp_path) as (address, _):
         when_ready(address)
-        with open_catalogue(place / "dask") as catalogue:
+        with open_catalogue(tmp_path / "dask") as catalogue:
+            catalogue.add(fleet_logs)
             options = UpdateOptions(scheduler=address, batch=1)
             found = update_fleet(catalogue, ["passport", "checks"], options)
     assert (found.engine, found.workers, found.trips) == ("Dask", 2, TRIPS)
-    assert contents(place / "dask" / "results") == contents(place / "one" / "results")
+    assert contents(tmp_path / "dask" / "results") == contents(place / "one" / "results")
 
 
 @pytest.mark.long
@@ -122,21 +139,35 @@ def test_a_scheduler_that_does_not_answer_is_named() -> None:
         Dask(address)
 
 
-def test_mpi_gives_the_same_bytes_as_one_process(place: Path) -> None:
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_mpi_gives_the_same_bytes_as_one_process(
+    place: Path, tmp_path: Path, fleet_logs: Path, workers: int
+) -> None:
     pytest.importorskip("mpi4py")
     mpiexec = Path(sys.executable).with_name("mpiexec")
     found = str(mpiexec) if mpiexec.exists() else shutil.which("mpiexec")
     if found is None:
         pytest.skip("mpiexec is not installed")
-    command = [found, "-n", "3", sys.executable, "-m", "mpi4py.futures", "-m", "trainlog"]
-    command += ["fleet", "update", "--mpi", "--catalogue", str(place / "mpi"), "--batch", "1"]
+    with open_catalogue(tmp_path / "mpi") as catalogue:
+        catalogue.add(fleet_logs)
+    command = [
+        found,
+        "-n",
+        str(workers + 1),
+        sys.executable,
+        "-m",
+        "mpi4py.futures",
+        "-m",
+        "trainlog",
+    ]
+    command += ["fleet", "update", "--mpi", "--catalogue", str(tmp_path / "mpi"), "--batch", "1"]
     command += ["--analysis", "passport", "--analysis", "checks"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     if done.returncode != 0 and "trainlog" not in done.stderr:
         pytest.skip(f"mpiexec does not run here: {done.stderr.strip()[-200:]}")
     assert done.returncode == 0, done.stderr
-    assert "by MPI, 2 workers" in done.stdout
-    assert contents(place / "mpi" / "results") == contents(place / "one" / "results")
+    assert f"by MPI, {workers} worker" in done.stdout
+    assert contents(tmp_path / "mpi" / "results") == contents(place / "one" / "results")
 
 
 def test_mpi_without_workers_states_how_it_is_started() -> None:

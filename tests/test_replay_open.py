@@ -127,7 +127,9 @@ def test_a_browser_asks_nobody_but_this_machine(recording: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc").exists(), reason="needs a list of processes")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)]
+)
 def test_ctrl_c_ends_the_viewer_and_leaves_nothing(number: int, tmp_path: Path) -> None:
     with subprocess.Popen(
         [sys.executable, "-m", "trainlog", "replay", str(sample("nonstop.mcap")), "--web"],

@@ -323,6 +323,7 @@ def test_a_log_opens_as_it_is_with_its_layout(log: Path, tmp_path: Path) -> None
     assert {"speed [m/s]", "position [m]", "Satellite fix", "Events"} <= names
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("graphics")
 def test_one_layout_fits_all_converted_logs(log: Path, tmp_path: Path) -> None:
     layout, converted = tmp_path / "trainlog.rbl", tmp_path / "log.rrd"

@@ -166,6 +166,7 @@ def test_every_picture_is_drawn_light_and_dark(light: Opened, dark: Opened) -> N
     assert grounds["dark"] == {(22, 24, 28, 255)}
 
 
+@pytest.mark.long
 def test_a_page_turns_dark_with_the_screen(browser: Any, page_file: Path) -> None:
     opened = Opened(browser, page_file, "light")
     opened.page.emulate_media(color_scheme="dark")

@@ -67,8 +67,18 @@ def within(train: Train, trajectory: Trajectory) -> NDArray[np.float64]:
     )
 
 
-@pytest.mark.parametrize("line", LINES)
-@pytest.mark.parametrize("train", TRAINS)
+DEFAULT = {("linear", "hilly"), ("stepped", "level"), ("bumped", "level")}
+"""Each train and each line once; the other pairs are long."""
+
+
+@pytest.mark.parametrize(
+    ("train", "line"),
+    [
+        pytest.param(train, line, marks=[] if (train, line) in DEFAULT else pytest.mark.long)
+        for train in TRAINS
+        for line in LINES
+    ],
+)
 def test_plans_stay_within_the_curve_and_pass_their_audit(train: str, line: str) -> None:
     trajectory = found(train, line)
     certificate = trajectory.certificate
@@ -81,7 +91,7 @@ def test_plans_stay_within_the_curve_and_pass_their_audit(train: str, line: str)
     assert np.all(within(TRAINS[train], trajectory) <= 1.0 + 1e-6)
 
 
-@pytest.mark.parametrize("line", LINES)
+@pytest.mark.parametrize("line", [pytest.param("level", marks=pytest.mark.long), "hilly"])
 def test_a_common_brake_stops_a_train_whose_dynamic_brake_fades(line: str) -> None:
     train = TRAINS["stepped"]
     trajectory = optimised(
@@ -119,7 +129,7 @@ def test_without_its_curve_a_train_would_be_asked_for_more_than_it_gives() -> No
     assert seeing.certificate["audit"]["effort"] <= 1.0 + 1e-6
 
 
-@pytest.mark.parametrize("power", [1.0, 3.0])
+@pytest.mark.parametrize("power", [pytest.param(1.0, marks=pytest.mark.long), 3.0])
 def test_a_curve_that_is_the_hyperbola_gives_what_effort_and_power_give(power: float) -> None:
     speeds = np.linspace(0.0, 50.0, 2_001)
     hyperbola = EffortCurve(speeds, FLIRT.tractive_effort_limit(speeds))
