@@ -215,7 +215,14 @@ def _killed(catalogue: Catalogue, place: str, logs: Path, adders: int, kills: in
 
 
 @pytest.mark.parametrize(
-    ("adders", "kills"), [(2, 4), pytest.param(4, 100, marks=pytest.mark.long)]
+    ("place", "adders", "kills"),
+    [
+        ("sqlite", 2, 4),
+        pytest.param("postgresql", 2, 4, marks=pytest.mark.long),
+        pytest.param("sqlite", 4, 100, marks=pytest.mark.long),
+        pytest.param("postgresql", 4, 100, marks=pytest.mark.long),
+    ],
+    indirect=["place"],
 )
 def test_adders_that_are_killed_leave_the_catalogue_of_one_that_was_not(
     where: Callable[[], Catalogue],

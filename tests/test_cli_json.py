@@ -53,7 +53,7 @@ network export one.network.json -o one.geojson
 map merge wil.map sample_logs/CH_StGallen_Wil.map -o both.map
 map remove wil.map trip-01
 map compact both.map --before 2024-10-08
-optimise parameters.json --cells 60 -o trajectory.json
+optimise parameters.json --cells 30 -o trajectory.json
 settings show
 show sample_logs/nonstop.mcap
 cut sample_logs/nonstop.mcap -o part.mcap --km 3:5

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -270,7 +271,7 @@ def test_an_update_killed_at_random_moments_counts_each_trip_once(
 def test_no_worker_outlives_an_update_that_is_killed(place: Path) -> None:
     process = started(str(place), "--workers", "2", "--batch", "1")
     while process.poll() is None and not workers(process.pid):
-        pass
+        time.sleep(0.02)
     every = descendants(process.pid)
     process.kill()
     process.wait()

@@ -90,7 +90,7 @@ def driven() -> Iterator[object]:
             yield pytest.param(network, places, receiver, id=named, marks=long)
 
 
-@pytest.mark.parametrize(("network", "places", "receiver"), driven())
+@pytest.mark.parametrize(("network", "places", "receiver"), [*driven()])
 def test_the_route_is_found_and_its_chainage(
     tmp_path: Path, network: Network, places: tuple[str, ...], receiver: Receiver
 ) -> None:
