@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -78,19 +78,8 @@ ROUTES = [
 ]
 
 
-RECEIVERS = {"ublox": RATE_2, "gpx": GPX, "phone": PHONE}
-
-
-def driven() -> Iterator[object]:
-    """Each route by each receiver; each route by one of them alone unless long."""
-    for number, (network, places) in enumerate(ROUTES):
-        for other, (name, receiver) in enumerate(RECEIVERS.items()):
-            long = [pytest.mark.long] if other != number % len(RECEIVERS) else []
-            named = f"{'-'.join(places)}-{name}-{number}"
-            yield pytest.param(network, places, receiver, id=named, marks=long)
-
-
-@pytest.mark.parametrize(("network", "places", "receiver"), [*driven()])
+@pytest.mark.parametrize("receiver", [RATE_2, GPX, PHONE], ids=["ublox", "gpx", "phone"])
+@pytest.mark.parametrize(("network", "places"), ROUTES, ids=lambda each: str(each)[:12])
 def test_the_route_is_found_and_its_chainage(
     tmp_path: Path, network: Network, places: tuple[str, ...], receiver: Receiver
 ) -> None:
