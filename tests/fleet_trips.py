@@ -11,7 +11,7 @@ import trainlog
 from trainlog.trip import Trip
 
 SAMPLES = ("sample_logs/nonstop.mcap", "sample_logs/stopping.mcap")
-MINUTES = 3
+MINUTES = 4
 TRIPS = 4
 """So many are made for all tests of a session, in the fixture `fleet_logs`."""
 
