@@ -94,7 +94,7 @@ def dask_threads(folder: Path) -> Iterator[tuple[str, int]]:
 
     with LocalCluster(
         n_workers=2, threads_per_worker=1, processes=False, protocol="tcp://",
-        dashboard_address=None, local_directory=str(folder / "scratch"),
+        dashboard_address="127.0.0.1:0", local_directory=str(folder / "scratch"),
     ) as cluster:  # fmt: skip
         yield cluster.scheduler_address, os.getpid()
 

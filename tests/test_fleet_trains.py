@@ -158,6 +158,10 @@ def test_a_fault_is_named_with_its_beginning_and_its_size(what: str) -> None:
 def test_healthy_trains_raise_no_alarm() -> None:
     found = faulty()
     assert {each.train[-2:] for each in found.unlike.findings} == {"01", "02", "03", "04", "05"}
+
+
+@pytest.mark.long
+def test_a_fleet_of_healthy_trains_raises_no_alarm() -> None:
     healthy = fleet_trains(drawn_fleet(pool(), 9, trains=6, trips=60))
     assert healthy.unlike.findings == ()
     assert healthy.unlike.train_months == pytest.approx(18.0, abs=1.0)
@@ -221,9 +225,11 @@ def drift(found: FleetTrains, train: str, channel: str) -> Drift:
     return next(each for each in found.drift if (each.train, each.channel) == (train, channel))
 
 
-def test_the_wear_of_wheels_and_a_season_are_found_where_the_trips_span_enough() -> None:
+@pytest.mark.parametrize("trips", [60, pytest.param(180, marks=pytest.mark.long)])
+def test_the_wear_of_wheels_and_a_season_are_found_where_the_trips_span_enough(trips: int) -> None:
+    """Over a year, of few trips or of many."""
     rows = drawn_fleet(
-        pool("flirt"), 11, trains=5, trips=180, trips_a_day=0.5, wear=0.0, season=0.06
+        pool("flirt"), 11, trains=5, trips=trips, trips_a_day=trips / 360.0, wear=0.0, season=0.06
     )
     months = (rows["start"] - rows["start"].min()) / pd.Timedelta(days=30.4375)
     rows.loc[rows["train"] == "flirt-02", "speed_scale"] += 0.0005 * months
