@@ -47,8 +47,8 @@ def edge_map_path(folder: str | Path, edge: str) -> Path:
 
     Examples
     --------
-    >>> edge_map_path("maps", "Wil/Gossau").name
-    'Wil%2FGossau.map'
+    >>> edge_map_path("maps", "850 Wil/Gossau").name
+    '850 Wil%2FGossau.map'
     """
     return Path(folder) / f"{quote(edge, safe=' ()+,')}{SUFFIX}"
 
