@@ -125,6 +125,22 @@ def test_trips_that_share_an_error_do_not_average_it_away() -> None:
     assert found.block(0, 0)[0, 0] == pytest.approx(0.04 / 2.0, rel=0.02)
 
 
+def test_a_gain_that_many_trips_share_does_not_explain_their_noise() -> None:
+    rows = drawn_fleet(pool("flirt"), 12, trains=4, trips=150)
+    # Two of them weigh no load: their efforts are as uncertain as a recorder's gain.
+    unknown = rows["train"].isin(sorted(rows["train"].unique())[:2]).to_numpy()
+    size = np.where(unknown, 0.05, 0.0)
+    rows["assumed_gain_std"] = np.where(unknown, size, np.nan)
+    for i, one in enumerate(("r0", "r1", "r2")):
+        for other in ("r0", "r1", "r2")[i:]:
+            rows[f"covariance_{one}_{other}"] += size**2 * rows[one] * rows[other]
+    kind = fleet_resistance(rows)["flirt"]
+    for one, true in zip(kind.trains, true_curves(kind, rows).values(), strict=True):
+        low, high = one.band(SPEEDS)
+        assert np.all((low < true) & (true < high)), one.train
+        assert np.max(np.abs(curve(one) / true - 1.0)) < 0.05
+
+
 def test_no_trip_that_determines_a_curve_is_refused() -> None:
     rows = pool("flirt").head(3).assign(refused="too short", message="too short")
     with pytest.raises(NotIdentifiableError, match="no trip determines"):

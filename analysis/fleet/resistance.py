@@ -342,8 +342,10 @@ def _effects(
     line = ways_of(rows)
     # Errors of a line that no other trip shows stay with the trip.
     shared = np.where((line >= 0)[:, None, None], curves.survey, 0.0)
+    # By the train's curve: by each trip's own, the gain would explain the trips' noise.
+    typical = pd.DataFrame(curves.values).groupby(train).transform("median").to_numpy()
     gains = np.zeros((len(rows), 3, 3))
-    gains[:, :, 0] = np.hypot(curves.gain_std, EMPTY_MASS_STD)[:, None] * curves.values
+    gains[:, :, 0] = np.hypot(curves.gain_std, EMPTY_MASS_STD)[:, None] * typical
     groups = (
         Group(train, trains, None, BETWEEN_TRAINS**2 * one, PRIOR_TRAINS, heavy=True),
         Group(period, periods, None, BETWEEN_PERIODS**2 * one, PRIOR_PERIODS),
