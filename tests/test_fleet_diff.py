@@ -231,6 +231,7 @@ def copied(folder: Path, file: str, old: str, new: str, compiled: bool = False) 
     return folder
 
 
+@pytest.mark.long
 def test_a_line_broken_in_another_checkout_is_named(
     place: Path,
     tmp_path: Path,
@@ -262,15 +263,20 @@ def test_a_line_broken_in_another_checkout_is_named(
 
 
 def test_parameters_that_change_the_bins_of_a_map(
-    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    place: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     words = ("--catalogue", place, "--workers", 0, "--trips", "weather = 'wet'")
+    words += ("-o", tmp_path / "changes")
     status, shown, _ = run(
         monkeypatch, capsys, "fleet", "diff", "now", "adhesion.bin_length=50", *words
     )
     assert status == 1
     assert "on 1 trip." in shown
     assert "resistance" not in shown, "the other analyses have no other parameters"
+    assert "<h2>" in (tmp_path / "changes" / "diff.html").read_text("utf-8")
 
 
 @pytest.mark.parametrize(

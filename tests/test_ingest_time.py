@@ -244,19 +244,8 @@ def undated(folder: Path, date: str, rows: int) -> tuple[Case, Path]:
     return case, case.path
 
 
-DATES = ["2000,0,0", "1980,1,6", "2000,1,1", "2080,1,6"]
-DEFAULT = {*zip(DATES, (7, 300, 900, 7), strict=True)}
-"""Each date and each number of rows once; the other pairs are long."""
-
-
-@pytest.mark.parametrize(
-    ("date", "rows"),
-    [
-        pytest.param(date, rows, marks=[] if (date, rows) in DEFAULT else pytest.mark.long)
-        for date in DATES
-        for rows in (7, 300, 900)
-    ],
-)
+@pytest.mark.parametrize("date", ["2000,0,0", "1980,1,6", "2000,1,1", "2080,1,6"])
+@pytest.mark.parametrize("rows", [7, 300, 900])
 def test_rows_without_a_date_get_that_of_the_rows_they_lead_to(
     tmp_path: Path, date: str, rows: int
 ) -> None:
