@@ -18,10 +18,10 @@ DISTANCE = Quantity("m", "km", 1e-3, 1)
 _TIME = "%Y-%m-%d %H:%M UTC"
 
 
-def trips_table(frame: pd.DataFrame) -> WordTable:
-    """Trips, as `trainlog.catalogue.Catalogue.query` gives them."""
+def trips_table(frame: pd.DataFrame, found: int) -> WordTable:
+    """Trips, as `trainlog.catalogue.Catalogue.query` gives them; `found`: with those not listed."""
     table = new_table(
-        f"{len(frame):,} trips" if len(frame) != 1 else "1 trip",
+        f"{found:,} trips" if found != 1 else "1 trip",
         Column("key"),
         Column("trip"),
         Column("train"),
@@ -87,11 +87,16 @@ def overview_table(catalogue: Catalogue) -> WordTable:
     return table
 
 
-def problems_table(frame: pd.DataFrame) -> WordTable:
-    """Files that do not count, as `trainlog.catalogue.Catalogue.uncounted` gives them."""
-    table = new_table("Files that do not count", "file", "what", "of, or reason", name="problems")
+def problems_table(catalogue: Catalogue) -> WordTable:
+    """Files that do not count, with the reasons, and damaged logs that do."""
+    title = "Files that do not count, and damaged logs that do"
+    table = new_table(title, "file", "what", "of, or reason", name="problems")
+    frame = catalogue.uncounted()
     for row in frame.to_dict("records"):
         table.add_row(row["path"], row["what"], row["reason"])
+    damaged = catalogue.query("quality = 'damaged'", columns=["path", "name", "damage"])
+    for row in damaged.to_dict("records"):
+        table.add_row(row["path"] or row["name"], "damaged", row["damage"])
     return table
 
 

@@ -67,7 +67,16 @@ def test_files_are_registered_once_and_the_fullest_recording_of_a_drive_counts(
 ) -> None:
     catalogue = where()
     first, again = catalogue.add(logs), catalogue.add(logs)
-    assert [each.state for each in first.outcomes] == ["new"] * 3
+    assert {Path(each.path).name: each.state for each in first.outcomes} == {
+        "nonstop.mcap": "new",
+        "stopping.mcap": "new",
+        "part.mcap": "recording",
+    }
+    shutil.copy(logs / "nonstop.mcap", logs / "zzz.mcap")
+    assert [each.state for each in catalogue.add(logs / "zzz.mcap").outcomes] == ["copy"]
+    copies = catalogue.uncounted().set_index("what").loc["copy"]
+    assert copies["path"] == str(logs / "zzz.mcap")
+    assert str(logs / "nonstop.mcap") in copies["reason"]
     assert [each.state for each in again.outcomes] == ["known"] * 3
     found = catalogue.query()
     assert found["name"].tolist() == ["trip-01", "trip-03"]
@@ -306,7 +315,9 @@ def test_a_damaged_log_is_a_trip_that_says_so(
     data = (SAMPLES / "stopping.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
     catalogue = where()
-    catalogue.add(tmp_path / "cut.mcap")
+    added = catalogue.add(tmp_path / "cut.mcap")
+    assert added.sentence == "1 new trip (1 of damaged logs)"
+    assert "lost" in added.outcomes[0].damage
     row = catalogue.query("quality = 'damaged' and damage like '%lost%'").iloc[0]
     whole = trainlog.read(SAMPLES / "stopping.mcap")
     assert 0.5 * whole.duration < row["duration"] < 0.8 * whole.duration
@@ -380,7 +391,25 @@ def test_commands_take_the_trips_of_an_expression(
 
     assert ran("catalogue", "list")[0] == 2
     status, shown, _ = ran("catalogue", "add", logs)
-    assert (status, shown) == (0, "3 new trips\n")
+    assert (status, shown) == (0, "2 new trips, 1 other recording of the same drives\n")
+    status, shown, _ = ran("catalogue", "query", "--most", "1")
+    assert "2 trips" in shown
+    assert "and 1 more" in shown
+    status, shown, _ = ran("catalogue", "list", "--problems", "--json")
+    assert [each["what"] for each in json.loads(shown)["problems"]] == ["same drive"]
+    status, shown, _ = ran("catalogue", "query", "--where", "to_km > 20 and duration_s > '1 s'")
+    assert status == 0
+    status, _, said = ran("catalogue", "query", "--where", "weather = 'Wet'")
+    assert status == 0
+    assert "no trip has the weather 'Wet'; did you mean 'wet'?" in " ".join(said.split())
+    for words, complaint in (
+        (["--train", "TPF"], "no trip has the train 'TPF';"),
+        (["--line", "StGallen-Will"], "no trip has the line 'StGallen-Will';"),
+        (["--from", "2024-10-09", "--to", "2024-10-07"], "ends before it begins"),
+    ):
+        status, _, said = ran("catalogue", "query", *words)
+        assert status == 2
+        assert complaint in " ".join(said.split())
     status, shown, _ = ran("check", "--trips", "weather = 'wet'", "--json")
     assert [each["log"] for each in json.loads(shown)["logs"]] == [
         str(logs / "deep" / "stopping.mcap")

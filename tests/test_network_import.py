@@ -15,6 +15,7 @@ from infrastructure_files import RAILML_2, RAILML_3
 
 import trainlog
 from analysis.network.export import export_network
+from analysis.network.table import network_tables
 from trainlog.errors import InputError
 from trainlog.formats.imports import import_file, networks_in
 from trainlog.formats.line import read_line
@@ -379,7 +380,13 @@ def test_a_route_of_railml_2_has_its_gradients_curves_limits_and_kilometres(
 
 
 def test_what_a_network_does_not_hold_of_railml_2_is_counted(tmp_path: Path) -> None:
-    _, dropped = railml(RAILML_2, tmp_path)
+    (network,), dropped = railml(RAILML_2, tmp_path)
+    sentences = [each for each in network_tables(network).renderables if isinstance(each, str)]
+    assert any(
+        each.startswith("gradients assumed on all or a part of")
+        and each.endswith("km long together")
+        for each in sentences
+    )
     assert "signals: 2" in dropped
     assert "levelCrossings: 1" in dropped
     assert "speedChanges of categories of trains or speed profiles: 1" in dropped

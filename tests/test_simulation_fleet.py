@@ -250,6 +250,8 @@ def test_faults_show_in_the_physics_from_their_day_on_and_change_nothing_else(
     faulty = draw_fleet(
         network, trains=1, days=4, trips=8, seed=5, faults=[Fault.of(each) for each in words]
     )
+    assert "flirt-01 dragging brake 2000 N from 2026-10-03" in repr(faulty)
+    assert "flirt-01 effort gain -5 % from 2026-10-03" in repr(faulty)
     early = (sound.scenario(0), faulty.scenario(0))
     assert early[0].truth() == early[1].truth()
     number = 6

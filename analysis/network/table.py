@@ -71,7 +71,10 @@ def _unknown(network: Network) -> list[str]:
         edges = [edge for edge in network.edges if name in edge.line.assumed]
         length = sum(edge.line.length for edge in edges) / 1e3
         which = "all edges" if len(edges) == len(network.edges) else _names(edges)
-        found.append(f"{name.replace('_', ' ')} assumed, {length:.3f} km: {which}")
+        found.append(
+            f"{name.replace('_', ' ')} assumed on all or a part of {which},"
+            f" {length:.3f} km long together"
+        )
     drawn = [edge for edge in network.edges if edge.line.geometry is None]
     if drawn:
         found.append(f"without coordinates: {_names(drawn)}")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -204,7 +206,7 @@ class Catalogue:
             new += [path for path in part if path not in known]
         for entries in batches(read_files(new, jobs)):
             state(self.register(entries).outcomes)
-        return Added(tuple(outcomes))
+        return Added(self._settled(outcomes))
 
     def register(self, entries: Sequence[FileEntry]) -> Added:
         """Register files that were looked at, in transactions of some hundred files.
@@ -223,7 +225,31 @@ class Catalogue:
             present = self._present(part)
             with self._database.writing() as connection:
                 outcomes += register(connection, part, time.time_ns(), present)
-        return Added(tuple(outcomes))
+        return Added(self._settled(outcomes))
+
+    def _settled(self, outcomes: Sequence[FileOutcome]) -> tuple[FileOutcome, ...]:
+        """New trips as they stand once all are registered: fuller recordings may have come."""
+        asked = (
+            sa.select(files.c.path, trips.c.standing, trips.c.quality, trips.c.damage)
+            .join(trips, trips.c.id == files.c.trip)
+            .where(files.c.state == "present")
+        )
+        found: dict[str, tuple[bool, str]] = {}
+        new = [each.path for each in outcomes if each.state in ("new", "recording")]
+        with self._database.reading() as connection:
+            for part in parts(new):
+                for path, standing, quality, damage in connection.execute(
+                    asked.where(files.c.path.in_(part))
+                ):
+                    lost = damage if quality == "damaged" else ""
+                    found[path] = (standing == "same drive", lost)
+        settled = []
+        for each in outcomes:
+            if each.state in ("new", "recording") and each.path in found:
+                other, damage = found[each.path]
+                each = replace(each, state="recording" if other else "new", damage=damage)
+            settled.append(each)
+        return tuple(settled)
 
     def _unchanged(self, paths: Sequence[str]) -> dict[str, tuple[Any, str]]:
         """Files that are known as they are, with their state and reason."""
@@ -351,7 +377,7 @@ class Catalogue:
         return removed
 
     def uncounted(self) -> pd.DataFrame:
-        """What does not count, and why: other recordings, older versions, vanished, refused.
+        """What does not count, and why: copies, other recordings, old versions, vanished, refused.
 
         Returns
         -------
@@ -369,12 +395,27 @@ class Catalogue:
         state = sa.select(files.c.path, files.c.state, files.c.reason).where(
             files.c.state.in_(("vanished", "refused"))
         )
+        first = (
+            sa.select(files.c.trip, sa.func.min(files.c.path).label("path"))
+            .where(files.c.state == "present")
+            .group_by(files.c.trip)
+            .subquery()
+        )
+        copies = sa.select(files.c.path, first.c.path).where(
+            files.c.trip == first.c.trip, files.c.state == "present", files.c.path != first.c.path
+        )
         with self._database.reading() as connection:
             found = [
                 (path, what, f"{'' if share is None else f'{share:.0%} in '}'{name}' ({key[:8]})")
                 for path, what, name, share, key in connection.execute(standing)
             ]
             found += [(path, what, reason) for path, what, reason in connection.execute(state)]
+            known = {path for path, *_ in found}
+            found += [
+                (path, "copy", f"the same as {other}")
+                for path, other in connection.execute(copies)
+                if path not in known
+            ]
         return pd.DataFrame(sorted(found), columns=["path", "what", "reason"])
 
     def overview(self) -> pd.DataFrame:
@@ -486,11 +527,61 @@ class Catalogue:
             found.append(trips.c.train == train)
         if line is not None:
             found.append(on_line(trips.c.line == line, trip_edges.c.edge == line))
-        if start is not None:
-            found.append(trips.c.start >= times_of(start, zone)[0])
-        if end is not None:
-            found.append(trips.c.start <= times_of(end, zone)[1])
+        first = None if start is None else times_of(start, zone)[0]
+        last = None if end is None else times_of(end, zone)[1]
+        if first is not None and last is not None and first > last:
+            raise InputError(
+                f"the time from {start} to {end} ends before it begins",
+                remedy="give the earlier time first",
+            )
+        if first is not None:
+            found.append(trips.c.start >= first)
+        if last is not None:
+            found.append(trips.c.start <= last)
         return found
+
+    def unmatched(
+        self, where: str | None = None, train: str | None = None, line: str | None = None
+    ) -> list[str]:
+        """Names that are asked for and that no trip has, each in a sentence with similar ones.
+
+        Parameters are those of `query`; of an expression, texts that a column must equal.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     _ = catalogue.add("sample_logs")
+        ...     catalogue.unmatched("weather = 'Wet'")
+        ["no trip has the weather 'Wet'; did you mean 'wet'? known: dry, wet"]
+        """
+        from trainlog.catalogue.where import texts_asked
+
+        asked = [] if where is None else texts_asked(where)
+        asked += [(n, v) for n, v in (("train", train), ("line", line)) if v is not None]
+        found = []
+        for column, value in dict.fromkeys(asked):
+            values = self._values(column)
+            if value in values:
+                continue
+            folded = {each.casefold(): each for each in reversed(values)}
+            close = get_close_matches(value.casefold(), list(folded), n=1)
+            meant = f" did you mean '{folded[close[0]]}'?" if close else ""
+            more = f" and {len(values) - 8} more" if len(values) > 8 else ""
+            known = f" known: {', '.join(values[:8])}{more}" if values else " none states any"
+            found.append(f"no trip has the {column} '{value}';{meant}{known}")
+        return found
+
+    def _values(self, column: str) -> list[str]:
+        """Texts of a column, of the trips that count; of lines, the edges of routes, too."""
+        counts = trips.c.standing == "counts"
+        asked = [sa.select(trips.c[column]).where(counts).distinct()]
+        if column == "line":
+            edges = sa.select(trip_edges.c.edge).join(trips, trips.c.id == trip_edges.c.trip)
+            asked.append(edges.where(counts).distinct())
+        with self._database.reading() as connection:
+            found = {value for each in asked for value in connection.execute(each).scalars()}
+        return sorted(each for each in found if each is not None)
 
     def paths(self, where: str | None = None, **limits: Any) -> list[Path]:
         """The logs of the trips that `query` chooses, in its order.
@@ -502,10 +593,12 @@ class Catalogue:
         """
         found = self.query(where, columns=["name", "key", "path"], **limits)
         if not len(found):
+            why = self.unmatched(where, limits.get("train"), limits.get("line"))
             raise InputError(
-                f"no trip of the {counted(len(self), 'trip')} of the catalogue is chosen",
+                f"no trip of the {counted(len(self), 'trip')} of the catalogue is chosen"
+                + "".join(f"; {each}" for each in why),
                 file=self.place,
-                remedy="ask for others; 'trainlog catalogue list' shows what there is",
+                remedy="'trainlog catalogue list' shows which trains and lines there are",
             )
         gone = found[found["path"].isna()]
         if len(gone):

@@ -21,10 +21,11 @@ from trainlog.identity import Known, TripIdentity, same_drives
 if TYPE_CHECKING:
     from trainlog.catalogue.reading import FileEntry
 
-FileState = Literal["new", "version", "moved", "copy", "known", "refused"]
+FileState = Literal["new", "recording", "version", "moved", "copy", "known", "refused"]
 
 FILE_STATES: dict[FileState, str] = {
     "new": "a trip that was not known",
+    "recording": "another recording of a drive, of which a fuller one counts",
     "version": "another content under a known name",
     "moved": "a known trip whose file stood elsewhere",
     "copy": "a known trip whose other file is still there",
@@ -39,11 +40,12 @@ _AT_ONCE = 500
 
 @dataclass(frozen=True)
 class FileOutcome:
-    """What became of a file: one of `FILE_STATES`, and why it was refused."""
+    """What became of a file: one of `FILE_STATES`, why it was refused, and what of it is lost."""
 
     path: str
     state: FileState
     reason: str = ""
+    damage: str = ""
 
 
 @dataclass(frozen=True, repr=False)
@@ -70,6 +72,10 @@ class Added:
         """All of them in a line."""
         count = self.counts
         words = [f"{counted(count['new'], 'new trip')}"]
+        damaged = len([each for each in self.of("new") if each.damage])
+        words[0] += f" ({damaged} of damaged logs)" if damaged else ""
+        other = count["recording"]
+        words += [f"{counted(other, 'other recording')} of the same drives"] if other else []
         words += [f"{counted(count['version'], 'new version')}"] if count["version"] else []
         words += [f"{count['moved']} moved"] if count["moved"] else []
         words += [f"{counted(count['copy'], 'copy').replace('copys', 'copies')}"] * bool(

@@ -46,6 +46,11 @@ FUNCTIONS = {
 """Functions of expressions, each as it is written."""
 
 _COLUMNS = {each.name: each for each in TRIP_COLUMNS}
+_AS_JSON = {
+    f"{each.name}_{each.unit}": each for each in TRIP_COLUMNS if each.unit in ("s", "m", "kg")
+} | {"from_km": _COLUMNS["km_from"], "to_km": _COLUMNS["km_to"]}
+"""Columns by the keys that ``catalogue query --json`` gives them."""
+
 _WORDS = [each.name for each in TRIP_COLUMNS if each.kind != "json"]
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-z]+)?\s*")
 _NANOSECONDS_A_DAY = 86_400_000_000_000
@@ -97,6 +102,27 @@ def condition_of(text: str, zone: str | None = None) -> sa.ColumnElement[bool]:
     trainlog.errors.InputError: expression "wether = 'wet'", column 1: 'wether' is no column; did...
     """
     return _Compiler(text, zone).condition()
+
+
+def texts_asked(text: str) -> list[tuple[str, str]]:
+    """Columns of texts, and the texts that an expression asks them to equal, in its order.
+
+    Examples
+    --------
+    >>> texts_asked("weather = 'wet' and train in ('flirt-01', 'flirt-02') and load > '10 t'")
+    [('weather', 'wet'), ('train', 'flirt-01'), ('train', 'flirt-02')]
+    """
+    found: list[tuple[str, str]] = []
+    (parsed,) = sqlglot.parse(f"({text})")
+    for node in parsed.find_all(exp.EQ, exp.In, bfs=False) if parsed is not None else ():
+        sides = (
+            [node.this, *node.expressions] if isinstance(node, exp.In) else list(node.args.values())
+        )
+        names = [each.name.lower() for each in sides if isinstance(each, exp.Column)]
+        texts = [each.this for each in sides if isinstance(each, exp.Literal) and each.is_string]
+        if len(names) == 1 and names[0] in _COLUMNS and _COLUMNS[names[0]].kind == "text":
+            found += [(names[0], each) for each in texts]
+    return found
 
 
 class _Compiler:
@@ -254,7 +280,7 @@ class _Compiler:
         if not isinstance(node.this, exp.Identifier) or node.args.get("table") is not None:
             raise self.forbidden(node)
         name = node.this.this
-        column = _COLUMNS.get(name) or _COLUMNS.get(name.lower())
+        column = _COLUMNS.get(name) or _COLUMNS.get(name.lower()) or _AS_JSON.get(name)
         if column is None:
             close = get_close_matches(name.lower(), _WORDS, n=1)
             meant = f"did you mean '{close[0]}'? " if close else ""

@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from trainlog.cli.options import CatalogueOption, ZoneOption
-from trainlog.cli.terminal import console, current, print_error, state, wrote
+from trainlog.cli.terminal import console, current, print_error, print_warning, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.progress import task
 
 if TYPE_CHECKING:
-    from trainlog.catalogue import FileOutcome
+    import pandas as pd
+
+    from trainlog.catalogue import Catalogue, FileOutcome
 
 app = typer.Typer()
 catalogue_app = typer.Typer(
@@ -103,9 +105,17 @@ def catalogue_add(
     content = {
         "catalogue": opened.place,
         "counts": added.counts,
+        "damaged": [
+            {"path": each.path, "damage": each.damage} for each in added.outcomes if each.damage
+        ],
         "refused": [{"path": each.path, "reason": each.reason} for each in refused],
     }
     if not state(content):
+        for each in added.outcomes:
+            if each.damage:
+                console.print(
+                    f"damaged: {each.path}: {each.damage}", highlight=False, soft_wrap=True
+                )
         console.print(added.sentence, highlight=False, soft_wrap=True)
     if refused:
         raise typer.Exit(2 if len(refused) == len(added.outcomes) else 1)
@@ -118,8 +128,8 @@ def catalogue_list(
         bool,
         typer.Option(
             "--problems",
-            help="List the files that do not count, with the reason: other recordings of a drive,"
-            " older versions, vanished and refused files.",
+            help="List the files that do not count, with the reason: copies, other recordings of a"
+            " drive, older versions, vanished and refused files; and damaged logs that count.",
         ),
     ] = False,
 ) -> None:
@@ -132,9 +142,12 @@ def catalogue_list(
 
     with open_catalogue(catalogue, create=False) as opened:
         counts = opened.counts()
-        shown = problems_table(opened.uncounted()) if problems else overview_table(opened)
-        state({"catalogue": opened.place, "counts": counts})
-    console.print(shown)
+        shown = problems_table(opened) if problems else overview_table(opened)
+        as_json = state({"catalogue": opened.place, "counts": counts})
+    if shown.row_count or as_json or not problems:
+        console.print(shown)
+    else:
+        console.print("every file counts, and no log is damaged")
     words = ", ".join(f"{count:,} {name}" for name, count in counts.items() if count)
     console.print(words or "no trips", highlight=False)
 
@@ -176,14 +189,32 @@ def catalogue_query(
                 for path in found:
                     console.print(str(path), highlight=False, soft_wrap=True)
             return
-        frame = opened.query(where, zone=zone, **limits)
+        frame = _chosen(opened, where, zone, limits)
     most = most or (SHOWN if console.is_terminal and not current().as_json else None)
     shown = frame if most is None else frame.iloc[:most]
     if state({"trips": trips_as_data(shown), "count": len(frame)}):
         return
-    console.print(trips_table(shown))
+    console.print(trips_table(shown, len(frame)))
     if most is not None and len(frame) > most:
         console.print(f"and {len(frame) - most:,} more (--most lists more of them)")
+
+
+def _chosen(
+    catalogue: Catalogue, where: str | None, zone: str | None, limits: dict[str, Any]
+) -> pd.DataFrame:
+    """The trips that are asked for; where there is none, a train or line unknown is refused."""
+    found = catalogue.query(where, zone=zone, **limits)
+    if len(found):
+        return found
+    if why := catalogue.unmatched(None, limits["train"], limits["line"]):
+        raise InputError(
+            "; ".join(why),
+            file=catalogue.place,
+            remedy="'trainlog catalogue list' shows which trains and lines there are",
+        )
+    for each in catalogue.unmatched(where):
+        print_warning(each)
+    return found
 
 
 SHOWN = 50
@@ -209,7 +240,7 @@ def catalogue_export(
 
     limits: dict[str, Any] = {"train": train, "line": line, "start": since, "end": until}
     with open_catalogue(catalogue, create=False) as opened:
-        frame = opened.query(where, zone=zone, **limits)
+        frame = _chosen(opened, where, zone, limits)
     write_trips(frame, output)
     state({"trips": len(frame)})
     console.print(counted(len(frame), "trip"), highlight=False)

@@ -61,13 +61,17 @@ def network_import(
             remedy="lines are joined to a network with 'trainlog network build'",
         )
     networks, dropped = found
+    paths = []
     for number, network in enumerate(networks, start=1):
         path = output if len(networks) == 1 else _numbered(output, number)
         write_network(network, path)
-        wrote(path)
+        paths.append(path)
         console.print(_sentence(network), highlight=False)
+    if dropped:
+        console.print("Not taken over, repaired or assumed:", highlight=False)
     for each in dropped:
-        console.print(f"  not taken over or assumed: {each}", highlight=False)
+        console.print(f"  {each}", highlight=False)
+    wrote(*paths)
 
 
 def _numbered(path: Path, number: int) -> Path:
@@ -104,8 +108,8 @@ def network_build(
     given = name or output.name.partition(".")[0]
     found = network_of_lines(given, [read_line(each) for each in lines])
     write_network(found.network, output)
-    wrote(output)
     console.print(_sentence(found.network), *found.notes, sep="\n", highlight=False)
+    wrote(output)
 
 
 @network_app.command("show")
@@ -173,7 +177,6 @@ def network_export(
     from trainlog.formats.network import read_network
 
     found = export_network(read_network(network), output)
-    wrote(output)
     console.print(
         f"{counted(found.edges, 'edge')}, {counted(found.nodes, 'node')},"
         f" {counted(found.stations, 'station')}",
@@ -181,3 +184,4 @@ def network_export(
     )
     if found.left_out:
         console.print(f"left out without coordinates: {', '.join(found.left_out)}", highlight=False)
+    wrote(output)

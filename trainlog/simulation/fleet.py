@@ -235,11 +235,7 @@ class Fleet:
             + f" ... ({len(self.trains)})" * (len(self.trains) > 4),
             "days": f"{self.days}, from {first:%Y-%m-%d}",
             "trips": f"{self.trips}",
-            "faults": "; ".join(
-                f"{fault.train} {fault.kind} {fault.size:g}"
-                for each in self.trains
-                for fault in each.faults
-            )
+            "faults": "; ".join(fault.words for each in self.trains for fault in each.faults)
             or "none",
         }
         return as_text(f"Fleet, seed {self.seed}", rows)

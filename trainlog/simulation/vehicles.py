@@ -120,6 +120,20 @@ class Fault:
                 f"fault of train '{self.train}': {self.kind} is negative", remedy="give its size"
             )
 
+    @property
+    def words(self) -> str:
+        """Its train, kind, size with its unit, and first day.
+
+        Examples
+        --------
+        >>> Fault.of("train=flirt-03,dragging-brake=2kN,from=2026-10-12").words
+        'flirt-03 dragging brake 2000 N from 2026-10-12'
+        """
+        unit, factor = next(iter(UNITS[self.kind].items()))
+        first = pd.Timestamp(self.start, tz="UTC")
+        when = f"{first:%Y-%m-%d}" if first == first.normalize() else f"{first:%Y-%m-%d %H:%M} UTC"
+        return f"{self.train} {self.kind} {self.size / factor:g} {unit} from {when}"
+
     @staticmethod
     def of(words: str) -> Fault:
         """A fault from ``train=flirt-03,dragging-brake=2000N,from=2026-10-12``.
