@@ -7,6 +7,7 @@ from html import unescape
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from command import run
 
@@ -15,7 +16,7 @@ pytest.importorskip("sqlalchemy")
 from analysis.fleet.analyses import ANALYSES
 from analysis.fleet.codes import code_of
 from analysis.fleet.update import UpdateOptions, update_fleet
-from analysis.reports.fleet import FleetReportOptions, fleet_page
+from analysis.reports.fleet import FleetReportOptions, energy_sources, fleet_page
 from analysis.reports.page import Page, Section
 from analysis.tables import WordTable, records
 from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue
@@ -92,6 +93,13 @@ def test_trips_and_energy_are_those_of_the_tables(catalogue: Catalogue, page: Pa
     assert lost["slower"] == pytest.approx(driving["lost_slower"].mean())
 
 
+def test_sources_of_the_energy_from_the_line_are_stated_in_words() -> None:
+    words = energy_sources(pd.Series(["efficiencies", "efficiencies", "recorded", ""]))
+    assert "calculated by the efficiencies of the train's file: 2 runs" in words
+    assert "; recorded: 1 run" in words
+    assert "not known: 1 run" in words
+
+
 def test_what_was_refused_is_listed_with_its_reason_and_nothing_in_it_is_code(page: Page) -> None:
     (row,) = table_of(page, "refused")
     assert (row["analysis"], row["trips"]) == ("passport", 1)
@@ -136,6 +144,7 @@ def test_the_command_writes_one_page_that_asks_for_nothing(
     assert "fleet.html" in shown
     html = (tmp_path / "new" / "fleet.html").read_text("utf-8")
     assert "coloured by the maximum adhesion that is expected on wet rail" in html
+    assert "rail; grey" not in html
     links = re.findall(r'(?:src|href)="([^"]*)"', html)
     assert all(each.startswith(("#", "data:")) for each in links)
     assert re.search(r"script-src 'none'|script-src 'sha256-", html)

@@ -14,9 +14,11 @@ import pytest
 
 from analysis.fleet.drift import Drift
 from analysis.fleet.mixed import Group, mixed_effects
+from analysis.fleet.plot import draw_findings
 from analysis.fleet.resistance import KindResistance, TrainResistance, fleet_resistance
 from analysis.fleet.trains import FleetTrains, fleet_trains, trains_in
-from analysis.fleet.trains_table import trains_data
+from analysis.fleet.trains_table import trains_data, trains_table
+from analysis.tables import records
 from trainlog.errors import InputError, NotIdentifiableError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "fleet"))
@@ -197,6 +199,43 @@ def test_a_train_that_was_always_unlike_is_compared_with_its_kind() -> None:
     found = fleet_trains(drawn_fleet(pool("flirt"), 6, trains=9, trips=30, faults=(fault,)))
     (finding,) = found.unlike.findings
     assert (finding.train, finding.what, finding.against) == ("flirt-02", "sensor delay", "kind")
+
+
+def test_of_two_trains_none_is_called_unlike_the_other_and_this_is_stated(tmp_path: Path) -> None:
+    fault = Fault("dragging brake", 12000.0, 0, 0)
+    found = fleet_trains(drawn_fleet(pool("flirt"), 13, trains=2, trips=10, faults=(fault,)))
+    assert found.unlike.findings == ()
+    assert all(np.isnan(each.constant) for each in found.unlike.limits)
+    for shown in (found, found.only("flirt-01")):
+        assert "Too few trains of kind flirt (2)" in shown.too_few
+        assert trains_table(shown).renderables[0] == shown.too_few
+    path = tmp_path / "findings.svg"
+    draw_findings(found, path)
+    drawn = path.read_text("utf-8")
+    assert "Too few trains of kind flirt (2)" in drawn
+    assert "unlike the others" not in drawn
+
+
+def test_table_and_picture_state_one_band_above_zero() -> None:
+    (kind,) = fleet_resistance(drawn_fleet(pool("flirt"), 13, trains=2, trips=4))
+    low, high = kind.another.band_at(SPEEDS)
+    assert np.all(low >= 0.0)
+    assert high - curve(kind.another) == pytest.approx(kind.another.reach(SPEEDS))
+    # Two trains show a spread less well than a normal distribution would have it.
+    assert np.all(kind.another.reach(SPEEDS) > 2.3 * kind.another.std(SPEEDS))
+    rows = records(trains_table(fleet_trains(kind.rows)).renderables[1])
+    another = next(row for row in rows if row["train"] == "another flirt")
+    at = 80.0 / 3.6
+    assert 1.96 * another["resistance_at_80_km_h_std_N"] == pytest.approx(
+        float(kind.another.reach(at)), rel=1e-6
+    )
+
+
+def test_the_reason_for_seeing_nothing_counts_the_trips_of_the_kind() -> None:
+    found = fleet_trains(drawn_fleet(pool("flirt"), 13, trains=2, trips=2))
+    reasons = {each.channel: each.reason for each in found.unlike.limits}
+    assert reasons["constant resistance"] == "only 4 trips of the kind, fewer than 8"
+    assert reasons["size of the curve"] == "only 4 trips of the kind, fewer than 8"
 
 
 def test_what_is_not_recorded_is_not_judged_and_this_is_stated() -> None:

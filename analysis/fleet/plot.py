@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from numpy.typing import NDArray
 
-from analysis.fleet.mixed import TAIL
 from analysis.fleet.resistance import KindResistance
 from analysis.fleet.trains import FleetTrains
 from analysis.fleet.trains_table import AT
@@ -27,7 +27,6 @@ from analysis.plotting import (
     new_figure,
     write_figure,
 )
-from analysis.resistance.regression import band_factor, curve_std
 from trainlog.display import counted
 from trainlog.units import KMH
 
@@ -46,17 +45,16 @@ def draw_resistance(kind: KindResistance, found: FleetTrains, path: str | Path) 
     left, right = figure.subplots(1, 2)
     speed = np.linspace(0.0, kind.mean.asked[1], 120)
     unlike = {each.train for each in found.unlike.findings if each.kind == kind.kind}
-    factor = band_factor(kind.another.covariance, (0.0, kind.mean.asked[1]), kind.another.freedom)
-    spread = factor * curve_std(kind.another.covariance, speed)
+    low, high = kind.another.band_at(speed)
     mean = kind.mean.resistance(speed)
     left.fill_between(
         KMH * speed,
-        (mean - spread) / 1e3,
-        (mean + spread) / 1e3,
+        low / 1e3,
+        high / 1e3,
         color=PALE,
         alpha=0.7,
         lw=0.0,
-        label="95 % of trains of this kind",
+        label="95 % of trains of this kind, at each speed",
     )
     for each in kind.trains:
         other = each.train in unlike
@@ -77,7 +75,10 @@ def draw_resistance(kind: KindResistance, found: FleetTrains, path: str | Path) 
     legend(left)
     _by_train(right, kind, unlike)
     trips = counted(kind.mean.trips, "trip")
-    headline(figure, f"{counted(len(kind.trains), 'train')} of kind {kind.kind}, {trips}")
+    words = f"{counted(len(kind.trains), 'train')} of kind {kind.kind}, {trips}"
+    if not kind.compared:
+        words += "; too few trains of the kind to call one unlike the others"
+    headline(figure, words)
     write_figure(figure, path)
 
 
@@ -85,16 +86,14 @@ def _by_train(axes: Axes, kind: KindResistance, unlike: set[str]) -> None:
     """Resistance at 80 km/h of each train, the least first."""
     trains = sorted(kind.trains, key=lambda each: float(each.resistance(AT)))
     value = np.array([float(each.resistance(AT)) for each in trains]) / 1e3
-    reach = np.array([1.96 * float(each.std(AT)) for each in trains]) / 1e3
+    ends = np.array([each.band_at(AT) for each in trains], dtype=np.float64).reshape(-1, 2) / 1e3
     place = np.arange(len(trains))
     middle = float(kind.mean.resistance(AT)) / 1e3
-    from scipy.special import stdtrit
-
-    wide = float(stdtrit(min(kind.another.freedom, TAIL), 0.975)) * float(kind.another.std(AT))
-    axes.axvspan(middle - wide / 1e3, middle + wide / 1e3, color=PALE, alpha=0.7, lw=0.0)
+    low, high = kind.another.band_at(AT)
+    axes.axvspan(float(low) / 1e3, float(high) / 1e3, color=PALE, alpha=0.7, lw=0.0)
     axes.axvline(middle, color=INK, lw=1.0)
     colours = [RED if each.train in unlike else BLUE for each in trains]
-    axes.hlines(place, value - reach, value + reach, colors=colours, lw=1.4)
+    axes.hlines(place, ends[:, 0], ends[:, 1], colors=colours, lw=1.4)
     axes.scatter(value, place, c=colours, s=16, zorder=3)
     dress(
         axes,
@@ -164,9 +163,12 @@ def draw_drift(kind: str, found: FleetTrains, path: str | Path) -> None:
 def draw_findings(found: FleetTrains, path: str | Path) -> None:
     """Each finding: the channel that showed it, trip by trip, and since when."""
     findings: list[Finding] = list(found.unlike.findings)[:24]
-    columns = min(3, max(len(findings), 1))
-    rows = -(-max(len(findings), 1) // columns)
-    figure = new_figure(4.0 * columns, 2.7 * rows + 0.5)
+    if not findings:
+        _draw_none(found, path)
+        return
+    columns = min(3, len(findings))
+    rows = -(-len(findings) // columns)
+    figure = new_figure(max(4.0 * columns, 7.0), 2.7 * rows + 0.5)
     panels = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     for axes, each in zip(panels, findings, strict=False):
         series = found.unlike.series[each.kind][each.channel]
@@ -186,11 +188,21 @@ def draw_findings(found: FleetTrains, path: str | Path) -> None:
         axes.set_title(f"{each.train}\n{cause}", loc="left", fontsize=9, color=INK)
     for axes in panels[len(findings) :]:
         axes.set_axis_off()
-    if not findings:
-        panels[0].text(0.0, 0.5, "no train is unlike the others", color=INK)
     headline(
         figure,
         f"{counted(len(found.unlike.findings), 'finding')}; at most"
         f" {100.0 * found.unlike.rate:g} % of healthy trains raise an alarm in a month",
     )
+    write_figure(figure, path)
+
+
+def _draw_none(found: FleetTrains, path: str | Path) -> None:
+    """That there is no finding, and what this does not mean."""
+    figure = new_figure(8.0, 1.3)
+    headline(figure, f"No finding in {found.unlike.train_months:.1f} months of trains")
+    words = (
+        f"{found.too_few} At most {100.0 * found.unlike.rate:g} % of healthy trains raise an alarm"
+        " in a month. A fault smaller than the limits of the table would not be seen."
+    )
+    figure.text(0.01, 0.66, fill(words.strip(), 105), color=INK, fontsize=9, va="top")
     write_figure(figure, path)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import stdtrit
 
 from analysis.fleet.mixed import TAIL, Group, MixedEffects, mixed_effects
 from analysis.resistance.combination import (
@@ -27,7 +28,7 @@ from analysis.resistance.combination import (
     node_curves,
 )
 from analysis.resistance.fit import curve_picture, curve_words
-from analysis.resistance.regression import band_factor, curve_std
+from analysis.resistance.regression import CONFIDENCE, band_factor, curve_std
 from trainlog.display import as_html, as_text, counted
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.railway.resistance import RunningResistance
@@ -63,6 +64,10 @@ MOST_LINES = 60
 
 FEWEST_TRAINS = 4
 """Of fewer trains than this, what a day does to all cannot be distinguished from what one does."""
+
+FEWEST_COMPARED = 3
+"""Of fewer trains of a kind none can be called unlike the others: two lie equally far from their
+mean, whichever of them is at fault."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +111,15 @@ class TrainResistance:
     def std(self, speed: ArrayLike) -> FloatArray:
         """Standard deviation of the curve [N] at each speed [m/s]."""
         return curve_std(self.covariance, speed)
+
+    def reach(self, speed: ArrayLike) -> FloatArray:
+        """Half width [N] of the 95 % band at each single speed [m/s]: of a Student distribution."""
+        return float(stdtrit(self.freedom, 0.5 + 0.5 * CONFIDENCE)) * self.std(speed)
+
+    def band_at(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper end [N] of the 95 % band at each single speed; never below zero."""
+        value, reach = self.resistance(speed), self.reach(speed)
+        return np.maximum(value - reach, 0.0), value + reach
 
     def band(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Lower and upper end [N] of the 95 % band of the whole curve, from standstill up."""
@@ -162,6 +176,11 @@ class KindResistance:
             "between trains": f"{spread:.2f} kN at {KMH * top:.0f} km/h",
         }
         return as_text(f"{counted(len(self.trains), 'train')} of kind {self.kind}", rows)
+
+    @property
+    def compared(self) -> bool:
+        """Whether its trains suffice to call one unlike the others."""
+        return int(self.rows["train"].nunique()) >= FEWEST_COMPARED
 
     def __getitem__(self, train: str) -> TrainResistance:
         """The curve of a train; of one without trips what is expected of it."""

@@ -9,6 +9,7 @@ import pandas as pd
 
 from analysis.fleet.drift import Drift, drift_of
 from analysis.fleet.resistance import (
+    FEWEST_COMPARED,
     FleetResistance,
     KindResistance,
     drives_of,
@@ -39,6 +40,22 @@ class FleetTrains:
     unlike: UnlikeTrains
     drift: tuple[Drift, ...]
     trips: dict[str, pd.DataFrame]
+
+    @property
+    def too_few(self) -> str:
+        """That kinds have too few trains to compare them; empty where all have enough."""
+        few = [
+            f"{kind.kind} ({kind.rows['train'].nunique()})"
+            for kind in self.resistance
+            if not kind.compared
+        ]
+        if not few:
+            return ""
+        return (
+            f"Too few trains of kind {', '.join(few)}: comparison with the kind is not possible, it"
+            f" needs {FEWEST_COMPARED} trains. Each is compared with its own past alone; a fault"
+            " that it had from its first trip on is not seen."
+        )
 
     def of(self, train: str) -> tuple[Finding, ...]:
         """The findings of a train."""

@@ -39,12 +39,14 @@ def trains_table(found: FleetTrains) -> Group:
             table.add_cells(*_cells(found, kind, train))
     table.caption_justify = "left"
     table.caption = "± half the 95 % band"
-    return Group(table, findings_table(found), limits_table(found))
+    tables = table, findings_table(found), limits_table(found)
+    return Group(found.too_few, *tables) if found.too_few else Group(*tables)
 
 
 def _cells(found: FleetTrains, kind: KindResistance, train: TrainResistance) -> tuple[Any, ...]:
-    mean = float(kind.mean.resistance(AT))
-    value, std = float(train.resistance(AT)), float(train.std(AT))
+    mean, value = float(kind.mean.resistance(AT)), float(train.resistance(AT))
+    # The band of a Student distribution, as the standard deviation of which a table shows 1.96.
+    std = float(train.reach(AT)) / 1.96
     if not train.train:
         trend = _drift(found, "", kind.kind, "size of the curve")
         wheels = _drift(found, "", kind.kind, "speed scale")
@@ -104,6 +106,8 @@ def findings_table(found: FleetTrains) -> WordTable:
     table.caption = (
         f"A healthy train raises an alarm in at most {100.0 * unlike.rate:g} % of months."
     )
+    if not unlike.findings:
+        table.caption += " None raised one; what would not be seen is listed by kind."
     return table
 
 
@@ -207,6 +211,7 @@ def _kind_data(kind: KindResistance) -> dict[str, Any]:
         "kind": kind.kind,
         "mean": _curve_data(kind.mean),
         "another": _curve_data(kind.another),
+        "compared": kind.compared,
         "between_trains": kind.between.tolist(),
         "between_trips": kind.within.tolist(),
         "trains": [_curve_data(each) for each in kind.trains],

@@ -28,9 +28,17 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import betainc
 
-from analysis.fleet.channels import CHANNELS, Series, beyond, channel_table, series_of
+from analysis.fleet.channels import (
+    CHANNELS,
+    FEWEST_TRIPS,
+    Series,
+    beyond,
+    channel_table,
+    series_of,
+)
 from analysis.fleet.naming import Explanation, Shift, explained
 from analysis.fleet.resistance import KindResistance
+from trainlog.display import counted
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -189,12 +197,13 @@ def unlike_trains(
             if (series := series_of(channel, table[channel.name], trips)) is not None
         }
         every[kind.kind] = found
+        shown = {name: int(np.isfinite(value).sum()) for name, (value, _) in table.items()}
         for train, rows in trips.groupby("train", sort=True):
             start = rows["start"]
             months += max(float((start.max() - start.min()) / MONTH), 1.0 / 30.0)
             watch = _Watch(str(train), kind, trips, found, rate)
             findings += watch.findings()
-            limits += watch.limits()
+            limits += watch.limits(shown)
     return UnlikeTrains(tuple(findings), tuple(limits), rate, months, every)
 
 
@@ -245,7 +254,7 @@ class _Watch:
             end = int(
                 np.flatnonzero(self.mine & (self.trips["start"] >= found[0].since).to_numpy())[0]
             )
-        constant = self._from_the_start(end)
+        constant = self._from_the_start(end) if self.kind.compared else None
         if constant is not None:
             p, name, seen = constant
             found.insert(0, self._finding(name, p, int(places[0]), seen, -1, "kind", end))
@@ -365,15 +374,19 @@ class _Watch:
         past, past_variance = _level(one.own[before][-BEFORE:], one.std[before][-BEFORE:], tail)
         return Shift(one.series.channel, value - past, variance + past_variance)
 
-    def limits(self) -> list[Limit]:
-        """What would not be seen on this train."""
+    def limits(self, shown: dict[str, int]) -> list[Limit]:
+        """What would not be seen on this train; `shown` are the trips of the kind by channel."""
         found = []
         for channel in CHANNELS:
             if channel.name in ("power", "effort over mass"):
                 continue
             name, one = channel.name, self.watched.get(channel.name)
             if one is None or one.place.size == 0:
-                found.append(Limit(self.train, name, channel.unit, np.nan, np.nan, _missing(name)))
+                reason = _missing(name)
+                if one is None and shown[name]:
+                    trips = counted(shown[name], "trip")
+                    reason = f"only {trips} of the kind, fewer than {FEWEST_TRIPS}"
+                found.append(Limit(self.train, name, channel.unit, np.nan, np.nan, reason))
                 continue
             std = float(np.median(one.std))
             change = np.nan
@@ -381,7 +394,7 @@ class _Watch:
             if one.place.size >= FEWEST_BEFORE:
                 change = _least_change(one.series, std, count, self.level)
             constant = np.nan
-            if one.series.common:
+            if one.series.common and self.kind.compared:
                 spread = np.hypot(one.series.between, 1.25 * std / np.sqrt(5.0))
                 constant = channel.tolerance + spread * (
                     _quantile(self.once, one.series.freedom) + 1.3

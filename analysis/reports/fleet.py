@@ -300,16 +300,31 @@ def _energy(fleet: _Fleet) -> list[Part]:
         return ["No trip has its times and energy computed."]
     rows = rows[rows["distance"] > 0.0]
     by_edge, by_train = (_energy_of(rows, by) for by in ("edge", "train"))
-    sources = rows["line_energy_source"].value_counts()
-    words = ", ".join(f"{count:,} {name or 'not known'}" for name, count in sources.items())
     return [
         _bars(by_train, "train"),
         _energy_table(by_train, "train"),
         _bars(by_edge, "line or edge"),
         _energy_table(by_edge, "line or edge"),
-        f"Energy from the line, of runs over an edge: {words}.",
+        energy_sources(rows["line_energy_source"]),
         _lost(rows),
     ]
+
+
+_SOURCES = {
+    "recorded": "recorded",
+    "efficiencies": "calculated by the efficiencies of the train's file",
+    "": "not known",
+}
+"""Words of where the energy from the line is from."""
+
+
+def energy_sources(sources: pd.Series) -> str:
+    """Where the energy from the line of runs over an edge is from, with their number."""
+    words = "; ".join(
+        f"{_SOURCES.get(str(name), str(name))}: {counted(int(count), 'run')}"
+        for name, count in sources.fillna("").value_counts().items()
+    )
+    return f"Energy from the line, of runs over an edge, {words}."
 
 
 def _energy_of(rows: pd.DataFrame, by: str) -> pd.DataFrame:
@@ -337,7 +352,7 @@ def _energy_table(found: pd.DataFrame, what: str) -> WordTable:
         Column("distance", DISTANCE), Column("traction at the wheel", PER_KM, "traction"),
         Column("dynamic brake at the wheel", PER_KM, "dynamic_brake"),
         Column("from the line less fed back", PER_KM, "from_the_line"),
-        Column("slip protection acted", NUMBER, "slips"),
+        Column("slip protection acted, times", NUMBER, "slips"),
         name=f"energy_by_{what.split(' ')[0]}", caption=_more(len(found) - len(kept)),
         caption_justify="left",
     )  # fmt: skip

@@ -96,8 +96,7 @@ def _drawn(network: Network, layer: str, rows: pd.DataFrame, span: tuple[float, 
     )  # fmt: skip
     return drawn(
         lambda path: draw(path),
-        f"The network, coloured by the maximum adhesion that is expected on {layer} rail; grey"
-        " where nothing was observed.",
+        f"The network, coloured by the maximum adhesion that is expected on {layer} rail.",
         "Grey where nothing was observed: there the maps have no estimate.",
     )
 

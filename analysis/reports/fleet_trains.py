@@ -7,7 +7,7 @@ from functools import partial
 from analysis.fleet.plot import channels_over_time, draw_drift, draw_findings, draw_resistance
 from analysis.fleet.trains import FleetTrains
 from analysis.fleet.trains_table import findings_table, limits_table, trains_table
-from analysis.reports.page import Part
+from analysis.reports.page import Part, Warned
 from analysis.reports.pictures import drawn
 from analysis.tables import new_table
 
@@ -25,16 +25,23 @@ def resistance_parts(found: FleetTrains) -> list[Part]:
         for kind in found.resistance
     ]
     # Findings and limits have a section of their own.
-    return [*pictures, trains_table(found).renderables[0]]
+    every = [
+        each for each in trains_table(found).renderables if getattr(each, "name", "") == "trains"
+    ]
+    return [*_few(found), *pictures, *every]
 
 
 def unlike_parts(found: FleetTrains) -> list[Part]:
     """Trains that are not like the others, with the rate of false alarms and what is not seen."""
-    parts: list[Part] = [findings_table(found)]
+    parts: list[Part] = [*_few(found), findings_table(found)]
     if found.unlike.findings:
         words = "Of each finding the channel that shows it, trip by trip."
         parts.append(drawn(partial(draw_findings, found), words))
     return [*parts, limits_table(found)]
+
+
+def _few(found: FleetTrains) -> list[Part]:
+    return [Warned(found.too_few)] if found.too_few else []
 
 
 def drift_parts(found: FleetTrains) -> list[Part]:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from trainlog.cli.fleet import fleet_app
+from trainlog.cli.fleet import TripsOption, fleet_app
 from trainlog.cli.options import CatalogueOption
 from trainlog.cli.terminal import console, wrote
 from trainlog.errors import InputError
@@ -20,16 +20,19 @@ app = typer.Typer()
 def trains(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for JSON and pictures.")],
     catalogue: CatalogueOption = None,
-    kind: Annotated[str | None, typer.Option(help="Only trains of this kind.")] = None,
+    kind: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Only trains of this kind.")
+    ] = None,
     train: Annotated[
-        str | None, typer.Option(help="Show only this train; others are compared with it.")
-    ] = None,
-    where: Annotated[
         str | None,
-        typer.Option(metavar="EXPRESSION", help="Only trips of which this holds: \"line = 'X'\"."),
+        typer.Option(metavar="NAME", help="Show only this train, compared with the others."),
     ] = None,
+    trips: TripsOption = None,
     false_alarms: Annotated[
-        float, typer.Option(help="Share (%) of healthy trains that raise an alarm in a month.")
+        float,
+        typer.Option(
+            metavar="PERCENT", help="Share (%) of healthy trains that raise an alarm in a month."
+        ),
     ] = 1.0,
 ) -> None:
     """Show resistance, drift and findings of every train: which ones are not like the others.
@@ -57,7 +60,7 @@ def trains(
             remedy="give a share in %, such as 1",
         )
     with open_catalogue(catalogue) as known:
-        found = trains_in(known, kind=kind, where=where, rate=false_alarms / 100.0)
+        found = trains_in(known, kind=kind, where=trips, rate=false_alarms / 100.0)
     shown = found if train is None else found.only(train)
     written = []
     with output_folder(output):
