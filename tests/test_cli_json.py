@@ -218,7 +218,7 @@ PURE = {
     *("trips", "repairs", "samples", "count", "same", "back", "removed"),
     *("against_kind", "against_kind_std", "band_ratio", "beyond", "done", "failed", "known"),
     *("moved_in_all", "pending", "refused", "rounding", "rows", "unread", "verdicts_in_all"),
-    *("waiting", "within", "words", "workers"),
+    *("within", "words", "workers"),
 }
 """Numbers without a unit, beside those of the commands of the map."""
 

@@ -275,6 +275,8 @@ def test_parameters_that_change_the_bins_of_a_map(
     )
     assert status == 1
     assert "on 1 trip." in shown
+    assert "weighted_log" not in shown, "sums over other bins differ by definition"
+    assert "adhesion.bin_length=50 against now (" in shown
     assert "resistance" not in shown, "the other analyses have no other parameters"
     assert "<h2>" in (tmp_path / "changes" / "diff.html").read_text("utf-8")
 

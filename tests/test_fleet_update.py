@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -29,6 +31,7 @@ from analysis.adhesion.updating import update_map
 from analysis.fleet.analyses import ANALYSES
 from analysis.fleet.codes import code_of
 from analysis.fleet.maps import maps_folder, update_maps
+from analysis.fleet.table import problems_table
 from analysis.fleet.update import FleetUpdate, UpdateOptions, fleet_status, update_fleet
 from trainlog.catalogue import Catalogue, open_catalogue
 from trainlog.cli import main as cli
@@ -98,7 +101,13 @@ def test_threads_as_any_executor_give_the_same_bytes(
 def test_nothing_is_computed_twice(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert updated(place, "checks").trips == TRIPS
     monkeypatch.setattr("analysis.fleet.work.computed", None)
+    folder = place / "results" / "checks"
+    old, new = (folder / f".{name}-0123abcd.parquet" for name in ("dead", "written-now"))
+    for each in (old, new):
+        each.touch()
+    os.utime(old, (0, 0))
     again = updated(place, "checks")
+    assert (old.exists(), new.exists()) == (False, True), "a killed process left it"
     assert again.trips == 0
     assert again.sentence == "nothing new"
     assert again.counts["checks"].known == TRIPS
@@ -149,6 +158,10 @@ def test_a_trip_that_goes_wrong_is_listed_and_stops_no_other(place: Path) -> Non
             "trip-001": "refused",
             "trip-002": "failed",
         }
+    table = problems_table(found.problems, most=1)
+    assert table.row_count == 2, "of more trips those of one reason are counted"
+    many = [replace(found.problems[0], key=str(each), reason=f"trip '{each}'") for each in range(9)]
+    assert problems_table(many).row_count == 1
     assert updated(place, WRONG).trips == 0
     assert updated(place, WRONG, retry=True).trips == 2
 
@@ -264,7 +277,7 @@ def test_an_update_killed_at_random_moments_counts_each_trip_once(
     done = kill_at_random(str(place), 2, 3, "--workers", "2", "--batch", "1", longest=2.5)
     assert done["orphans"] == 0
     found = updated(place, workers=2)
-    assert found.counts["checks"].waiting == 0
+    assert found.counts["checks"].pending == 0
     assert {count for _, count in rows_by_trip(str(place))} == {ONCE}
     assert contents(place / "results") | maps_in(place / "maps") == undisturbed
 
@@ -306,7 +319,7 @@ def test_a_hundred_kills_leave_each_trip_once(
             if kills >= 100:
                 break
             updated_all = updated(at, workers=2)
-            assert updated_all.counts["checks"].waiting == 0
+            assert updated_all.counts["checks"].pending == 0
             with open_catalogue(at) as known:  # compute all of it once more
                 for analysis in ANALYSES.values():
                     known.forget(

@@ -116,6 +116,7 @@ def test_a_second_update_adds_nothing_and_an_interrupted_one_is_finished(
 ) -> None:
     again = update_network_map(logs, maps)
     assert (len(again.added), len(again.of("held"))) == (0, 3)
+    assert (again.trips, again.days) == (3, 3), "a trip over two edges is one trip"
     # Killed between the edges of a trip, an update leaves a folder like this one.
     folder = tmp_path / "killed"
     update_network_map(logs / "day-0.mcap", folder, network())

@@ -59,7 +59,7 @@ def test_frames_refuse_columns_that_the_topic_does_not_have() -> None:
 
 def test_a_missing_topic_is_named_with_those_present() -> None:
     trip = Trip({"/train/state": state([0], [1.0])}, {"trip": "t7"})
-    with pytest.raises(LogError, match=r"t7.*no topic /gnss/fix; topics present: /train/state"):
+    with pytest.raises(LogError, match=r"t7.*no topic /gnss/fix; topics loaded: /train/state"):
         trip["/gnss/fix"]
 
 

@@ -100,7 +100,7 @@ class Trip:
             present = ", ".join(self.topics) or "none"
             raise LogError(
                 f"trip '{self.name}' has no topic {topic}",
-                remedy=f"topics present: {present}",
+                remedy=f"topics loaded: {present}",
             ) from None
 
     def __contains__(self, topic: object) -> bool:

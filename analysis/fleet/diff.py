@@ -64,6 +64,10 @@ _SKIPPED = {
 }
 """Columns that say of which trip a row is or what made it, and bulk that is compared by place."""
 
+_OF_BINS = {"bins", "weight", "weighted_log"}
+"""Counts and sums over bins: of bins of two lengths they differ by definition, as the map need not.
+"""
+
 
 @dataclass(frozen=True)
 class _Values:
@@ -304,8 +308,11 @@ def _compare(found: _Found, name: str, one: Results, other: Results) -> None:
             rows["first"], rows["second"] = left[column][changed], right[column][changed]
             found.words.append(rows)
     sides = _figures(left), _figures(right)
+    other_bins = _other_bins(left, right)
+    worst[other_bins] = np.maximum(worst[other_bins], CLASSES.index("within"))
+    skipped = _OF_BINS if other_bins.any() else set[str]()
     means = []
-    for estimate in [each for each in sides[0] if each in sides[1]]:
+    for estimate in [each for each in sides[0] if each in sides[1] and each not in skipped]:
         unit = columns[estimate].unit if estimate in columns else _UNITS.get(estimate, "")
         mine, its = sides[0][estimate], sides[1][estimate]
         if not (np.isfinite(mine.value) | np.isfinite(its.value)).any():
@@ -329,6 +336,14 @@ def _compare(found: _Found, name: str, one: Results, other: Results) -> None:
     _count_trips(found, name, one.outcomes["key"], about["key"].to_numpy(), worst, found.verdicts)
     if "evidence" in left and not (left["evidence"] == right["evidence"]).all():
         found.places += _places(left, right)
+
+
+def _other_bins(left: pd.DataFrame, right: pd.DataFrame) -> NDArray[np.bool_]:
+    """Rows of evidence whose bins are of another length on the other side."""
+    if "bin_length" not in left or "bin_length" not in right:
+        return np.zeros(len(left), dtype=np.bool_)
+    lengths = [table["bin_length"].to_numpy(np.float64) for table in (left, right)]
+    return np.asarray(np.isfinite(lengths[0] - lengths[1]) & (lengths[0] != lengths[1]))
 
 
 def _known(mine: _Values, its: _Values) -> NDArray[np.bool_]:

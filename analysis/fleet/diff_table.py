@@ -8,6 +8,7 @@ from typing import Any
 import pandas as pd
 
 from analysis.fleet.diff import CLASSES, RATE, WITHOUT_BAND, FleetDiff
+from analysis.fleet.update import EVIDENCE
 from analysis.tables import NUMBER, Column, Quantity, WordTable, new_table, with_band
 from trainlog.display import counted
 from trainlog.units import JOULES_PER_KWH
@@ -166,14 +167,15 @@ def sentence(found: FleetDiff) -> str:
         f"{counted(banded, 'estimate')} of single trips" if banded else "",
         f"{counted(others, 'figure')} of single trips that state no band" if others else "",
         counted(means, "mean") if means else "",
-        f"{counted(len(found.places), 'place')} of the map"
-        if len(found.places) else "",
+        f"{counted(len(found.places), 'place')} of the map" if len(found.places) else "",
     ]  # fmt: skip
     words = ", ".join(filter(None, parts))
     said = [f"{words} moved beyond their band" if words else ""]
     said += [
         f"{counted(len(found.verdicts), 'result')} given by one side alone"
-        if len(found.verdicts) else ""
+        if len(found.verdicts) else "",
+        "no place of the map of all trips moved beyond its band"
+        if EVIDENCE in found.trip_counts["analysis"].tolist() and not len(found.places) else "",
     ]  # fmt: skip
     return f"{'; '.join(filter(None, said))}, on {trips}"
 

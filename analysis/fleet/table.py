@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from analysis.fleet.update import Counts, FleetStatus, Problem
 from analysis.tables import NUMBER, Column, WordTable, new_table
 
+FEW = 5
+"""Trips without a result up to which each has a row."""
+
+_NUMBERS = re.compile(r"[-+]?\d+(?:[.,]\d+)*(?:e[-+]?\d+)?")
+_QUOTED = re.compile(r"'[^']*'")
+
 
 def update_table(counts: Mapping[str, Counts]) -> WordTable:
     """What an update computed, an analysis a row."""
-    states = ("done", "refused", "failed", "known", "waiting")
+    states = ("done", "refused", "failed", "known", "pending")
     table = new_table("Computed", "analysis", *(Column(each, NUMBER) for each in states), "code")
     for each in counts.values():
         table.add_cells(each.analysis, *(getattr(each, state) for state in states), each.code)
@@ -27,13 +34,52 @@ def status_table(found: FleetStatus) -> WordTable:
     return table
 
 
-def problems_table(problems: Sequence[Problem]) -> WordTable:
-    """Trips that gave no result, with the reasons; what several analyses state alike once."""
+def problems_table(problems: Sequence[Problem], most: int = FEW) -> WordTable:
+    """Trips that gave no result, with the reasons; what several analyses state alike once.
+
+    Of more than `most` trips those of one state and reason are one row, with their number; figures
+    and names do not part reasons.
+    """
     together: dict[tuple[str, str, str], list[Problem]] = {}
     for each in problems:
         together.setdefault((each.key, each.state, each.reason), []).append(each)
+    if len({each.key for each in problems}) > most:
+        return _by_reason(list(together.values()))
     table = new_table("Without a result", "trip", "analysis", "state", "reason")
-    for (key, state, reason), group in together.items():
-        names = ", ".join(each.analysis for each in group if each.analysis)
-        table.add_row(group[0].name or Path(group[0].path).stem or key[:12], names, state, reason)
+    for (_, state, reason), group in together.items():
+        table.add_row(_trip_of(group[0]), _analyses_of(group), state, reason)
     return table
+
+
+def _by_reason(groups: Sequence[Sequence[Problem]]) -> WordTable:
+    """How many trips gave no result for each reason, the most first."""
+    alike: dict[tuple[str, str, str], list[Problem]] = {}
+    for group in groups:
+        form = form_of_reason(group[0].reason)
+        alike.setdefault((_analyses_of(group), group[0].state, form), []).append(group[0])
+    table = new_table(
+        "Without a result", "analysis", "state", Column("trips", NUMBER), "reason, of one of them",
+        "this trip",
+    )  # fmt: skip
+    for (names, state, _), rows in sorted(alike.items(), key=lambda each: -len(each[1])):
+        table.add_cells(names, state, len(rows), rows[0].reason, _trip_of(rows[0]))
+    return table
+
+
+def form_of_reason(reason: str) -> str:
+    """A reason without its figures and names, which do not part it from others.
+
+    Examples
+    --------
+    >>> form_of_reason("trip 'a' has 3 axles") == form_of_reason("trip 'b' has 12 axles")
+    True
+    """
+    return _NUMBERS.sub("#", _QUOTED.sub("''", reason))
+
+
+def _trip_of(problem: Problem) -> str:
+    return problem.name or Path(problem.path).stem or problem.key[:12]
+
+
+def _analyses_of(group: Sequence[Problem]) -> str:
+    return ", ".join(each.analysis for each in group if each.analysis)

@@ -42,6 +42,9 @@ PAGE = 2000
 EVIDENCE = "adhesion"
 """The analysis that the maps are made of, with its own parameters."""
 
+FIRST = "the first trips take longest: code is compiled, once"
+"""Stated until a batch is finished."""
+
 LISTED = 200
 """Problems that an update lists; the catalogue knows all of them."""
 
@@ -80,8 +83,8 @@ class Counts:
         Trips that were computed now.
     known : int
         That were known before, by this code.
-    waiting : int
-        That are still pending.
+    pending : int
+        That are still to be computed.
     """
 
     analysis: str
@@ -90,7 +93,7 @@ class Counts:
     refused: int = 0
     failed: int = 0
     known: int = 0
-    waiting: int = 0
+    pending: int = 0
 
 
 @dataclass(repr=False)
@@ -137,7 +140,7 @@ class FleetUpdate:
                     ("refused", each.refused),
                     ("failed", each.failed),
                     ("known", each.known),
-                    ("waiting", each.waiting),
+                    ("pending", each.pending),
                 )
                 if number
             )
@@ -342,9 +345,9 @@ class _Update:
                 self.catalogue.forget(*about, where=self.options.where)
             known = self.catalogue.standing(*about, where=self.options.where)
             counts = self.found.counts[analysis.name]
-            counts.waiting = known.pop("pending")
+            counts.pending = known.pop("pending")
             counts.known = sum(known.values())
-            waiting.append(counts.waiting)
+            waiting.append(counts.pending)
         # Mostly the same trips wait for all: of more than one analysis this is a lower bound.
         self.total = max(waiting, default=0)
 
@@ -355,18 +358,21 @@ class _Update:
         with task("computing", self.total, "trip") as step, self.options.engine() as engine:
             self.found.engine, self.found.workers = engine.name, engine.workers
             self._step = step
+            step(0, note=FIRST)
             run(engine, self._batches(engine.workers), self._finished)
 
     def _batches(self, workers: int) -> Iterator[Batch]:
         from analysis.fleet.work import Batch
 
-        size = max(1, min(self.options.batch, -(-self.total // (SHARES * workers))))
+        most = max(1, min(self.options.batch, -(-self.total // (SHARES * workers))))
+        given = 0
         jobs: list[Job] = []
         for job in self._jobs():
             jobs.append(job)
-            if len(jobs) == size:
+            # One trip each at first: these take longest, and are kept soon.
+            if len(jobs) == (1 if given < workers else most):
                 yield Batch(tuple(jobs), self.analyses)
-                jobs = []
+                given, jobs = given + 1, []
         if jobs:
             yield Batch(tuple(jobs), self.analyses)
 
@@ -420,7 +426,7 @@ class _Update:
             counts = self.found.counts[analysis.name]
             for each in given:
                 setattr(counts, each.state, getattr(counts, each.state) + 1)
-                counts.waiting -= 1
+                counts.pending -= 1
                 if each.state != "done":
                     reason, path = each.reason, paths[each.key]
                     self._add(Problem(each.key, path, analysis.name, each.state, reason))
@@ -430,7 +436,7 @@ class _Update:
         self.found.trips += len(batch.jobs) - len(result.unread)
         self.found.worker_seconds += result.seconds
         self._done += len(batch.jobs)
-        self._step(self._done)
+        self._step(self._done, note="")
 
     def _check_code(self, result: BatchResult) -> None:
         """Refuse results of workers that run other code."""
@@ -454,7 +460,7 @@ class _Update:
         for analysis, code in zip(self.analyses, self.codes, strict=True):
             counts = self.found.counts[analysis.name]
             trips = counts.known + counts.done + counts.refused
-            if not counts.waiting and trips <= MERGED:
+            if not counts.pending and trips <= MERGED:
                 self.found.files_merged += self.catalogue.compact(
                     analysis.name, code, analysis.parameters
                 )

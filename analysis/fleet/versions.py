@@ -69,6 +69,8 @@ class Version:
     present: bool = False
 
     def __str__(self) -> str:
+        if "=" in self.name:  # the code that runs, as on the other side: the parameters differ
+            return self.name
         known = ", ".join(sorted(set(self.codes.values())))
         return known if known.startswith(self.name) else f"{self.name} ({known})"
 

@@ -24,6 +24,7 @@ from trainlog.display import as_text, counted
 from trainlog.errors import InputError, LogError
 from trainlog.formats.condition import read_map
 from trainlog.formats.files import logs_of, made_folder, read_bytes, sha256_of, write_bytes
+from trainlog.formats.mapfile import MapFile
 from trainlog.formats.network import network_from_bytes, network_to_bytes
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
@@ -271,7 +272,7 @@ def update_network_map(
     Returns
     -------
     MapUpdate
-        Of which `trips` are those of all edges, a trip counted on each.
+        Of which `trips` are those of all edges, each once, on however many it counts.
 
     Raises
     ------
@@ -290,13 +291,21 @@ def update_network_map(
                 report(outcomes[-1])
         if not outcomes:
             raise InputError("no log was given", remedy="name logs, or folders of logs")
-        open_ones = [each for each in edges.values() if each.file is not None]
-        amounts = [each.file.amount() for each in open_ones if each.file is not None]
     finally:
         for each in edges.values():
             each.close()
-    trips, days = sum(a[0] for a in amounts), max((a[1] for a in amounts), default=0)
-    return MapUpdate(place, tuple(outcomes), trips, days, made=bool(open_ones))
+    trips, days = _amount(place)
+    return MapUpdate(place, tuple(outcomes), trips, days, made=trips > 0)
+
+
+def _amount(folder: Path) -> tuple[int, int]:
+    """How many trips the maps of a folder count, each once, and of how many days."""
+    found: dict[str, set[int]] = {}
+    for path in sorted(folder.glob(f"*{SUFFIX}")):
+        with MapFile(path) as file:
+            for trip, (first, last) in file.trip_days().items():
+                found.setdefault(trip, set()).update(range(first, last + 1))
+    return len(found), len(set().union(*found.values()))
 
 
 def _kept_network(folder: Path, network: Network | None) -> Network | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +16,7 @@ from analysis.fleet.analyses import ANALYSES
 from analysis.fleet.codes import code_of
 from analysis.fleet.driving import LOST
 from analysis.fleet.maps import maps_folder
+from analysis.fleet.table import form_of_reason
 from analysis.fleet.trains import FleetTrains, trains_in
 from analysis.plotting import BLUE, GREEN, GREY, ORANGE, dress, legend, new_figure, write_figure
 from analysis.reports.fleet_trains import drift_parts, resistance_parts, unlike_parts
@@ -410,9 +410,6 @@ def _lost(rows: pd.DataFrame) -> WordTable:
 
 # -------------------------------------------------------------------------------------- quality
 
-_NUMBERS = re.compile(r"[-+]?\d+(?:[.,]\d+)*(?:e[-+]?\d+)?")
-_QUOTED = re.compile(r"'[^']*'")
-
 
 def _refused(fleet: _Fleet) -> list[Part]:
     """Trips without a result, by analysis and reason; figures and names do not part reasons."""
@@ -423,7 +420,7 @@ def _refused(fleet: _Fleet) -> list[Part]:
     for name in ANALYSES:
         found = fleet.outcomes(name)
         found = found[found["state"] != "done"]
-        form = found["reason"].map(lambda words: _NUMBERS.sub("#", _QUOTED.sub("''", words)))
+        form = found["reason"].map(form_of_reason)
         groups = list(found.groupby(["state", form]))
         for (state, _), rows in sorted(groups, key=lambda each: -len(each[1]))[:MOST_ROWS]:
             first = rows.iloc[0]

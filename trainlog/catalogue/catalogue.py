@@ -868,7 +868,8 @@ class Catalogue:
         """Put the rows of all trips into one file, in the order of trip; how many files went.
 
         The same results give the same bytes, in whatever batches and order they were recorded.
-        What reads or records meanwhile is not disturbed.
+        What reads or records meanwhile is not disturbed. Files that killed processes left
+        unfinished are removed when they are an hour old.
 
         Parameters
         ----------

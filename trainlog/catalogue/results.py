@@ -7,7 +7,9 @@ that is killed leaves a file that no row names, nothing else.
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -34,6 +36,9 @@ KEY = "key"
 
 ROWS = 50_000
 """Rows of a row group."""
+
+UNFINISHED = 3600.0
+"""Age of a file that is still under a temporary name, from which its process is dead [s]."""
 
 JOINED = ("train", "kind", "line", "start")
 """Columns of trips that stand beside the results."""
@@ -315,6 +320,14 @@ def write_table(folder: Path, table: pa.Table) -> str:
     return target.name
 
 
+def remove_unfinished(folder: Path) -> None:
+    """Remove files of results that no process finishes: writing one takes seconds."""
+    for left in folder.glob(".*-????????.parquet"):
+        with suppress(OSError):
+            if time.time() - left.stat().st_mtime > UNFINISHED:
+                left.unlink()
+
+
 def _check(table: pa.Table, outcomes: Sequence[ResultOutcome]) -> None:
     """Refuse a table that does not hold the rows that its outcomes state."""
     import pyarrow.compute as pc
@@ -465,6 +478,7 @@ def compact(
 ) -> int:
     """Put all rows of a computation into one file; how many files it replaces."""
     folder = database.results / analysis
+    remove_unfinished(folder)
     held = (
         sa.select(trips.c.key, trips.c.sha256, trips.c.id, results.c.file, result_files.c.name)
         .select_from(results)

@@ -38,9 +38,6 @@ AnalysesOption = Annotated[
     ),
 ]
 
-SHOWN = 20
-"""Problems that are printed one by one; all of them are in the catalogue."""
-
 
 @fleet_app.command("update")
 def fleet_update(
@@ -80,13 +77,14 @@ def fleet_update(
     times and energy by edge, and what of its recording is doubtful. Results are kept as they come:
     after an interruption, however it came, the next update goes on with the rest.
 
-    Trips of which an analysis gives no result are listed with the reason. Exit status 1 if one
+    Trips of which an analysis gives no result are listed with the reason; of more than a few those
+    of one reason are counted ('trainlog fleet status --problems' lists each). Exit status 1 if one
     failed, or a log could not be read.
 
     Example: trainlog fleet update --workers 2
     """
     from analysis.fleet.table import problems_table, update_table
-    from analysis.fleet.update import UpdateOptions, update_fleet
+    from analysis.fleet.update import FIRST, UpdateOptions, fleet_status, update_fleet
     from trainlog.catalogue import open_catalogue
 
     options = UpdateOptions(workers, scheduler, mpi, batch=batch, where=trips, retry=retry)
@@ -98,14 +96,18 @@ def fleet_update(
         seen.add(problem.key)
 
     with open_catalogue(catalogue, create=False) as opened:
+        pending = fleet_status(opened, analyses, where=trips, most=0).pending
+        if pending and not current().as_json:
+            words = f"{counted(pending, 'trip')} to compute; {FIRST}"
+            console.print(words, highlight=False, soft_wrap=True)
         current().finished = lambda: "each batch that was finished is kept; update again"
         found = update_fleet(opened, analyses, options, report)
         current().finished = None
     if not state(found.details()):
         console.print(update_table(found.counts))
         if found.problems:
-            console.print(problems_table(found.problems[:SHOWN]))
-        more = len(seen) - SHOWN
+            console.print(problems_table(found.problems))
+        more = len(seen) - len({each.key for each in found.problems})
         if more > 0:
             console.print(f"and {counted(more, 'trip')} more: trainlog fleet status --problems")
         console.print(found.sentence, highlight=False)
@@ -137,4 +139,4 @@ def fleet_status(
         return
     console.print(status_table(found))
     if problems and found.problems:
-        console.print(problems_table(found.problems))
+        console.print(problems_table(found.problems, most=len(found.problems)))

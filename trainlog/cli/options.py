@@ -85,7 +85,7 @@ AtOption = Annotated[
     typer.Option(
         "--at",
         help="Time of the expected condition: 2026-11-22T06:00+01:00; only evidence of days before"
-        " its day counts (UTC). Default: right after the last evidence, with all of it.",
+        " its day counts (UTC). Default: right after the last day with evidence, with all of it.",
     ),
 ]
 ZoneOption = Annotated[

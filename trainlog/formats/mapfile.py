@@ -284,6 +284,16 @@ class MapFile:
         with refusing(self.path):
             return amount_in(self._database)
 
+    def trip_days(self) -> dict[str, tuple[int, int]]:
+        """The trips that count, by the digest of their log: first and last day of their evidence.
+
+        (0, -1): there is none.
+        """
+        asked = "SELECT key, coalesce(first_day, 0), coalesce(last_day, -1) FROM trips"
+        with refusing(self.path):
+            rows = self._database.execute(f"{asked} WHERE counted").fetchall()
+        return {key: (first, last) for key, first, last in rows}
+
     def estimate(self, layer: str, made_from: str) -> bytes | None:
         """The estimate of a layer that was kept, if it was made from this; else None."""
         with refusing(self.path):
