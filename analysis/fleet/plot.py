@@ -35,6 +35,12 @@ FloatArray = NDArray[np.float64]
 MOST_NAMED = 60
 """More trains than this are not named one by one."""
 
+MOST_DRAWN = 1_500
+"""Trips of a channel that are drawn one by one; of more every second, third ... is."""
+
+MOST_LEVELS = 100
+"""Points of a train's level over time."""
+
 CHANNEL_UNITS = {"1": (100.0, "%"), "N": (1e-3, "kN"), "s": (1.0, "s")}
 
 
@@ -120,20 +126,23 @@ def draw_drift(kind: str, found: FleetTrains, path: str | Path) -> None:
     figure = new_figure(10.0, 2.3 * len(channels) + 0.6)
     panels = np.atleast_1d(figure.subplots(len(channels), 1, sharex=True))
     findings = [each for each in found.unlike.findings if each.kind == kind]
+    thinned = 1
     for axes, name in zip(panels, channels, strict=True):
         series = found.unlike.series[kind][name]
         factor, unit = CHANNEL_UNITS[series.channel.unit]
         start = trips["start"].iloc[series.rows]
         names = trips["train"].to_numpy(str)[series.rows]
         own = factor * (series.own if series.common else series.value - np.median(series.value))
-        axes.plot(start, own, ".", color=GREY, ms=2.0, alpha=0.5)
+        step = -(-own.size // MOST_DRAWN)
+        thinned = max(thinned, step)
+        axes.plot(start[::step], own[::step], ".", color=GREY, ms=2.0, alpha=0.5)
         for train in np.unique(names).tolist():
             mine = names == train
-            level = np.array(
-                [np.median(own[mine][max(k - 4, 0) : k + 5]) for k in range(int(mine.sum()))]
-            )
+            at = np.arange(0, int(mine.sum()), -(-int(mine.sum()) // MOST_LEVELS))
+            level = np.array([np.median(own[mine][max(k - 4, 0) : k + 5]) for k in at])
             other = any(each.train == train for each in findings)
-            axes.plot(start[mine], level, color=RED if other else BLUE, lw=1.1 if other else 0.6)
+            colour, width = (RED, 1.1) if other else (BLUE, 0.6)
+            axes.plot(start[mine].iloc[at], level, color=colour, lw=width)
         low, high = np.quantile(own, (0.005, 0.995))
         margin = 0.15 * (high - low)
         axes.set_ylim(low - margin, high + margin)
@@ -154,8 +163,9 @@ def draw_drift(kind: str, found: FleetTrains, path: str | Path) -> None:
     panels[-1].xaxis.set_major_locator(locator)
     panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
     what = "against the other trains" if len(np.unique(trips["train"])) > 1 else "over time"
+    drawn = "each trip" if thinned == 1 else f"one trip of {thinned}"
     headline(
-        figure, f"Kind {kind}, {what}: each trip (grey), median of nine trips of a train (blue)"
+        figure, f"Kind {kind}, {what}: {drawn} (grey), median of nine trips of a train (blue)"
     )
     write_figure(figure, path)
 
