@@ -164,9 +164,7 @@ def draw_drift(kind: str, found: FleetTrains, path: str | Path) -> None:
     panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
     what = "against the other trains" if len(np.unique(trips["train"])) > 1 else "over time"
     drawn = "each trip" if thinned == 1 else f"one trip of {thinned}"
-    headline(
-        figure, f"Kind {kind}, {what}: {drawn} (grey), median of nine trips of a train (blue)"
-    )
+    headline(figure, f"Kind {kind}, {what}: {drawn} (grey), median of nine trips of a train (blue)")
     write_figure(figure, path)
 
 
