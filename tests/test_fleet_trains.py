@@ -173,6 +173,20 @@ def test_a_fault_is_named_with_its_beginning_and_its_size(what: str) -> None:
         assert finding.between[0] <= finding.since <= finding.between[1]
 
 
+def test_a_late_fault_is_one_finding_that_begins_with_it_where_the_channel_wanders() -> None:
+    fault = Fault("sensor delay", 0.3, 0, 200)
+    rows = drawn_fleet(pool("flirt"), 5, trains=5, trips=230, trips_a_day=8.0, faults=(fault,))
+    train = sorted(rows["train"].unique())[0]
+    mine = np.flatnonzero(rows["train"] == train)
+    # A delay that creeps by 0.04 s in the first month, which is none to act on.
+    creeping = np.interp(np.arange(mine.size), (0, 60, 120), (0.0, 0.0, 0.04))
+    rows.loc[rows.index[mine], "effort_delay"] += creeping
+    (found,) = fleet_trains(rows).of(train)
+    assert found.what == "sensor delay"
+    assert found.since == rows["start"].iloc[mine].sort_values().iloc[200]
+    assert found.trips <= 5
+
+
 def test_healthy_trains_raise_no_alarm() -> None:
     found = faulty()
     assert {each.train[-2:] for each in found.unlike.findings} == {"01", "02", "03", "04", "05"}

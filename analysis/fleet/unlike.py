@@ -172,6 +172,14 @@ class _Watched:
     std: FloatArray
     days: FloatArray
 
+    def until(self, seen: int, first: int) -> IntArray:
+        """Trips in which a change that was seen at a trip may have begun: those compared there.
+
+        In all the earlier ones its level may wander, which is no step.
+        """
+        used = np.flatnonzero((self.place >= first) & (self.place <= seen))
+        return used[-(BEFORE + WINDOWS[-1]) :]
+
 
 def unlike_trains(
     kinds: Iterable[tuple[KindResistance, pd.DataFrame]], rate: float = FALSE_ALARMS
@@ -284,7 +292,7 @@ class _Watch:
     def _since(self, name: str, seen: int, first: int) -> int:
         """The trip from which on the change explains the trips best."""
         one = self.watched[name]
-        used = (one.place >= first) & (one.place <= seen)
+        used = one.until(seen, first)
         place, own, std = one.place[used], one.own[used], one.std[used]
         likelihood, starts = _step_likelihood(own, std, one.series.tail)
         best = starts[int(np.argmax(likelihood))] if starts.size else 0
@@ -346,7 +354,7 @@ class _Watch:
     def _began(self, name: str, since: int, seen: int, first: int) -> tuple[int, int]:
         """First and last trip at which the change may have come, with 95 %."""
         one = self.watched[name]
-        used = (one.place >= first) & (one.place <= seen)
+        used = one.until(seen, first)
         place = one.place[used]
         likelihood, starts = _step_likelihood(one.own[used], one.std[used], one.series.tail)
         if starts.size == 0:

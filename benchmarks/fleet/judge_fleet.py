@@ -270,6 +270,7 @@ def judge_unlike(given: Judged, every: int) -> None:
     last = int((rows["start"].max().value - start) // DAY) + 1
     seen: dict[str, tuple[int, Finding]] = {}
     false: dict[tuple[str, str], tuple[int, Finding]] = {}
+    real: dict[tuple[str, str], tuple[int, Finding]] = {}
     found, months = UnlikeTrains((), (), FALSE_ALARMS, 0.0), 0.0
     for day in [*range(first, last, every), last]:
         now = pd.Timestamp(start + day * DAY, tz="UTC")
@@ -279,7 +280,8 @@ def judge_unlike(given: Judged, every: int) -> None:
             if fault is not None and each.noticed.value >= fault.start:
                 seen.setdefault(each.train, (day, each))
             else:
-                false.setdefault((each.train, each.what), (day, each))
+                name = (each.train, each.what)
+                (real if wheels_changed(given.fleet, each) else false).setdefault(name, (day, each))
     healthy = [train.name for train in given.fleet.trains if train.name not in faults]
     months = len(healthy) * (last * DAY) / (30.0 * DAY)
     table = [fault_row(given, rows, fault, seen, found) for fault in faults.values()]
@@ -296,6 +298,16 @@ def judge_unlike(given: Judged, every: int) -> None:
         ("train", "day", "finding"),
         [(train, day, str(each)) for (train, _), (day, each) in false.items()],
     )
+    printed(
+        "found and true, though no fault: diameters were read, or wheels turned",
+        ("train", "day", "finding", "true"),
+        [
+            (train, day, str(each), f"{-100.0 * wheel_step(given.fleet, each):+.2f} %")
+            for (train, _), (day, each) in real.items()
+        ],
+    )
+    steps = largest_steps(given.fleet)
+    console.print(f"  largest steps of believed over true diameter in a day, no fault: {steps}")
     limits = [each for each in found.limits if each.train in faults]
     printed(
         "smallest change that is seen in five trips, nine times in ten; from the start on",
@@ -306,6 +318,35 @@ def judge_unlike(given: Judged, every: int) -> None:
             for each in limits
         ],
     )  # fmt: skip
+
+
+def wheel_step(fleet: Fleet, found: Finding) -> float:
+    """Believed over true diameter after a finding's beginning over that a day before, less 1."""
+    train = next(each for each in fleet.trains if each.name == found.train)
+    after, before = (train.at(found.since.value - n * DAY).wheel_factors[0] for n in (0, 1))
+    return after / before - 1.0
+
+
+def wheels_changed(fleet: Fleet, found: Finding) -> bool:
+    """Whether a finding is a true change of the diameters."""
+    cause, step = found.explanation.cause, wheel_step(fleet, found)
+    right = abs(cause.size + step) < 1.96 * cause.std
+    return found.what == "wheel diameter" and abs(step) > 1e-3 and right
+
+
+def largest_steps(fleet: Fleet, count: int = 5) -> str:
+    """The largest steps from noon to noon on trains without a fault of their wheels."""
+    found = []
+    for train in fleet.trains:
+        if any(fault.kind == "wheel diameter" for fault in train.faults):
+            continue
+        noons = [fleet.start + day * DAY + DAY // 2 for day in range(fleet.days)]
+        steps = np.diff(np.log([train.at(noon).wheel_factors[0] for noon in noons]))
+        day = int(np.argmax(np.abs(steps)))
+        found.append(
+            (abs(steps[day]), f"{train.name} {100.0 * steps[day]:+.2f} % to day {day + 2}")
+        )
+    return ", ".join(words for _, words in sorted(found, reverse=True)[:count])
 
 
 def fault_row(
