@@ -126,7 +126,9 @@ class Fault:
 
         Examples
         --------
-        >>> Fault.of("train=flirt-03,dragging-brake=2kN,from=2026-10-12").words
+        >>> import trainlog
+        >>> fault = trainlog.TrainFault.of("train=flirt-03,dragging-brake=2kN,from=2026-10-12")
+        >>> fault.words
         'flirt-03 dragging brake 2000 N from 2026-10-12'
         """
         unit, factor = next(iter(UNITS[self.kind].items()))
