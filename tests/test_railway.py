@@ -150,6 +150,8 @@ def test_nonsensical_lines_are_refused_with_the_place() -> None:
         line(speed_limits=StepProfile(np.array([0.0, 400.0]), np.array([20.0, 0.0])))
     with pytest.raises(InputError, match="steeper than 200 per mille"):
         line(gradients=StepProfile(np.array([0.0]), np.array([11.9])))
+    # Just the steepest gradient stays one where its mean over a distance is rounded up.
+    line(gradients=StepProfile(np.array([0.0, 66.3]), np.array([0.06, -0.2])))
     with pytest.raises(InputError, match="beyond the line's end"):
         line(speed_limits=StepProfile(np.array([0.0, 1500.0]), np.array([20.0, 30.0])))
     with pytest.raises(InputError, match="not in the order"):
