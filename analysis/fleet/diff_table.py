@@ -7,7 +7,8 @@ from typing import Any
 
 import pandas as pd
 
-from analysis.fleet.diff import CLASSES, RATE, WITHOUT_BAND, FleetDiff
+from analysis.fleet.diff import FleetDiff
+from analysis.fleet.diff_judgement import CLASSES, RATE, WITHOUT_BAND
 from analysis.fleet.update import EVIDENCE
 from analysis.tables import NUMBER, Column, Quantity, WordTable, new_table, with_band
 from trainlog.display import counted

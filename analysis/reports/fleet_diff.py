@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from analysis.fleet.diff import REACH, FleetDiff
+from analysis.fleet.diff import FleetDiff
+from analysis.fleet.diff_judgement import REACH
 from analysis.fleet.diff_table import (
     counts_table,
     estimates_table,

@@ -1,0 +1,145 @@
+"""Estimates in the tables of two versions: row beside row, with their standard deviations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from trainlog.formats.summaries import COVARIANCE, PARAMETERS
+from trainlog.units import KMH, NANOSECONDS
+
+FloatArray = NDArray[np.float64]
+
+SPEEDS = (40.0, 80.0, 120.0)
+"""At which curves of running resistance are compared [km/h]."""
+
+_ABOUT = ("trip", "train", "kind", "line", "start", "edge", "layer", "direction")
+_SKIPPED = {
+    *("key", "sha256", "identity", "software", "message", "entry", "evidence", "gradients"),
+    *("main_layer", "steps", "bin_length", "edge_length"),
+}
+"""Columns that say of which trip a row is or what made it, and bulk that is compared by place."""
+
+OF_BINS = {"bins", "weight", "weighted_log"}
+"""Counts and sums over bins: of bins of two lengths they differ by definition, as the map need not.
+"""
+
+
+@dataclass(frozen=True)
+class Values:
+    """An estimate on one side: a value a row, with its standard deviation (NaN: none)."""
+
+    value: FloatArray
+    std: FloatArray
+
+
+def aligned(one: pd.DataFrame, other: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The rows that both sides have, in the same order; those of one side with nothing beside."""
+    ids = [name for name in ("key", "trip", "edge", "layer") if name in one and name in other]
+    pieces = []
+    for table in (one, other):
+        number: Any = table.groupby(ids, sort=False).cumcount() if len(table) else []
+        pieces.append(table.assign(_number=number).set_index([*ids, "_number"]))
+    every = pieces[0].index.union(pieces[1].index)
+    left, right = (piece.reindex(every).reset_index() for piece in pieces)
+    for column in _ABOUT:
+        if column in left and column in right and column not in ids:
+            left[column] = left[column].where(left[column].notna(), right[column])
+    return left, right
+
+
+def trips_of(table: pd.DataFrame) -> pd.DataFrame:
+    """Of which trip, train and place each row is."""
+    edge = table["edge"] if "edge" in table else table.get("line", pd.Series(dtype=object))
+    layer = table.get("layer")
+    place = edge if layer is None else edge + ", " + layer
+    empty = pd.Series([None] * len(table), dtype=object)
+    names = ("key", "trip", "train", "kind", "line", "start")
+    return pd.DataFrame({name: table.get(name, empty) for name in names} | {"place": place})
+
+
+def texts(left: pd.DataFrame, right: pd.DataFrame) -> list[str]:
+    """The columns that hold texts on both sides, but for those that say of which trip a row is."""
+    skipped = _SKIPPED | set(_ABOUT)
+    return [
+        str(name)
+        for name in left
+        if name in right
+        and name not in skipped
+        and left[name].map(lambda each: isinstance(each, str)).any()
+    ]
+
+
+UNITS = {f"resistance at {speed:.0f} km/h": "N" for speed in SPEEDS}
+
+
+def estimates(table: pd.DataFrame) -> dict[str, Values]:
+    """The estimates of a table, with their standard deviations."""
+    found: dict[str, Values] = {}
+    nothing = np.full(len(table), np.nan)
+    bands = {*COVARIANCE, *(name for name in table if str(name).startswith("survey_"))}
+    for name in table:
+        if name in _SKIPPED or name in _ABOUT or name in bands or name == "_number":
+            continue
+        column = table[name]
+        if pd.api.types.is_numeric_dtype(column):
+            if str(name).endswith(("_std", "_stds")):
+                continue
+            value = column.to_numpy(np.float64)
+            if name == "entered" and "start" in table:
+                value = (value - pd.to_datetime(table["start"]).astype("int64")) / NANOSECONDS
+            std = table[f"{name}_std"].to_numpy(np.float64) if f"{name}_std" in table else nothing
+            if f"covariance_{name}_{name}" in table:
+                std = np.sqrt(table[f"covariance_{name}_{name}"].to_numpy(np.float64))
+            found[str(name)] = Values(value, std)
+        elif str(name).endswith("s") and f"{str(name)[:-1]}_stds" in table:
+            found |= _listed(str(name)[:-1], column, table[f"{str(name)[:-1]}_stds"])
+    return found | _curves(table)
+
+
+def _listed(name: str, values: pd.Series, stds: pd.Series) -> dict[str, Values]:
+    """Columns of lists, an estimate a place in the list."""
+    sizes = [len(each) if isinstance(each, np.ndarray | list | tuple) else 0 for each in values]
+    table, bands = (np.full((len(sizes), max(sizes, default=0)), np.nan) for _ in range(2))
+    for row, size in enumerate(sizes):
+        if size:
+            table[row, :size] = values.iloc[row]
+            given = stds.iloc[row]
+            bands[row, : min(size, len(given))] = given[:size]
+    return {
+        f"{name} {number + 1}": Values(table[:, number], bands[:, number])
+        for number in range(table.shape[1])
+    }
+
+
+def _curves(table: pd.DataFrame) -> dict[str, Values]:
+    """Running resistance at a few speeds, as far as a trip's curve was asked for."""
+    if not {*PARAMETERS, *COVARIANCE, "asked_highest"} <= set(table):
+        return {}
+    found = {}
+    values = table[["r0", "r1", "r2"]].to_numpy(np.float64)
+    names = [(a, b) for a in range(3) for b in range(a, 3)]
+    drag = ("r0", "r1", "r2")
+    for speed in SPEEDS:
+        basis = (speed / KMH) ** np.arange(3)
+        variance = np.zeros(len(table))
+        for a, b in names:
+            term = table[f"covariance_{drag[a]}_{drag[b]}"].to_numpy(np.float64)
+            variance += (1 + (a != b)) * basis[a] * basis[b] * term
+        asked = table["asked_highest"].to_numpy(np.float64) >= speed / KMH - 1e-6
+        value = np.where(asked, values @ basis, np.nan)
+        std = np.sqrt(np.maximum(variance, 0.0))
+        found[f"resistance at {speed:.0f} km/h"] = Values(value, std)
+    return found
+
+
+def other_bins(left: pd.DataFrame, right: pd.DataFrame) -> NDArray[np.bool_]:
+    """Rows of evidence whose bins are of another length on the other side."""
+    if "bin_length" not in left or "bin_length" not in right:
+        return np.zeros(len(left), dtype=np.bool_)
+    lengths = [table["bin_length"].to_numpy(np.float64) for table in (left, right)]
+    return np.asarray(np.isfinite(lengths[0] - lengths[1]) & (lengths[0] != lengths[1]))
