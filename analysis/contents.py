@@ -60,6 +60,28 @@ class Contents:
         """A few lines."""
         return "\n".join([repr(self.value)] * (self.value is not None) + list(self.lines))
 
+    @property
+    def damaged(self) -> bool:
+        """Whether it is a log of which something is lost."""
+        return self.kind == "log" and not self.value.complete
+
+
+@dataclass(frozen=True)
+class FolderEntry:
+    """What one file of a folder is.
+
+    Attributes
+    ----------
+    name, kind, summary : str
+    damaged : bool
+        Whether it is a log of which something is lost, or of which nothing can be read.
+    """
+
+    name: str
+    kind: str
+    summary: str
+    damaged: bool = False
+
 
 def contents_of(path: str | Path) -> Contents:
     """What a file or a folder holds, by its content and not by its name.
@@ -202,13 +224,13 @@ def _recorded(path: Path, head: bytes) -> Contents:
     return Contents(path, f"recording ({chosen.name})", None, lines)
 
 
-def folder_contents(folder: Path) -> list[tuple[str, str, str]]:
-    """Name, kind and summary of each file of a folder, in order of name; hidden ones left out.
+def folder_contents(folder: Path) -> list[FolderEntry]:
+    """What each file of a folder is, in order of name; hidden ones left out.
 
     Examples
     --------
     >>> rows = folder_contents(Path("sample_logs"))
-    >>> [row[1] for row in rows if row[0] == "nonstop.mcap"]
+    >>> [row.kind for row in rows if row.name == "nonstop.mcap"]
     ['log']
     """
     found = []
@@ -216,18 +238,20 @@ def folder_contents(folder: Path) -> list[tuple[str, str, str]]:
         if path.name.startswith("."):
             continue
         if path.is_dir() and not (path / "trip.json").exists():
-            found.append((f"{path.name}/", "folder", f"{len(list(path.iterdir()))} entries"))
+            entries = f"{len(list(path.iterdir()))} entries"
+            found.append(FolderEntry(f"{path.name}/", "folder", entries))
             continue
         try:
             contents = contents_of(path)
         except TrainlogError as error:
-            found.append((path.name, "not shown", error.problem))
+            log = path.suffix == ".mcap"
+            found.append(FolderEntry(path.name, "not shown", error.problem, damaged=log))
             continue
         words = contents.summary
         if contents.kind == "log":
             described = contents.value
             words = _log_in_words(described)
-        found.append((path.name, contents.kind, words))
+        found.append(FolderEntry(path.name, contents.kind, words, contents.damaged))
     if not found:
         raise InputError("is an empty folder", file=folder, remedy="name another one")
     return found

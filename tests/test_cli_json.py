@@ -76,6 +76,16 @@ catalogue remove --catalogue fleet --where weather='wet'
 compare sample_logs
 compare sample_logs/nonstop.mcap --calculated sample_logs/CH_Stadler_FLIRT_TPF.train.json
 advise sample_logs/nonstop.mcap --trajectory trajectory.json -o advised.mcap
+driver-advice trajectory.json --departure 07:12 -o advice.html
+replay part.mcap rest.mcap -o parts.rrd
+report part.mcap -o part.html
+report sample_logs
+record --from file lines.jsonl --idle 0.1 -o live.mcap
+line build sample_logs -o built.line.json
+docs --list
+docs adhesion --path
+demo -o demonstrated
+fleet demo -o demonstrated-fleet
 """
 """Run one after the other, with the samples at hand."""
 
@@ -90,8 +100,18 @@ NAMED = {
     "metadata",
     "rows",
     "explained",
+    "messages",
+    "dropped",
+    "malformed",
+    "not_used",
 }
 """Keys of objects whose own keys are names that the data give."""
+
+STEPS = [["samples", "copied"], ["check", "cut.mcap", "sample_logs/nonstop.mcap"]]
+"""Commands of the demos, of which the last finds damage; those of their own take minutes."""
+
+COMMON = ("command", "status", "notes", "written")
+"""Keys of every command."""
 
 Schema = dict[str, Any]
 
@@ -104,6 +124,8 @@ def schema_of(value: Any, key: str = "") -> Schema:
         return {"type": ["number", "null"]}
     if isinstance(value, str):
         return {"type": ["string", "null"]}
+    if key == "steps":  # of a demo: what each of its commands prints
+        return {"type": ["array"], "items": {"type": ["object"], "required": sorted(COMMON)}}
     if isinstance(value, list):
         items: Schema = {}
         for each in value:
@@ -149,8 +171,6 @@ def merged(one: Schema, other: Schema) -> Schema:
     return found
 
 
-COMMON = ("command", "status", "notes", "written")
-
 
 def with_contents(page: str, schemas: dict[str, Schema]) -> str:
     """The page of the command line with the list of what each command prints."""
@@ -175,6 +195,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (folder / "cut.mcap").write_bytes(log[: len(log) // 3])
     slips = [0.001 * each for each in range(1, 60)]
     points = [f"{s},{0.25 * 2 * 0.012 * s / (0.012**2 + s**2)}" for s in slips]
+    rows = [
+        {"topic": "/train/state", "time": f"2024-05-01T06:00:0{each}Z", "speed": 20.0 + each}
+        for each in range(3)
+    ]
+    (folder / "lines.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
     (folder / "curve.csv").write_text("creepage [1],adhesion [1]\n" + "\n".join(points) + "\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -190,6 +215,8 @@ def test_every_command_prints_one_object_of_its_documented_form(
     found: dict[str, Schema] = {}
     renew = request.config.getoption("--renew-golden")
     known = {} if renew else json.loads(SCHEMAS.read_text("utf-8"))
+    monkeypatch.setattr("trainlog.cli.demo.commands", lambda _: STEPS)
+    monkeypatch.setattr("trainlog.cli.fleet_demo.commands", lambda *_, **__: STEPS)
     for line in COMMANDS.split("\n")[1:-1]:
         status, printed, complaint = run(monkeypatch, capsys, *line.split(), "--json")
         assert status in (0, 1), (line, complaint)
@@ -202,6 +229,8 @@ def test_every_command_prints_one_object_of_its_documented_form(
         found[name] = merged(found.get(name, {}), schema_of(document))
         if not renew:
             jsonschema.validate(document, known[name])
+            for step in document.get("steps", []):
+                jsonschema.validate(step, known[step["command"]])
     if renew:
         PAGE.write_text(with_contents(PAGE.read_text("utf-8"), found), encoding="utf-8")
         text = json.dumps(dict(sorted(found.items())), indent=1, ensure_ascii=False)
@@ -218,7 +247,8 @@ PURE = {
     *("trips", "repairs", "samples", "count", "same", "back", "removed"),
     *("against_kind", "against_kind_std", "band_ratio", "beyond", "done", "failed", "known"),
     *("moved_in_all", "pending", "refused", "rounding", "rows", "unread", "verdicts_in_all"),
-    *("within", "words", "workers"),
+    *("within", "words", "workers", "lines", "lost", "lost_by_number", "late_by_number"),
+    *("repeated_by_number", "restarts_by_number"),
 }
 """Numbers without a unit, beside those of the commands of the map."""
 

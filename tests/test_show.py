@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import command
 import pytest
 
 import trainlog
@@ -85,7 +86,7 @@ def test_a_folder_lists_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[
     for name in ("gnss.csv", "CH_StGallen_Wil.line.json"):
         (tmp_path / name).write_bytes(sample(name).read_bytes())
     (tmp_path / "note.txt").write_text("late")
-    rows = {name: kind for name, kind, _ in folder_contents(tmp_path)}
+    rows = {entry.name: entry.kind for entry in folder_contents(tmp_path)}
     assert rows == {
         "gnss.csv": "recording (ublox)",
         "CH_StGallen_Wil.line.json": "line",
@@ -93,6 +94,41 @@ def test_a_folder_lists_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[
     }
     assert run(["show", str(tmp_path)]) == 0
     assert "recording (ublox)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 0.95])
+def test_a_damaged_log_is_shown_and_ends_with_1(
+    share: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By itself, as data, in a folder, and beside what is whole: as `check` ends."""
+    whole = sample("nonstop.mcap")
+    content = whole.read_bytes()
+    (tmp_path / "logs").mkdir()
+    cut = tmp_path / "logs" / "cut.mcap"
+    cut.write_bytes(content[: int(share * len(content))])
+    readable = share > 0.0
+    alone, shown, complaint = command.run(monkeypatch, capsys, "show", cut)
+    assert alone == command.run(monkeypatch, capsys, "check", cut)[0] == (1 if readable else 2)
+    assert ("/train/state" in shown) == readable
+    assert readable or "is empty" in complaint
+    assert command.run(monkeypatch, capsys, "show", tmp_path / "logs")[0] == 1
+    for words in ([cut, whole], [whole, cut]):
+        status, shown, complaint = command.run(monkeypatch, capsys, "show", *words, "--json")
+        document = json.loads(shown)
+        assert status == document["status"] == 1
+        states = {each["file"]: each["whole"] for each in document["logs"]}
+        assert states == {str(whole): True} | ({str(cut): False} if readable else {})
+        assert complaint.count(str(cut)) == (0 if readable else 1)
+    assert command.run(monkeypatch, capsys, "show", whole, whole)[0] == 0
+
+
+def test_none_of_several_that_can_be_shown_ends_with_2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    absent = [tmp_path / "a.mcap", tmp_path / "b.line.json"]
+    status, shown, complaint = command.run(monkeypatch, capsys, "show", *absent)
+    assert (status, shown) == (2, "")
+    assert all(f"{each}: does not exist" in complaint for each in absent)
 
 
 @pytest.mark.parametrize("name", ["nonstop.mcap", "CH_StGallen_Wil.line.json"])

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.table import Table
@@ -46,6 +47,11 @@ class Report:
 
     def _repr_html_(self) -> str:
         return as_page(report_table(self))
+
+    def details(self) -> dict[str, Any]:
+        """The report as data."""
+        rows = [dict(zip(("subject", "result", "in"), row, strict=True)) for row in self.rows]
+        return {"folder": str(self.folder), "results": rows}
 
 
 def report(folder: str | Path) -> Report:

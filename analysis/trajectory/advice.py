@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -184,6 +184,28 @@ class JourneyAdvice:
         minutes, rest = divmod(whole, 60)
         hours, minutes = divmod(minutes, 60)
         return f"{hours:02d}:{minutes:02d}:{rest:02d}"
+
+    def details(self) -> dict[str, Any]:
+        """The advice as data: numbers in SI units, the operator's kilometre beside the position."""
+        rows = [
+            {
+                "event": row.event,
+                "position_m": row.position,
+                "at_km": row.km,
+                "station": row.station,
+                "place": row.place,
+                "time_s": row.time,
+                "clock": self.time(row.time),
+                "timetable_s": row.timetable,
+                "speed_m_s": row.speed,
+                "permitted_m_s": row.permitted,
+                "advice": row.words,
+                "target_m_s": None if row.point is None else row.point.target,
+                "to_km": None if row.point is None else row.to_km,
+            }
+            for row in self.rows
+        ]
+        return {"line": self.line, "train": self.train, "departure_s": self.start, "advice": rows}
 
 
 def time_of_day(word: str) -> float:

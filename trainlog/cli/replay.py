@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,7 +19,7 @@ from trainlog.cli.options import (
     logs_in,
     part_of,
 )
-from trainlog.cli.terminal import console, working, wrote
+from trainlog.cli.terminal import console, state, working, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
 
@@ -167,6 +168,8 @@ def _number_of(reference: Path, logs: list[Path]) -> int:
 
 def _state(made: Replay) -> None:
     """State with what trips are compared, and whether samples were left out."""
+    if state(asdict(made)):
+        return
     say = partial(console.print, highlight=False, soft_wrap=True)
     if made.references:
         say(f"compared along the line with {', '.join(made.references)}")

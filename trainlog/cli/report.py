@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from trainlog.cli.options import ChosenTrips, destination
-from trainlog.cli.terminal import console, print_error, working, wrote
+from trainlog.cli.terminal import console, print_error, state, working, wrote
 from trainlog.errors import InputError
 
 app = typer.Typer()
@@ -64,7 +64,9 @@ def report(
                 file=results,
                 remedy="name the page: -o report.html",
             )
-        console.print(report_table(summed_up(results)))
+        found = summed_up(results)
+        if not state(found.details()):
+            console.print(report_table(found))
         return
     destination(output, ".html")
 
@@ -74,6 +76,8 @@ def report(
     known = known_zone(zone)
     with working(f"report on {results.name}"):
         page = write_report(results, output, ReportOptions(line, tuple(logs or ()), known))
+    titles = [each.title for each in page.sections]
+    state({"title": page.title, "sections": titles, "problems": page.problems})
     wrote(output)
     for words in page.problems:
         print_error(f"not shown: {words}")
@@ -128,5 +132,6 @@ def driver_advice(
         found = write_driver_advice(
             trajectories, output, table, line=line, start=start, dwell=dwell
         )
-    console.print(driver_table(found))
+    if not state(found.details()):
+        console.print(driver_table(found))
     wrote(output, table)

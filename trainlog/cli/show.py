@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
+from trainlog.cli.commands import end_in_part
 from trainlog.cli.options import ChosenTrips
-from trainlog.cli.terminal import console, current, plain, state, wrote
+from trainlog.cli.terminal import console, current, plain, print_problems, state, wrote
 from trainlog.display import counted
-from trainlog.errors import InputError
+from trainlog.errors import InputError, TrainlogError
 
 if TYPE_CHECKING:
     from trainlog.mcap.description import LogDescription
@@ -49,7 +50,8 @@ def show(
     Of a log topics, units, rates, time and position span, gaps, passport; of a consist its
     vehicles, couplers and brake; of a track-condition map its line, layers, trips and days, with
     [bold]--trips[/bold] each recording by its name; of a recorder's file what can be read of it;
-    of a folder what each of its files is.
+    of a folder what each of its files is. Exit status 1 if a log is damaged, or a file of several
+    cannot be shown; 2 if none can.
 
     Example: trainlog show results/trips/trip-01.mcap
 
@@ -57,11 +59,18 @@ def show(
     """
     if len(files) > 1 and (picture is not None or browse):
         raise InputError("one file is shown as a picture", remedy="name a single file")
+    damaged = refused = 0
     for file in files:
-        if file.is_dir() and not (file / "trip.json").exists():
-            _show_folder(file)
-        else:
-            _show(file, trips)
+        try:
+            if file.is_dir() and not (file / "trip.json").exists():
+                damaged += _show_folder(file)
+            else:
+                damaged += _show(file, trips)
+        except TrainlogError as error:  # one file that cannot be shown says nothing of the others
+            if len(files) == 1:
+                raise
+            print_problems(error)
+            refused += 1
     if picture is not None:
         from analysis.contents import contents_of, draw_contents
 
@@ -69,9 +78,13 @@ def show(
         wrote(picture)
     if browse:
         _open(files[0])
+    end_in_part(refused, len(files))
+    if damaged:
+        raise typer.Exit(1)
 
 
-def _show(file: Path, trips: bool) -> None:
+def _show(file: Path, trips: bool) -> bool:
+    """State what a file holds; whether it is a log that is damaged."""
     from analysis.consist_table import consist_tables
     from analysis.contents import contents_of
     from trainlog.formats.attached import passport_of
@@ -84,7 +97,7 @@ def _show(file: Path, trips: bool) -> None:
         recorded = recorded_fields(found.value)
         if state({}):
             current().content.setdefault("logs", []).append(_log_as_data(found.value, recorded))
-            return
+            return found.damaged
         console.print(render(found.value, recorded))
         if PASSPORT_ATTACHMENT in (each.name for each in found.value.attachments):
             console.print(repr(passport_of(read_log(file, []))), highlight=False, markup=False)
@@ -97,6 +110,7 @@ def _show(file: Path, trips: bool) -> None:
     else:
         console.print(f"{file}: {found.kind}", highlight=False, soft_wrap=True)
         console.print(found.text, highlight=False, markup=False, soft_wrap=True)
+    return found.damaged
 
 
 def _log_as_data(found: LogDescription, recorded: Mapping[str, frozenset[str]]) -> dict[str, Any]:
@@ -155,15 +169,18 @@ def _log_as_data(found: LogDescription, recorded: Mapping[str, frozenset[str]]) 
     }
 
 
-def _show_folder(folder: Path) -> None:
+def _show_folder(folder: Path) -> bool:
+    """List what the files of a folder are; whether a log among them is damaged."""
     from analysis.contents import folder_contents
     from analysis.tables import new_table
 
     table = new_table("", "file", "kind", "contents")
     table.title = str(folder)
-    for row in folder_contents(folder):
-        table.add_row(*row)
+    rows = folder_contents(folder)
+    for row in rows:
+        table.add_row(row.name, row.kind, row.summary)
     console.print(table)
+    return any(row.damaged for row in rows)
 
 
 def _open(file: Path) -> None:
