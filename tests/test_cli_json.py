@@ -171,7 +171,6 @@ def merged(one: Schema, other: Schema) -> Schema:
     return found
 
 
-
 def with_contents(page: str, schemas: dict[str, Schema]) -> str:
     """The page of the command line with the list of what each command prints."""
     rows = ["| command | its own keys; of a list, those of its entries |", "|---|---|"]
