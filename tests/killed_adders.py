@@ -19,9 +19,9 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from trainlog.catalogue import ResultOutcome, disk, open_catalogue
+from trainlog.catalogue import ResultOutcome, adding, open_catalogue
 
-disk.BATCH = 3
+adding.BATCH = 3
 
 
 def work(where: str, results: str | None, logs: list[str], seed: int) -> None:

@@ -328,7 +328,7 @@ def test_a_damaged_log_is_a_trip_that_says_so(
 def test_many_files_are_read_by_several_processes_with_the_same_result(
     many_logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("trainlog.catalogue.disk._WORTH_PROCESSES", 2)
+    monkeypatch.setattr("trainlog.catalogue.adding._WORTH_PROCESSES", 2)
     held = []
     for jobs in (1, 2):
         with open_catalogue(tmp_path / str(jobs)) as catalogue:

@@ -8,11 +8,11 @@ from trainlog.public import names_on_first_use
 require("sqlalchemy", "sqlglot")
 
 if TYPE_CHECKING:
+    from trainlog.catalogue.adding import Refreshed as Refreshed
     from trainlog.catalogue.catalogue import (
         Catalogue as Catalogue,
         open_catalogue as open_catalogue,
     )
-    from trainlog.catalogue.disk import Refreshed as Refreshed
     from trainlog.catalogue.export import write_trips as write_trips
     from trainlog.catalogue.reading import (
         FileEntry as FileEntry,
@@ -29,7 +29,7 @@ if not TYPE_CHECKING:  # type checkers refuse names that are not listed above
         "trainlog.catalogue",
         {
             "trainlog.catalogue.catalogue": "Catalogue open_catalogue",
-            "trainlog.catalogue.disk": "Refreshed",
+            "trainlog.catalogue.adding": "Refreshed",
             "trainlog.catalogue.export": "write_trips",
             "trainlog.catalogue.reading": "FileEntry LogEntry read_entry read_file",
             "trainlog.catalogue.registration": "Added FileOutcome",

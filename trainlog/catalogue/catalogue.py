@@ -2,39 +2,20 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import pandas as pd
-import sqlalchemy as sa
 
-from trainlog.catalogue import disk, results as stored
-from trainlog.catalogue.disk import Refreshed, batches, logs_below, read_files
-from trainlog.catalogue.registration import (
-    Added,
-    FileOutcome,
-    forget,
-    parts,
-    place_again,
-    register,
-)
+from trainlog.catalogue import adding, listing, querying, results as stored
+from trainlog.catalogue.adding import Refreshed
+from trainlog.catalogue.querying import Limits, condition_of
+from trainlog.catalogue.registration import Added, FileOutcome
 from trainlog.catalogue.results import ResultOutcome, ResultState
-from trainlog.catalogue.schema import (
-    TRIP_COLUMNS,
-    Database,
-    files,
-    on_line,
-    trip_edges,
-    trips,
-)
-from trainlog.display import as_text, counted
-from trainlog.errors import InputError
+from trainlog.catalogue.schema import Database
+from trainlog.display import as_text
 from trainlog.formats.settings import read_settings
-from trainlog.progress import track
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -44,8 +25,6 @@ if TYPE_CHECKING:
 
 _DEFAULT = "catalogue"
 """Folder of the catalogue where none is named."""
-
-_COLUMNS = [each.name for each in TRIP_COLUMNS]
 
 
 def open_catalogue(
@@ -118,8 +97,7 @@ class Catalogue:
 
     def __len__(self) -> int:
         with self._database.reading() as connection:
-            asked = sa.select(sa.func.count()).select_from(trips)
-            return int(connection.execute(asked.where(trips.c.standing == "counts")).scalar_one())
+            return querying.number_of_trips(connection)
 
     @property
     def place(self) -> str:
@@ -133,22 +111,7 @@ class Catalogue:
 
     def counts(self) -> dict[str, int]:
         """How many trips count, how many recordings of the same drives there are, and files."""
-        with self._database.reading() as connection:
-            count = sa.func.count()
-            standing = connection.execute(
-                sa.select(trips.c.standing, count).group_by(trips.c.standing)
-            )
-            states = connection.execute(sa.select(files.c.state, count).group_by(files.c.state))
-            trips_by = {row[0]: int(row[1]) for row in standing}
-            files_by = {row[0]: int(row[1]) for row in states}
-        return {
-            "trips": trips_by.get("counts", 0),
-            "other recordings": trips_by.get("same drive", 0),
-            "older versions": trips_by.get("older version", 0),
-            "files": files_by.get("present", 0),
-            "vanished": files_by.get("vanished", 0),
-            "refused": files_by.get("refused", 0),
-        }
+        return listing.counts(self._database)
 
     # ---------------------------------------------------------------------------------- files
 
@@ -189,24 +152,7 @@ class Catalogue:
         >>> first, again
         (Added: 2 new trips, Added: 0 new trips, 2 unchanged)
         """
-        every = [paths] if isinstance(paths, str | Path) else list(paths)
-        found = logs_below(every)
-        outcomes: list[FileOutcome] = []
-
-        def state(done: Iterable[FileOutcome]) -> None:
-            for outcome in done:
-                outcomes.append(outcome)
-                if report is not None:
-                    report(outcome, len(outcomes), len(found))
-
-        new: list[str] = []
-        for part in parts(found):
-            known = self._unchanged(part)
-            state(FileOutcome(path, *known[path]) for path in part if path in known)
-            new += [path for path in part if path not in known]
-        for entries in batches(read_files(new, jobs)):
-            state(self.register(entries).outcomes)
-        return Added(self._settled(outcomes))
+        return adding.add(self._database, paths, report, jobs)
 
     def register(self, entries: Sequence[FileEntry]) -> Added:
         """Register files that were looked at, in transactions of some hundred files.
@@ -219,64 +165,7 @@ class Catalogue:
         ...     catalogue.register([read_file("sample_logs/stopping.mcap")])
         Added: 1 new trip
         """
-        outcomes: list[FileOutcome] = []
-        for at in range(0, len(entries), disk.BATCH):
-            part = entries[at : at + disk.BATCH]
-            present = self._present(part)
-            with self._database.writing() as connection:
-                outcomes += register(connection, part, time.time_ns(), present)
-        return Added(self._settled(outcomes))
-
-    def _settled(self, outcomes: Sequence[FileOutcome]) -> tuple[FileOutcome, ...]:
-        """New trips as they stand once all are registered: fuller recordings may have come."""
-        asked = (
-            sa.select(files.c.path, trips.c.standing, trips.c.quality, trips.c.damage)
-            .join(trips, trips.c.id == files.c.trip)
-            .where(files.c.state == "present")
-        )
-        found: dict[str, tuple[bool, str]] = {}
-        new = [each.path for each in outcomes if each.state in ("new", "recording")]
-        with self._database.reading() as connection:
-            for part in parts(new):
-                for path, standing, quality, damage in connection.execute(
-                    asked.where(files.c.path.in_(part))
-                ):
-                    lost = damage if quality == "damaged" else ""
-                    found[path] = (standing == "same drive", lost)
-        settled = []
-        for each in outcomes:
-            if each.state in ("new", "recording") and each.path in found:
-                other, damage = found[each.path]
-                each = replace(each, state="recording" if other else "new", damage=damage)
-            settled.append(each)
-        return tuple(settled)
-
-    def _unchanged(self, paths: Sequence[str]) -> dict[str, tuple[Any, str]]:
-        """Files that are known as they are, with their state and reason."""
-        asked = sa.select(files).where(
-            files.c.path.in_(paths), files.c.state.in_(("present", "refused"))
-        )
-        found: dict[str, tuple[Any, str]] = {}
-        with self._database.reading() as connection:
-            rows = connection.execute(asked).mappings().all()
-        for row in rows:
-            try:
-                now = Path(row["path"]).stat()
-            except OSError:
-                continue
-            if row["sha256"] and (now.st_size, now.st_mtime_ns) == (row["size"], row["changed"]):
-                state = "known" if row["state"] == "present" else "refused"
-                found[row["path"]] = (state, row["reason"])
-        return found
-
-    def _present(self, entries: Sequence[FileEntry]) -> dict[str, bool]:
-        """Whether known files of the same contents stand where they stood."""
-        found: dict[str, bool] = {}
-        with self._database.reading() as connection:
-            for part in parts(sorted({each.sha256 for each in entries} - {""})):
-                asked = sa.select(files.c.path).where(files.c.sha256.in_(part))
-                found |= dict.fromkeys(connection.execute(asked).scalars(), False)
-        return {path: Path(path).is_file() for path in found}
+        return adding.add_entries(self._database, entries)
 
     def refresh(self, paths: Iterable[str | Path] = ()) -> Refreshed:
         """Compare the catalogue with the disk: which files vanished, moved, changed or came back.
@@ -299,44 +188,7 @@ class Catalogue:
         ...     catalogue.refresh()
         Refreshed: 0 files as they were, 1 vanished
         """
-        every = list(paths)
-        gone, back, changed, same = self._compared()
-        for part in parts(sorted(gone | back)):
-            with self._database.writing() as connection:
-                place_again(connection, part, gone)
-        added = self.add(every).outcomes if every else ()
-        read = [*self.register(list(read_files(sorted(changed)))).outcomes, *added]
-        moved = [each.path for each in read if each.state == "moved"]
-        with self._database.reading() as connection:
-            asked = sa.select(files.c.path).where(files.c.state == "vanished")
-            vanished = connection.execute(asked.order_by(files.c.path)).scalars().all()
-        return Refreshed(
-            same, tuple(vanished), tuple(moved), tuple(sorted(changed)), len(back), tuple(read)
-        )
-
-    def _compared(self) -> tuple[set[int], set[int], set[str], int]:
-        """Rows of files that are gone, and back; paths whose content changed; files as before."""
-        asked = sa.select(files).where(files.c.state.in_(("present", "vanished")))
-        gone, back, changed, same = set[int](), set[int](), set[str](), 0
-        with self._database.reading() as connection:
-            rows = connection.execute(asked).mappings().all()
-        for row in track(rows, "looking for files", "file"):
-            present = row["state"] == "present"
-            try:
-                now = Path(row["path"]).stat()
-            except FileNotFoundError:
-                gone |= {row["id"]} if present else set()
-                continue
-            except OSError:
-                # A folder that may not be entered, a server that does not answer: not known.
-                continue
-            if (now.st_size, now.st_mtime_ns) != (row["size"], row["changed"]):
-                changed.add(row["path"])
-            elif present:
-                same += 1
-            else:
-                back.add(row["id"])
-        return gone, back, changed, same
+        return adding.refresh(self._database, list(paths))
 
     def remove(self, where: str | None = None, *, vanished: bool = False) -> int:
         """Forget trips and what was computed of them; logs stay as they are. How many went.
@@ -356,25 +208,7 @@ class Catalogue:
         InputError
             If nothing limits what is removed, or as `query`.
         """
-        if where is None and not vanished:
-            raise InputError(
-                "nothing says which trips are to be removed",
-                file=self.place,
-                remedy="give an expression, or vanished ones",
-            )
-        asked = sa.select(trips.c.id).where(
-            trips.c.standing == "counts", *self._conditions(where, None, None, None, None, None)
-        )
-        if vanished:
-            there = sa.select(files.c.trip).where(
-                files.c.trip.is_not(None), files.c.state == "present"
-            )
-            asked = asked.where(trips.c.id.not_in(there))
-        removed = 0
-        with self._database.writing() as connection:
-            for part in parts(sorted(connection.execute(asked).scalars())):
-                removed += forget(connection, part)
-        return removed
+        return adding.remove(self._database, where, vanished)
 
     def uncounted(self) -> pd.DataFrame:
         """What does not count, and why: copies, other recordings, old versions, vanished, refused.
@@ -384,39 +218,7 @@ class Catalogue:
         DataFrame
             With the columns ``path``, ``what`` and ``reason``, in the order of path.
         """
-        other = trips.alias("other")
-        standing = (
-            sa.select(files.c.path, trips.c.standing, other.c.name, trips.c.share, other.c.key)
-            .select_from(trips)
-            .join(files, files.c.trip == trips.c.id)
-            .join(other, other.c.id == trips.c.same_as)
-            .where(files.c.state == "present", trips.c.standing != "counts")
-        )
-        state = sa.select(files.c.path, files.c.state, files.c.reason).where(
-            files.c.state.in_(("vanished", "refused"))
-        )
-        first = (
-            sa.select(files.c.trip, sa.func.min(files.c.path).label("path"))
-            .where(files.c.state == "present")
-            .group_by(files.c.trip)
-            .subquery()
-        )
-        copies = sa.select(files.c.path, first.c.path).where(
-            files.c.trip == first.c.trip, files.c.state == "present", files.c.path != first.c.path
-        )
-        with self._database.reading() as connection:
-            found = [
-                (path, what, f"{'' if share is None else f'{share:.0%} in '}'{name}' ({key[:8]})")
-                for path, what, name, share, key in connection.execute(standing)
-            ]
-            found += [(path, what, reason) for path, what, reason in connection.execute(state)]
-            known = {path for path, *_ in found}
-            found += [
-                (path, "copy", f"the same as {other}")
-                for path, other in connection.execute(copies)
-                if path not in known
-            ]
-        return pd.DataFrame(sorted(found), columns=["path", "what", "reason"])
+        return listing.uncounted(self._database)
 
     def overview(self) -> pd.DataFrame:
         """One row a train and line, of the trips that count.
@@ -427,26 +229,7 @@ class Catalogue:
             ``train``, ``kind``, ``line``, ``trips``, ``first`` and ``last`` start, ``distance`` [m]
             and ``duration`` [s] in all.
         """
-        by = (trips.c.train, trips.c.kind, trips.c.line)
-        asked = (
-            sa.select(
-                *by,
-                sa.func.count(),
-                sa.func.min(trips.c.start),
-                sa.func.max(trips.c.start),
-                sa.func.sum(trips.c.distance),
-                sa.func.sum(trips.c.duration),
-            )
-            .where(trips.c.standing == "counts")
-            .group_by(*by)
-        )
-        names = ["train", "kind", "line", "trips", "first", "last", "distance", "duration"]
-        with self._database.reading() as connection:
-            frame = pd.DataFrame(connection.execute(asked).all(), columns=names)
-        for name in ("first", "last"):
-            frame[name] = pd.to_datetime(frame[name].astype("Int64"), unit="ns", utc=True)
-        order = frame[["train", "kind", "line"]].fillna("")
-        return frame.loc[order.sort_values(["train", "kind", "line"]).index].reset_index(drop=True)
+        return listing.overview(self._database)
 
     # ---------------------------------------------------------------------------------- trips
 
@@ -496,49 +279,7 @@ class Catalogue:
         >>> found[["name", "weather", "km_to"]].values.tolist()
         [['trip-03', 'wet', 29.55647]]
         """
-        names = [*_COLUMNS, "path"] if columns is None else list(columns)
-        for name in names:
-            if name not in _COLUMNS and name != "path":
-                raise InputError(
-                    f"'{name}' is no column of trips", remedy=f"known: {', '.join(_COLUMNS)}, path"
-                )
-        path = (
-            sa.select(sa.func.min(files.c.path))
-            .where(files.c.trip == trips.c.id, files.c.state == "present")
-            .scalar_subquery()
-            .label("path")
-        )
-        asked = sa.select(*(path if name == "path" else trips.c[name] for name in names))
-        conditions = self._conditions(where, train, line, start, end, zone)
-        asked = asked.where(trips.c.standing == "counts", *conditions)
-        with self._database.reading() as connection:
-            rows = connection.execute(asked.order_by(trips.c.start, trips.c.key)).all()
-        return _frame(rows, names)
-
-    def _conditions(
-        self, where: str | None, train: Any, line: Any, start: Any, end: Any, zone: str | None
-    ) -> list[sa.ColumnElement[bool]]:
-        from trainlog.catalogue.days import times_of
-
-        found: list[sa.ColumnElement[bool]] = []
-        if where is not None:
-            found.append(_condition(where, zone))
-        if train is not None:
-            found.append(trips.c.train == train)
-        if line is not None:
-            found.append(on_line(trips.c.line == line, trip_edges.c.edge == line))
-        first = None if start is None else times_of(start, zone)[0]
-        last = None if end is None else times_of(end, zone)[1]
-        if first is not None and last is not None and first > last:
-            raise InputError(
-                f"the time from {start} to {end} ends before it begins",
-                remedy="give the earlier time first",
-            )
-        if first is not None:
-            found.append(trips.c.start >= first)
-        if last is not None:
-            found.append(trips.c.start <= last)
-        return found
+        return querying.query(self._database, Limits(where, train, line, start, end, zone), columns)
 
     def unmatched(
         self, where: str | None = None, train: str | None = None, line: str | None = None
@@ -555,33 +296,7 @@ class Catalogue:
         ...     catalogue.unmatched("weather = 'Wet'")
         ["no trip has the weather 'Wet'; did you mean 'wet'? known: dry, wet"]
         """
-        from trainlog.catalogue.where import texts_asked
-
-        asked = [] if where is None else texts_asked(where)
-        asked += [(n, v) for n, v in (("train", train), ("line", line)) if v is not None]
-        found = []
-        for column, value in dict.fromkeys(asked):
-            values = self._values(column)
-            if value in values:
-                continue
-            folded = {each.casefold(): each for each in reversed(values)}
-            close = get_close_matches(value.casefold(), list(folded), n=1)
-            meant = f" did you mean '{folded[close[0]]}'?" if close else ""
-            more = f" and {len(values) - 8} more" if len(values) > 8 else ""
-            known = f" known: {', '.join(values[:8])}{more}" if values else " none states any"
-            found.append(f"no trip has the {column} '{value}';{meant}{known}")
-        return found
-
-    def _values(self, column: str) -> list[str]:
-        """Texts of a column, of the trips that count; of lines, the edges of routes, too."""
-        counts = trips.c.standing == "counts"
-        asked = [sa.select(trips.c[column]).where(counts).distinct()]
-        if column == "line":
-            edges = sa.select(trip_edges.c.edge).join(trips, trips.c.id == trip_edges.c.trip)
-            asked.append(edges.where(counts).distinct())
-        with self._database.reading() as connection:
-            found = {value for each in asked for value in connection.execute(each).scalars()}
-        return sorted(each for each in found if each is not None)
+        return querying.unmatched(self._database, where, train, line)
 
     def paths(self, where: str | None = None, **limits: Any) -> list[Path]:
         """The logs of the trips that `query` chooses, in its order.
@@ -591,25 +306,7 @@ class Catalogue:
         InputError
             As `query`; if no trip is found, or the logs of some have vanished, which are named.
         """
-        found = self.query(where, columns=["name", "key", "path"], **limits)
-        if not len(found):
-            why = self.unmatched(where, limits.get("train"), limits.get("line"))
-            raise InputError(
-                f"no trip of the {counted(len(self), 'trip')} of the catalogue is chosen"
-                + "".join(f"; {each}" for each in why),
-                file=self.place,
-                remedy="'trainlog catalogue list' shows which trains and lines there are",
-            )
-        gone = found[found["path"].isna()]
-        if len(gone):
-            names = ", ".join(gone["name"].iloc[:5])
-            more = f" and {len(gone) - 5} more" if len(gone) > 5 else ""
-            raise InputError(
-                f"the logs of {counted(len(gone), 'trip')} have vanished: {names}{more}",
-                file=self.place,
-                remedy="add the folder that they were moved to, or remove them from the catalogue",
-            )
-        return [Path(path) for path in found["path"]]
+        return querying.paths(self._database, Limits(where, **limits))
 
     def open(self, trip: str | Mapping[str, Any] | pd.Series, *topics: str) -> Trip:
         """Read the log of a trip.
@@ -635,19 +332,10 @@ class Catalogue:
         >>> trip.name
         'trip-03'
         """
-        key = trip if isinstance(trip, str) else str(trip["key"])
-        asked = sa.select(trips.c.key, trips.c.name).where(
-            trips.c.standing == "counts", trips.c.key.startswith(key, autoescape=True)
-        )
-        with self._database.reading() as connection:
-            found = connection.execute(asked.limit(2)).all()
-        if len(found) != 1 or not key:
-            what = f"several trips begin with '{key}'" if found else f"there is no trip '{key}'"
-            raise InputError(what, file=self.place, remedy="give the key that 'query' lists")
-        (path,) = self.paths(f"key = '{found[0][0]}'")
         from trainlog.mcap import read_log
 
-        return read_log(path, topics or None)
+        key = trip if isinstance(trip, str) else str(trip["key"])
+        return read_log(querying.path_of(self._database, key), topics or None)
 
     # -------------------------------------------------------------------------------- results
 
@@ -682,7 +370,7 @@ class Catalogue:
         DataFrame
             With the columns ``key``, ``sha256`` and ``path``.
         """
-        condition = None if where is None else _condition(where)
+        condition = condition_of(where)
         return stored.pending(self._database, analysis, code, parameters, condition, page)
 
     def standing(
@@ -697,7 +385,7 @@ class Catalogue:
 
         Parameters are those of `pending`.
         """
-        condition = None if where is None else _condition(where)
+        condition = condition_of(where)
         return stored.standing(self._database, analysis, code, parameters, condition)
 
     def problems(
@@ -718,7 +406,7 @@ class Catalogue:
         DataFrame
             With the columns ``key``, ``name``, ``path``, ``state`` and ``reason``.
         """
-        condition = None if where is None else _condition(where)
+        condition = condition_of(where)
         return stored.problems(self._database, analysis, code, parameters, condition, most)
 
     def forget(
@@ -734,7 +422,7 @@ class Catalogue:
 
         Parameters are those of `pending`, and the states that are forgotten.
         """
-        condition = None if where is None else _condition(where)
+        condition = condition_of(where)
         return stored.forget(self._database, analysis, code, parameters, condition, states)
 
     def record(
@@ -810,7 +498,7 @@ class Catalogue:
             The columns of the analysis, with ``key``, and ``train``, ``kind``, ``line`` and
             ``start`` of the trip where it has none of that name.
         """
-        condition = None if where is None else _condition(where)
+        condition = condition_of(where)
         return stored.merged(self._database, analysis, code, parameters, condition)
 
     def computations(self) -> pd.DataFrame:
@@ -859,7 +547,7 @@ class Catalogue:
         >>> found["reason"].tolist(), made[["analysis", "refused"]].values.tolist()
         (['no stop', 'no stop'], [['stops', 2]])
         """
-        condition = None if where is None else _condition(where)
+        condition = condition_of(where)
         return stored.outcomes_of(self._database, analysis, code, parameters, condition)
 
     def compact(
@@ -878,30 +566,3 @@ class Catalogue:
             Default: those that were recorded last.
         """
         return stored.compact(self._database, analysis, code, parameters)
-
-
-def _condition(where: str, zone: str | None = None) -> sa.ColumnElement[bool]:
-    from trainlog.catalogue.where import condition_of
-
-    return condition_of(where, zone)
-
-
-def _frame(rows: Sequence[Any], names: Sequence[str]) -> pd.DataFrame:
-    """A frame of trips, its times as time stamps."""
-    frame = pd.DataFrame(rows, columns=list(names))
-    units = {}
-    for column in TRIP_COLUMNS:
-        if column.name not in frame:
-            continue
-        values = frame[column.name]
-        if column.kind == "time":
-            frame[column.name] = pd.to_datetime(values.astype("Int64"), unit="ns", utc=True)
-        elif column.kind == "number":
-            frame[column.name] = values.astype("float64")
-            units[column.name] = column.unit
-        elif column.kind == "count":
-            frame[column.name] = values.astype("int64")
-        else:
-            frame[column.name] = values.astype(object)
-    frame.attrs["units"] = units
-    return frame
