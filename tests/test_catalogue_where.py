@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import secrets
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,7 +55,7 @@ def catalogues(
     places: dict[str, str | Path] = {"sqlite": folder / "catalogue"}
     try:
         server = request.getfixturevalue("postgresql_server")
-        places["postgresql"] = f"{server}{'&' if '?' in server else '?'}schema=expressions"
+        places["postgresql"] = f"{server}{'&' if '?' in server else '?'}schema=expressions_{secrets.token_hex(6)}"
     except pytest.skip.Exception:
         pass
     opened: list[Catalogue] = []

