@@ -55,7 +55,9 @@ def catalogues(
     places: dict[str, str | Path] = {"sqlite": folder / "catalogue"}
     try:
         server = request.getfixturevalue("postgresql_server")
-        places["postgresql"] = f"{server}{'&' if '?' in server else '?'}schema=expressions_{secrets.token_hex(6)}"
+        places["postgresql"] = (
+            f"{server}{'&' if '?' in server else '?'}schema=expressions_{secrets.token_hex(6)}"
+        )
     except pytest.skip.Exception:
         pass
     opened: list[Catalogue] = []

@@ -164,7 +164,9 @@ def work(catalogue: Catalogue, clock: Clock) -> None:
     rng = np.random.default_rng(2)
     clock("pending, of those that were not computed", lambda: catalogue.pending(*asked))
     clock("pending, of all", lambda: catalogue.pending("another", "1"))
-    clock("pending, a page of 500 of all", lambda: catalogue.pending("another", "1", page=("", 500)))
+    clock(
+        "pending, a page of 500 of all", lambda: catalogue.pending("another", "1", page=("", 500))
+    )
     clock("standing", lambda: catalogue.standing(*asked))
     clock("computations", catalogue.computations)
     clock("outcomes", lambda: catalogue.outcomes(*asked))
@@ -174,7 +176,9 @@ def work(catalogue: Catalogue, clock: Clock) -> None:
     clock("compact all", lambda: catalogue.compact(*asked), 1)
     clock("compact again", lambda: catalogue.compact(*asked))
     clock("results of all, of one file", lambda: catalogue.results(*asked))
-    clock("results of a day, of one file", lambda: catalogue.results(*asked, where=f"start = '{DAY}'"))
+    clock(
+        "results of a day, of one file", lambda: catalogue.results(*asked, where=f"start = '{DAY}'")
+    )
 
 
 def one_more(catalogue: Catalogue, clock: Clock) -> None:
@@ -205,7 +209,9 @@ def commands(place: str) -> None:
     for _ in range(5):
         read_file(log)
     cpu = 1e3 * (time.process_time() - begun) / 5
-    print(f"  reading a log of {Path(log).stat().st_size / 1e6:.1f} MB to register it: {cpu:.1f} ms")
+    print(
+        f"  reading a log of {Path(log).stat().st_size / 1e6:.1f} MB to register it: {cpu:.1f} ms"
+    )
     words = [sys.executable, "-m", "trainlog", "catalogue", "query", "--catalogue", place]
     words += ["--train", "flirt-03", "--line", "line 3", "--from", DAY, "--to", DAY]
     for name, asked in (
@@ -218,8 +224,10 @@ def commands(place: str) -> None:
             subprocess.run(asked, check=True, capture_output=True)
             after = os.times()
             taken.append(
-                after.children_user - before.children_user
-                + after.children_system - before.children_system
+                after.children_user
+                - before.children_user
+                + after.children_system
+                - before.children_system
             )
         print(f"  {name}, as a whole: {1e3 * min(taken):.0f} ms")
 
