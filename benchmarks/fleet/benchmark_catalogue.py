@@ -23,6 +23,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import sqlalchemy as sa
 
@@ -93,6 +94,7 @@ class Clock:
         return total
 
     def __call__(self, words: str, work: Callable[[], object], repeats: int = 5) -> None:
+        """Print the least processor time and time by the clock of some work."""
         cpu, clock = [], []
         for _ in range(repeats):
             before, begun = self.processors(), time.perf_counter()
@@ -129,19 +131,18 @@ def fill(catalogue: Catalogue, trips: int) -> None:
     if len(todo) <= trips // 2:
         return
     begun, cpu = time.perf_counter(), time.process_time()
-    rng = np.random.default_rng(1)
     for start in range(0, len(todo) - BATCH, BATCH):
-        recorded(catalogue, rng, start, BATCH)
+        record(catalogue, todo.iloc[start : start + BATCH])
     taken, cpu = time.perf_counter() - begun, time.process_time() - cpu
     print(f"  recording results in batches of {BATCH}: {cpu:.1f} s, {taken:.1f} s by the clock")
 
 
-def recorded(catalogue: Catalogue, rng: np.random.Generator, seed: int, most: int) -> int:
-    """Record a table of many columns of a batch of those that are pending."""
-    part = catalogue.pending("synthetic", "1", page=("", most))
-    values = {f"c{n}": rng.normal(size=len(part)) for n in range(COLUMNS)}
-    table = pa.table({"key": part["key"].tolist(), **values})
-    done = [ResultOutcome(row.key, row.sha256, rows=1) for row in part.itertuples()]
+def record(catalogue: Catalogue, todo: pd.DataFrame) -> int:
+    """Record a table of many columns of a batch of trips."""
+    rng = np.random.default_rng(len(todo))
+    values = {f"c{n}": rng.normal(size=len(todo)) for n in range(COLUMNS)}
+    table = pa.table({"key": todo["key"].tolist(), **values})
+    done = [ResultOutcome(row.key, row.sha256, rows=1) for row in todo.itertuples()]
     return catalogue.record("synthetic", "1", {}, done, table)
 
 
@@ -161,7 +162,6 @@ def queries(catalogue: Catalogue, clock: Clock) -> None:
 def work(catalogue: Catalogue, clock: Clock) -> None:
     """What working on all trips asks of the catalogue."""
     asked = ("synthetic", "1")
-    rng = np.random.default_rng(2)
     clock("pending, of those that were not computed", lambda: catalogue.pending(*asked))
     clock("pending, of all", lambda: catalogue.pending("another", "1"))
     clock(
@@ -172,7 +172,10 @@ def work(catalogue: Catalogue, clock: Clock) -> None:
     clock("outcomes", lambda: catalogue.outcomes(*asked))
     clock("results of a day", lambda: catalogue.results(*asked, where=f"start = '{DAY}'"))
     clock("results of all", lambda: catalogue.results(*asked))
-    clock("record a batch of 50", lambda: recorded(catalogue, rng, 0, 50))
+    batches = iter(np.array_split(np.arange(250), 5))
+    todo = catalogue.pending(*asked)
+    if len(todo) >= 250:
+        clock("record a batch of 50", lambda: record(catalogue, todo.iloc[next(batches)]))
     clock("compact all", lambda: catalogue.compact(*asked), 1)
     clock("compact again", lambda: catalogue.compact(*asked))
     clock("results of all, of one file", lambda: catalogue.results(*asked))
