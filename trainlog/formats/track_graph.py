@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations
+from itertools import accumulate, combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +18,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from trainlog.railway import CurvatureProfile, Line, LineReference, Station, StepProfile
+from trainlog.railway.composition import composed
 from trainlog.railway.line import Geometry
-from trainlog.railway.network import AT_END, Edge, Leg, Network, Node, NodeKind, Route
+from trainlog.railway.network import AT_END, Edge, Network, Node, NodeKind
 from trainlog.units import KMH
 
 FloatArray = NDArray[np.float64]
@@ -330,17 +331,7 @@ def joined(lines: Sequence[Line], name: str, source: str) -> Line:
     """
     if len(lines) == 1:
         return replace(lines[0], name=name, source=source)
-    # As a route over a network of these lines alone, which composes them.
-    edges = tuple(
-        Edge(f"{number}", line, f"{number}", f"{number + 1}") for number, line in enumerate(lines)
-    )
-    nodes = tuple(Node(f"{number}", "junction") for number in range(len(lines) + 1))
-    begins = np.cumsum([0.0, *(line.length for line in lines)]).tolist()
-    legs = tuple(
-        Leg(edge.name, begin, edge.line.length, 0.0, edge.line.length, edge.line.length)
-        for edge, begin in zip(edges, begins, strict=False)
-    )
-    line = Route(Network(name, nodes, edges), (nodes[0].name, nodes[-1].name), legs).line
+    begins = accumulate((line.length for line in lines), initial=0.0)
     stations = [
         Station(each.name, begin + each.position)
         for part, begin in zip(lines, begins, strict=False)
@@ -353,7 +344,7 @@ def joined(lines: Sequence[Line], name: str, source: str) -> Line:
         or (each.name, round(each.position, 3))
         != (stations[number - 1].name, round(stations[number - 1].position, 3))
     ]
-    return replace(line, name=name, source=source, legs=(), stations=tuple(once))
+    return replace(composed(name, lines, once), source=source)
 
 
 def _station_at(end: TrackEnd, tracks: dict[str, Line]) -> str:

@@ -147,18 +147,17 @@ class NetworkRoutes:
         last = _stop(edges[-1], end, ahead=not back[-1])
         if len(chosen) == 1 and (first == last or (last < first) != back[0]):
             first, last = (edges[0].line.length, 0.0) if back[0] else (0.0, edges[0].line.length)
-        ends = [(edge.line.length, 0.0) if turned else (0.0, edge.line.length)
-                for edge, turned in zip(edges, back, strict=True)]  # fmt: skip
-        ends[0] = (first, ends[0][1])
-        ends[-1] = (ends[-1][0], last)
-        legs, position = list[Leg](), 0.0
-        for edge, (begun, ended) in zip(edges, ends, strict=True):
-            length = abs(ended - begun)
-            if length <= 0.0:
-                continue
-            legs.append(Leg(edge.name, position, length, begun, ended, edge.line.length))
-            position += length
-        return self._named(tuple(legs))
+        movements = [(edge.name, not turned) for edge, turned in zip(edges, back, strict=True)]
+        begins: float | None = first
+        ends: float | None = last
+        # An edge of which the train reached nothing but its end is not a part of the route.
+        if first == (0.0 if back[0] else edges[0].line.length):
+            begins = None
+            del movements[0]
+        if last == (edges[-1].line.length if back[-1] else 0.0):
+            ends = None
+            del movements[-1]
+        return self._named(self.network.along(movements, begins, ends).legs)
 
     def _named(self, legs: tuple[Leg, ...]) -> Route:
         """The route with the fewest places that lead over its legs."""

@@ -12,30 +12,18 @@ from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
 from itertools import groupby, pairwise
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.extras import require
+from trainlog.railway.composition import composed
 from trainlog.railway.kilometres import position_of
-from trainlog.railway.line import (
-    CurvatureProfile,
-    Geometry,
-    Leg as Leg,
-    Line,
-    LineReference,
-    Station,
-    StepProfile,
-    Survey,
-    Tunnel,
-    route_words,
-)
-from trainlog.railway.profiles import TINY, FloatArray
-
-if TYPE_CHECKING:
-    from networkx import DiGraph
+from trainlog.railway.line import Leg as Leg, Line, Station, route_words
+from trainlog.railway.profiles import TINY
+from trainlog.railway.route_search import EdgeEnds, RouteSearch, Stretch
 
 NodeKind = Literal["station", "junction"]
 
@@ -411,8 +399,19 @@ class Network:
             )
         require("networkx")
         names = tuple(place.strip() for place in places)
-        stages = [self.place(place) for place in names]
-        return Route(self, names, _Search(self, names, stages).legs())
+        stages = [
+            {(each.node, each.edge, each.position): each.station for each in self.place(name)}
+            for name in names
+        ]
+        ends = {e.name: EdgeEnds(e.start, e.end, e.line.length) for e in self.edges}
+        found = RouteSearch(ends, self.turns, stages).stretches()
+        if isinstance(found, int):
+            raise InputError(
+                f"network '{self.name}' has no route from '{names[found]}' to '{names[found + 1]}'",
+                remedy="its turns allow none; name a station on the way at which the train can"
+                " turn back",
+            )
+        return Route(self, names, self._legs(found))
 
     def along(
         self,
@@ -473,7 +472,16 @@ class Network:
                     f" does not run {'along' if forward else 'against'} its chainage",
                     remedy="exchange the direction, or correct where it begins and ends",
                 )
-        return Route(self, tuple(places), _legs(self, stretches))
+        return Route(self, tuple(places), self._legs(stretches))
+
+    def _legs(self, stretches: Sequence[Stretch]) -> tuple[Leg, ...]:
+        """Legs, one behind the other, over edges from one chainage to another."""
+        legs, position = [], 0.0
+        for name, start, end in stretches:
+            length = abs(end - start)
+            legs.append(Leg(name, position, length, start, end, self.edge(name).line.length))
+            position += length
+        return tuple(legs)
 
     def _ends(self, name: str, forward: bool) -> tuple[str, str]:
         """Nodes at which a movement over an edge begins and ends."""
@@ -538,9 +546,7 @@ class Route:
     def line(self) -> Line:
         """The line as travelled.
 
-        Limits, gradients, curves, tunnels and kilometres are those of its edges at each position.
-        It has a geometry where all edges have one; gradients are known as well as on the edge
-        where they are known worst.
+        Composed of stretches of its edges, see `trainlog.railway.composition`.
 
         Raises
         ------
@@ -560,30 +566,7 @@ class Route:
         (29556.1, 0.0)
         """
         parts = [self._travelled(leg) for leg in self.legs]
-        offsets = [leg.position for leg in self.legs]
-        altogether = list(zip(offsets, parts, strict=True))
-        return Line(
-            name=self.name,
-            length=self.length,
-            stations=self._stations(altogether),
-            speed_limits=_joined_steps([(at, part.speed_limits) for at, part in altogether]),
-            gradients=_joined_steps([(at, part.gradients) for at, part in altogether]),
-            curvatures=_joined_curvatures(altogether),
-            tunnels=tuple(
-                Tunnel(at + each.position, each.length, each.cross_section)
-                for at, part in altogether
-                for each in part.tunnels
-            ),
-            altitude=parts[0].altitude,
-            geometry=_joined_geometry(altogether),
-            source="; ".join(dict.fromkeys(part.source for part in parts if part.source)),
-            braking_parameters=_common_parameters(parts),
-            survey=_joined_survey(parts),
-            assumed=tuple(dict.fromkeys(name for part in parts for name in part.assumed)),
-            reference=_joined_reference(altogether),
-            curve_resistance=_same_curve_resistance(self.name, parts),
-            legs=self.legs,
-        )
+        return composed(self.name, parts, self._stations(parts), self.legs)
 
     def _travelled(self, leg: Leg) -> Line:
         """What of an edge's line a leg runs over, in the direction of travel."""
@@ -591,10 +574,12 @@ class Route:
         part = self.network.edge(leg.edge).line.section(start, end)
         return part if leg.forward else part.reversed()
 
-    def _stations(self, parts: Sequence[tuple[float, Line]]) -> tuple[Station, ...]:
+    def _stations(self, parts: Sequence[Line]) -> tuple[Station, ...]:
         """Stations of the parts and of the nodes between them, each once; and both ends."""
         found = [
-            (at + station.position, station.name) for at, part in parts for station in part.stations
+            (leg.position + station.position, station.name)
+            for leg, part in zip(self.legs, parts, strict=True)
+            for station in part.stations
         ]
         for at, name, kind in self._joints():
             if kind == "station":
@@ -621,153 +606,6 @@ class Route:
                     yield at, name, self.network.node(name).kind
 
 
-_State = tuple[int, str, int, int]
-"""Towards which place, over which edge, which piece of it, in which direction (1 or -1)."""
-
-
-class _Search:
-    """The shortest way through places, as a graph of pieces of edges that are travelled.
-
-    Edges are cut where places lie inside them; the graph has each piece once for each direction
-    and for each place that the train is on its way to.
-    """
-
-    def __init__(
-        self, network: Network, names: Sequence[str], stages: Sequence[tuple[Place, ...]]
-    ) -> None:
-        self.network, self.names = network, names
-        self.stages = [{(p.node, p.edge, p.position): p.station for p in each} for each in stages]
-        self.cuts: dict[str, list[float]] = {
-            edge.name: [0.0, edge.line.length] for edge in network.edges
-        }
-        for place in {key for stage in self.stages for key in stage if not key[0]}:
-            self.cuts[place[1]].append(place[2])
-        self.cuts = {name: sorted(set(found)) for name, found in self.cuts.items()}
-        self.departures: dict[str, list[tuple[str, int, int]]] = {}
-        for edge in network.edges:
-            last = len(self.cuts[edge.name]) - 2
-            self.departures.setdefault(edge.start, []).append((edge.name, 0, 1))
-            self.departures.setdefault(edge.end, []).append((edge.name, last, -1))
-
-    def legs(self) -> tuple[Leg, ...]:
-        """Legs of the shortest way.
-
-        Raises
-        ------
-        InputError
-            If there is none, naming between which places.
-        """
-        import networkx
-
-        graph = self._graph()
-        try:
-            states = networkx.dijkstra_path(graph, "start", "end")[1:-1]
-        except (networkx.NetworkXNoPath, networkx.NodeNotFound):
-            reached = networkx.descendants(graph, "start") if "start" in graph else set()
-            most = max((state[0] for state in reached if isinstance(state, tuple)), default=0)
-            raise InputError(
-                f"network '{self.network.name}' has no route from '{self.names[most]}' to"
-                f" '{self.names[most + 1]}'",
-                remedy="its turns allow none; name a station on the way at which the train can"
-                " turn back",
-            ) from None
-        return self._joined(states)
-
-    def _graph(self) -> DiGraph[Any]:
-        import networkx
-
-        graph: DiGraph[Any] = networkx.DiGraph()
-        last = len(self.stages) - 1
-        for key in self.stages[0]:
-            for first in self._departing(key):
-                graph.add_edge("start", (0, *first), weight=0.0)
-        for layer in range(last):
-            for edge in self.network.edges:
-                cuts = self.cuts[edge.name]
-                for piece in range(len(cuts) - 1):
-                    length = cuts[piece + 1] - cuts[piece]
-                    for way in (1, -1):
-                        state = (layer, edge.name, piece, way)
-                        for following in self._following(state, last):
-                            graph.add_edge(state, following, weight=length)
-        return graph
-
-    def _following(self, state: _State, last: int) -> Iterator[_State | str]:
-        """States that can follow one."""
-        layer, name, piece, way = state
-        key = self._end(name, piece, way)
-        onward = list(self._onward(name, piece, way, key))
-        yield from ((layer, *each) for each in onward)
-        station = self.stages[layer + 1].get(key)
-        if station is None:
-            return
-        if layer + 1 == last:
-            yield "end"
-            return
-        for each in self._departing(key) if station else onward:
-            yield (layer + 1, *each)
-
-    def _end(self, name: str, piece: int, way: int) -> tuple[str, str, float]:
-        """The place at which a piece ends."""
-        at = piece + (way > 0)
-        edge = self.network.edge(name)
-        if at == 0:
-            return edge.start, "", 0.0
-        if at == len(self.cuts[name]) - 1:
-            return edge.end, "", 0.0
-        return "", name, self.cuts[name][at]
-
-    def _departing(self, key: tuple[str, str, float]) -> list[tuple[str, int, int]]:
-        """Pieces over which a train can leave a place, whichever way it came."""
-        node, name, position = key
-        if node:
-            return self.departures.get(node, [])
-        at = self.cuts[name].index(position)
-        return [(name, at, 1), (name, at - 1, -1)]
-
-    def _onward(
-        self, name: str, piece: int, way: int, key: tuple[str, str, float]
-    ) -> Iterator[tuple[str, int, int]]:
-        """Pieces onto which a train passes without turning back."""
-        node = key[0]
-        if not node:
-            yield name, piece + way, way
-            return
-        allowed = self.network.turns.get(node)
-        for other in self.departures.get(node, []):
-            if other == (name, piece, -way):
-                continue
-            pair = (name, other[0])
-            if allowed is None or pair in allowed or pair[::-1] in allowed:
-                yield other
-
-    def _joined(self, states: Sequence[_State]) -> tuple[Leg, ...]:
-        """Legs of pieces; those that continue each other are one."""
-        stretches: list[tuple[str, float, float]] = []
-        for _, name, piece, way in states:
-            ends = self.cuts[name][piece : piece + 2][::way]
-            if stretches and stretches[-1][0] == name and _continues(stretches[-1], ends):
-                stretches[-1] = (name, stretches[-1][1], ends[1])
-            else:
-                stretches.append((name, ends[0], ends[1]))
-        return _legs(self.network, stretches)
-
-
-def _legs(network: Network, stretches: Sequence[tuple[str, float, float]]) -> tuple[Leg, ...]:
-    """Legs, one behind the other, over edges from one chainage to another."""
-    legs, position = [], 0.0
-    for name, start, end in stretches:
-        length = abs(end - start)
-        legs.append(Leg(name, position, length, start, end, network.edge(name).line.length))
-        position += length
-    return tuple(legs)
-
-
-def _continues(before: tuple[str, float, float], ends: Sequence[float]) -> bool:
-    """Whether a piece goes on where the one before ends, in the same direction."""
-    return before[2] == ends[0] and (before[2] > before[1]) == (ends[1] > ends[0])
-
-
 def _twice(names: Sequence[str]) -> dict[str, int]:
     counts = {name: len(list(group)) for name, group in groupby(sorted(names))}
     return {name: count for name, count in counts.items() if count > 1}
@@ -777,98 +615,3 @@ def _nearest(name: str, known: Any, otherwise: str) -> str:
     """A remedy that names what was perhaps meant."""
     found = get_close_matches(name, list(known), n=3)
     return f"did you mean {' or '.join(repr(each) for each in found)}?" if found else otherwise
-
-
-def _joined_steps(parts: Sequence[tuple[float, StepProfile]]) -> StepProfile:
-    return StepProfile(
-        np.concatenate([at + part.positions for at, part in parts]),
-        np.concatenate([part.values for _, part in parts]),
-    )
-
-
-def _joined_curvatures(parts: Sequence[tuple[float, Line]]) -> CurvatureProfile | None:
-    """Curvature of the parts; straight where a part has none, as `Line.curvature` states."""
-    if all(part.curvatures is None for _, part in parts):
-        return None
-    straight = CurvatureProfile(np.zeros(1), np.zeros(1), np.zeros(1))
-    profiles = [(at, part.curvatures or straight) for at, part in parts]
-    return CurvatureProfile(
-        np.concatenate([at + each.positions for at, each in profiles]),
-        np.concatenate([each.start for _, each in profiles]),
-        np.concatenate([each.end for _, each in profiles]),
-    )
-
-
-def _joined_reference(parts: Sequence[tuple[float, Line]]) -> LineReference | None:
-    """The operator's kilometres; of an edge without, its chainage."""
-    if all(part.reference is None for _, part in parts):
-        return None
-    names = dict.fromkeys(part.reference.name for _, part in parts if part.reference is not None)
-    rows: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-    for at, part in parts:
-        own = part.reference
-        if own is None:
-            own = LineReference(part.name, [0.0], [0.0], [part.length])  # type: ignore[arg-type]
-        rows.append((at + own.positions, own.start, own.end))
-    return LineReference(
-        " + ".join(names), *(np.concatenate(each) for each in zip(*rows, strict=True))
-    )
-
-
-def _joined_geometry(parts: Sequence[tuple[float, Line]]) -> Geometry | None:
-    """The course of all parts; where two meet, in the middle between their ends."""
-    courses = [(at, part.geometry) for at, part in parts if part.geometry is not None]
-    if len(courses) < len(parts):
-        return None
-    positions = np.concatenate([at + each.positions for at, each in courses])
-    latitudes = np.concatenate([each.latitudes for _, each in courses])
-    longitudes = np.concatenate([each.longitudes for _, each in courses])
-    same = np.flatnonzero(np.diff(positions) <= TINY)
-    for values in (latitudes, longitudes):
-        values[same] = 0.5 * (values[same] + values[same + 1])
-    kept = np.setdiff1d(np.arange(positions.size), same + 1)
-    quality = "; ".join(dict.fromkeys(each.quality for _, each in courses if each.quality))
-    return Geometry(positions[kept], latitudes[kept], longitudes[kept], quality)
-
-
-def _joined_survey(parts: Sequence[Line]) -> Survey | None:
-    """How well the gradients are known where they are known worst; None where one part has none.
-
-    The longest stretch over which an error holds: of a part whose gradients have each one of
-    their own, their mean length, the longer ones counting for more.
-    """
-    surveys = [part.survey for part in parts]
-    if any(survey is None for survey in surveys):
-        return None
-    known = [survey for survey in surveys if survey is not None]
-    worst = max(survey.gradient_std for survey in known)
-    if all(survey.correlation_length is None for survey in known):
-        return Survey(worst)
-    lengths = []
-    for part, survey in zip(parts, known, strict=True):
-        widths = np.diff(np.append(part.gradients.positions, part.length))
-        own = float(np.sum(widths**2) / part.length)
-        lengths.append(survey.correlation_length or own)
-    return Survey(worst, max(lengths))
-
-
-def _common_parameters(parts: Sequence[Line]) -> dict[str, float]:
-    """Braking parameters on which all parts agree."""
-    first, *others = (part.braking_parameters for part in parts)
-    return {
-        name: value
-        for name, value in first.items()
-        if all(other.get(name) == value for other in others)
-    }
-
-
-def _same_curve_resistance(name: str, parts: Sequence[Line]) -> Any:
-    """The formula of the curve resistance, which all curves of a line have in common."""
-    formulas = {part.curve_resistance: part.name for part in parts if part.curvatures is not None}
-    if len(formulas) > 1:
-        words = ", ".join(f"'{formula}' on '{edge}'" for formula, edge in formulas.items())
-        raise InputError(
-            f"route '{name}': edges state different curve resistances: {words}",
-            remedy="state the same on all edges of a network",
-        )
-    return next(iter(formulas), "proportional")
