@@ -332,10 +332,11 @@ def joined(lines: Sequence[Line], name: str, source: str) -> Line:
     if len(lines) == 1:
         return replace(lines[0], name=name, source=source)
     begins = accumulate((line.length for line in lines), initial=0.0)
+    placed = list(zip(begins, lines, strict=False))
     stations = [
         Station(each.name, begin + each.position)
-        for part, begin in zip(lines, begins, strict=False)
-        for each in part.stations
+        for begin, line in placed
+        for each in line.stations
     ]
     once = [
         each
@@ -344,7 +345,7 @@ def joined(lines: Sequence[Line], name: str, source: str) -> Line:
         or (each.name, round(each.position, 3))
         != (stations[number - 1].name, round(stations[number - 1].position, 3))
     ]
-    return replace(composed(name, lines, once), source=source)
+    return replace(composed(name, placed, once), source=source)
 
 
 def _station_at(end: TrackEnd, tracks: dict[str, Line]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import accumulate
 
 import numpy as np
 
@@ -24,7 +23,10 @@ from trainlog.railway.resistance import CurveFormula
 
 
 def composed(
-    name: str, parts: Sequence[Line], stations: Sequence[Station], legs: Sequence[Leg] = ()
+    name: str,
+    placed: Sequence[tuple[float, Line]],
+    stations: Sequence[Station],
+    legs: Sequence[Leg] = (),
 ) -> Line:
     """Lines that follow each other, in this order, as one.
 
@@ -35,7 +37,8 @@ def composed(
     Parameters
     ----------
     name : str
-    parts : sequence of Line
+    placed : sequence of (float, Line)
+        The parts, each with the position [m] at which it begins.
     stations : sequence of Station
         On the whole.
     legs : sequence of Leg
@@ -50,16 +53,15 @@ def composed(
     --------
     >>> from trainlog.formats.line import read_line
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
-    >>> parts = [line.section(0.0, 4e3), line.section(4e3, line.length)]
+    >>> parts = [(0.0, line.section(0.0, 4e3)), (4e3, line.section(4e3, line.length))]
     >>> both = composed("again", parts, line.stations)
     >>> both.length, bool(both.gradient(20e3) == line.gradient(20e3))
     (29556.1, True)
     """
-    *begins, length = accumulate((part.length for part in parts), initial=0.0)
-    placed = list(zip(begins, parts, strict=True))
+    parts = [part for _, part in placed]
     return Line(
         name=name,
-        length=length,
+        length=placed[-1][0] + parts[-1].length,
         stations=tuple(stations),
         speed_limits=_joined_steps([(at, part.speed_limits) for at, part in placed]),
         gradients=_joined_steps([(at, part.gradients) for at, part in placed]),

@@ -565,7 +565,7 @@ class Route:
         >>> back.legs[0].edge_start, back.legs[0].edge_end
         (29556.1, 0.0)
         """
-        parts = [self._travelled(leg) for leg in self.legs]
+        parts = [(leg.position, self._travelled(leg)) for leg in self.legs]
         return composed(self.name, parts, self._stations(parts), self.legs)
 
     def _travelled(self, leg: Leg) -> Line:
@@ -574,12 +574,10 @@ class Route:
         part = self.network.edge(leg.edge).line.section(start, end)
         return part if leg.forward else part.reversed()
 
-    def _stations(self, parts: Sequence[Line]) -> tuple[Station, ...]:
+    def _stations(self, parts: Sequence[tuple[float, Line]]) -> tuple[Station, ...]:
         """Stations of the parts and of the nodes between them, each once; and both ends."""
         found = [
-            (leg.position + station.position, station.name)
-            for leg, part in zip(self.legs, parts, strict=True)
-            for station in part.stations
+            (at + station.position, station.name) for at, part in parts for station in part.stations
         ]
         for at, name, kind in self._joints():
             if kind == "station":
