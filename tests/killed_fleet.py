@@ -83,19 +83,26 @@ def all_end(pids: list[int], patience: float = PATIENCE) -> bool:
 
 
 def kill_at_random(
-    catalogue: str, kills: int, seed: int, *options: str, longest: float = 6.0
+    catalogue: str, kills: int, seed: int, *options: str, within: float = 0.5, each: int = 20
 ) -> dict[str, int]:
     """Update until nothing is pending, killing at random moments; what was done.
 
-    Of four kills two are of a worker, one of the parent, one Ctrl-C.
+    Each moment is that at which some results more are recorded, up to `each`, and up to `within`
+    [s] later: however slow the computer is, what is killed has begun. Of four kills two are of a
+    worker, one of the parent, one Ctrl-C.
     """
     chance = random.Random(seed)
     done = {"parent": 0, "worker": 0, "interrupt": 0, "runs": 0, "orphans": 0}
-    while sum(done[each] for each in ("parent", "worker", "interrupt")) < kills:
+    while sum(done[kind] for kind in ("parent", "worker", "interrupt")) < kills:
         process = started(catalogue, *options)
         done["runs"] += 1
         while process.poll() is None:
-            time.sleep(chance.uniform(0.3, longest))
+            wanted = recorded(catalogue) + chance.randint(0, each)
+            while process.poll() is None:
+                if workers(process.pid) and recorded(catalogue) >= wanted:
+                    break
+                time.sleep(0.05)
+            time.sleep(chance.uniform(0.0, within))
             if process.poll() is not None:
                 break
             every = descendants(process.pid)
@@ -112,11 +119,29 @@ def kill_at_random(
             done[kind] += 1
             if not all_end(every):
                 done["orphans"] += len(alive(every))
-        if process.returncode == 0 and not options:
-            break
         if not pending(catalogue):
             break
     return done
+
+
+def recorded(catalogue: str) -> int:
+    """Rows of results."""
+    import sqlalchemy as sa
+
+    with open_catalogue(catalogue) as opened, opened._database.reading() as connection:
+        count = sa.select(sa.func.count()).select_from(results)
+        return int(connection.execute(count).scalar_one())
+
+
+def forget_all(catalogue: str, where: str | None = None) -> None:
+    """Make the results of all analyses pending again."""
+    from analysis.fleet.analyses import ANALYSES
+    from analysis.fleet.codes import code_of
+
+    with open_catalogue(catalogue) as opened:
+        for each in ANALYSES.values():
+            about = (each.name, code_of(each), each.parameters)
+            opened.forget(*about, where=where, states=("done", "refused", "failed"))
 
 
 def pending(catalogue: str) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -20,12 +21,14 @@ from killed_fleet import (
     all_end,
     contents,
     descendants,
+    forget_all,
     kill_at_random,
     maps_in,
     rows_by_trip,
     started,
     workers,
 )
+from killed_points import POINTS
 
 from analysis.adhesion.updating import update_map
 from analysis.fleet.analyses import ANALYSES
@@ -39,6 +42,8 @@ from trainlog.errors import InputError
 from trainlog.version import code_version_of
 
 HERE = UpdateOptions(workers=0)
+HERE_FOLDER = Path(__file__).parent
+
 ONCE = len(ANALYSES) + 1
 """Of so many computations a trip counts once: the analyses, and the maps."""
 
@@ -274,9 +279,9 @@ def test_maps_of_other_code_stand_until_all_trips_are_computed_anew(
 def test_an_update_killed_at_random_moments_counts_each_trip_once(
     place: Path, undisturbed: dict[str, bytes]
 ) -> None:
-    done = kill_at_random(str(place), 2, 3, "--workers", "2", "--batch", "1", longest=2.5)
+    done = kill_at_random(str(place), 2, 3, "--workers", "2", "--batch", "1", each=4)
     assert done["orphans"] == 0
-    found = updated(place, workers=2)
+    found = updated(place, workers=2, retry=True)  # a trip whose workers died three times failed
     assert found.counts["checks"].pending == 0
     assert {count for _, count in rows_by_trip(str(place))} == {ONCE}
     assert contents(place / "results") | maps_in(place / "maps") == undisturbed
@@ -294,42 +299,95 @@ def test_no_worker_outlives_an_update_that_is_killed(place: Path) -> None:
     assert all_end(every), alive(every)
 
 
+SERVERS = pytest.mark.parametrize("server", ["sqlite", "postgresql"])
+
+
+def places(
+    server: str, folder: Path, request: pytest.FixtureRequest, *names: str
+) -> dict[str, str]:
+    """Catalogues of their own on a database, that keep their results below a folder."""
+    if server == "sqlite":
+        return {name: str(folder / name) for name in names}
+    url = request.getfixturevalue("postgresql_place")
+    found = {name: f"{url}_{name}" for name in names}
+    for name, place in found.items():
+        open_catalogue(place, results=folder / name / "results").close()
+    return found
+
+
+def kept(folder: Path) -> dict[str, bytes]:
+    """Files of results and maps, to the byte, after what killed processes left has grown old."""
+    return contents(folder / "results") | maps_in(folder / "maps")
+
+
+def grow_old(folder: Path) -> None:
+    """Let files of results seem to be of yesterday."""
+    for path in (folder / "results").rglob("*.parquet"):
+        os.utime(path, (0, 0))
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("server", ["sqlite", "postgresql"])
+@SERVERS
 def test_a_hundred_kills_leave_each_trip_once(
     server: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
-    short_trips(tmp_path / "logs", 60)
-    for name in ("one", "many"):
-        at = str(tmp_path / name)
-        if server == "postgresql":
-            at = f"{request.getfixturevalue('postgresql_place')}_{name}"
-        with open_catalogue(
-            at, results=tmp_path / name / "results" if ":" in at else None
-        ) as known:
+    count = 40
+    short_trips(tmp_path / "logs", count)
+    place = places(server, tmp_path, request, "one", "many")
+    for at in place.values():
+        with open_catalogue(at) as known:
             known.add(tmp_path / "logs")
-        if name == "one":
-            assert updated(at, workers=1).trips == 60
-            continue
-        kills = 0
-        for seed in range(100):
-            done = kill_at_random(at, 100 - kills, seed, "--workers", "2", "--batch", "2")
-            kills += done["parent"] + done["worker"] + done["interrupt"]
-            assert done["orphans"] == 0
-            if kills >= 100:
-                break
-            updated_all = updated(at, workers=2)
-            assert updated_all.counts["checks"].pending == 0
-            with open_catalogue(at) as known:  # compute all of it once more
-                for analysis in ANALYSES.values():
-                    known.forget(
-                        analysis.name,
-                        code_of(analysis),
-                        analysis.parameters,
-                        states=("done", "refused", "failed"),
-                    )
-        updated(at, workers=2)
+    assert updated(place["one"]).trips == count
+    at, kills = place["many"], dict.fromkeys(("parent", "worker", "interrupt", "runs"), 0)
+    for seed in range(100):
+        left = 100 - kills["parent"] - kills["worker"] - kills["interrupt"]
+        if left <= 0:
+            break
+        done = kill_at_random(at, left, seed, "--workers", "2", "--batch", "2")
+        kills = {name: kills[name] + done[name] for name in kills}
+        assert done["orphans"] == 0
+        assert updated(at, workers=2, retry=True).counts["checks"].pending == 0
         assert {count for _, count in rows_by_trip(at)} == {ONCE}
-    one, many = (tmp_path / name / "results" for name in ("one", "many"))
-    kept = contents(many)
-    assert all(kept[name] == data for name, data in contents(one).items())
+        grow_old(tmp_path / "many")
+        updated(at)
+        assert kept(tmp_path / "many") == kept(tmp_path / "one")
+        forget_all(at)  # compute all of it once more
+    print(kills)
+
+
+@pytest.mark.long
+@SERVERS
+@pytest.mark.parametrize(("each", "at_random", "together"), [(10, 20, 1), (3, 20, 2)])
+def test_kills_at_each_point_of_an_update_leave_what_one_that_was_not_killed_gives(
+    server: str,
+    each: int,
+    at_random: int,
+    together: int,
+    tmp_path: Path,
+    request: pytest.FixtureRequest,
+) -> None:
+    short_trips(tmp_path / "logs", 8)
+    place = places(server, tmp_path, request, "one", "many")
+    with open_catalogue(place["one"]) as known:
+        known.add(tmp_path / "logs")
+    assert updated(place["one"]).trips == 8
+    words = [place["many"], str(tmp_path / "many" / "results"), str(tmp_path / "logs")]
+    numbers = [str(number) for number in (each, at_random, together)]
+    path = os.pathsep.join([str(HERE_FOLDER), str(HERE_FOLDER.parent)])
+    done = subprocess.run(
+        [sys.executable, str(HERE_FOLDER / "killed_points.py"), *words, *numbers],
+        capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": path},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert not done.stderr, "an update complained"
+    fell = json.loads(done.stdout)
+    print(json.dumps(fell, indent=1))
+    assert {point: fell["named"].get(point, 0) for point in POINTS} == dict.fromkeys(POINTS, each)
+    assert sum(fell["random"].values()) == at_random
+    assert {count for _, count in rows_by_trip(place["many"])} == {2 * ONCE}, "by two codes"
+    grow_old(tmp_path / "many")
+    updated(place["many"])
+    assert kept(tmp_path / "many") == kept(tmp_path / "one")
+    assert not list((tmp_path / "many" / "maps").glob(".*"))
+    with open_catalogue(place["many"]) as known:
+        assert len(known.results("checks")) == 8

@@ -11,7 +11,6 @@ import json
 import shutil
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -92,7 +91,7 @@ def map_path(folder: Path, edge: str) -> Path:
 
 
 def update_maps(catalogue: Catalogue, adhesion: FleetAnalysis, code: str) -> MapsUpdate:
-    """Add the evidence of all trips that the maps do not hold.
+    """Add the evidence of all trips that the maps do not hold; one process at a time does.
 
     Where the evidence was made by other code than that of the maps, maps are built anew beside them
     and take their place when they hold all trips.
@@ -105,9 +104,11 @@ def update_maps(catalogue: Catalogue, adhesion: FleetAnalysis, code: str) -> Map
     code : str
         By which it was made.
     """
-    work = _Maps(catalogue, adhesion, code)
-    trips, edges = work.add()
-    return MapsUpdate(work.standing, trips, tuple(sorted(edges)), work.finish())
+    with catalogue.alone(MAPS):
+        work = _Maps(catalogue, adhesion, code)
+        work.tidy()
+        trips, edges = work.add()
+        return MapsUpdate(work.standing, trips, tuple(sorted(edges)), work.finish())
 
 
 class _Maps:
@@ -119,6 +120,7 @@ class _Maps:
         self.own = (MAPS, code, adhesion.parameters)
         self.standing = maps_folder(catalogue)
         self._next = self.standing.with_name(f"{MAPS}.next")
+        self._old = self.standing.with_name(f"{MAPS}.old")
         self.mark = {"format": "trainlog/fleet-maps", "code": code} | dict(adhesion.parameters)
 
     def add(self) -> tuple[int, set[str]]:
@@ -177,18 +179,25 @@ class _Maps:
         write_bytes(folder / MARK, json.dumps(self.mark, sort_keys=True).encode())
         return folder
 
+    def tidy(self) -> None:
+        """Do what a process that was killed left to be done."""
+        if self._old.exists() and not self.standing.exists() and self._next.exists():
+            self._next.rename(self.standing)
+        shutil.rmtree(self._old, ignore_errors=True)
+        for folder in (self.standing, self._next):
+            for begun in folder.glob(".*.map"):
+                begun.unlink(missing_ok=True)
+
     def finish(self) -> bool:
         """Put new maps in the place of those of other code, if they hold all trips."""
         if _mark_of(self.standing) == self.mark:
             return True
         if _mark_of(self._next) != self.mark or self.catalogue.standing(*self.own)["pending"]:
             return False
-        old = self.standing.with_name(f"{MAPS}.old")
-        shutil.rmtree(old, ignore_errors=True)
-        with suppress(FileNotFoundError):  # another update has done so
-            self.standing.rename(old)
-            self._next.rename(self.standing)
-        shutil.rmtree(old, ignore_errors=True)
+        if self.standing.exists():
+            self.standing.rename(self._old)
+        self._next.rename(self.standing)
+        shutil.rmtree(self._old, ignore_errors=True)
         return True
 
 

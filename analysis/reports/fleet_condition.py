@@ -44,7 +44,7 @@ def condition_parts(
     at : Timestamp, optional
         Default: a day after the last evidence.
     """
-    paths = sorted(folder.glob("*.map")) if folder.is_dir() else []
+    paths = sorted(folder.glob("[!.]*.map")) if folder.is_dir() else []
     if not paths:
         return ["No trip's evidence is in a map yet: 'trainlog fleet update' adds it."]
     tracks, bad = [], list[Part]()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -549,6 +550,16 @@ class Catalogue:
         """
         condition = condition_of(where)
         return stored.outcomes_of(self._database, analysis, code, parameters, condition)
+
+    def alone(self, what: str) -> AbstractContextManager[None]:
+        """Do something that one process does at a time, whatever else is read and recorded.
+
+        Parameters
+        ----------
+        what : str
+            A word: who does the same under the same word waits.
+        """
+        return self._database.alone(what)
 
     def compact(
         self, analysis: str, code: str | None = None, parameters: Mapping[str, Any] | None = None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -276,6 +276,9 @@ def record(
         file = None
         if name is not None and any(each.rows for each in new):
             assert table is not None
+            if not (database.results / analysis / name).is_file():
+                # It stood there, and was removed as one that no row names.
+                write_table(database.results / analysis, table)
             file = file_id(connection, number, name, table.num_rows)
         rows = [
             {
@@ -320,12 +323,40 @@ def write_table(folder: Path, table: pa.Table) -> str:
     return target.name
 
 
-def remove_unfinished(folder: Path) -> None:
-    """Remove files of results that no process finishes: writing one takes seconds."""
-    for left in folder.glob(".*-????????.parquet"):
+def remove_left(database: Database, folder: Path) -> None:
+    """Remove what processes that were killed left: files that none finishes, or no row names.
+
+    Writing a file and naming it takes seconds; what is older than an hour is of no process.
+    """
+    old = []
+    for path in folder.glob("*.parquet"):
         with suppress(OSError):
-            if time.time() - left.stat().st_mtime > UNFINISHED:
-                left.unlink()
+            if time.time() - path.stat().st_mtime > UNFINISHED:
+                old.append(path.name)
+    remove_unnamed(database, folder, old)
+
+
+def remove_unnamed(database: Database, folder: Path, names: Iterable[str]) -> None:
+    """Remove those of the named files of results that no row names.
+
+    No process names a file meanwhile: that is done in a transaction that writes, too, which finds
+    whether the file is there (`record`).
+    """
+    with database.reading() as connection:
+        found = set(names) - _named(connection, folder.name)
+    if not found:
+        return
+    with database.writing() as connection:
+        for name in found - _named(connection, folder.name):
+            (folder / name).unlink(missing_ok=True)
+
+
+def _named(connection: sa.Connection, analysis: str) -> set[str]:
+    """The files of results of an analysis that rows name."""
+    asked = sa.select(result_files.c.name).join(
+        computations, computations.c.id == result_files.c.computation
+    )
+    return set(connection.execute(asked.where(computations.c.analysis == analysis)).scalars())
 
 
 def _check(table: pa.Table, outcomes: Sequence[ResultOutcome]) -> None:
@@ -474,59 +505,75 @@ def outcomes_of(
 
 
 def compact(
-    database: Database, analysis: str, code: str | None, parameters: Mapping[str, Any] | None
+    database: Database,
+    analysis: str,
+    code: str | None,
+    parameters: Mapping[str, Any] | None,
+    attempts: int = 3,
 ) -> int:
     """Put all rows of a computation into one file; how many files it replaces."""
     folder = database.results / analysis
-    remove_unfinished(folder)
-    held = (
+    remove_left(database, folder)
+    for _ in range(attempts):
+        with database.reading() as connection:
+            number = latest(connection, analysis, code, parameters)
+            files_held = sa.select(sa.func.count()).where(result_files.c.computation == number)
+            if number is None or connection.execute(files_held).scalar_one() < 2:
+                return 0
+            rows = _held(connection, number)
+        # Of a trip whose log changed there are rows of both contents: each has a file of its own.
+        once = rows[~rows.duplicated(KEY)]
+        if once["file"].nunique() < 2:
+            return 0
+        try:
+            table = _table_of(folder, once)
+        except FileNotFoundError:
+            continue  # another process put them together meanwhile
+        path = folder / write_table(folder, table)
+        removed = _put(database, number, once, path, table.num_rows)
+        if removed is not None:
+            remove_unnamed(database, folder, removed)
+            return len(removed)
+    return 0
+
+
+def _held(connection: sa.Connection, computation: int) -> pd.DataFrame:
+    """The trips of a computation that have rows, with the files that hold these."""
+    asked = (
         sa.select(trips.c.key, trips.c.sha256, trips.c.id, results.c.file, result_files.c.name)
         .select_from(results)
         .join(trips, trips.c.id == results.c.trip)
         .join(result_files, result_files.c.id == results.c.file)
+        .where(results.c.computation == computation)
     )
-    with database.reading() as connection:
-        number = latest(connection, analysis, code, parameters)
-        if number is None:
-            return 0
-        held_files = sa.select(sa.func.count()).where(result_files.c.computation == number)
-        if int(connection.execute(held_files).scalar_one()) < 2:
-            return 0
-        rows = pd.DataFrame(
-            connection.execute(held.where(results.c.computation == number)).all(),
-            columns=[KEY, "sha256", "trip", "file", "name"],
-        )
-    if rows["file"].nunique() < 2:
-        return 0
-    # Of a trip whose log changed there are rows of both contents: each has a file of its own.
-    rows = rows.sort_values([KEY, "sha256"], kind="stable")
-    once = rows[~rows.duplicated(KEY)]
-    table = _table_of(folder, once)
-    name = write_table(folder, table)
-    others = sorted(set(rows["trip"].tolist()) - set(once["trip"].tolist()))
+    rows = connection.execute(asked).all()
+    found = pd.DataFrame(rows, columns=[KEY, "sha256", "trip", "file", "name"])
+    return found.sort_values([KEY, "sha256"], kind="stable", ignore_index=True)
+
+
+def _put(
+    database: Database, computation: int, once: pd.DataFrame, path: Path, rows: int
+) -> list[str] | None:
+    """Name one file in place of those of trips; the files that no row names now.
+
+    None if another process changed what was read.
+    """
     with database.writing() as connection:
-        file = file_id(connection, number, name, table.num_rows)
-        # All rows of a file were recorded at once: none has come since they were read.
-        for part in parts(sorted(set(once["file"].tolist()) - {file})):
+        now = _held(connection, computation)
+        now = now[now["trip"].isin(once["trip"])]
+        if now["file"].tolist() != once["file"].tolist() or not path.is_file():
+            return None
+        file = file_id(connection, computation, path.name, rows)
+        for part in parts(once["trip"].tolist()):
             asked = sa.update(results).where(
-                results.c.computation == number,
-                results.c.file.in_(part),
-                results.c.trip.not_in(others),
+                results.c.computation == computation, results.c.trip.in_(part)
             )
             connection.execute(asked.values(file=file))
         used = sa.select(results.c.file).where(results.c.file.is_not(None))
         gone = sa.delete(result_files).where(
-            result_files.c.computation == number, result_files.c.id.not_in(used)
+            result_files.c.computation == computation, result_files.c.id.not_in(used)
         )
-        removed = connection.execute(gone.returning(result_files.c.name)).scalars().all()
-        shared = sa.select(result_files.c.name).join(
-            computations, computations.c.id == result_files.c.computation
-        )
-        kept = set(connection.execute(shared.where(computations.c.analysis == analysis)).scalars())
-    for each in removed:
-        if each not in kept:
-            (folder / each).unlink(missing_ok=True)
-    return len(removed)
+        return list(connection.execute(gone.returning(result_files.c.name)).scalars())
 
 
 def _table_of(folder: Path, rows: pd.DataFrame) -> pa.Table:

@@ -8,6 +8,7 @@ kilometres, which are those that stand along the line.
 from __future__ import annotations
 
 import secrets
+import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -326,6 +327,33 @@ class Database:
                 yield connection
 
     @contextmanager
+    def alone(self, what: str) -> Iterator[None]:
+        """Do something that one process does at a time; others wait, however long it takes.
+
+        Unlike `writing` it keeps no other from reading and writing meanwhile. Whatever ends a
+        process ends its turn.
+        """
+        if self.is_server:
+            words = sa.func.hashtext(f"{self.schema} {what}")
+            with self._reached(), self.engine.connect() as connection, connection.begin():
+                connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_LOCK + 1, words)))
+                yield
+            return
+        # A database of its own, that holds nothing: its lock goes with its process.
+        own = sqlite3.connect(self.folder / f"{what}.lock", timeout=0.1, isolation_level=None)
+        try:
+            while True:
+                try:
+                    own.execute("BEGIN EXCLUSIVE")
+                    break
+                except sqlite3.OperationalError as error:
+                    if "locked" not in str(error):
+                        raise
+            yield
+        finally:
+            own.close()
+
+    @contextmanager
     def _reached(self) -> Iterator[None]:
         """What a database cannot do, stated as an error of ours."""
         try:
@@ -369,7 +397,7 @@ class Database:
                 connection.commit()
                 return
             connection.isolation_level = None
-            for pragma in ("foreign_keys=ON", "case_sensitive_like=ON", "synchronous=NORMAL"):
+            for pragma in ("foreign_keys=ON", "case_sensitive_like=ON", "synchronous=FULL"):
                 connection.execute(f"PRAGMA {pragma}")
 
         if not self.is_server:

@@ -1,0 +1,355 @@
+"""Updates of a fleet that are killed at named points: run by the tests in a process of its own.
+
+    python tests/killed_points.py WHERE RESULTS LOGS EACH RANDOM TOGETHER
+
+The updates are forked from this process, which has imported and compiled everything: each begins
+within milliseconds and computes in its own process. What they pass is patched here, in the process
+that is killed, and noted in a file that outlasts it. Each is killed by SIGKILL, at each point EACH
+times, then RANDOM times at moments that are drawn; TOGETHER of them run at once, on one catalogue.
+Between them some results are forgotten, and the code is another in turn, so that there is always
+something to compute, to merge and to map. At last two updates end, and what fell where is printed.
+"""
+
+from __future__ import annotations
+
+import json
+import mmap
+import os
+import pathlib
+import random
+import shutil
+import signal
+import sys
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from analysis.fleet import maps, update, work
+from analysis.fleet.analyses import analyses_named
+from analysis.fleet.codes import code_of
+from trainlog.catalogue import open_catalogue, results
+from trainlog.catalogue.schema import Database
+from trainlog.formats import mapfile
+from trainlog.formats.files import atomic_write
+
+POINTS = (
+    "asking what is pending",
+    "reading and computing a trip",
+    "a file of results half written",
+    "a file written, its rows not",
+    "rows written, not committed",
+    "rows committed",
+    "a merged file half written",
+    "a merged file written, rows name the old ones",
+    "rows name the merged file, not committed",
+    "rows name the merged file, old ones are there",
+    "some old files removed",
+    "maps begun anew",
+    "a map begun",
+    "a trip in a map, not committed",
+    "a map committed",
+    "trips stated to be in the maps, not committed",
+    "trips stated to be in the maps",
+    "old maps put aside, the new ones not in their place",
+    "new maps in their place, the old ones there",
+)
+
+OTHER_CODE = "0123456789abcdef"
+PATIENCE = 120.0
+
+
+class Passed:
+    """How often a process passed each point, and the last of them, in a file that outlasts it."""
+
+    def __init__(self, path: Path) -> None:
+        path.write_bytes(bytes(4 * (len(POINTS) + 1)))
+        self._stream = path.open("r+b")
+        self._map = mmap.mmap(self._stream.fileno(), 0)
+        self._view = memoryview(self._map).cast("I")
+        self.order: tuple[str, int] | None = None
+
+    def at(self, point: str) -> None:
+        """Note a point, and end there if that was ordered."""
+        number = POINTS.index(point)
+        self._view[number] += 1
+        self._view[len(POINTS)] = number
+        if self.order == (point, self._view[number]):
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def count(self, point: str) -> int:
+        return self._view[POINTS.index(point)]
+
+    @property
+    def total(self) -> int:
+        return sum(self._view[: len(POINTS)])
+
+    @property
+    def last(self) -> str:
+        return POINTS[self._view[len(POINTS)]]
+
+
+def watch(passed: Passed) -> None:
+    """Let this process note what it passes."""
+    doing = ["asking"]
+
+    @contextmanager
+    def while_doing(what: str) -> Iterator[None]:
+        doing.append(what)
+        try:
+            yield
+        finally:
+            doing.pop()
+
+    def patch(owner: Any, name: str, made: Callable[[Any], Any]) -> None:
+        setattr(owner, name, made(getattr(owner, name)))
+
+    def noted(point: str, *, after: bool = False) -> Callable[[Any], Any]:
+        def made(inner: Any) -> Any:
+            def outer(*given: Any, **named: Any) -> Any:
+                if not after:
+                    passed.at(point)
+                found = inner(*given, **named)
+                if after:
+                    passed.at(point)
+                return found
+
+            return outer
+
+        return made
+
+    def record(inner: Any) -> Any:
+        def outer(database: Any, analysis: str, *given: Any) -> Any:
+            with while_doing("mapping" if analysis == maps.MAPS else "recording"):
+                found = inner(database, analysis, *given)
+            is_map = analysis == maps.MAPS
+            passed.at("trips stated to be in the maps" if is_map else "rows committed")
+            return found
+
+        return outer
+
+    def compact(inner: Any) -> Any:
+        def outer(*given: Any) -> Any:
+            with while_doing("merging"):
+                return inner(*given)
+
+        return outer
+
+    def write_bytes(_: Any) -> Any:
+        def outer(path: Path, data: bytes) -> None:
+            merging = doing[-1] == "merging"
+            with atomic_write(path) as temporary, temporary.open("wb") as stream:
+                stream.write(data[: len(data) // 2])
+                stream.flush()
+                passed.at(
+                    f"a {'merged ' * merging}file {'of results ' * (not merging)}half written"
+                )
+                stream.write(data[len(data) // 2 :])
+
+        return outer
+
+    def write_table(inner: Any) -> Any:
+        def outer(*given: Any) -> Any:
+            found = inner(*given)
+            merging = "a merged file written, rows name the old ones"
+            passed.at(merging if doing[-1] == "merging" else "a file written, its rows not")
+            return found
+
+        return outer
+
+    def writing(inner: Any) -> Any:
+        @contextmanager
+        def outer(self: Database) -> Iterator[Any]:
+            with inner(self) as connection:
+                yield connection
+                point = {
+                    "recording": "rows written, not committed",
+                    "mapping": "trips stated to be in the maps, not committed",
+                    "putting": "rows name the merged file, not committed",
+                }.get(doing[-1])
+                if point:
+                    passed.at(point)
+
+        return outer
+
+    def put(inner: Any) -> Any:
+        def outer(*given: Any) -> Any:
+            with while_doing("putting"):
+                found = inner(*given)
+            if found:
+                passed.at("rows name the merged file, old ones are there")
+            return found
+
+        return outer
+
+    def unlink(inner: Any) -> Any:
+        def outer(self: Path, *given: Any, **named: Any) -> None:
+            inner(self, *given, **named)
+            if self.suffix == ".parquet" and doing[-1] == "merging":
+                passed.at("some old files removed")
+
+        return outer
+
+    def rename(inner: Any) -> Any:
+        def outer(self: Path, target: Path) -> Path:
+            found: Path = inner(self, target)
+            if Path(target).name == "maps.old":
+                passed.at("old maps put aside, the new ones not in their place")
+            elif self.name == "maps.next":
+                passed.at("new maps in their place, the old ones there")
+            return found
+
+        return outer
+
+    patch(update._Update, "prepare", noted("asking what is pending"))
+    patch(work, "_of_trip", noted("reading and computing a trip"))
+    patch(results, "record", record)
+    patch(results, "compact", compact)
+    patch(results, "write_bytes", write_bytes)
+    patch(results, "write_table", write_table)
+    patch(results, "_put", put)
+    patch(Database, "writing", writing)
+    patch(pathlib.Path, "unlink", unlink)
+    patch(pathlib.Path, "rename", rename)
+    patch(maps._Maps, "_folder", noted("maps begun anew", after=True))
+    patch(mapfile, "begin", noted("a map begun", after=True))
+    patch(mapfile.MapFile, "_append", noted("a trip in a map, not committed", after=True))
+    patch(mapfile.MapFile, "append_all", noted("a map committed", after=True))
+
+
+def updated(where: str, code: str, seed: int | None = None) -> None:
+    """Update, by the present code or as if by other; with a seed, forget some results before."""
+    if code:
+        update.code_of = lambda _: code  # type: ignore[assignment]
+    with open_catalogue(where, create=False) as catalogue:
+        if seed is not None:
+            draw = random.Random(seed)
+            chosen = f"key >= '{draw.choice('9abcdef')}'"
+            done = ("done", "refused", "failed")
+            for analysis in analyses_named():
+                about = (analysis.name, code or code_of(analysis), analysis.parameters)
+                if not sum(catalogue.standing(*about, where=chosen).values()):
+                    continue
+                if not catalogue.standing(*about)["pending"]:
+                    catalogue.forget(*about, where=chosen, states=done)
+            if draw.random() < 0.3:
+                with catalogue.alone(maps.MAPS):
+                    shutil.rmtree(maps.maps_folder(catalogue), ignore_errors=True)
+        update.update_fleet(catalogue, None, update.UpdateOptions(workers=0, batch=2))
+
+
+class Forked:
+    """A process that updates; what it passed."""
+
+    def __init__(self, folder: Path, run: Callable[[], None], order: tuple[str, int] | None):
+        self.passed = Passed(folder / f"passed-{time.monotonic_ns()}")
+        self.passed.order = order
+        self.pid = os.fork()
+        self.status: int | None = None
+        if self.pid:
+            return
+        status = 1
+        try:
+            watch(self.passed)
+            run()
+            status = 0
+        except BaseException:  # noqa: BLE001 - the child must not go on as the parent
+            traceback.print_exc()
+        finally:
+            sys.stderr.flush()
+            os._exit(status)
+
+    def running(self) -> bool:
+        """Whether it has not ended."""
+        if self.status is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            self.status = os.waitstatus_to_exitcode(status) if pid else None
+        return self.status is None
+
+    def end(self) -> int:
+        """Wait for its end; its exit status, negative if it was killed."""
+        until = time.monotonic() + PATIENCE
+        while self.running():
+            if time.monotonic() > until:
+                os.kill(self.pid, signal.SIGKILL)
+                raise AssertionError(f"hangs at: {self.passed.last}")
+            time.sleep(0.005)
+        assert self.status is not None
+        return self.status
+
+
+def kill_after(forked: Forked, points: int, within: float) -> None:
+    """Kill a process a moment after it passed so many points, or let it end."""
+    while forked.passed.total < points and forked.running():
+        time.sleep(0.001)
+    time.sleep(within)
+    if forked.running():
+        os.kill(forked.pid, signal.SIGKILL)
+
+
+def orders(each: int, draw: random.Random) -> Iterator[str]:
+    """The points, each so many times, mixed."""
+    wanted = [point for point in POINTS for _ in range(each)]
+    draw.shuffle(wanted)
+    yield from wanted
+
+
+def run(
+    folder: Path, where: str, each: int, at_random: int, together: int
+) -> Mapping[str, Mapping[str, int]]:
+    """Kill updates at each point and at random; where they fell."""
+    draw = random.Random(together)
+    fell: dict[str, Counter[str]] = {"named": Counter(), "random": Counter(), "beside": Counter()}
+    runs, waiting = 0, [*orders(each, draw), *[""] * at_random]
+    while waiting:
+        point = waiting.pop(0)
+        runs += 1
+        code, seed = draw.choice(["", OTHER_CODE]), draw.randrange(10**6)
+        order = (point, draw.randint(1, 3)) if point else None
+        first = Forked(folder, lambda: updated(where, code, seed), order)
+        others = [Forked(folder, lambda: updated(where, code), None) for _ in range(together - 1)]
+        if order is None:
+            kill_after(first, draw.randint(1, 60), draw.uniform(0.0, 0.05))
+        status = first.end()
+        if status == -signal.SIGKILL:
+            fell["named" if point else "random"][first.passed.last] += 1
+        elif status == 0:
+            waiting.insert(draw.randint(0, len(waiting)), point)  # it did not come there
+        else:
+            raise AssertionError(f"an update failed at: {first.passed.last}")
+        for other in others:
+            if draw.random() < 0.5:
+                kill_after(other, other.passed.total + draw.randint(0, 10), 0.0)
+            status = other.end()
+            if status == -signal.SIGKILL:
+                fell["beside"][other.passed.last] += 1
+            elif status:
+                raise AssertionError(f"an update beside failed at: {other.passed.last}")
+        if runs > 10 * (each * len(POINTS) + at_random + 1):
+            raise AssertionError(f"never come to: {sorted(set(waiting))}")
+    for code in (OTHER_CODE, ""):
+        if Forked(folder, lambda code=code: updated(where, code), None).end():  # type: ignore[misc]
+            raise AssertionError("the last update failed")
+    return {"runs": {"all": runs}, **fell}
+
+
+def main() -> None:
+    """Run, and print where the kills fell."""
+    where, kept, logs, *numbers = sys.argv[1:]
+    folder = Path(kept).parent
+    with open_catalogue(where, results=kept if "://" in where else None) as catalogue:
+        catalogue.add(logs)
+        page = catalogue.pending("none", "")
+    row = page.iloc[0]
+    work.begin_worker(watched=False)
+    analyses = analyses_named()
+    job = work.Job(row["key"], row["sha256"], row["path"], tuple(range(len(analyses))))
+    work.computed(work.Batch((job,), analyses))  # what is compiled is loaded once
+    print(json.dumps(run(folder, where, *map(int, numbers))))
+
+
+if __name__ == "__main__":
+    main()
