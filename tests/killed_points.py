@@ -24,7 +24,9 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -241,6 +243,12 @@ def updated(where: str, code: str, seed: int | None = None) -> None:
         update.update_fleet(catalogue, None, update.UpdateOptions(workers=0, batch=2))
 
 
+def first_update(where: str, modules: Path) -> None:
+    """Update, and state which modules that needs: they are imported once for all that follow."""
+    updated(where, "", 1)
+    modules.write_text("\n".join(sorted(sys.modules)))
+
+
 class Forked:
     """A process that updates; what it passed."""
 
@@ -309,8 +317,9 @@ def run(
         runs += 1
         code, seed = draw.choice(["", OTHER_CODE]), draw.randrange(10**6)
         order = (point, draw.randint(1, 3)) if point else None
-        first = Forked(folder, lambda: updated(where, code, seed), order)
-        others = [Forked(folder, lambda: updated(where, code), None) for _ in range(together - 1)]
+        first = Forked(folder, partial(updated, where, code, seed), order)
+        beside = partial(updated, where, code)
+        others = [Forked(folder, beside, None) for _ in range(together - 1)]
         if order is None:
             kill_after(first, draw.randint(1, 60), draw.uniform(0.0, 0.05))
         status = first.end()
@@ -328,10 +337,11 @@ def run(
                 fell["beside"][other.passed.last] += 1
             elif status:
                 raise AssertionError(f"an update beside failed at: {other.passed.last}")
+        (folder / "fell.json").write_text(json.dumps({"runs": runs, "left": len(waiting), **fell}))
         if runs > 10 * (each * len(POINTS) + at_random + 1):
             raise AssertionError(f"never come to: {sorted(set(waiting))}")
     for code in (OTHER_CODE, ""):
-        if Forked(folder, lambda code=code: updated(where, code), None).end():  # type: ignore[misc]
+        if Forked(folder, partial(updated, where, code), None).end():
             raise AssertionError("the last update failed")
     return {"runs": {"all": runs}, **fell}
 
@@ -340,6 +350,7 @@ def main() -> None:
     """Run, and print where the kills fell."""
     where, kept, logs, *numbers = sys.argv[1:]
     folder = Path(kept).parent
+    folder.mkdir(parents=True, exist_ok=True)
     with open_catalogue(where, results=kept if "://" in where else None) as catalogue:
         catalogue.add(logs)
         page = catalogue.pending("none", "")
@@ -348,6 +359,14 @@ def main() -> None:
     analyses = analyses_named()
     job = work.Job(row["key"], row["sha256"], row["path"], tuple(range(len(analyses))))
     work.computed(work.Batch((job,), analyses))  # what is compiled is loaded once
+    for each in analyses:
+        code_of(each)
+    modules = folder / "modules"
+    if Forked(folder, partial(first_update, where, modules), None).end():
+        raise AssertionError("the first update failed")
+    for name in modules.read_text().split():
+        with suppress(ImportError):
+            import_module(name)
     print(json.dumps(run(folder, where, *map(int, numbers))))
 
 
