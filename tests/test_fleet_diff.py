@@ -194,6 +194,76 @@ def test_a_place_of_the_map_that_moved_is_named(adhesion: pd.DataFrame) -> None:
     )
 
 
+def counts_of(columns: dict[str, np.ndarray], name: str) -> pd.DataFrame:
+    """A result of an analysis with its counts, of as many trips as there are."""
+    table = made_up()
+    count = len(next(iter(columns.values())))
+    return table[["key", "trip", "train", "kind", "line", "start"]].head(count).assign(**columns)
+
+
+def test_a_count_moves_beyond_its_band_by_more_than_its_chance() -> None:
+    """Of n repairs the standard deviation by chance is the root of n; of none that of one."""
+    before = np.array([0, 0, 1, 4, 100, 100, 10_000])
+    after = np.array([1, 2, 2, 8, 119, 120, 10_195])
+    found = difference(
+        counts_of({"repairs": before}, "checks"), counts_of({"repairs": after}, "checks"), "checks"
+    )
+    moved = found.moved.set_index("trip")
+    assert sorted(moved.index) == ["trip-1", "trip-3", "trip-5"]
+    assert moved.loc["trip-5", "bands"] == pytest.approx(20 / (1.96 * 10))
+    assert not moved["banded"].any()
+    assert "figures without a band" in sentence(found)
+
+
+def test_a_small_rise_of_a_count_in_all_trips_is_found_in_its_mean() -> None:
+    generator = np.random.default_rng(5)
+    before = generator.poisson(20.0, 200)
+    columns = ({"gaps": before}, {"gaps": before + generator.binomial(6, 0.5, 200)})
+    found = difference(*(counts_of(each, "checks") for each in columns), "checks")
+    assert len(found.moved) <= 2, "three of twenty are within the chance of a trip"
+    whole = found.means[found.means["of"] == "all trips"].iloc[0]
+    assert whole["beyond"]
+    assert whole["shift"] == pytest.approx(3.0, abs=0.4)
+    assert whole["value_std"] == pytest.approx(np.sqrt(20.0 / 200), rel=0.2)
+
+
+def test_a_small_figure_is_judged_by_the_size_that_it_has_in_other_trips() -> None:
+    """A time of a tenth of a second that grew by half beside hundreds of seconds is nothing."""
+    table = made_up()
+    size = np.where(np.arange(len(table)) == 7, 0.1, 300.0)
+    found = difference(table.assign(energy=size), table.assign(energy=size + 0.05))
+    assert not len(found.moved)
+
+
+def test_what_parameters_change_by_definition_is_not_compared() -> None:
+    columns = {"bins": np.array([40, 30, 20]), "bin_length": 25.0, "weight": 10.0}
+    columns |= {"weighted_log": np.array([-20.0, -18.0, -16.0])}
+    one = counts_of(columns, "adhesion")
+    finer = one.assign(bins=one["bins"] // 2, bin_length=50.0)
+    found = difference(one, finer, "adhesion")
+    assert found.by_definition == ("number of bins",)
+    assert not found.beyond
+    assert "not compared, as the parameters change it: number of bins" in sentence(found)
+    # Of the same bins their number is compared, and so is the adhesion of the onsets.
+    assert (
+        difference(one, finer.assign(bin_length=25.0), "adhesion")
+        .moved["estimate"]
+        .eq("bins")
+        .all()
+    )
+    slipperier = difference(one, one.assign(weighted_log=one["weighted_log"] - 10.0), "adhesion")
+    assert set(slipperier.moved["estimate"]) == {"maximum adhesion"}
+    assert slipperier.moved["second"].max() == pytest.approx(np.exp(-2.6))
+    assert slipperier.moved["bands"].min() == pytest.approx((np.e - 1) / 1.96 * 10**0.5)
+
+
+def test_what_is_packed_and_differs_in_a_byte_is_not_the_same() -> None:
+    one = counts_of({"windows": np.ones(2, int), "gradients": np.array([b"a", b"b"])}, "made up")
+    found = difference(one, one.assign(gradients=[b"a", b"c"]))
+    assert not found.same
+    assert found.trip_counts["within"].tolist() == [1]
+
+
 def test_parameters_that_no_analysis_has_are_refused() -> None:
     with pytest.raises(InputError, match=r"no analysis 'resistence'.*resistance"):
         parameters_of("resistence.speeds=3")

@@ -28,6 +28,7 @@ from trainlog.simulation import (
 )
 from trainlog.simulation.vehicles import draw_trains
 from trainlog.units import DAY, NANOSECONDS
+from trainlog.version import code_version_of
 
 
 @pytest.fixture(scope="module")
@@ -196,11 +197,19 @@ def test_any_trip_alone_is_the_same_as_in_the_fleet(tmp_path: Path) -> None:
     one = write_trip(alone, 4, tmp_path / "alone")
     place = Path(alone.train_of(4).name) / f"{one.name}.mcap"
     assert (tmp_path / "alone" / place).read_bytes() == (tmp_path / "all" / place).read_bytes()
-    # What was lost is made again, and nothing else.
+    code = code_version_of("trainlog.simulation.fleet_logs")
+    stated = json.loads((tmp_path / "all" / "fleet.json").read_text("utf-8"))
+    assert (stated["software"], stated["code"]) == (f"trainlog {trainlog.__version__}", [code])
+    # What was lost is made again, and nothing else; by other code than the rest, which is stated.
+    stated["code"] = ["0123456789abcdef"]
+    (tmp_path / "all" / "fleet.json").write_text(json.dumps(stated), "utf-8")
     before = (tmp_path / "all" / place).read_bytes()
     (tmp_path / "all" / place).unlink()
     again = write_fleet(fleet, tmp_path / "all", jobs=1)
     assert (again.made, again.kept) == (1, 4)
+    assert again.codes == ("0123456789abcdef", code)
+    stated = json.loads((tmp_path / "all" / "fleet.json").read_text("utf-8"))
+    assert stated["code"] == list(again.codes)
     assert (tmp_path / "all" / place).read_bytes() == before
     with pytest.raises(InputError, match="another fleet"):
         write_fleet(draw_fleet(fleet.network, trains=3, days=2, trips=4, seed=5), tmp_path / "all")

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from analysis.fleet.analyses import ANALYSES
 from analysis.fleet.diff_estimates import (
-    OF_BINS,
     UNITS,
     Values,
     aligned,
+    by_definition,
     estimates,
-    other_bins,
+    other_bytes,
     texts,
     trips_of,
 )
@@ -76,6 +76,8 @@ class FleetDiff:
         Trips whose texts (of findings, sources, missing channels) differ.
     places : DataFrame
         Stretches of the map that all trips together give where it moved beyond its band.
+    by_definition : tuple of str
+        What is not compared, as the parameters of the two sides change it by definition.
     """
 
     first: Version
@@ -88,6 +90,7 @@ class FleetDiff:
     verdicts: pd.DataFrame
     words: pd.DataFrame
     places: pd.DataFrame
+    by_definition: tuple[str, ...] = ()
 
     @property
     def beyond(self) -> bool:
@@ -99,7 +102,7 @@ class FleetDiff:
     def same(self) -> bool:
         """Whether every result is the same to the byte."""
         counts = self.trip_counts
-        changed = len(self.verdicts) + len(self.words)
+        changed = len(self.verdicts) + len(self.words) + len(self.by_definition)
         return not changed and bool((counts["same"] == counts["trips"]).all())
 
     def __repr__(self) -> str:
@@ -208,6 +211,7 @@ class _Found:
     verdicts: list[pd.DataFrame] = field(default_factory=list)
     words: list[pd.DataFrame] = field(default_factory=list)
     places: list[dict[str, Any]] = field(default_factory=list)
+    by_definition: list[str] = field(default_factory=list)
 
 
 VERDICTS = ("analysis", "key", "trip", "train", "kind", "line", "start", "first", "second")
@@ -237,6 +241,7 @@ def compared(
         _together(found.verdicts, VERDICTS),
         _together(found.words, (*VERDICTS[:7], "estimate", "first", "second")),
         pd.DataFrame(found.places, columns=list(PLACES)),
+        tuple(dict.fromkeys(found.by_definition)),
     )
 
 
@@ -268,12 +273,13 @@ def _compare(found: _Found, name: str, one: Results, other: Results) -> None:
             rows = about[changed].assign(analysis=name, estimate=column)
             rows["first"], rows["second"] = left[column][changed], right[column][changed]
             found.words.append(rows)
-    sides = estimates(left), estimates(right)
-    rebinned = other_bins(left, right)
-    worst[rebinned] = np.maximum(worst[rebinned], CLASSES.index("within"))
-    skipped = OF_BINS if rebinned.any() else set[str]()
+    changed = other_bytes(left, right)
+    worst[changed] = np.maximum(worst[changed], CLASSES.index("within"))
+    found.by_definition += by_definition(left, right)
+    counts = {each.name for each in columns.values() if each.unit == "1" and each.kind == "count"}
+    sides = estimates(left, counts | _COUNTS), estimates(right, counts | _COUNTS)
     means = []
-    for estimate in [each for each in sides[0] if each in sides[1] and each not in skipped]:
+    for estimate in [each for each in sides[0] if each in sides[1]]:
         unit = columns[estimate].unit if estimate in columns else UNITS.get(estimate, "")
         mine, its = sides[0][estimate], sides[1][estimate]
         if not (np.isfinite(mine.value) | np.isfinite(its.value)).any():
@@ -297,6 +303,10 @@ def _compare(found: _Found, name: str, one: Results, other: Results) -> None:
     _count_trips(found, name, one.outcomes["key"], about["key"].to_numpy(), worst, found.verdicts)
     if "evidence" in left and not (left["evidence"] == right["evidence"]).all():
         found.places += moved_places(left, right)
+
+
+_COUNTS = {"slips"}
+"""Counts that may not be known, which a column of counts cannot hold."""
 
 
 def _known(mine: Values, its: Values) -> NDArray[np.bool_]:

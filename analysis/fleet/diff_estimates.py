@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from trainlog.formats.summaries import COVARIANCE, PARAMETERS
-from trainlog.units import KMH, NANOSECONDS
+from trainlog.units import DAY, KMH, NANOSECONDS
 
 FloatArray = NDArray[np.float64]
 
@@ -20,21 +21,72 @@ SPEEDS = (40.0, 80.0, 120.0)
 _ABOUT = ("trip", "train", "kind", "line", "start", "edge", "layer", "direction")
 _SKIPPED = {
     *("key", "sha256", "identity", "software", "message", "entry", "evidence", "gradients"),
-    *("main_layer", "steps", "bin_length", "edge_length"),
+    *("main_layer", "steps", "bin_length", "edge_length", "asked_lowest", "asked_highest"),
+    *("weight", "weighted_log"),
 }
-"""Columns that say of which trip a row is or what made it, and bulk that is compared by place."""
+"""Columns that state of which trip a row is, what made it and what it was asked for; bulk that is
+compared by place; and sums of which the mean is compared."""
 
-OF_BINS = {"bins", "weight", "weighted_log"}
-"""Counts and sums over bins: of bins of two lengths they differ by definition, as the map need not.
-"""
+_BULK = ("evidence", "gradients")
+"""Columns of which the bytes are compared."""
 
 
 @dataclass(frozen=True)
 class Values:
-    """An estimate on one side: a value a row, with its standard deviation (NaN: none)."""
+    """An estimate on one side.
+
+    Attributes
+    ----------
+    value, std : FloatArray
+        Of each row; a standard deviation of NaN: none.
+    counted : bool
+        A count, which states no band: its standard deviation is that of chance (Poisson).
+    """
 
     value: FloatArray
     std: FloatArray
+    counted: bool = False
+
+    @property
+    def stated(self) -> NDArray[np.bool_]:
+        """The rows that state a band of their own."""
+        return (self.std > 0.0) & (not self.counted)
+
+
+def by_definition(left: pd.DataFrame, right: pd.DataFrame) -> tuple[str, ...]:
+    """What the parameters of two sides change by definition; blanked in both tables.
+
+    Bins of two lengths are no estimate that moved, and a curve can be compared as far as both
+    sides asked for it.
+    """
+    found = []
+    if {"bin_length", "bins"} <= set(left) & set(right):
+        other = _differ(left["bin_length"], right["bin_length"])
+        if other.any():
+            found.append("number of bins")
+            for table in (left, right):
+                table["bins"] = table["bins"].astype(np.float64).mask(other)
+    if "asked_highest" in left and "asked_highest" in right:
+        if _differ(left["asked_highest"], right["asked_highest"]).any():
+            found.append("speeds that the curve was asked for")
+        both = np.fmin(left["asked_highest"], right["asked_highest"])
+        left["asked_highest"] = right["asked_highest"] = both
+    return tuple(found)
+
+
+def _differ(one: pd.Series, other: pd.Series) -> NDArray[np.bool_]:
+    values = (one.to_numpy(np.float64), other.to_numpy(np.float64))
+    return np.asarray(np.isfinite(values[0] - values[1]) & (values[0] != values[1]))
+
+
+def other_bytes(left: pd.DataFrame, right: pd.DataFrame) -> NDArray[np.bool_]:
+    """Rows whose evidence or packed columns differ in any byte."""
+    found = np.zeros(len(left), dtype=np.bool_)
+    for name in _BULK:
+        if name in left and name in right:
+            both = left[name].notna() & right[name].notna()
+            found |= (both & (left[name] != right[name])).to_numpy(bool)
+    return found
 
 
 def aligned(one: pd.DataFrame, other: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -77,8 +129,15 @@ def texts(left: pd.DataFrame, right: pd.DataFrame) -> list[str]:
 UNITS = {f"resistance at {speed:.0f} km/h": "N" for speed in SPEEDS}
 
 
-def estimates(table: pd.DataFrame) -> dict[str, Values]:
-    """The estimates of a table, with their standard deviations."""
+def estimates(table: pd.DataFrame, counts: Collection[str] = ()) -> dict[str, Values]:
+    """The estimates of a table, with their standard deviations.
+
+    Parameters
+    ----------
+    table : DataFrame
+    counts : collection of str
+        Columns that hold counts: of one of n the chance is that of Poisson, the root of n.
+    """
     found: dict[str, Values] = {}
     nothing = np.full(len(table), np.nan)
     bands = {*COVARIANCE, *(name for name in table if str(name).startswith("survey_"))}
@@ -90,15 +149,37 @@ def estimates(table: pd.DataFrame) -> dict[str, Values]:
             if str(name).endswith(("_std", "_stds")):
                 continue
             value = column.to_numpy(np.float64)
-            if name == "entered" and "start" in table:
-                value = (value - pd.to_datetime(table["start"]).astype("int64")) / NANOSECONDS
+            if name in _INSTANTS and "start" in table:
+                # From the trip's start on: of an instant one per cent would be years.
+                value = _INSTANTS[str(name)](value, pd.to_datetime(table["start"]).astype("int64"))
             std = table[f"{name}_std"].to_numpy(np.float64) if f"{name}_std" in table else nothing
             if f"covariance_{name}_{name}" in table:
                 std = np.sqrt(table[f"covariance_{name}_{name}"].to_numpy(np.float64))
-            found[str(name)] = Values(value, std)
+            counted = name in counts and not np.isfinite(std).any()
+            if counted:
+                std = np.sqrt(np.fmax(value, 1.0))
+            found[str(name)] = Values(value, std, counted)
         elif str(name).endswith("s") and f"{str(name)[:-1]}_stds" in table:
             found |= _listed(str(name)[:-1], column, table[f"{str(name)[:-1]}_stds"])
-    return found | _curves(table)
+    return found | _curves(table) | _adhesion(table)
+
+
+_INSTANTS: dict[str, Callable[[FloatArray, pd.Series], FloatArray]] = {
+    "entered": lambda value, start: np.asarray((value - start) / NANOSECONDS),
+    "first_day": lambda value, start: np.where(value >= 0.0, value - start // DAY, np.nan),
+    "last_day": lambda value, start: np.where(value >= 0.0, value - start // DAY, np.nan),
+}
+"""Columns of instants, and how they are counted from the start of the trip (-1: no day)."""
+
+
+def _adhesion(table: pd.DataFrame) -> dict[str, Values]:
+    """The mean of the maximum adhesion over a row's onsets, by their inverse variances."""
+    if not {"weight", "weighted_log"} <= set(table):
+        return {}
+    weight = table["weight"].to_numpy(np.float64)
+    weight = np.where(weight > 0.0, weight, np.nan)
+    mean = np.exp(table["weighted_log"].to_numpy(np.float64) / weight)
+    return {"maximum adhesion": Values(mean, mean / np.sqrt(weight))}
 
 
 def _listed(name: str, values: pd.Series, stds: pd.Series) -> dict[str, Values]:
@@ -135,11 +216,3 @@ def _curves(table: pd.DataFrame) -> dict[str, Values]:
         std = np.sqrt(np.maximum(variance, 0.0))
         found[f"resistance at {speed:.0f} km/h"] = Values(value, std)
     return found
-
-
-def other_bins(left: pd.DataFrame, right: pd.DataFrame) -> NDArray[np.bool_]:
-    """Rows of evidence whose bins are of another length on the other side."""
-    if "bin_length" not in left or "bin_length" not in right:
-        return np.zeros(len(left), dtype=np.bool_)
-    lengths = [table["bin_length"].to_numpy(np.float64) for table in (left, right)]
-    return np.asarray(np.isfinite(lengths[0] - lengths[1]) & (lengths[0] != lengths[1]))

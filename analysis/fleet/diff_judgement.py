@@ -21,7 +21,8 @@ ROUNDING, ROUNDING_OF_BAND = 1e-6, 1e-3
 """Share of a value, and of its standard deviation, that rounding moves on other machines."""
 
 WITHOUT_BAND = 0.01
-"""Share of a value that counts as its band where it has none of its own."""
+"""Share of a value, or of the root mean square over all trips where that is more, that counts as
+the band of a figure that is no count and has none of its own."""
 
 RATE = 0.05
 """False discovery rate among the means over several trips."""
@@ -52,7 +53,7 @@ def classes_of(mine: Values, its: Values) -> tuple[NDArray[np.int64], FloatArray
     typical = float(np.sqrt(np.mean(np.square(finite)))) if finite.size else 0.0
     size = np.fmax(np.abs(a), np.abs(b))
     rounding = ROUNDING * np.fmax(size, 1e-3 * typical) + ROUNDING_OF_BAND * np.nan_to_num(std)
-    band = np.where(np.isfinite(std), REACH * std, WITHOUT_BAND * size)
+    band = np.where(np.isfinite(std), REACH * std, WITHOUT_BAND * np.fmax(size, typical))
     found = np.full(a.size, CLASSES.index("beyond"))  # given by one side alone
     found[difference <= band] = CLASSES.index("within")
     found[difference <= rounding] = CLASSES.index("rounding")
@@ -85,7 +86,7 @@ def moved_rows(
         "std": mine.std[rows],
     }
     stated |= {"bands": np.where(np.isnan(bands), np.inf, bands)}
-    stated |= {"banded": (mine.std[rows] > 0.0) | (its.std[rows] > 0.0)}
+    stated |= {"banded": (mine.stated | its.stated)[rows]}
     return about.assign(analysis=name, estimate=estimate, unit=unit, **stated)
 
 
@@ -99,12 +100,13 @@ def mean_shifts(
 ) -> pd.DataFrame:
     """The mean of a difference over all trips, over those of each train and of each place.
 
-    Weighted by the precision of the first side, where it states one. The standard error of the
+    Weighted by the precision of the first side, where it states one; a count by its own chance
+    would weigh the small ones most, so that each counts alike. The standard error of the
     shift is that of the differences' own scatter; that of the mean value the larger of what the
     bands and the scatter of the values give.
     """
     both = np.isfinite(mine.value) & np.isfinite(its.value)
-    banded = both & np.isfinite(mine.std) & (mine.std > 0.0)
+    banded = both & np.isfinite(mine.std) & mine.stated
     use = banded if banded.any() else both
     a, d = mine.value[use], (its.value - mine.value)[use]
     weight = mine.std[use] ** -2 if banded.any() else np.ones(a.size)
@@ -133,6 +135,8 @@ def mean_shifts(
         value_std, shift_std = (spread * np.sqrt(each) / total for each in scatter)
         if banded.any():
             value_std = np.fmax(value_std, np.sqrt(1.0 / total))
+        if mine.counted:
+            value_std = np.fmax(value_std, np.sqrt(np.fmax(value, 1.0 / total) / total))
         parts.append(
             pd.DataFrame(
                 {

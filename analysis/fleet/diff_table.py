@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from analysis.fleet.diff import FleetDiff
-from analysis.fleet.diff_judgement import CLASSES, RATE, WITHOUT_BAND
+from analysis.fleet.diff_judgement import CLASSES, RATE, REACH, WITHOUT_BAND
 from analysis.fleet.update import EVIDENCE
 from analysis.tables import NUMBER, Column, Quantity, WordTable, new_table, with_band
 from trainlog.display import counted
@@ -23,6 +23,14 @@ _HEADINGS = {
     "same": "same to the bit", "rounding": "within rounding", "within": "within the band",
     "beyond": "beyond the band",
 }  # fmt: skip
+
+
+JUDGED = (
+    f"What states no band of its own has one in its place: a count of n that of chance, {REACH}"
+    f" times the root of n (at least of 1); another figure {WITHOUT_BAND:.0%} of its value, or of"
+    " its root mean square over all trips where that is more."
+)
+"""What stands in place of a band."""
 
 
 def counts_table(found: FleetDiff) -> WordTable:
@@ -44,7 +52,7 @@ def estimates_table(found: FleetDiff, *, changed: bool = True) -> WordTable:
         "Estimates of single trips", "analysis", "estimate", Column("values", NUMBER),
         *(Column(_HEADINGS[each], NUMBER, each) for each in CLASSES),
         Column("bands, second over first", _BANDS, "band_ratio"), name="estimates",
-        caption=f"What states no band of its own: {WITHOUT_BAND:.0%} of its value in place of one.",
+        caption=JUDGED,
         caption_justify="left",
     )  # fmt: skip
     for row in found.estimates.to_dict("records"):
@@ -159,14 +167,18 @@ def sentence(found: FleetDiff) -> str:
     trips = counted(found.trips, "trip")
     if found.same:
         return f"every result of {trips} is the same to the byte"
+    left_out = (
+        f"; not compared, as the parameters change it: {', '.join(found.by_definition)}"
+        if found.by_definition else ""
+    )  # fmt: skip
     if not found.beyond:
-        return f"nothing moved beyond its band on {trips}"
+        return f"nothing moved beyond its band on {trips}{left_out}"
     means = int(found.means["beyond"].sum()) if len(found.means) else 0
     banded = int(found.moved["banded"].sum()) if len(found.moved) else 0
     others = len(found.moved) - banded
     parts = [
         f"{counted(banded, 'estimate')} of single trips" if banded else "",
-        f"{counted(others, 'figure')} of single trips that state no band" if others else "",
+        f"{counted(others, 'figure')} without a band of single trips" if others else "",
         counted(means, "mean") if means else "",
         f"{counted(len(found.places), 'place')} of the map" if len(found.places) else "",
     ]  # fmt: skip
@@ -178,7 +190,7 @@ def sentence(found: FleetDiff) -> str:
         "no place of the map of all trips moved beyond its band"
         if EVIDENCE in found.trip_counts["analysis"].tolist() and not len(found.places) else "",
     ]  # fmt: skip
-    return f"{'; '.join(filter(None, said))}, on {trips}"
+    return f"{'; '.join(filter(None, said))}, on {trips}{left_out}"
 
 
 def details(found: FleetDiff) -> dict[str, Any]:
@@ -200,6 +212,7 @@ def details(found: FleetDiff) -> dict[str, Any]:
         "verdicts_in_all": len(found.verdicts),
         "places": _records(found.places),
         "words": len(found.words),
+        "by_definition": list(found.by_definition),
     }
 
 

@@ -10,6 +10,7 @@ import pandas as pd
 from analysis.fleet.diff import FleetDiff
 from analysis.fleet.diff_judgement import REACH
 from analysis.fleet.diff_table import (
+    JUDGED,
     counts_table,
     estimates_table,
     means_table,
@@ -74,7 +75,8 @@ _JUDGED = (
     "Both sides saw the same trips with the same noise: where nothing changed an estimate is the"
     " same to the bit. A difference is within rounding up to a millionth of the value or a"
     " thousandth of its standard deviation; beyond the band where it exceeds 1.96 of the smaller of"
-    " the two standard deviations, or one per cent of a value that states none.",
+    " the two standard deviations.",
+    JUDGED,
     "Means are weighted by the precision of each trip. The shift has the standard error that its"
     " own scatter over the trips gives, in which the noise that both sides share is not contained;"
     " it is systematic at a false discovery rate of 5 per cent among all means (Benjamini and"

@@ -40,7 +40,7 @@ def drawn_again(folder: Path) -> Fleet:
         known["start"],
     )
     drawn = json.loads(json.dumps(fleet.truth()))
-    if drawn != known:
+    if drawn != {name: known.get(name) for name in drawn}:
         raise ValueError(f"{folder / 'fleet.json'} is not what is drawn from its seed now")
     return fleet
 

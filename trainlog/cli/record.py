@@ -363,6 +363,12 @@ def fleet_of(
             f" {speed:,.0f} times as fast as the trains",
             highlight=False,
         )
+        if len(logs.codes) > 1:
+            console.print(
+                f"The logs were made by {len(logs.codes)} versions of the code, as fleet.json"
+                f" states: {', '.join(logs.codes)}.",
+                highlight=False,
+            )
     if logs.stuck:
         raise typer.Exit(1)
 

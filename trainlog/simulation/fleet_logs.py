@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait as wait_for
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.files import made_folder, read_bytes, write_bytes
@@ -24,6 +24,7 @@ from trainlog.mcap import write_log
 from trainlog.progress import task
 from trainlog.simulation.fleet import Fleet, as_recorded
 from trainlog.simulation.recording import drive, recorded
+from trainlog.version import __version__, code_version_of
 
 TRUTH_FILE = "fleet.json"
 """What the fleet truly is; no analysis reads it."""
@@ -73,6 +74,8 @@ class FleetLogs:
     size : int [B]
     elapsed : float [s]
         On the wall.
+    codes : tuple of str
+        Versions of the code that made the logs, those of earlier runs first.
     """
 
     made: int = 0
@@ -82,6 +85,7 @@ class FleetLogs:
     distance: float = 0.0
     size: int = 0
     elapsed: float = 0.0
+    codes: tuple[str, ...] = ()
 
     def add(self, each: Made) -> None:
         """Count what became of a trip."""
@@ -150,7 +154,7 @@ def write_fleet(fleet: Fleet, folder: str | Path, jobs: int | None = None) -> Fl
     if jobs < 1:
         raise InputError(f"cannot work in {jobs} processes", remedy="give 1 or more")
     target = made_folder(folder)
-    _write_beside(fleet, target)
+    earlier = _write_beside(fleet, target)
     found = FleetLogs()
     missing = []
     for number in range(fleet.trips):
@@ -158,6 +162,7 @@ def write_fleet(fleet: Fleet, folder: str | Path, jobs: int | None = None) -> Fl
             found.kept += 1
         else:
             missing.append(number)
+    found.codes = tuple(earlier) if not missing else _state_code(target, earlier)
     jobs = min(jobs, -(-len(missing) // BATCH)) or 1
     with task("driving", total=len(missing), unit="trip") as step:
         made = (
@@ -170,11 +175,18 @@ def write_fleet(fleet: Fleet, folder: str | Path, jobs: int | None = None) -> Fl
     return found
 
 
-def _write_beside(fleet: Fleet, folder: Path) -> None:
-    """Network, trains, weather and truth; refused where the folder holds those of another fleet."""
-    truth = (json.dumps(fleet.truth(), indent=1, ensure_ascii=False) + "\n").encode()
+def _write_beside(fleet: Fleet, folder: Path) -> list[str]:
+    """Network, trains, weather and truth; refused where the folder holds those of another fleet.
+
+    Returns
+    -------
+    list of str
+        Versions of the code that logs in the folder were made by.
+    """
+    truth = json.loads(json.dumps(fleet.truth()))
     place = folder / TRUTH_FILE
-    if place.exists() and read_bytes(place) != truth:
+    known = _stated(place) if place.exists() else {}
+    if known and {name: known.get(name) for name in truth} != truth:
         raise InputError(
             "the folder holds another fleet",
             file=place,
@@ -185,15 +197,42 @@ def _write_beside(fleet: Fleet, folder: Path) -> None:
         for left_over in own.glob(".*.mcap"):
             # Of a process that was killed while it wrote.
             left_over.unlink(missing_ok=True)
-    if place.exists():
-        return
+    if known:
+        return list(known.get("code", ["not stated"]))
     write_network(fleet.network, folder / NETWORK_FILE)
     for each in fleet.trains:
         write_train(each.train, made_folder(folder / "trains") / f"{each.name}.train.json")
     for edge in fleet.network.edges:
         name = edge.name.replace("/", "_")
         write_weather(fleet.rail(edge.name).table, made_folder(folder / "weather") / f"{name}.csv")
-    write_bytes(place, truth)
+    _write_truth(place, truth | {"software": f"trainlog {__version__}", "code": []})
+    return []
+
+
+def _stated(place: Path) -> dict[str, Any]:
+    """The truth beside the logs of a folder; empty where it is none."""
+    try:
+        found = json.loads(read_bytes(place))
+    except ValueError:
+        found = None
+    return found if isinstance(found, dict) else {"format": ""}
+
+
+def _write_truth(place: Path, truth: dict[str, Any]) -> None:
+    write_bytes(place, (json.dumps(truth, indent=1, ensure_ascii=False) + "\n").encode())
+
+
+def _state_code(folder: Path, earlier: list[str]) -> tuple[str, ...]:
+    """State beside the logs, before any is made, that the present code makes some of them."""
+    code = code_version_of(__name__)
+    if code not in earlier:
+        place = folder / TRUTH_FILE
+        truth = _stated(place)
+        _write_truth(
+            place, truth | {"software": f"trainlog {__version__}", "code": [*earlier, code]}
+        )
+        return (*earlier, code)
+    return tuple(earlier)
 
 
 def _in_turn(fleet: Fleet, numbers: list[int], folder: Path) -> Iterator[Made]:
