@@ -188,7 +188,7 @@ def _of_format(path: Path, stated: str) -> Contents:
 
 def _recorded(path: Path, head: bytes) -> Contents:
     """What a recorder's file holds, as far as that is known without a profile."""
-    from trainlog.ingest.profile import FileOptions
+    from trainlog.ingest.profile_parts import FileOptions
     from trainlog.ingest.recording import Recording
     from trainlog.ingest.registry import format_of, own_profile
     from trainlog.ingest.tabular import open_text

@@ -16,7 +16,8 @@ from ingest_logs import PLAIN, clean_run, plain_profile, ublox, write
 from trainlog.errors import InputError
 from trainlog.ingest import RULES, formats, ingest, profile_of, report_of
 from trainlog.ingest.limits import LIMITS
-from trainlog.ingest.profile import Column, Detection, FileOptions, TimeOptions
+from trainlog.ingest.profile_columns import Column
+from trainlog.ingest.profile_parts import Detection, FileOptions, TimeOptions
 from trainlog.ingest.registry import format_by_profile
 
 PAGE = (Path(__file__).parents[1] / "docs" / "ingest.md").read_text("utf-8")

@@ -24,7 +24,7 @@ from recorder_files import MTK_HEADER, drive, mtk_at_rest, mtk_rows
 from trainlog.errors import InputError
 from trainlog.ingest import RULES, ingest, report_of
 from trainlog.ingest.clock import longest_nondecreasing
-from trainlog.ingest.profile import Repair
+from trainlog.ingest.profile_parts import Repair
 from trainlog.ingest.spikes import spikes
 from trainlog.trip import Trip, seconds
 

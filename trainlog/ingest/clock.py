@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from trainlog.errors import InputError
-from trainlog.ingest.profile import Limits
+from trainlog.ingest.profile_parts import Limits
 from trainlog.ingest.recording import (
     NO_TIME,
     BoolArray,

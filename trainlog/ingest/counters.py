@@ -15,7 +15,7 @@ from scipy.ndimage import median_filter
 
 from trainlog.ingest.clock import Result, gap_threshold
 from trainlog.ingest.limits import limit_of, si_rate
-from trainlog.ingest.profile import Limits
+from trainlog.ingest.profile_parts import Limits
 from trainlog.ingest.recording import BoolArray, FloatArray, IntArray, Table
 from trainlog.ingest.spikes import GNSS_SPEED, SPEED
 from trainlog.spans import runs_of

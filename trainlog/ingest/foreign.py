@@ -22,14 +22,10 @@ from numpy.typing import NDArray
 from trainlog.errors import InputError
 from trainlog.ingest.clock import NO_ACCURACY
 from trainlog.ingest.mapping import EARLIEST, LATEST, in_si, read_time, recording_of
-from trainlog.ingest.profile import (
-    PROFILE_FORMAT,
-    Column,
-    MismatchError,
-    Profile,
-    TimeOptions,
-    suggestion,
-)
+from trainlog.ingest.profile import PROFILE_FORMAT, Profile
+from trainlog.ingest.profile_checks import MismatchError, suggestion
+from trainlog.ingest.profile_columns import Column
+from trainlog.ingest.profile_parts import TimeOptions
 from trainlog.ingest.recording import (
     NO_TIME,
     BoolArray,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trainlog.ingest.profile import Limit, Limits
+from trainlog.ingest.profile_parts import Limit, Limits
 from trainlog.ingest.recording import base_name, field_of
 from trainlog.units import factor
 

@@ -25,7 +25,9 @@ from trainlog.ingest.pipeline import (
     default_profile,
     metadata_of,
 )
-from trainlog.ingest.profile import Limits, Profile, Repair, own_topics, parse_profile
+from trainlog.ingest.profile import Profile, parse_profile
+from trainlog.ingest.profile_columns import own_topics
+from trainlog.ingest.profile_parts import Limits, Repair
 from trainlog.ingest.recording import NO_TIME, IntArray, Recording as Recorded, Table
 from trainlog.ingest.sequence import Numbering, Sequence
 from trainlog.ingest.sources import Source

@@ -16,7 +16,8 @@ from itertools import groupby, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from trainlog.ingest.profile import Profile, TripColumns
+from trainlog.ingest.profile import Profile
+from trainlog.ingest.profile_parts import TripColumns
 from trainlog.ingest.recording import (
     NO_TIME,
     BoolArray,

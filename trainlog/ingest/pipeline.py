@@ -24,15 +24,10 @@ from trainlog.ingest.framing import frames
 from trainlog.ingest.limits import LIMITS
 from trainlog.ingest.parts import parts_of
 from trainlog.ingest.placing import OVERRUN, placed
-from trainlog.ingest.profile import (
-    Limits,
-    MismatchError,
-    Profile,
-    Quantity,
-    TripOptions,
-    own_topics,
-    parse_profile,
-)
+from trainlog.ingest.profile import Profile, parse_profile
+from trainlog.ingest.profile_checks import MismatchError, Quantity
+from trainlog.ingest.profile_columns import own_topics
+from trainlog.ingest.profile_parts import Limits, TripOptions
 from trainlog.ingest.recording import Finding, Recording, Table
 from trainlog.ingest.registry import Format, format_called, format_of, is_registered, own_profile
 from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report, changes

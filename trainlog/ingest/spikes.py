@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from trainlog.ingest.clock import Result
 from trainlog.ingest.limits import limit_of, si_bounds, si_rate
-from trainlog.ingest.profile import Limits
+from trainlog.ingest.profile_parts import Limits
 from trainlog.ingest.recording import (
     METRES_PER_DEGREE,
     BoolArray,

@@ -23,7 +23,9 @@ import pyarrow as pa
 from trainlog.errors import InputError
 from trainlog.ingest.mapping import recording_of, wanted_columns
 from trainlog.ingest.nmea import Epochs
-from trainlog.ingest.profile import WORDS, Profile, suggestion
+from trainlog.ingest.profile import Profile
+from trainlog.ingest.profile_checks import suggestion
+from trainlog.ingest.profile_columns import WORDS
 from trainlog.ingest.recording import (
     NO_TIME,
     Cells,

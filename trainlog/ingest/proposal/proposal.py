@@ -14,7 +14,8 @@ from trainlog.display import as_html, as_text, counted
 from trainlog.errors import InputError
 from trainlog.ingest.parts import parts_of
 from trainlog.ingest.placing import OVERRUN, placed
-from trainlog.ingest.profile import MISSING, Limits, Profile, Repair, TimeOptions, parse_profile
+from trainlog.ingest.profile import Profile, parse_profile
+from trainlog.ingest.profile_parts import MISSING, Limits, Repair, TimeOptions
 from trainlog.ingest.proposal.columns import columns_of
 from trainlog.ingest.proposal.layout import Layout, Reading, layout_of
 from trainlog.ingest.proposal.times import Clock, clock_of

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from trainlog.errors import InputError
 from trainlog.ingest.mapping import numbers, read_time
-from trainlog.ingest.profile import TimeOptions
+from trainlog.ingest.profile_parts import TimeOptions
 from trainlog.ingest.proposal.layout import Layout, Reading
 from trainlog.ingest.proposal.vocabulary import (
     Meaning,

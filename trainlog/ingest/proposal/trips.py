@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from trainlog.ingest.parts import CONSTANT, LEAST_GROUP
-from trainlog.ingest.profile import LoadColumn, TripColumns, WeatherColumn
+from trainlog.ingest.profile_parts import LoadColumn, TripColumns, WeatherColumn
 from trainlog.ingest.proposal.layout import Reading
 from trainlog.ingest.proposal.vocabulary import plain, split_unit, words_of
 from trainlog.ingest.proposal.work import TripFacts, Work

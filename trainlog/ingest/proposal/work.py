@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from trainlog.ingest.profile import TripColumns
+from trainlog.ingest.profile_parts import TripColumns
 from trainlog.ingest.proposal.checks import Motion
 from trainlog.ingest.proposal.layout import Layout, Reading
 from trainlog.ingest.proposal.times import Clock
@@ -16,7 +16,7 @@ from trainlog.railway.train import Train
 
 @dataclass(frozen=True, slots=True)
 class Proposed:
-    """A field of our topics, and what it is read from; see `trainlog.ingest.profile.Column`.
+    """A field of our topics, and what it is read from, as in `profile_columns.Column`.
 
     Attributes
     ----------
