@@ -10,11 +10,12 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from trajectory_cases import FLIRT, VIRM6, hilly_line, observed, optimised
 
-from analysis.trajectory.active_set import initial_guess, interpolated_guess, search
+from analysis.trajectory.active_set import search
 from analysis.trajectory.bound import lower_bound
 from analysis.trajectory.convex import Relaxation
 from analysis.trajectory.discretisation import DiscreteProblem, discretise, graded_mesh
 from analysis.trajectory.envelope import fastest_run
+from analysis.trajectory.guess import initial_guess, interpolated_guess
 from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.sqp import Solution, minimise
 from trainlog.formats.line import read_line

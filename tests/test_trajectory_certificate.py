@@ -14,12 +14,13 @@ from hypothesis import given, settings, strategies as st
 from rich.console import Console
 from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, optimised
 
-from analysis.trajectory.active_set import initial_guess, search
+from analysis.trajectory.active_set import search
 from analysis.trajectory.continuous import continuous_bound
 from analysis.trajectory.costate import costate_of
 from analysis.trajectory.curvature import least_curved
 from analysis.trajectory.discretisation import discretise, graded_mesh
 from analysis.trajectory.envelope import fastest_run
+from analysis.trajectory.guess import initial_guess
 from analysis.trajectory.hamiltonian import Hamiltonian, Prices, Segments
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem

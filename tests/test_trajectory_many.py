@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, optimised
 
-from analysis.trajectory import active_set
+from analysis.trajectory import representatives
 from analysis.trajectory.discretisation import discretise
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
@@ -19,7 +19,7 @@ def test_few_stand_for_many_in_the_expected_energy(monkeypatch: pytest.MonkeyPat
     configurations = drawn(FLIRT, 24, seed=2, spread=0.03)
     found = {}
     for few in (12, 24):
-        monkeypatch.setattr(active_set, "MOST_EXPLICIT", few)
+        monkeypatch.setattr(representatives, "MOST_EXPLICIT", few)
         found[few] = optimised(
             hilly_line(),
             FLIRT,
@@ -39,7 +39,7 @@ def test_few_stand_for_many_in_the_expected_energy(monkeypatch: pytest.MonkeyPat
     assert some["energy"] >= everyone["lower_bound"]
     assert some["energy"] <= 1.002 * everyone["energy"]
     assert some["lower_bound"] <= everyone["energy"]
-    assert some["gap"] <= active_set.REPRESENTED
+    assert some["gap"] <= representatives.REPRESENTED
 
 
 def test_configurations_that_few_cannot_represent_enter_the_program() -> None:
@@ -47,7 +47,7 @@ def test_configurations_that_few_cannot_represent_enter_the_program() -> None:
     configurations = drawn(FLIRT, 24, seed=2)
     found = optimised(level_line(8_000.0), FLIRT, configurations, objective="expected", **OPTIONS)  # type: ignore[arg-type]
     certificate = found.certificate
-    assert certificate["gap"] <= active_set.REPRESENTED
+    assert certificate["gap"] <= representatives.REPRESENTED
     assert certificate["certified"]
     assert certificate["audit"]["passed"]
 
@@ -129,10 +129,10 @@ def test_shares_add_up_and_the_slowest_stands_for_itself() -> None:
     weights = tuple(np.arange(1.0, 21.0).tolist())
     run = TrajectoryProblem(line, FLIRT, configurations, weights=weights)
     problem = discretise(run, run.breakpoints)
-    rows = active_set.representatives(problem, [7])
-    assert len(rows) == 1 + active_set.REPRESENTATIVES
+    rows = representatives.representatives(problem, [7])
+    assert len(rows) == 1 + representatives.REPRESENTATIVES
     assert len(set(rows)) == len(rows)
-    shares = active_set.shares_of(problem, rows, {7})
+    shares = representatives.shares_of(problem, rows, {7})
     assert shares.parts.sum(axis=1) == pytest.approx(1.0)
     assert shares.parts.min() >= 0.0
     assert shares.weights.sum() == pytest.approx(1.0)

@@ -5,27 +5,22 @@ lower bound for some is one for all. Few are ever active: the slowest, those sho
 the line those that regain least. How the others drive the optimum leaves open; those that do not
 decide leave the program, and are judged by the best that they can make of the common traction.
 
-In the expected energy every configuration counts. What one regains depends smoothly on its
-properties: a program for few representatives, each with the weight of all that it represents,
-finds nearly the same traction; what the others regain under it is driven and counted one by one,
-and the bound holds for all of them: a configuration takes its share of the multipliers of its
-representatives. Where energy and bound lie apart more enter the program, up to all.
+In the expected energy every configuration counts, and few represent the others
+(`analysis.trajectory.representatives`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache, partial
-from itertools import count, product
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from analysis.trajectory.bound import lower_bound, spare_times
 from analysis.trajectory.convex import (
-    Multipliers,
     NoSolutionError,
     OutOfTimeError,
     Relaxation,
@@ -41,8 +36,15 @@ from analysis.trajectory.feasibility import (
     time_explained,
     unsettled,
 )
+from analysis.trajectory.guess import INACTIVE, Answer, Guess
+from analysis.trajectory.representatives import (
+    REPRESENTED,
+    multipliers_for_all,
+    representatives,
+    shares_of,
+    short_of_time,
+)
 from analysis.trajectory.rollout import (
-    capped_run,
     correct_lateness,
     delays,
     energy_of,
@@ -65,141 +67,6 @@ from trainlog.progress import note
 
 FloatArray = NDArray[np.float64]
 
-MOST_EXPLICIT = 12
-"""Configurations up to which each is in the program itself."""
-
-REPRESENTATIVES = 10
-"""Configurations that represent the others, where there are more."""
-
-REPRESENTED = 2e-3
-"""Gap between energy and bound up to which representatives are enough, relative."""
-
-_NEARLY_ALL = 1.5
-"""Times the representatives, up to which it takes hardly longer to have all in the program."""
-
-_SHORT = 1.1
-"""Worth of traction over the usual, from which a configuration is short of time."""
-
-_SUM = 30.0
-"""How strictly shares add up to 1, over how well they match the properties."""
-
-
-@dataclass(frozen=True, eq=False)
-class Shares:
-    """Which configurations represent which.
-
-    Attributes
-    ----------
-    rows : tuple of r int
-        Configurations of the program.
-    parts : (q, r) array
-        How each configuration is mixed of them; each row adds up to 1.
-    weights : (r,) array
-        Probability that each of them represents.
-    """
-
-    rows: tuple[int, ...]
-    parts: FloatArray
-    weights: FloatArray
-
-
-def representatives(
-    problem: DiscreteProblem, begin: Sequence[int], count: int = REPRESENTATIVES + 1
-) -> list[int]:
-    """Rows of `count` configurations that differ most, those to `begin` with among them.
-
-    Farthest first. Those without weight do not count in what is expected; where it would be nearly
-    all that do, it is all of them.
-    """
-    counted = np.flatnonzero(problem.weights > 0.0)
-    if counted.size <= max(MOST_EXPLICIT, _NEARLY_ALL * count):
-        return sorted({*begin, *counted.tolist()})
-    unit, found = _properties(problem)[counted], list(begin)
-    others = _properties(problem)[found]
-    while len(found) < count:
-        away = np.linalg.norm(unit[:, None] - others, axis=2).min(axis=1)
-        found.append(int(counted[np.argmax(away)]))
-        others = np.vstack((others, unit[np.argmax(away)]))
-    return found
-
-
-def shares_of(problem: DiscreteProblem, rows: Sequence[int], alone: Collection[int]) -> Shares:
-    """Mix every configuration of `rows`, by its properties.
-
-    Those `alone` represent only themselves: they are short of time, which the others are not.
-    """
-    unit, chosen = _properties(problem), list(rows)
-    others = [number for number, row in enumerate(chosen) if row not in alone] or [0]
-    corners = np.vstack((unit[[chosen[number] for number in others]].T, np.full(len(others), _SUM)))
-    parts = np.zeros((unit.shape[0], len(chosen)))
-    for row, each in enumerate(unit):
-        found, _ = nnls(corners, np.append(each, _SUM))
-        parts[row, others] = found / found.sum()
-    parts[chosen] = np.eye(len(chosen))
-    return Shares(tuple(chosen), parts, problem.weights @ parts)
-
-
-def short_of_time(problem: DiscreteProblem, rows: Sequence[int], found: Multipliers) -> set[int]:
-    """Those of `rows` to which traction is worth more than to the others, being short of time.
-
-    Where the common traction is more than a configuration needs it brakes a little, and to all
-    that do traction is worth what braking regains. One that never does cannot represent them.
-
-    Parameters
-    ----------
-    problem : DiscreteProblem
-        Of `rows`, each with the weight of all that it represents.
-    found : Multipliers
-        Of its optimum.
-    """
-    worth = found.pull.sum(axis=1) / np.maximum(problem.weights, 1e-300)
-    weighty = problem.weights > 0.0
-    usual = float(np.median(worth[weighty]))
-    short = np.flatnonzero(weighty & (worth > _SHORT * usual)).tolist()
-    return {rows[each] for each in short}
-
-
-def multipliers_for_all(
-    problem: DiscreteProblem, shares: Shares, found: Multipliers
-) -> Multipliers:
-    """Each configuration's share of the multipliers of its representatives.
-
-    Parameters
-    ----------
-    problem : DiscreteProblem
-        With all configurations and their own weights.
-    shares : Shares
-    found : Multipliers
-        Of the program for few.
-    """
-    part = problem.weights[:, None] * shares.parts / np.maximum(shares.weights, 1e-300)
-    # One that represents nothing, active for its limits alone, keeps what it has.
-    for number in np.flatnonzero(shares.weights == 0.0):
-        part[shares.rows[number], number] = 1.0
-    return Multipliers(
-        pull=part @ found.pull,
-        time=part @ found.time,
-        passing=part @ found.passing,
-        opening=part @ found.opening,
-        power=part @ found.power,
-        dynamic_power=part @ found.dynamic_power,
-        share=problem.weights,
-    )
-
-
-def _properties(problem: DiscreteProblem) -> FloatArray:
-    """Inertia, resistance at two speeds and power, each over its range, (q, 4)."""
-    configurations = problem.run.configurations
-    fast = float(np.sqrt(2.0 * problem.ceiling.max()))
-    values = np.array(
-        [
-            [c.inertia, float(c.resistance(0.5 * fast)), float(c.resistance(fast)), c.max_power]
-            for c in configurations
-        ]
-    )
-    spread = np.ptp(values, axis=0)
-    return np.asarray((values - values.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0))
-
 
 _BEFORE_CORRECTION = Tolerances(energy=3e-5, lateness=0.05)
 """Where the lateness that programs leave is corrected afterwards."""
@@ -216,9 +83,6 @@ _VIOLATION = 5e-7
 _CORRECTION_LOSS = 1e-5
 """Relative loss of energy beyond which lateness is not corrected without another program."""
 
-_INACTIVE = 1e-3
-"""Switching function below which a configuration is inactive, and leaves a prepared set."""
-
 _SHORT_PRICE = 0.05
 """Price of time over the highest, from which a configuration counts as short of it."""
 
@@ -230,143 +94,6 @@ _MIXTURES = 10
 
 _COARSE_TIME, _SEARCH_TIME = 0.25, 0.8
 """Parts of the time that is left, for a search on the coarse grid and on the other."""
-
-_MANY = 40
-"""Configurations above which the coarse grid begins with the extreme ones."""
-
-
-@dataclass(frozen=True, eq=False)
-class Guess:
-    """Where a search begins: some configurations, their plan, and what a second is worth to each.
-
-    Attributes
-    ----------
-    rows : tuple of int
-    plan : Plan
-        Of these configurations, as the price.
-    price : (rows,) array [J/(kg s)]
-    statuses : tuple of str
-        The solver's status of every program so far.
-    alone : frozenset of int
-        Rows that represent only themselves in the expected energy.
-    multipliers : Multipliers, optional
-        Of these configurations, where they are known.
-    """
-
-    rows: tuple[int, ...]
-    plan: Plan
-    price: FloatArray
-    statuses: tuple[str, ...] = ()
-    alone: frozenset[int] = frozenset()
-    multipliers: Multipliers | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """The best plan for all configurations.
-
-    Attributes
-    ----------
-    problem : DiscreteProblem
-        With the traction tapered as the plan has it.
-    plan : Plan
-    active : tuple of int
-        Rows of the configurations that it was optimised for.
-    solution : Solution
-        Of the active configurations.
-    turns : int
-        How often configurations were added, and once more.
-    statuses : tuple of str
-        The solver's status of every program.
-    alone : frozenset of int
-        Rows that represent only themselves in the expected energy.
-    """
-
-    problem: DiscreteProblem
-    plan: Plan
-    active: tuple[int, ...]
-    solution: Solution
-    turns: int
-    statuses: tuple[str, ...]
-    alone: frozenset[int] = frozenset()
-
-
-def extreme_configurations(problem: DiscreteProblem, least_times: FloatArray) -> list[int]:
-    """Rows of the configurations that may be active: the extreme ones by any mix of properties.
-
-    Others that are active all the same show when all are rolled out; here few are looked at.
-    """
-    q = problem.shape[0]
-    speed = float(problem.step.sum()) / float(np.median(least_times))
-    drag = np.column_stack(
-        (
-            problem.mean_drag0 @ problem.step / problem.step.sum(),
-            problem.drag1 * speed + problem.drag2.mean(axis=1) * speed**2,
-            problem.power,
-            problem.gain,
-            least_times,
-        )
-    )
-    spread = np.ptp(drag, axis=0)
-    unit = (drag - drag.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
-    mixes = np.array(list(product((-1.0, 0.0, 1.0), repeat=unit.shape[1])))
-    found = set(np.argmax(unit @ mixes.T, axis=0).tolist())
-    some = q > _MANY and problem.run.objective != "expected"
-    return sorted(found) if some else list(range(q))
-
-
-def initial_guess(problem: DiscreteProblem, speeds: FloatArray, running_time: float) -> Guess:
-    """The slowest configuration and that of the highest resistance, their fastest run cut off.
-
-    Where a window of time opens on the way, the fastest too; all, where all count.
-
-    Parameters
-    ----------
-    speeds : (q, n + 1) array [m/s]
-        Of the fastest run of each configuration.
-    """
-    times = (2.0 * problem.step / (speeds[:, :-1] + speeds[:, 1:])).sum(axis=1)
-    rows = {int(np.argmax(times)), _highest_resistance(problem, times)}
-    if problem.common:
-        rows |= {int(np.argmin(times)), int(np.argmin(problem.power))}
-    if np.isfinite(problem.earliest).any():
-        rows |= {int(np.argmin(times))}
-    chosen = tuple(sorted(rows))
-    if problem.run.objective == "expected":
-        chosen = tuple(sorted(rows | set(representatives(problem, [int(np.argmax(times))]))))
-    part = problem.select(chosen)
-    return Guess(chosen, *capped_run(part, speeds[list(chosen)], running_time))
-
-
-def interpolated_guess(
-    answer: Answer, coarse: FloatArray, problem: DiscreteProblem, rows: Sequence[int]
-) -> Guess:
-    """What was found on one grid, interpolated to another one.
-
-    Parameters
-    ----------
-    answer : Answer
-        For the configurations `rows` of `problem`.
-    coarse : (m + 1,) array [m]
-        Its grid.
-    problem : DiscreteProblem
-    """
-    solution, positions = answer.solution, problem.positions
-    influence = np.abs(solution.multipliers.pull / np.diff(coarse)).max(axis=1)
-    active = np.flatnonzero(influence > _INACTIVE)
-    if active.size == 0 or problem.common or problem.run.objective == "expected":
-        active = np.arange(len(answer.active))
-    plan = solution.plan
-    cell = np.searchsorted(coarse, 0.5 * (positions[1:] + positions[:-1])) - 1
-    cell = np.clip(cell, 0, coarse.size - 2)
-    z = np.array([np.interp(positions, coarse, plan.z[row]) for row in active])
-    guess = Plan(
-        z, plan.traction[cell], *(e[active][:, cell] for e in (plan.braking, plan.dynamic))
-    )
-    chosen = tuple(rows[answer.active[row]] for row in active)
-    alone = frozenset(rows[row] for row in answer.alone)
-    multipliers = solution.multipliers.select(active.tolist()).on_cells(coarse, positions)
-    return Guess(chosen, guess, solution.time_price[active], answer.statuses, alone, multipliers)
 
 
 def search(
@@ -554,7 +281,7 @@ def _deciding(problem: DiscreteProblem, solution: Solution, settled: Sequence[bo
     if problem.common or problem.run.objective == "expected" or np.isfinite(problem.earliest).any():
         return everyone
     influence = np.abs(solution.multipliers.pull / problem.step).max(axis=1)
-    active = influence > _INACTIVE
+    active = influence > INACTIVE
     return [row for row in everyone if active[row] or settled[row]] if active.any() else everyone
 
 
@@ -758,14 +485,6 @@ def _worst(amounts: FloatArray, limit: float) -> set[int]:
     if excess[first] <= 0.0:
         return set()
     return {int(first), int(second)} if excess[second] > 0.4 * excess[first] else {int(first)}
-
-
-def _highest_resistance(problem: DiscreteProblem, least_times: FloatArray) -> int:
-    """The configuration of the highest resistance at the mean speed of the fastest runs."""
-    speed = float(problem.step.sum()) / float(np.median(least_times))
-    drag = problem.drag1 * speed + problem.drag2.mean(axis=1) * speed**2
-    drag += (problem.mean_drag0 @ problem.step) / problem.step.sum()
-    return int(np.argmax(drag / problem.gain))
 
 
 def _optimum(

@@ -12,12 +12,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.trajectory.active_set import Answer, Guess, initial_guess, interpolated_guess, search
+from analysis.trajectory.active_set import search
 from analysis.trajectory.audit import Audit, audit
 from analysis.trajectory.convex import OutOfTimeError
 from analysis.trajectory.descent import DrivenPlan, descend, unpriced
 from analysis.trajectory.discretisation import DiscreteProblem, discretise
 from analysis.trajectory.envelope import Envelope
+from analysis.trajectory.guess import Answer, Guess, initial_guess, interpolated_guess
 from analysis.trajectory.problem import MOST_CELLS, TrajectoryProblem
 from analysis.trajectory.rollout import cell_times
 from analysis.trajectory.sqp import Tolerances

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.trajectory.active_set import Answer, multipliers_for_all, priced_rows, shares_of
+from analysis.trajectory.active_set import priced_rows
 from analysis.trajectory.audit import Audit
 from analysis.trajectory.bound import lower_bound, spare_times
 from analysis.trajectory.continuous import ContinuousBound, continuous_bound
@@ -21,8 +21,10 @@ from analysis.trajectory.convex import (
 )
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction
 from analysis.trajectory.envelope import Envelope
+from analysis.trajectory.guess import Answer
 from analysis.trajectory.phases import agreement, phase_letters, phases_by_control
 from analysis.trajectory.problem import TrajectoryProblem
+from analysis.trajectory.representatives import multipliers_for_all, shares_of
 from analysis.trajectory.sqp import NEGLIGIBLE_ENERGY, Solution, with_costates
 
 FloatArray = NDArray[np.float64]

@@ -9,13 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.trajectory.active_set import (
-    Answer,
-    extreme_configurations,
-    initial_guess,
-    interpolated_guess,
-    search,
-)
+from analysis.trajectory.active_set import search
 from analysis.trajectory.attempts import paced_grid, searched, together
 from analysis.trajectory.audit import Audit
 from analysis.trajectory.certificate import (
@@ -41,6 +35,12 @@ from analysis.trajectory.envelope import (
     paced_envelope,
 )
 from analysis.trajectory.feasibility import check_time
+from analysis.trajectory.guess import (
+    Answer,
+    extreme_configurations,
+    initial_guess,
+    interpolated_guess,
+)
 from analysis.trajectory.problem import (
     DEFAULT_OPTIONS,
     MOST_CELLS,

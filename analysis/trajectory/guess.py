@@ -1,0 +1,172 @@
+"""Where the search for a trajectory begins, and what it ends with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.trajectory.convex import (
+    Multipliers,
+)
+from analysis.trajectory.discretisation import DiscreteProblem, Plan
+from analysis.trajectory.representatives import representatives
+from analysis.trajectory.rollout import (
+    capped_run,
+)
+from analysis.trajectory.sqp import (
+    Solution,
+)
+
+FloatArray = NDArray[np.float64]
+
+INACTIVE = 1e-3
+"""Switching function below which a configuration is inactive, and leaves a prepared set."""
+
+_MANY = 40
+"""Configurations above which the coarse grid begins with the extreme ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """Where a search begins: some configurations, their plan, and what a second is worth to each.
+
+    Attributes
+    ----------
+    rows : tuple of int
+    plan : Plan
+        Of these configurations, as the price.
+    price : (rows,) array [J/(kg s)]
+    statuses : tuple of str
+        The solver's status of every program so far.
+    alone : frozenset of int
+        Rows that represent only themselves in the expected energy.
+    multipliers : Multipliers, optional
+        Of these configurations, where they are known.
+    """
+
+    rows: tuple[int, ...]
+    plan: Plan
+    price: FloatArray
+    statuses: tuple[str, ...] = ()
+    alone: frozenset[int] = frozenset()
+    multipliers: Multipliers | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The best plan for all configurations.
+
+    Attributes
+    ----------
+    problem : DiscreteProblem
+        With the traction tapered as the plan has it.
+    plan : Plan
+    active : tuple of int
+        Rows of the configurations that it was optimised for.
+    solution : Solution
+        Of the active configurations.
+    turns : int
+        How often configurations were added, and once more.
+    statuses : tuple of str
+        The solver's status of every program.
+    alone : frozenset of int
+        Rows that represent only themselves in the expected energy.
+    """
+
+    problem: DiscreteProblem
+    plan: Plan
+    active: tuple[int, ...]
+    solution: Solution
+    turns: int
+    statuses: tuple[str, ...]
+    alone: frozenset[int] = frozenset()
+
+
+def extreme_configurations(problem: DiscreteProblem, least_times: FloatArray) -> list[int]:
+    """Rows of the configurations that may be active: the extreme ones by any mix of properties.
+
+    Others that are active all the same show when all are rolled out; here few are looked at.
+    """
+    q = problem.shape[0]
+    speed = float(problem.step.sum()) / float(np.median(least_times))
+    drag = np.column_stack(
+        (
+            problem.mean_drag0 @ problem.step / problem.step.sum(),
+            problem.drag1 * speed + problem.drag2.mean(axis=1) * speed**2,
+            problem.power,
+            problem.gain,
+            least_times,
+        )
+    )
+    spread = np.ptp(drag, axis=0)
+    unit = (drag - drag.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
+    mixes = np.array(list(product((-1.0, 0.0, 1.0), repeat=unit.shape[1])))
+    found = set(np.argmax(unit @ mixes.T, axis=0).tolist())
+    some = q > _MANY and problem.run.objective != "expected"
+    return sorted(found) if some else list(range(q))
+
+
+def initial_guess(problem: DiscreteProblem, speeds: FloatArray, running_time: float) -> Guess:
+    """The slowest configuration and that of the highest resistance, their fastest run cut off.
+
+    Where a window of time opens on the way, the fastest too; all, where all count.
+
+    Parameters
+    ----------
+    speeds : (q, n + 1) array [m/s]
+        Of the fastest run of each configuration.
+    """
+    times = (2.0 * problem.step / (speeds[:, :-1] + speeds[:, 1:])).sum(axis=1)
+    rows = {int(np.argmax(times)), _highest_resistance(problem, times)}
+    if problem.common:
+        rows |= {int(np.argmin(times)), int(np.argmin(problem.power))}
+    if np.isfinite(problem.earliest).any():
+        rows |= {int(np.argmin(times))}
+    chosen = tuple(sorted(rows))
+    if problem.run.objective == "expected":
+        chosen = tuple(sorted(rows | set(representatives(problem, [int(np.argmax(times))]))))
+    part = problem.select(chosen)
+    return Guess(chosen, *capped_run(part, speeds[list(chosen)], running_time))
+
+
+def interpolated_guess(
+    answer: Answer, coarse: FloatArray, problem: DiscreteProblem, rows: Sequence[int]
+) -> Guess:
+    """What was found on one grid, interpolated to another one.
+
+    Parameters
+    ----------
+    answer : Answer
+        For the configurations `rows` of `problem`.
+    coarse : (m + 1,) array [m]
+        Its grid.
+    problem : DiscreteProblem
+    """
+    solution, positions = answer.solution, problem.positions
+    influence = np.abs(solution.multipliers.pull / np.diff(coarse)).max(axis=1)
+    active = np.flatnonzero(influence > INACTIVE)
+    if active.size == 0 or problem.common or problem.run.objective == "expected":
+        active = np.arange(len(answer.active))
+    plan = solution.plan
+    cell = np.searchsorted(coarse, 0.5 * (positions[1:] + positions[:-1])) - 1
+    cell = np.clip(cell, 0, coarse.size - 2)
+    z = np.array([np.interp(positions, coarse, plan.z[row]) for row in active])
+    guess = Plan(
+        z, plan.traction[cell], *(e[active][:, cell] for e in (plan.braking, plan.dynamic))
+    )
+    chosen = tuple(rows[answer.active[row]] for row in active)
+    alone = frozenset(rows[row] for row in answer.alone)
+    multipliers = solution.multipliers.select(active.tolist()).on_cells(coarse, positions)
+    return Guess(chosen, guess, solution.time_price[active], answer.statuses, alone, multipliers)
+
+
+def _highest_resistance(problem: DiscreteProblem, least_times: FloatArray) -> int:
+    """The configuration of the highest resistance at the mean speed of the fastest runs."""
+    speed = float(problem.step.sum()) / float(np.median(least_times))
+    drag = problem.drag1 * speed + problem.drag2.mean(axis=1) * speed**2
+    drag += (problem.mean_drag0 @ problem.step) / problem.step.sum()
+    return int(np.argmax(drag / problem.gain))
