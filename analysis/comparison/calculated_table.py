@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 from rich.console import RenderableType
 from rich.table import Table
 
-from analysis.comparison.calculated import WIDEST, Calculation, distinct
+from analysis.comparison.calculated import Calculation, distinct
 from analysis.comparison.diagnosis import Diagnosis
+from analysis.comparison.prediction import WIDEST
 from analysis.plotting import BLUE, GREY, INK, ORANGE, dress, headline, km_axis, legend, new_figure
 from analysis.tables import new_table
 from trainlog.display import counted

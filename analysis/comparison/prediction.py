@@ -1,4 +1,4 @@
-"""What a model predicts for a trip, cell by cell: work, speed and their bands, and why it is off."""
+"""What a model predicts for a trip, cell by cell: work and speed, their bands, why it is off."""
 
 from __future__ import annotations
 
