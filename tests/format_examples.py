@@ -78,6 +78,10 @@ def lines(draw: Callable[..., Any]) -> Line:
         length=length,
         stations=tuple(Station(draw(NAMES), stop * length) for stop in stops),
         speed_limits=StepProfile(limits, draw(arrays(limits.size, 0.1, 100.0))),
+        speed_limits_reverse=draw(
+            st.none()
+            | st.builds(StepProfile, st.just(gradients), arrays(gradients.size, 0.1, 99.0))
+        ),
         gradients=StepProfile(gradients, draw(arrays(gradients.size, -0.2, 0.2))),
         curvatures=draw(
             st.one_of(st.none(), st.builds(CurvatureProfile, st.just(bends), bend, bend))

@@ -140,3 +140,22 @@ RAILML_3 = """<?xml version="1.0" encoding="UTF-8"?>
 </railML>
 """
 """Version 3.2: a switch, locations by share, position and measure, one against its net element."""
+
+TUNNELS_2 = """<tunnels>
+            <tunnel id="tu1" pos="900.0" length="450.0" crossSection="46" kind="concrete"/>
+            <tunnel id="tu2" pos="3800.0" length="400.0"/>
+            <tunnel id="tu3" pos="2000.0"/>
+          </tunnels>
+          <bridges><bridge id="br1" pos="1500.0" length="80.0"/></bridges>
+          """
+"""Tunnels of track 'main': one over a switch, one that reaches beyond the track, one of no length."""
+
+TUNNELS_3 = """<overCrossings>
+        <overCrossing id="oc1" constructionType="tunnel"><linearLocation id="ll11"><associatedNetElement netElementRef="ne_a" keepsOrientation="true" posBegin="1500" posEnd="2000"/><associatedNetElement netElementRef="ne_b" keepsOrientation="false" intrinsicCoordBegin="1" intrinsicCoordEnd="0.8"/></linearLocation><tunnelResistance crossSection="72.5" wallConstructionType="rock"/></overCrossing>
+        <overCrossing id="oc2" constructionType="tunnel"><linearLocation id="ll12"><associatedNetElement netElementRef="ne_c" keepsOrientation="true" posBegin="100" posEnd="300"/></linearLocation></overCrossing>
+        <overCrossing id="oc3" constructionType="bridge"><spotLocation id="sl7" netElementRef="ne_c" pos="900"/></overCrossing>
+        <overCrossing id="oc4" constructionType="tunnel"><spotLocation id="sl8" netElementRef="ne_c" pos="900"/></overCrossing>
+      </overCrossings>
+      <underCrossings><underCrossing id="uc1" constructionType="bridge"><spotLocation id="sl9" netElementRef="ne_a" pos="100"/></underCrossing></underCrossings>
+      """
+"""A tunnel over a joint of net elements, one without a cross-section, bridges."""

@@ -264,7 +264,15 @@ def test_files_of_no_kind_or_of_another_kind_are_reported(tmp_path: Path) -> Non
 @given(lines())
 def test_lines_survive_but_for_names_and_coordinates(line: Line) -> None:
     ends = (Station("km 0.000", 0.0), Station(f"km {line.length / 1e3:.3f}", line.length))
-    plain = replace(line, stations=ends, geometry=None, source="", survey=None, reference=None)
+    plain = replace(
+        line,
+        stations=ends,
+        geometry=None,
+        source="",
+        survey=None,
+        reference=None,
+        speed_limits_reverse=None,
+    )
     assert_same(TrackLayout.of(plain).line(), plain, 5e-14)
 
 

@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command import run
 from format_examples import assert_same, lines
 from hypothesis import HealthCheck, Phase, given, settings, strategies as st
 
 import trainlog
 from trainlog.errors import InputError
+from trainlog.formats.attached import line_of
 from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line, write_line
 from trainlog.formats.network import (
     network_from_bytes,
@@ -130,7 +132,12 @@ def test_a_route_has_the_values_of_its_edges_at_every_position(route: trainlog.R
         at = inside(leg, own, line)
         there = leg.on_edge(at)
         np.testing.assert_allclose(leg.on_line(there), at, rtol=0.0, atol=1e-6)
-        np.testing.assert_array_equal(line.speed_limit(at), own.speed_limit(there))
+        limits = own.speed_limits if leg.forward else own.limits_against
+        np.testing.assert_array_equal(line.speed_limit(at), limits(there))
+        against = own.limits_against if leg.forward else own.speed_limits
+        marks = np.concatenate((line.limits_against.positions, leg.on_line(against.positions)))
+        off = np.min(np.abs(at[:, None] - marks[None, :]), axis=1) > 1e-4
+        np.testing.assert_array_equal(line.limits_against(at[off]), against(there[off]))
         np.testing.assert_array_equal(line.gradient(at), sign * own.gradient(there))
         np.testing.assert_array_equal(
             line.tunnel_cross_section(at), own.tunnel_cross_section(there)
@@ -452,3 +459,33 @@ def test_a_picture_of_a_network_with_and_without_coordinates(tmp_path: Path) -> 
         Edge("850", WHOLE, "St. Gallen", "Wil"),))  # fmt: skip
     figure = draw_network(one)
     assert figure.axes[0].get_xlabel() == "east [km]"
+
+
+def test_trains_obey_the_limits_of_their_direction(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    part = WHOLE.section(0.0, 5_000.0)
+    slow = StepProfile([0.0, 2_000.0], [50.0 / 3.6, 70.0 / 3.6])
+    ends = (Station("A", 50.0), Station("B", 4_950.0))
+    line = replace(part, stations=ends, speed_limits_reverse=slow)
+    write_line(line, tmp_path / "one.line.json")
+    assert read_line(tmp_path / "one.line.json").reversed().speed_limits.values.tolist() == (
+        pytest.approx([70.0 / 3.6, 50.0 / 3.6])
+    )
+    words = ("simulate", "--line", tmp_path / "one.line.json", "--count", 2, "--seed", 4)
+    status, _, problems = run(monkeypatch, capsys, *words, "-o", tmp_path)
+    assert status == 0, problems
+    there, back = (trainlog.read(tmp_path / f"trip-0{number}.mcap") for number in (1, 2))
+    assert (there.metadata["direction"], back.metadata["direction"]) == ("forward", "reverse")
+    assert there["/truth"]["speed"].max() > 75.0 / 3.6
+    for name in ("/truth", "/environment"):
+        frame = back[name]
+        column = "speed" if name == "/truth" else "speed_limit"
+        true = back["/truth"]["position"].reindex(frame.index, method="nearest")
+        permitted = np.where(true < 3_000.0, 70.0, 50.0) / 3.6
+        near = (true - 3_000.0).abs() < 60.0
+        over = frame[column].to_numpy() - permitted
+        assert over[~near].max() < 1.0
+        assert frame[column].max() > 60.0 / 3.6
+    # A comparison finds the same limits: its line is that of the log.
+    assert line_of(back).speed_limits == line.reversed().speed_limits

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command import run
-from infrastructure_files import RAILML_2, RAILML_3
+from infrastructure_files import RAILML_2, RAILML_3, TUNNELS_2, TUNNELS_3
 
 import trainlog
 from analysis.network.export import export_network
@@ -20,6 +20,7 @@ from trainlog.errors import InputError
 from trainlog.formats.imports import import_file, networks_in
 from trainlog.formats.line import read_line
 from trainlog.formats.network import network_to_bytes, read_network, write_network
+from trainlog.formats.track_data import Infrastructure
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.railway.line_network import network_of_lines
 from trainlog.railway.network import Network
@@ -106,19 +107,35 @@ class Reading:
         found = [s["radius"] for s in self.tracks[track]["curves"] if s["begin"] < at < s["end"]]
         return 1.0 / found[-1] if found else 0.0
 
-    def limit(self, track: str, at: float) -> float:
-        return min(
-            section["speed_limit"]
-            for section in self.file["speed_sections"]
-            for each in section["track_ranges"]
-            if each["track"] == track and each["begin"] < at < each["end"]
-        )
+    def limit(self, track: str, at: float, sign: int, category: str | None = None) -> float:
+        """Of trains along the section or against it; the lowest of all categories, or of one."""
+        other_way = "STOP_TO_START" if sign > 0 else "START_TO_STOP"
+        found = []
+        for section in self.file["speed_sections"]:
+            for each in section["track_ranges"]:
+                if each["applicable_directions"] == other_way or each["track"] != track:
+                    continue
+                if each["begin"] < at < each["end"]:
+                    found.append(self.speed(section, category))
+        return min(found) if found else self.assumed(category)
+
+    @staticmethod
+    def speed(section: dict[str, Any], category: str | None) -> float:
+        by_tag, general = section["speed_limit_by_tag"], section["speed_limit"]
+        if category is None:
+            return min([general, *by_tag.values()])
+        return float(by_tag.get(category, general))
+
+    def assumed(self, category: str | None) -> float:
+        """The lowest limit of the file, 80 km/h without any."""
+        sections = self.file["speed_sections"]
+        return min((self.speed(each, category) for each in sections), default=80.0 / 3.6)
 
 
-def imported(name: str) -> Network:
-    found = networks_in(OSRD / "infras" / f"{name}.json")
+def imported(name: str, category: str | None = None) -> Network:
+    found = networks_in(OSRD / "infras" / f"{name}.json", category=category)
     assert found is not None
-    (network,), _ = found
+    (network,) = found.networks
     return network
 
 
@@ -169,10 +186,11 @@ def test_a_route_has_the_gradients_curves_and_limits_of_the_file_at_random_point
             assert line.curvature(position) == pytest.approx(
                 sign * reading.curvature(track, at), abs=1e-12
             )
-            assert line.speed_limit(position) == pytest.approx(reading.limit(track, at))
+            limit = reading.limit(track, at, sign)
+            assert line.speed_limit(position) == pytest.approx(limit)
             steep += gradient != 0.0
             bent += reading.curvature(track, at) != 0.0
-            slow += reading.limit(track, at) < 80.0
+            slow += limit < 60.0
     assert min(steep, bent, slow) > 10
 
 
@@ -181,21 +199,78 @@ def test_what_a_network_does_not_hold_of_osrd_is_counted() -> None:
     path = OSRD / "infras" / "small_infra.json"
     found = networks_in(path)
     assert found is not None
-    words = found[1]
+    words = found.left_out
     file = json.loads(path.read_text())
     for what, key in (("signals", "signals"), ("detectors", "detectors"),
                       ("neutral sections", "neutral_sections")):  # fmt: skip
         assert f"{what}: {len(file[key])}" in words
-    assert "speed limits of the categories of trains E32C, HLP, MA100" in words
     flat = sum(each["length"] for each in file["track_sections"] if not each["slopes"])
-    assert f"gradients that are not stated, assumed level: {flat / 1e3:.3f} km" in words
+    level = f"level where no gradients are stated: {flat / 1e3:.3f} km of track"
+    (gradients,) = [each for each in found.assumed if each.startswith(level)]
+    # The same number of kilometres as the network shows.
+    on = gradients.removeprefix(f"{level}, ")
+    shown = [x for x in network_tables(found.networks[0]).renderables if isinstance(x, str)]
+    assert any(each.startswith(f"gradients assumed {on}") for each in shown)
+    assert any("(E32C, HLP, MA100): 3" in each for each in found.assumed)
+    assert not {each.partition(":")[0] for each in found.assumed} & {
+        each.partition(":")[0] for each in words
+    }
 
 
 @needs_osrd
-def test_limits_of_one_direction_or_route_hold_as_the_lowest() -> None:
-    network = imported("nested_switches")
-    assert network.edge("T1").line.speed_limit(1_000.0) == 30.0
-    assert network.edge("T3ter").line.speed_limit(10.0) in (30.0, 60.0, 80.0)
+@pytest.mark.parametrize("category", [None, "none", "E32C", "HLP", "MA100"])
+@pytest.mark.parametrize("name", INFRAS)
+def test_limits_are_those_of_the_direction_and_of_the_category_of_the_train(
+    name: str, category: str | None
+) -> None:
+    reading = Reading(name)
+    tags = {tag for each in reading.file["speed_sections"] for tag in each["speed_limit_by_tag"]}
+    if category not in (None, "none", *tags):
+        with pytest.raises(InputError, match=f"no speed limits of the category '{category}'"):
+            imported(name, category)
+        return
+    draw, compared, differ = np.random.default_rng(5), 0, 0
+    for edge in imported(name, category).edges:
+        if edge.name not in reading.tracks:
+            continue
+        line, back = edge.line, edge.line.reversed()
+        for at in draw.uniform(0.0, line.length, 25).tolist():
+            along, against = (reading.limit(edge.name, at, sign, category) for sign in (1, -1))
+            assert line.speed_limit(at) == pytest.approx(along)
+            assert back.speed_limit(line.length - at) == pytest.approx(against)
+            compared += 1
+            differ += along != against
+    assert compared >= 25 or name == "one_line"
+    # Of the five, nested_switches alone has limits of one direction.
+    assert (differ > 40) is (name == "nested_switches")
+
+
+def test_a_route_against_its_edges_has_their_limits_of_that_direction(tmp_path: Path) -> None:
+    sections = [
+        {"id": "x", "speed_limit": 20.0, "track_ranges": [
+            {"track": "a", "begin": 0.0, "end": 600.0, "applicable_directions": "START_TO_STOP"}]},
+        {"id": "y", "speed_limit": 15.0, "speed_limit_by_tag": {"freight": 10.0}, "track_ranges": [
+            {"track": "a", "begin": 300.0, "end": 1e3, "applicable_directions": "STOP_TO_START"}]},
+        {"id": "z", "speed_limit": 30.0, "track_ranges": [
+            {"track": t, "begin": 0.0, "end": 1e3 if t == "a" else 500.0,
+             "applicable_directions": "BOTH"} for t in "ab"]},
+    ]  # fmt: skip
+    (network,), _, assumed = read_small(tmp_path, speed_sections=sections)
+    there, back = (network.route(*ends).line for ends in (("a@0", "b@0.5"), ("b@0.5", "a@0")))
+    assert there.speed_limit([100.0, 700.0, 1_200.0]).tolist() == [20.0, 30.0, 30.0]
+    # From b against a: 10 m/s of all categories as far as 300 m of a, then 30.
+    assert back.speed_limit([100.0, 600.0, 1_100.0, 1_400.0]).tolist() == [30.0, 10.0, 10.0, 30.0]
+    assert there.reversed().speed_limits == back.speed_limits
+    assert back.reversed().speed_limits == there.speed_limits
+    # The longest stretch of 'c' states nothing.
+    assert any("36 km/h where no speed limits are stated: 0.700 km" in each for each in assumed)
+    freight = networks_in(tmp_path / "small.json", category="freight")
+    for_all = networks_in(tmp_path / "small.json", category="none")
+    assert freight is not None
+    assert for_all is not None
+    for found, limit in ((freight, 10.0), (for_all, 15.0)):
+        assert found.networks[0].edge("a").line.limits_against(800.0) == limit
+    assert "speed limits of other categories of trains (freight): 1" in for_all.left_out
 
 
 def small(**changes: Any) -> dict[str, Any]:
@@ -222,7 +297,7 @@ def small(**changes: Any) -> dict[str, Any]:
     return infra | changes
 
 
-def read_small(tmp_path: Path, **changes: Any) -> tuple[list[Network], list[str]]:
+def read_small(tmp_path: Path, **changes: Any) -> Infrastructure:
     path = tmp_path / "small.json"
     path.write_text(json.dumps(small(**changes)))
     found = networks_in(path)
@@ -237,14 +312,14 @@ def test_a_switch_type_of_the_file_states_which_ports_connect(tmp_path: Path) ->
         "groups": {"one": [{"src": "B1", "dst": "B2"}], "two": [{"src": "A", "dst": "B1"}]},
     }
     switch = small()["switches"][0] | {"switch_type": "odd"}
-    (network,), _ = read_small(tmp_path, switches=[switch], extended_switch_types=[kind])
+    (network,), *_ = read_small(tmp_path, switches=[switch], extended_switch_types=[kind])
     assert network.route("b@0.4", "c@0.5").length == pytest.approx(900.0)
     with pytest.raises(InputError, match="no route"):
         network.route("a@0.4", "c@0.5")
 
 
 def test_tracks_that_nothing_connects_are_networks_of_their_own(tmp_path: Path) -> None:
-    networks, _ = read_small(tmp_path, switches=[])
+    networks = read_small(tmp_path, switches=[]).networks
     assert [each.length for each in networks] == [1000.0, 700.0, 500.0]
     written = import_file(tmp_path / "small.json", tmp_path)
     assert [each.path.name for each in written] == [f"small-{n}.network.json" for n in (1, 2, 3)]
@@ -262,7 +337,7 @@ def test_a_track_that_returns_to_its_switch_is_two_edges(tmp_path: Path) -> None
         {"id": "p", "parts": [{"track": "a", "position": 400.0}]},
         {"id": "q", "parts": [{"track": "b", "position": 100.0}]},
     ]
-    (network,), _ = read_small(
+    (network,), *_ = read_small(
         tmp_path, switches=[switch], track_sections=tracks, operational_points=points
     )
     # It turns back at station q; sent through a place that is none, it goes round the loop.
@@ -318,19 +393,19 @@ def test_gradients_that_contradict_each_other_are_counted_and_the_later_holds(
         {"gradient": -2.0, "begin": 500.0, "end": 1200.0},
     ]
     track = small()["track_sections"][0] | {"slopes": slopes}
-    (network,), dropped = read_small(
+    (network,), left_out, assumed = read_small(
         tmp_path, track_sections=[track, *small()["track_sections"][1:]]
     )
     line = network.edge("a").line
     assert line.gradient([250.0, 550.0, 900.0]).tolist() == [0.005, -0.002, -0.002]
-    assert "tracks with gradients that contradict each other, the later taken: 1" in dropped
-    assert "gradients that reach beyond their track, cut off there: 1" in dropped
+    assert "tracks with gradients that contradict each other, the later taken: 1" in assumed
+    assert "gradients that reach beyond their track, cut off there: 1" in left_out
 
 
 # ---- railML
 
 
-def railml(text: str, tmp_path: Path) -> tuple[list[Network], list[str]]:
+def railml(text: str, tmp_path: Path) -> Infrastructure:
     path = tmp_path / "given.xml"
     path.write_text(text, encoding="utf-8")
     found = networks_in(path)
@@ -339,7 +414,7 @@ def railml(text: str, tmp_path: Path) -> tuple[list[Network], list[str]]:
 
 
 def test_tracks_of_railml_2_connect_as_its_switches_state(tmp_path: Path) -> None:
-    (network,), _ = railml(RAILML_2, tmp_path)
+    (network,), *_ = railml(RAILML_2, tmp_path)
     assert network.name == "valley"
     assert network.length == pytest.approx(4_000.0 + 2_050.0 + 1_500.0)
     assert network.route("Anfang", "Cham").length == pytest.approx(5_000.0)
@@ -351,7 +426,7 @@ def test_tracks_of_railml_2_connect_as_its_switches_state(tmp_path: Path) -> Non
 def test_a_route_of_railml_2_has_its_gradients_curves_limits_and_kilometres(
     tmp_path: Path,
 ) -> None:
-    (network,), _ = railml(RAILML_2, tmp_path)
+    (network,), *_ = railml(RAILML_2, tmp_path)
     line = network.route("Anfang", "Cham").line
     # Track 'main' from its pos 500 on: position s is pos s + 500; 'onward' from 3500 on.
     assert (1e3 * line.gradient([100.0, 400.0, 1_600.0, 1_800.0, 4_000.0])).round(9).tolist() == [
@@ -361,9 +436,17 @@ def test_a_route_of_railml_2_has_its_gradients_curves_limits_and_kilometres(
     assert radius.round(3).tolist() == [500.0, 500.0, -400.0]
     # In the middle of the clothoid from straight track to 500 m.
     assert 1.0 / line.curvature(750.0) == pytest.approx(1_000.0)
-    # Up 80 km/h, 120 from 2500 on; down 100 km/h as far as 2600, 60 from there: the lower of both.
-    limits = 3.6 * line.speed_limit([100.0, 2_050.0, 2_150.0, 3_400.0, 3_600.0])
-    assert limits.round(6).tolist() == [60.0, 60.0, 100.0, 100.0, 100.0]
+    # Up 40 km/h for freight trains, the lowest; down 100 km/h as far as 2600, 60 from there.
+    places = np.array([100.0, 1_900.0, 2_050.0, 2_150.0, 3_400.0, 3_600.0])
+    limits = 3.6 * line.speed_limit(places)
+    assert limits.round(6).tolist() == [40.0, 40.0, 40.0, 40.0, 40.0, 100.0]
+    down = 3.6 * network.route("Cham", "Anfang").line.speed_limit(5_000.0 - places)
+    assert down.round(6).tolist() == [60.0, 60.0, 60.0, 100.0, 100.0, 100.0]
+    for_all = networks_in(tmp_path / "given.xml", category="none")
+    assert for_all is not None
+    # Up 80 km/h, 120 from 2500 on.
+    up = 3.6 * for_all.networks[0].route("Anfang", "Cham").line.speed_limit(places)
+    assert up.round(6).tolist() == [80.0, 80.0, 120.0, 120.0, 120.0, 100.0]
     # The mileage jumps from 13.500 to 13.700 at pos 1500.
     assert line.kilometre([0.0, 999.0, 1_001.0, 5_000.0]).tolist() == [
         12_500.0, 13_499.0, 13_701.0, 17_700.0,
@@ -380,23 +463,29 @@ def test_a_route_of_railml_2_has_its_gradients_curves_limits_and_kilometres(
 
 
 def test_what_a_network_does_not_hold_of_railml_2_is_counted(tmp_path: Path) -> None:
-    (network,), dropped = railml(RAILML_2, tmp_path)
+    (network,), left_out, assumed = railml(RAILML_2, tmp_path)
     sentences = [each for each in network_tables(network).renderables if isinstance(each, str)]
     assert any(
-        each.startswith("gradients assumed on all or a part of")
-        and each.endswith("km long together")
+        each.startswith(
+            "gradients assumed on all or a part of 1 edge, 2.050 km long together: loop"
+        )
         for each in sentences
     )
-    assert "signals: 2" in dropped
-    assert "levelCrossings: 1" in dropped
-    assert "speedChanges of categories of trains or speed profiles: 1" in dropped
-    assert "speedChanges of the direction down, taken to hold in both: 2" in dropped
-    assert "operation control points without a place on a track: 1" in dropped
-    assert "gradients that are not stated, assumed level: 2.050 km" in dropped
+    assert "signals: 2" in left_out
+    assert "levelCrossings: 1" in left_out
+    assert "operation control points without a place on a track: 1" in left_out
+    assert (
+        "the lowest speed limits of all categories of trains hold for all (freight): 1" in assumed
+    )
+    assert (
+        "level where no gradients are stated: 2.050 km of track, on all or a part of 1 edge,"
+        " 2.050 km long together"
+    ) in assumed
+    assert "tracks with a main direction, over which trains may run both ways: 1" in assumed
 
 
 def test_net_elements_of_railml_3_connect_as_its_relations_state(tmp_path: Path) -> None:
-    (network,), dropped = railml(RAILML_3, tmp_path)
+    (network,), left_out, assumed = railml(RAILML_3, tmp_path)
     assert {edge.name: edge.line.length for edge in network.edges} == {
         "ne_a": 2_000.0, "ne_b": 1_500.0, "ne_c": 1_550.0,
     }  # fmt: skip
@@ -408,17 +497,16 @@ def test_net_elements_of_railml_3_connect_as_its_relations_state(tmp_path: Path)
         network.route("ne_b@0.3", "ne_c@1.2")
     assert {
         "temporary speed sections: 1",
-        "speed sections of speed profiles: 1",
         "signalsIS: 1",
         "net elements of other levels, collections, or without a length: 1",
-        "gradients that are not stated, assumed level: 1.550 km",
-    } <= set(dropped)
+    } <= set(left_out)
+    assert any(each.startswith("level where no gradients are stated: 1.550 km") for each in assumed)
 
 
 def test_locations_of_railml_3_are_shares_positions_measures_and_directions(
     tmp_path: Path,
 ) -> None:
-    (network,), _ = railml(RAILML_3, tmp_path)
+    (network,), *_ = railml(RAILML_3, tmp_path)
     main, other = network.edge("ne_a").line, network.edge("ne_b").line
     # 10 per mille for 0.9 of it, an arc to -4, whose mean is 3.
     assert (1e3 * main.gradient([1_000.0, 1_850.0, 1_950.0])).round(9).tolist() == [10.0, 3.0, -4.0]
@@ -432,8 +520,43 @@ def test_locations_of_railml_3_are_shares_positions_measures_and_directions(
     assert main.reference.name == "line 77"
     assert main.geometry is not None
     assert main.geometry.at([1_000.0])[0] == pytest.approx(47.0089927)
-    assert other.assumed == ("speed_limits",)
-    assert 3.6 * other.speed_limit(100.0) == pytest.approx(40.0)
+    # 60 km/h of a speed profile, but none for all trains.
+    assert other.assumed == ()
+    assert 3.6 * other.speed_limit(100.0) == pytest.approx(60.0)
+    loop = network.edge("ne_c").line
+    assert 3.6 * loop.speed_limit(100.0) == pytest.approx(40.0)
+    # Its 40 km/h hold along it alone; against it the file states nothing.
+    assert loop.assumed == ("gradients", "speed_limits")
+
+
+def test_tunnels_of_railml_2_lie_on_their_tracks_and_bridges_are_counted(tmp_path: Path) -> None:
+    text = RAILML_2.replace("<levelCrossings>", f"{TUNNELS_2}<levelCrossings>")
+    (network,), left_out, assumed = railml(text, tmp_path)
+    line = network.route("main/1@12", "Cham").line
+    places = [850.0, 950.0, 1_340.0, 1_400.0, 3_790.0, 3_900.0, 4_050.0]
+    # From pos 900 to 1350, over the switch at 1000; from 3800 to the track's end at 4000.
+    assert line.tunnel_cross_section(places).tolist() == [0.0, 46.0, 46.0, 0.0, 0.0, 50.0, 0.0]
+    assert {"tunnels without a length: 1", "bridges: 1"} <= set(left_out)
+    assert "tunnels that reach beyond their track, cut off there: 1" in left_out
+    assert "tunnels whose cross-section is not stated, taken as 50 m²: 1" in assumed
+    unknown = [each.name for each in network.edges if "tunnel_cross_sections" in each.line.assumed]
+    assert unknown == ["main/3+onward"]
+
+
+def test_tunnels_of_railml_3_are_crossings_over_the_track(tmp_path: Path) -> None:
+    text = RAILML_3.replace("<switchesIS>", f"{TUNNELS_3}<switchesIS>")
+    (network,), left_out, assumed = railml(text, tmp_path)
+    line = network.route("ne_a@10", "ne_b@0.3").line
+    assert line.tunnel_cross_section([1_490.0, 1_510.0, 2_290.0, 2_310.0]).tolist() == [
+        0.0, 72.5, 72.5, 0.0,
+    ]  # fmt: skip
+    assert network.edge("ne_c").line.tunnel_cross_section([50.0, 200.0]).tolist() == [0.0, 50.0]
+    assert {
+        "overCrossings that are no tunnels: 1",
+        "tunnels without a stretch of track: 1",
+        "underCrossings: 1",
+    } <= set(left_out)
+    assert "tunnels whose cross-section is not stated, taken as 50 m²: 1" in assumed
 
 
 def test_a_limit_can_be_given_for_where_a_file_states_none(tmp_path: Path) -> None:
@@ -441,7 +564,9 @@ def test_a_limit_can_be_given_for_where_a_file_states_none(tmp_path: Path) -> No
     path.write_text(RAILML_3)
     found = networks_in(path, limit=25.0)
     assert found is not None
-    assert found[0][0].edge("ne_b").line.speed_limit(100.0) == 25.0
+    line = found.networks[0].edge("ne_c").line
+    assert line.speed_limit(100.0) == pytest.approx(40.0 / 3.6)
+    assert line.limits_against(100.0) == 25.0
 
 
 @pytest.mark.parametrize("version", ["2.2", "2.3", "2.5"])
@@ -449,7 +574,7 @@ def test_each_version_of_railml_2_is_recognised(version: str, tmp_path: Path) ->
     years = {"2.2": "http://www.railml.org/schemas/2013", "2.3": "http://www.railml.org/schemas/2016",
              "2.5": "https://www.railml.org/schemas/2021"}  # fmt: skip
     text = RAILML_2.replace("https://www.railml.org/schemas/2018", years[version])
-    (network,), _ = railml(text.replace(' version="2.4"', ""), tmp_path)
+    (network,), *_ = railml(text.replace(' version="2.4"', ""), tmp_path)
     assert network.source == f"railML {version}"
 
 
@@ -577,9 +702,7 @@ def test_a_train_of_osrd_is_driven_along_a_route_and_stops_at_its_station(
     way = reading.way("Mid_East_station", "South_East_station")
     assert way is not None
     true = trip["/truth"]["position"].reindex(trip["/environment"].index, method="nearest")
-    known = [
-        reading.limit(*reading.at(way[1], at)[:2]) for at in true.clip(0.01, 19_399.0).tolist()
-    ]
+    known = [reading.limit(*reading.at(way[1], at)) for at in true.clip(0.01, 19_399.0).tolist()]
     agrees = np.isclose(trip["/environment"]["speed_limit"].to_numpy(), known)
     assert agrees.mean() > 0.98
 

@@ -273,15 +273,22 @@ def edge_line(line: Line, leg: Leg) -> Line:
             *(np.concatenate((zero, each, end)) for each in values),
         )
 
-    limits = low + part.speed_limits.positions
-    limits[0] = 0.0
+    def from_start(limits: StepProfile) -> StepProfile:
+        """Limits of the whole edge, with the first and the last beyond the ends."""
+        positions = low + limits.positions
+        positions[0] = 0.0
+        return StepProfile(positions, limits.values)
+
     curves, course = part.curvatures, part.geometry
     return replace(
         part,
         name=leg.edge,
         length=length,
         stations=tuple(Station(each.name, low + each.position) for each in part.stations),
-        speed_limits=StepProfile(limits, part.speed_limits.values),
+        speed_limits=from_start(part.speed_limits),
+        speed_limits_reverse=None
+        if part.speed_limits_reverse is None
+        else from_start(part.speed_limits_reverse),
         gradients=StepProfile(*around(part.gradients.positions, part.gradients.values)),
         curvatures=None
         if curves is None

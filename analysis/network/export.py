@@ -108,6 +108,7 @@ def _properties(edge: Edge) -> dict[str, Any]:
     line: Line = edge.line
     rise, fall = climbs(line)
     bends = line.curvatures
+    limits = np.concatenate([line.speed_limits.values, line.limits_against.values])
     sharpest = 0.0 if bends is None else float(max(abs(bends.start).max(), abs(bends.end).max()))
     return {
         "start": edge.start,
@@ -115,8 +116,8 @@ def _properties(edge: Edge) -> dict[str, Any]:
         "length_m": line.length,
         "rise_m": round(rise, 3),
         "fall_m": round(fall, 3),
-        "lowest_limit_km_h": round(float(line.speed_limits.values.min()) * KMH, 3),
-        "highest_limit_km_h": round(float(line.speed_limits.values.max()) * KMH, 3),
+        "lowest_limit_km_h": round(float(limits.min()) * KMH, 3),
+        "highest_limit_km_h": round(float(limits.max()) * KMH, 3),
         "least_radius_m": round(1.0 / sharpest, 3) if sharpest > 0.0 else None,
         "assumed": ", ".join(line.assumed),
         "operators_line": "" if line.reference is None else line.reference.name,

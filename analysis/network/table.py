@@ -8,7 +8,7 @@ from rich.console import Group
 from analysis.tables import POSITION, SPEED, Column, Quantity, Said, WordTable, new_table
 from trainlog.display import counted
 from trainlog.railway import Line
-from trainlog.railway.network import Edge, Network, Route
+from trainlog.railway.network import Edge, Network, Route, assumed_on
 from trainlog.units import KMH
 
 HEIGHT = Quantity("m", "m")
@@ -67,14 +67,9 @@ def _nodes(network: Network) -> WordTable:
 def _unknown(network: Network) -> list[str]:
     """Sentences on what is assumed, and on edges without coordinates."""
     found = []
-    for name in dict.fromkeys(each for edge in network.edges for each in edge.line.assumed):
-        edges = [edge for edge in network.edges if name in edge.line.assumed]
-        length = sum(edge.line.length for edge in edges) / 1e3
+    for name, edges in network.assumed.items():
         which = "all edges" if len(edges) == len(network.edges) else _names(edges)
-        found.append(
-            f"{name.replace('_', ' ')} assumed on all or a part of {which},"
-            f" {length:.3f} km long together"
-        )
+        found.append(f"{name.replace('_', ' ')} assumed {assumed_on(edges)}: {which}")
     drawn = [edge for edge in network.edges if edge.line.geometry is None]
     if drawn:
         found.append(f"without coordinates: {_names(drawn)}")
@@ -136,8 +131,9 @@ def climbs(line: Line) -> tuple[float, float]:
 
 
 def _limits(line: Line) -> Said:
-    """The lowest limit, shown with the highest."""
-    low, high = float(line.speed_limits.values.min()), float(line.speed_limits.values.max())
+    """The lowest limit of both directions, shown with the highest."""
+    values = np.concatenate([line.speed_limits.values, line.limits_against.values])
+    low, high = float(values.min()), float(values.max())
     one = f"{low * KMH:.0f}"
     return Said(low, one if low == high else f"{one} to {high * KMH:.0f}")
 

@@ -41,10 +41,18 @@ def network_import(
             help="Speed limit in km/h where the file states none; default: its lowest.",
         ),
     ] = None,
+    category: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Of trains, whose speed limits hold; 'none': those for all trains. Default: the"
+            " lowest of all categories.",
+        ),
+    ] = None,
 ) -> None:
     """Import the infrastructure of another program as a network.
 
-    States what of the file the network does not hold, and what was repaired or assumed. Tracks
+    Lists what of the file the network holds in part or not at all, and what was assumed. Tracks
     that nothing connects to the others become networks of their own, numbered.
 
     Example: trainlog network import small_infra.json -o small.network.json
@@ -53,24 +61,25 @@ def network_import(
     from trainlog.formats.imports import networks_in
     from trainlog.formats.network import write_network
 
-    found = networks_in(file, limit=None if limit is None else limit / KMH)
+    found = networks_in(file, None, None if limit is None else limit / KMH, category)
     if found is None:
         raise InputError(
             "is neither infrastructure of OSRD nor railML",
             file=file,
             remedy="lines are joined to a network with 'trainlog network build'",
         )
-    networks, dropped = found
     paths = []
-    for number, network in enumerate(networks, start=1):
-        path = output if len(networks) == 1 else _numbered(output, number)
+    for number, network in enumerate(found.networks, start=1):
+        path = output if len(found.networks) == 1 else _numbered(output, number)
         write_network(network, path)
         paths.append(path)
         console.print(_sentence(network), highlight=False)
-    if dropped:
-        console.print("Not taken over, repaired or assumed:", highlight=False)
-    for each in dropped:
-        console.print(f"  {each}", highlight=False)
+    for heading, sentences in (
+        ("Not taken over, or in part:", found.left_out),
+        ("Assumed:", found.assumed),
+    ):
+        if sentences:
+            console.print(heading, *(f"  {each}" for each in sentences), sep="\n", highlight=False)
     wrote(*paths)
 
 

@@ -656,6 +656,8 @@ def import_(
                 wrote(each.path)
                 if each.dropped:
                     console.print(f"  not taken over: {'; '.join(each.dropped)}", highlight=False)
+                if each.assumed:
+                    console.print(f"  assumed: {'; '.join(each.assumed)}", highlight=False)
 
 
 @app.command(rich_help_panel="Record")

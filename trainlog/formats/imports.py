@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from trainlog.errors import InputError
 from trainlog.formats import (
@@ -21,6 +21,7 @@ from trainlog.formats.files import parse_json, read_bytes
 from trainlog.formats.network import write_network
 from trainlog.formats.plausible import check_line, check_train
 from trainlog.formats.schema import built
+from trainlog.formats.track_data import Infrastructure, LimitChoice
 from trainlog.railway import EffortCurve, Journey, Line, Train
 from trainlog.railway.network import Network
 from trainlog.railway.resistance import CurveFormula
@@ -40,10 +41,13 @@ class Imported:
     ----------
     path : Path
     dropped : list of str
+    assumed : list of str
+        What its source leaves open; of networks.
     """
 
     path: Path
     dropped: list[str] = field(default_factory=list)
+    assumed: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -169,12 +173,12 @@ def import_file(
     stem = Path(path).stem.removesuffix(".train").removesuffix(".line")
     found = _things(path, options)
     written = []
-    for name, thing, dropped in found:
+    for name, thing, dropped, assumed in found:
         thing = built(lambda thing=thing: options.applied(thing, path), path)  # type: ignore[misc]
         kind = next(word for each, word in _SUFFIXES.items() if isinstance(thing, each))
         target = Path(folder) / f"{stem if len(found) == 1 else name}.{kind}.json"
         built(lambda thing=thing, target=target: _write(thing, target), path)  # type: ignore[misc]
-        written.append(Imported(target, dropped))
+        written.append(Imported(target, dropped, assumed))
     return written
 
 
@@ -230,11 +234,20 @@ def import_formation(
     return Imported(target, ["names of its vehicles"])
 
 
-def _things(path: str | Path, options: ImportOptions) -> list[tuple[str, Thing, list[str]]]:
-    """Everything in the file, each with a name and what of the file it does not hold."""
+class _Found(NamedTuple):
+    """A thing of a file, with a name, what of the file it does not hold, and what is assumed."""
+
+    name: str
+    thing: Thing
+    dropped: list[str]
+    assumed: list[str] = []  # noqa: RUF012
+
+
+def _things(path: str | Path, options: ImportOptions) -> list[_Found]:
+    """Everything in the file."""
     if Path(path).suffix.lower() in (".yaml", ".yml"):
         _refuse_electrification(path, options)
-        return [*railtoolkit.read_any(path, options.loaded)]
+        return [_Found(*each) for each in railtoolkit.read_any(path, options.loaded)]
     if options.loaded is not None:
         raise InputError(
             "is no formation of railtoolkit",
@@ -242,18 +255,22 @@ def _things(path: str | Path, options: ImportOptions) -> list[tuple[str, Thing, 
             remedy="leave the load out; add it to a plan",
         )
     data = read_bytes(path)
-    if (networks := networks_in(path, data)) is not None:
+    if (infra := networks_in(path, data)) is not None:
         _refuse_electrification(path, options)
-        found, dropped = networks
         stem = Path(path).stem
+        # The file's account stands with its first network.
         return [
-            (f"{stem}-{number}", each, dropped if number == 1 else [])
-            for number, each in enumerate(found, start=1)
+            _Found(
+                f"{stem}-{number}",
+                each,
+                *((infra.left_out, infra.assumed) if number == 1 else ([], [])),
+            )
+            for number, each in enumerate(infra.networks, start=1)
         ]
     content = parse_json(data, file=path)
     if osrd.is_rolling_stock(content):
         train, dropped = osrd.read_train(path, options.electrification)
-        return [(train.name, train, dropped)]
+        return [_Found(train.name, train, dropped)]
     _refuse_electrification(path, options)
     own = content.get("format") if isinstance(content, dict) else None
     thing: Thing
@@ -263,13 +280,16 @@ def _things(path: str | Path, options: ImportOptions) -> list[tuple[str, Thing, 
         thing = line_format.line_from_bytes(data, file=path)
     else:
         thing = ttobench.import_file(path)
-    return [(thing.name, thing, [])]
+    return [_Found(thing.name, thing, [])]
 
 
 def networks_in(
-    path: str | Path, data: bytes | None = None, limit: float | None = None
-) -> tuple[list[Network], list[str]] | None:
-    """The networks of a file of infrastructure, and what they do not hold; None of other files.
+    path: str | Path,
+    data: bytes | None = None,
+    limit: float | None = None,
+    category: str | None = None,
+) -> Infrastructure | None:
+    """The networks of a file of infrastructure, and an account of it; None of other files.
 
     Parameters
     ----------
@@ -279,17 +299,21 @@ def networks_in(
         Its content, where it is known.
     limit : float, optional [m/s]
         Where the file states none; default: the lowest that it states anywhere.
+    category : str, optional
+        Of trains, whose limits hold, or ``"none"``: those for all trains; default: the lowest of
+        all categories.
 
     Raises
     ------
     InputError
-        If the file cannot be read or used.
+        If the file cannot be read or used, or states no limits of the category.
     """
+    limits = LimitChoice(category, limit)
     data = read_bytes(path) if data is None else data
     if data.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"<":
-        return railml.read_railml(path, limit)
+        return railml.read_railml(path, limits)
     if osrd_infrastructure.is_infrastructure(parse_json(data, file=path)):
-        return osrd_infrastructure.read_infrastructure(path, limit)
+        return osrd_infrastructure.read_infrastructure(path, limits)
     return None
 
 

@@ -125,6 +125,7 @@ class LineFile(File):
     reference: _Reference | None = None
     curve_resistance: CurveFormula | None = None
     legs: _Legs | None = None
+    speed_limits_reverse: _Limits | None = None
 
     def content(self) -> Line:
         """The line that the file describes."""
@@ -137,7 +138,7 @@ class LineFile(File):
 
     def line(self) -> Line:
         """The line that the file describes."""
-        limits, gradients, curvatures, geometry, survey, reference, route = gathered(
+        limits, gradients, curvatures, geometry, survey, reference, route, against = gathered(
             lambda: profile("speed_limits", *self.speed_limits),
             lambda: profile("gradients", *self.gradients),
             lambda: None if self.curvatures is None else curvature_profile(*self.curvatures),
@@ -145,6 +146,11 @@ class LineFile(File):
             lambda: None if self.survey is None else Survey(**dict(self.survey)),
             lambda: None if self.reference is None else self.reference.reference(),
             lambda: legs(self.legs),
+            lambda: (
+                None
+                if self.speed_limits_reverse is None
+                else profile("speed_limits_reverse", *self.speed_limits_reverse)
+            ),
         )
         return Line(
             name=self.name,
@@ -165,17 +171,19 @@ class LineFile(File):
             reference=reference,
             curve_resistance=self.curve_resistance or "proportional",
             legs=route,
+            speed_limits_reverse=against,
         )
 
     @staticmethod
     def of(line: Line) -> LineFile:
         """The file that describes a line."""
         curves, geometry, limits = line.curvatures, line.geometry, line.speed_limits
-        own = line.reference
+        own, against = line.reference, line.speed_limits_reverse
         return LineFile.holding(
             line,
             stations=([s.name for s in line.stations], [s.position for s in line.stations]),
             speed_limits=(limits.positions, limits.values),
+            speed_limits_reverse=None if against is None else (against.positions, against.values),
             gradients=(line.gradients.positions, line.gradients.values),
             survey=None if line.survey is None else _Survey.holding(line.survey),
             curvatures=None if curves is None else radii(curves),

@@ -13,21 +13,22 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from trainlog.display import counted, span
+from trainlog.display import span
 from trainlog.errors import InputError
 from trainlog.formats.files import read_json
 from trainlog.formats.schema import built, checked
-from trainlog.formats.track_graph import (
+from trainlog.formats.track_data import (
+    EVERY_LIMIT,
     Account,
+    Infrastructure,
+    Limit,
+    LimitChoice,
     Stretch,
     TrackData,
-    TrackEnd,
-    TrackGraph,
-    lowest_limit,
 )
+from trainlog.formats.track_graph import TrackEnd, TrackGraph
 from trainlog.railway import Station
 from trainlog.railway.geometry import to_plane
-from trainlog.railway.network import Network
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -142,7 +143,7 @@ class _TrackRange(_Range):
 class _SpeedSection(_Part):
     id: str
     speed_limit: Positive | None = None
-    speed_limit_by_tag: dict[str, Number] = {}
+    speed_limit_by_tag: dict[str, Positive] = {}
     track_ranges: list[_TrackRange]
     on_routes: list[str] | None = None
 
@@ -174,35 +175,26 @@ def is_infrastructure(content: Any) -> bool:
     return isinstance(content, dict) and {"track_sections", "switches"} <= content.keys()
 
 
-def read_infrastructure(
-    path: str | Path, limit: float | None = None
-) -> tuple[list[Network], list[str]]:
+def read_infrastructure(path: str | Path, limits: LimitChoice = EVERY_LIMIT) -> Infrastructure:
     """Read infrastructure of OSRD as a network.
 
     Track sections that follow each other without a choice are one edge, through links and crossings
     as well. Operational points are stations inside the edges of their tracks; switches and the ends
-    of tracks are nodes. Where limits differ by direction, or hold on routes of the interlocking
-    alone, the lowest holds for all trains. railjson does not define the side of a curve: positive
-    radii are taken as bends to the right from a section's beginning.
+    of tracks are nodes. Limits that hold on routes of the interlocking alone are taken to hold on
+    all. railjson does not define the side of a curve: positive radii are taken as bends to the
+    right from a section's beginning.
 
     Parameters
     ----------
     path : str or Path
-    limit : float, optional [m/s]
-        Where the file states none; default: the lowest that it states anywhere.
-
-    Returns
-    -------
-    networks : list of Network
-        One, but for tracks that nothing connects to the others: each part a network of its own.
-    dropped : list of str
-        What of the file the network does not hold, and what was repaired or assumed, in words.
+    limits : LimitChoice, optional
+        Which of its speed limits hold.
 
     Raises
     ------
     InputError
-        If the file cannot be read, lacks something, refers to a track that it does not have, or a
-        switch is of a type that is not known.
+        If the file cannot be read, lacks something, refers to a track that it does not have, has no
+        limits of a category, or a switch is of a type that is not known.
 
     Examples
     --------
@@ -212,20 +204,20 @@ def read_infrastructure(
     """
     content = read_json(path)
     infra = checked(_Infrastructure, content, path)
-    return built(lambda: _networks(infra, content, Path(path).stem, limit), path)
+    return built(lambda: _networks(infra, content, Path(path).stem, limits), path)
 
 
 def _networks(
-    infra: _Infrastructure, content: dict[str, Any], name: str, limit: float | None
-) -> tuple[list[Network], list[str]]:
+    infra: _Infrastructure, content: dict[str, Any], name: str, limits: LimitChoice
+) -> Infrastructure:
     graph = TrackGraph(name, f"OSRD infrastructure (railjson {infra.version})")
     tracks = _tracks(infra, graph.account)
     _add_stations(infra, tracks)
     _add_limits(infra, tracks, graph.account)
-    assumed = lowest_limit(tracks.values()) if limit is None else limit
+    limits = limits.among(tracks.values(), graph.account)
     for section in infra.track_sections:
         graph.corners |= _corners(section)
-        graph.add(tracks[section.id], assumed)
+        graph.add(tracks[section.id], limits)
     _add_movements(infra, graph)
     for stop in infra.buffer_stops:
         track = _track(tracks, stop.track, f"buffer_stops '{stop.id}'")
@@ -233,11 +225,12 @@ def _networks(
             if abs(stop.position - place) < 1.0:
                 graph.labels.setdefault(TrackEnd(stop.track, at_end), stop.id)
     for key, what in NOT_HELD.items():
-        graph.account.counts[what] += len(content.get(key) or [])
+        graph.account.left_out[what] += len(content.get(key) or [])
     unknown = content.keys() - NOT_HELD.keys() - _Infrastructure.model_fields.keys()
     for key in sorted(unknown):
-        graph.account.note(f"'{key}'")
-    return graph.networks(), graph.account.sentences
+        here = content[key]
+        graph.account.left_out[f"'{key}'"] += len(here) if isinstance(here, list | dict) else 1
+    return graph.account.of(graph.networks())
 
 
 def _tracks(infra: _Infrastructure, account: Account) -> dict[str, TrackData]:
@@ -258,17 +251,17 @@ def _tracks(infra: _Infrastructure, account: Account) -> dict[str, TrackData]:
         ]
         if section.geo is not None:
             scales.append(_lay(track, section.geo.coordinates))
-        account.counts["loading gauge limits"] += len(section.loading_gauge_limits)
+        account.left_out["loading gauge limits"] += len(section.loading_gauge_limits)
         tracks[section.id] = track
     known = np.array(scales)
     drawn = int(np.sum(np.isnan(known) | (known > FARTHEST) | (known < 1.0 / FARTHEST)))
-    account.counts["courses of track sections that are no coordinates of their lengths"] += drawn
+    account.left_out["courses of track sections that are no coordinates of their lengths"] += drawn
     scaled = known[(np.abs(known - 1.0) > 0.01) & (known <= FARTHEST) & (known >= 1.0 / FARTHEST)]
     if scaled.size:
-        account.note(
-            f"coordinates of {counted(scaled.size, 'track section')}: {span(scaled, 1.0, 2)} times"
-            " as long as the sections, laid over their lengths"
-        )
+        account.assumed[
+            f"courses {span(scaled, 1.0, 2)} times as long as their track sections, laid evenly"
+            " over these"
+        ] += scaled.size
     return tracks
 
 
@@ -329,23 +322,26 @@ def _add_stations(infra: _Infrastructure, tracks: dict[str, TrackData]) -> None:
 
 
 def _add_limits(infra: _Infrastructure, tracks: dict[str, TrackData], account: Account) -> None:
-    """The limits of the speed sections for trains of no category."""
-    by_tag = set[str]()
+    """The limits of the speed sections, by direction and by category of train.
+
+    A section holds for a category with its own limit, else with that for all trains.
+    """
+    categories = sorted({tag for each in infra.speed_sections for tag in each.speed_limit_by_tag})
     for number, section in enumerate(infra.speed_sections):
-        by_tag |= section.speed_limit_by_tag.keys()
         place = f"speed_sections[{number}]"
+        speeds = {tag: section.speed_limit_by_tag.get(tag, section.speed_limit)
+                  for tag in categories} | {"": section.speed_limit}  # fmt: skip
         for row, each in enumerate(section.track_ranges):
             track = _track(tracks, each.track, f"{place}.track_ranges[{row}]")
-            if section.speed_limit is not None:
-                track.limits.append(Stretch(each.begin, each.end, section.speed_limit))
-        if section.speed_limit is None:
-            account.counts["speed sections for categories of trains alone"] += 1
-        elif section.on_routes:
-            account.counts["speed sections of single routes, taken to hold for all trains"] += 1
-        elif any(each.applicable_directions != "BOTH" for each in section.track_ranges):
-            account.counts["speed sections of one direction, taken to hold in both"] += 1
-    if by_tag:
-        account.note(f"speed limits of the categories of trains {', '.join(sorted(by_tag))}")
+            forward = each.applicable_directions != "STOP_TO_START"
+            against = each.applicable_directions != "START_TO_STOP"
+            track.limits += [
+                Limit(each.begin, each.end, speed, forward, against, tag)
+                for tag, speed in speeds.items()
+                if speed is not None
+            ]
+        routes = "speed sections of single routes of the interlocking hold on all routes"
+        account.assumed[routes] += section.on_routes is not None
 
 
 def _add_movements(infra: _Infrastructure, graph: TrackGraph) -> None:
@@ -373,7 +369,7 @@ def _add_movements(infra: _Infrastructure, graph: TrackGraph) -> None:
                     )
             graph.movements.append((ends[first], ends[second]))
         if switch.switch_type == "crossing":
-            graph.account.counts["crossings: their tracks pass each other unconnected"] += 1
+            graph.account.left_out["crossings, whose tracks are unconnected"] += 1
 
 
 def _ports(

@@ -390,7 +390,7 @@ def _implausible_gradients(
 
 def _implausible_chainage(values: Mapping[str, Any], length: float) -> Iterator[InputError]:
     """Rows of a line that all lie at its start: chainage in km whose unit states m."""
-    tables = ("speed_limits", "gradients", "curvatures", "tunnels")
+    tables = ("speed_limits", "speed_limits_reverse", "gradients", "curvatures", "tunnels")
     found = [np.asarray(values[name][0]) for name in tables if values.get(name) is not None]
     if values.get("stations") is not None:
         found.append(np.asarray(values["stations"][1], dtype=np.float64))

@@ -7,8 +7,8 @@ from pathlib import Path
 from trainlog.errors import InputError
 from trainlog.formats import railml2, railml3
 from trainlog.formats.schema import built
+from trainlog.formats.track_data import EVERY_LIMIT, Infrastructure, LimitChoice
 from trainlog.formats.xml_tree import Element, read_xml
-from trainlog.railway.network import Network
 
 VERSIONS = {
     "2009": "2.0",
@@ -21,7 +21,7 @@ VERSIONS = {
 """Versions of railML 2 by the year in their namespace."""
 
 
-def read_railml(path: str | Path, limit: float | None = None) -> tuple[list[Network], list[str]]:
+def read_railml(path: str | Path, limits: LimitChoice = EVERY_LIMIT) -> Infrastructure:
     """Read the infrastructure of a railML file, version 2 or 3, as a network.
 
     Tracks that follow each other without a choice are one edge. Stations are the operational points
@@ -30,20 +30,14 @@ def read_railml(path: str | Path, limit: float | None = None) -> tuple[list[Netw
     Parameters
     ----------
     path : str or Path
-    limit : float, optional [m/s]
-        Where the file states none; default: the lowest that it states anywhere.
-
-    Returns
-    -------
-    networks : list of Network
-        One, but for tracks that nothing connects to the others: each part a network of its own.
-    dropped : list of str
-        What of the file the network does not hold, and what was repaired or assumed, in words.
+    limits : LimitChoice, optional
+        Which of its speed limits hold.
 
     Raises
     ------
     InputError
-        If the file is no railML 2 or 3, has no infrastructure, or refers to what it does not have.
+        If the file is no railML 2 or 3, has no infrastructure, or no limits of a category, or
+        refers to what it does not have.
 
     Examples
     --------
@@ -61,7 +55,7 @@ def read_railml(path: str | Path, limit: float | None = None) -> tuple[list[Netw
             remedy="export infrastructure as railML 2.2 to 2.5, or 3.1 to 3.3",
         )
     networks_of = railml2.networks_of if version.startswith("2") else railml3.networks_of
-    return built(lambda: networks_of(root, version, Path(path).stem, limit), path)
+    return built(lambda: networks_of(root, version, Path(path).stem, limits), path)
 
 
 def version_of(root: Element) -> str | None:

@@ -13,21 +13,21 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from trainlog.formats.track_graph import (
+from trainlog.formats.track_data import (
     SAME_PLACE,
+    Infrastructure,
+    Limit,
+    LimitChoice,
     Stretch,
     TrackData,
-    TrackEnd,
-    TrackGraph,
-    lowest_limit,
 )
+from trainlog.formats.track_graph import TrackEnd, TrackGraph
 from trainlog.formats.xml_tree import Element
 from trainlog.railway import LineReference, Station
-from trainlog.railway.network import Network
 from trainlog.units import KMH
 
 ELEMENTS_HELD = {
-    "speedChanges", "gradientChanges", "radiusChanges", "geoMappings",
+    "speedChanges", "gradientChanges", "radiusChanges", "geoMappings", "tunnels",
 }  # fmt: skip
 """Containers of a track's elements that a network holds."""
 
@@ -84,16 +84,16 @@ class _Track:
         return min(max(position, 0.0), self.length)
 
 
-def networks_of(
-    root: Element, version: str, name: str, limit: float | None
-) -> tuple[list[Network], list[str]]:
-    """The networks of a railML 2 file, and what of it they do not hold; see `read_railml`."""
+def networks_of(root: Element, version: str, name: str, limits: LimitChoice) -> Infrastructure:
+    """The networks of a railML 2 file, and an account of it; see `read_railml`."""
     infra = root.first("infrastructure")
     if infra is None or infra.first("tracks", "track") is None:
         raise root.error(
             "has no infrastructure with tracks", "export the infrastructure with its tracks"
         )
-    return _File(infra, TrackGraph(infra.text("name") or name, f"railML {version}")).networks(limit)
+    return _File(infra, TrackGraph(infra.text("name") or name, f"railML {version}")).networks(
+        limits
+    )
 
 
 @dataclass
@@ -110,7 +110,7 @@ class _File:
     sides: dict[str, tuple[Element, list[TrackEnd]]] = field(default_factory=dict)
     crossings: list[dict[str, list[Element]]] = field(default_factory=list)
 
-    def networks(self, limit: float | None) -> tuple[list[Network], list[str]]:
+    def networks(self, limits: LimitChoice) -> Infrastructure:
         """The networks of the whole."""
         self.tracks = list(self._tracks())
         self.ocps = {
@@ -125,14 +125,14 @@ class _File:
         self.data = {track.name: self._whole(track) for track in self.tracks}
         self._connect()
         self._account()
-        assumed = lowest_limit(self.data.values()) if limit is None else limit
+        limits = limits.among(self.data.values(), self.graph.account)
         for track in self.tracks:
             self.graph.add(
                 self.data[track.name],
-                assumed,
+                limits,
                 {track.section(number): ends for number, ends in enumerate(pairwise(track.edges))},
             )
-        return self.graph.networks(), self.graph.account.sentences
+        return self.graph.account.of(self.graph.networks())
 
     # ---- tracks
 
@@ -162,6 +162,7 @@ class _File:
         data.gradients = self._changes(track, "gradient", "slope", 1e-3)
         data.curves = self._curves(track)
         data.limits = self._limits(track)
+        data.tunnels = list(self._tunnels(track))
         data.stations = list(self._stations(track))
         data.course = list(self._course(track))
         data.course_quality = "coordinates of railML"
@@ -177,7 +178,7 @@ class _File:
         used = []
         for each in self._elements(track, kind):
             if each.text("dir") == "down":
-                self.graph.account.counts[f"{kind}Changes of the direction down"] += 1
+                self.graph.account.left_out[f"{kind}Changes of the direction down"] += 1
             else:
                 used.append(each)
         places = [*(track.at(each) for each in used), track.length]
@@ -198,25 +199,16 @@ class _File:
                 bends[number] = bends[number]._replace(last=bends[number + 1].value)
         return bends
 
-    def _limits(self, track: _Track) -> list[Stretch]:
-        """Limits for all trains, of both directions."""
-        found = list[Stretch]()
-        for down in (False, True):
-            used = []
-            for each in self._elements(track, "speed"):
-                if (each.text("dir") == "down") != down:
-                    continue
-                if any(each.text(x) for x in ("trainCategory", "etcsTrainCategory", "profileRef")):
-                    self.graph.account.counts[
-                        "speedChanges of categories of trains or speed profiles"
-                    ] += 1
-                    continue
-                used.append(each)
+    def _limits(self, track: _Track) -> list[Limit]:
+        """Limits by direction, each from its change to the next of the same trains."""
+        found = list[Limit]()
+        changes: dict[tuple[bool, str], list[Element]] = {}
+        for each in self._elements(track, "speed"):
+            key = each.text("dir") == "down", self._category(each)
+            changes.setdefault(key, []).append(each)
+        for (down, category), used in changes.items():
             if down:
                 used.reverse()
-                self.graph.account.counts[
-                    "speedChanges of the direction down, taken to hold in both"
-                ] += len(used)
             places = [*(track.at(each) for each in used), 0.0 if down else track.length]
             for each, (start, end) in zip(used, pairwise(places), strict=True):
                 if each.text("vMax") == "end":
@@ -224,8 +216,30 @@ class _File:
                 speed = each.number("vMax") / KMH
                 if speed <= 0.0:
                     raise each.error("vMax 0 could never be passed", "give the permitted speed")
-                found.append(Stretch(min(start, end), max(start, end), speed))
+                low, high = sorted((start, end))
+                # One without a direction holds from its place to the next in both.
+                both = each.text("dir") not in ("up", "down")
+                found.append(Limit(low, high, speed, not down, down or both, category))
         return found
+
+    def _category(self, change: Element) -> str:
+        """The trains that a speed change is for: a category, or a profile; empty: all."""
+        profile = change.text("profileRef")
+        named = self.infra.all("speedProfiles", "speedProfile")
+        words = next((x.text("name") for x in named if x.text("id") == profile), "") or profile
+        kinds = (change.text("trainCategory"), change.text("etcsTrainCategory"), words)
+        return " ".join(filter(None, kinds))
+
+    def _tunnels(self, track: _Track) -> Iterator[Stretch]:
+        """Tunnels, with their cross-section [m²]; NaN where it is not stated."""
+        for each in track.element.all("trackElements", "tunnels", "tunnel"):
+            length = each.number("length", 0.0)
+            if length <= 0.0:
+                self.graph.account.left_out["tunnels without a length"] += 1
+                continue
+            section = each.number("crossSection", 0.0)
+            begin = track.at(each)
+            yield Stretch(begin, begin + length, section if section > 0.0 else np.nan)
 
     def _stations(self, track: _Track) -> Iterator[Station]:
         """Operation control points on the track, by its cross-sections and its ends."""
@@ -262,7 +276,7 @@ class _File:
                 code = coordinate.text("epsgCode", "4326").rpartition(":")[2]
                 words = coordinate.text("coord").split()
                 if code != "4326" or len(words) < 2:
-                    self.graph.account.counts["coordinates that are not those of WGS 84"] += 1
+                    self.graph.account.left_out["coordinates that are not those of WGS 84"] += 1
                     continue
                 try:
                     latitude, longitude = float(words[0]), float(words[1])
@@ -359,7 +373,7 @@ class _File:
         kind = switch.text("type", "simpleCrossing")
         slips = kind in ("doubleSwitchCrossing", "simpleSwitchCrossing")
         if kind == "simpleSwitchCrossing":
-            self.graph.account.counts["single slips, taken as crossings without a slip"] += 1
+            self.graph.account.left_out["single slips, held as crossings without a slip"] += 1
             slips = False
         for way, end in (("incoming", after), ("outgoing", before)):
             for each in branches[way]:
@@ -394,7 +408,7 @@ class _File:
 
     def _account(self) -> None:
         """Count what stands in the file and not in the network."""
-        counts = self.graph.account.counts
+        counts = self.graph.account.left_out
         for track in self.tracks:
             for part in ("trackElements", "ocsElements"):
                 for container in track.element.all(part):
@@ -402,15 +416,15 @@ class _File:
                         if each.tag not in ELEMENTS_HELD:
                             counts[each.tag] += len(each.children)
             if track.element.text("mainDir") not in ("", "both", "none", "unknown"):
-                counts["main directions of tracks: trains may run over them both ways"] += 1
+                self.graph.account.assumed[
+                    "tracks with a main direction, over which trains may run both ways"
+                ] += 1
         used = {station.name for each in self.data.values() for station in each.stations}
         names = {each.text("name") or own for own, each in self.ocps.items()}
         counts["operation control points without a place on a track"] += sum(
             not any(known == name or known.startswith(f"{name} (") for known in used)
             for name in names
         )
-        if self.infra.first("speedProfiles") is not None:
-            counts["speed profiles"] += len(list(self.infra.all("speedProfiles", "speedProfile")))
 
 
 def _switches(track: Element) -> Iterator[Element]:

@@ -14,20 +14,22 @@ from itertools import pairwise
 
 import numpy as np
 
-from trainlog.formats.track_graph import (
+from trainlog.formats.track_data import (
     SAME_PLACE,
+    Infrastructure,
+    Limit,
+    LimitChoice,
     Stretch,
     TrackData,
-    TrackEnd,
-    TrackGraph,
-    lowest_limit,
 )
+from trainlog.formats.track_graph import TrackEnd, TrackGraph
 from trainlog.formats.xml_tree import Element
 from trainlog.railway import LineReference, Station
-from trainlog.railway.network import Network
 from trainlog.units import KMH
 
-FUNCTIONS_HELD = {"operationalPoints", "speeds", "switchesIS", "crossings", "bufferStops"}
+FUNCTIONS_HELD = {
+    "operationalPoints", "speeds", "switchesIS", "crossings", "bufferStops", "overCrossings",
+}  # fmt: skip
 """Containers of the functional infrastructure that a network holds."""
 
 FINEST = ("micro", "meso", "macro")
@@ -54,18 +56,17 @@ class _NetElement:
 
 @dataclass(frozen=True)
 class _Piece:
-    """Where something lies on a net element, and as seen in which direction."""
+    """Where something lies on a net element, and as seen in which direction, if not in both."""
 
     name: str
     begin: float
     end: float
     turned: bool
+    both: bool = False
 
 
-def networks_of(
-    root: Element, version: str, name: str, limit: float | None
-) -> tuple[list[Network], list[str]]:
-    """The networks of a railML 3 file, and what of it they do not hold; see `read_railml`."""
+def networks_of(root: Element, version: str, name: str, limits: LimitChoice) -> Infrastructure:
+    """The networks of a railML 3 file, and an account of it; see `read_railml`."""
     infra = root.first("infrastructure")
     if infra is None or infra.first("topology", "netElements", "netElement") is None:
         raise root.error(
@@ -73,7 +74,7 @@ def networks_of(
             "export the infrastructure with its topology",
         )
     file = _File(root, infra, TrackGraph(_name(infra) or name, f"railML {version}"))
-    return file.networks(limit)
+    return file.networks(limits)
 
 
 @dataclass
@@ -88,7 +89,7 @@ class _File:
     wgs84: set[str] = field(default_factory=set)
     data: dict[str, TrackData] = field(default_factory=dict)
 
-    def networks(self, limit: float | None) -> tuple[list[Network], list[str]]:
+    def networks(self, limits: LimitChoice) -> Infrastructure:
         """The networks of the whole."""
         self.wgs84 = self._geographic_systems()
         self._find_elements()
@@ -99,13 +100,14 @@ class _File:
         for kind in ("gradient", "horizontal"):
             self._add_curves(kind)
         self._add_limits()
+        self._add_tunnels()
         self._add_stations()
         self._connect()
         self._account()
-        assumed = lowest_limit(self.data.values()) if limit is None else limit
+        limits = limits.among(self.data.values(), self.graph.account)
         for track in self.data.values():
-            self.graph.add(track, assumed)
-        return self.graph.networks(), self.graph.account.sentences
+            self.graph.add(track, limits)
+        return self.graph.account.of(self.graph.networks())
 
     # ---- topology
 
@@ -137,7 +139,7 @@ class _File:
                 "export the micro level, with the length of each net element",
             )
         if self.others:
-            self.graph.account.counts[
+            self.graph.account.left_out[
                 "net elements of other levels, collections, or without a length"
             ] = len(self.others)
 
@@ -163,7 +165,9 @@ class _File:
                 continue
             way = relation.text("navigability", "Both").lower()
             if way in ("ab", "ba"):
-                self.graph.account.counts["relations of one direction, taken to hold in both"] += 1
+                self.graph.account.assumed[
+                    "relations of one direction, over which trains may run both ways"
+                ] += 1
             if way != "none":
                 self.graph.movements.append((ends[0], ends[1]))
         self._label()
@@ -200,7 +204,7 @@ class _File:
         for spot in thing.all("spotLocation"):
             element = self._net_element(spot)
             if element is None:
-                self.graph.account.counts["locations on net elements that are not held"] += 1
+                self.graph.account.left_out["locations on net elements that are not held"] += 1
                 continue
             at = self._position(element, spot, "", "linearCoordinate")
             if at is None:
@@ -214,11 +218,12 @@ class _File:
     def _stretches(self, thing: Element) -> Iterator[_Piece]:
         """Its linear locations on net elements; spots are none."""
         for location in thing.all("linearLocation"):
-            against = location.text("applicationDirection") == "reverse"
+            way = location.text("applicationDirection", "both")
+            against, both = way == "reverse", way not in ("normal", "reverse")
             for each in location.all("associatedNetElement"):
                 element = self._net_element(each)
                 if element is None:
-                    self.graph.account.counts["locations on net elements that are not held"] += 1
+                    self.graph.account.left_out["locations on net elements that are not held"] += 1
                     continue
                 ends = [
                     self._position(element, each, word, f"linearCoordinate{word}")
@@ -229,9 +234,8 @@ class _File:
                 begin, end = (
                     default if at is None else at for at, default in zip(ends, whole, strict=True)
                 )
-                yield _Piece(
-                    each.text("netElementRef"), min(begin, end), max(begin, end), turned != against
-                )
+                low, high = sorted((begin, end))
+                yield _Piece(each.text("netElementRef"), low, high, turned != against, both)
 
     def _position(
         self, element: _NetElement, location: Element, word: str, coordinate: str
@@ -299,25 +303,48 @@ class _File:
         return 1.0 / radius if radius else 0.0
 
     def _add_limits(self) -> None:
-        counts = self.graph.account.counts
+        counts = self.graph.account.left_out
         for section in self.infra.all("functionalInfrastructure", "speeds", "speedSection"):
-            if section.first("validForSpeedProfile") is not None:
-                counts["speed sections of speed profiles"] += 1
-            elif section.text("isTemporary") in ("true", "1"):
+            if section.text("isTemporary") in ("true", "1"):
                 counts["temporary speed sections"] += 1
-            elif section.text("maxSpeed") != "end":
-                speed = section.number("maxSpeed") / KMH
-                if speed <= 0.0:
-                    raise section.error("maxSpeed 0 could never be passed", "give the speed")
-                for place in self._stretches(section):
-                    self.data[place.name].limits.append(Stretch(place.begin, place.end, speed))
-                ways = {
-                    each.text("applicationDirection", "both")
-                    for each in section.all("linearLocation")
-                }
-                counts["speed sections of one direction, taken to hold in both"] += bool(
-                    ways & {"normal", "reverse"}
-                )
+                continue
+            if section.text("maxSpeed") == "end":
+                continue
+            speed = section.number("maxSpeed") / KMH
+            if speed <= 0.0:
+                raise section.error("maxSpeed 0 could never be passed", "give the speed")
+            profiles = [
+                self._profile_name(each.text("ref")) for each in section.all("validForSpeedProfile")
+            ]
+            for place in self._stretches(section):
+                # As seen along the net element: a location may run against it.
+                forward, against = (True, True) if place.both else (not place.turned, place.turned)
+                self.data[place.name].limits += [
+                    Limit(place.begin, place.end, speed, forward, against, category)
+                    for category in profiles or [""]
+                ]
+
+    def _profile_name(self, own: str) -> str:
+        """The name of a speed profile."""
+        for each in self.infra.all("functionalInfrastructure", "speeds", "speedProfile"):
+            if each.text("id") == own:
+                return _name(each) or own
+        return own
+
+    def _add_tunnels(self) -> None:
+        """Crossings over the railway that are built as tunnels; the others are counted."""
+        counts = self.graph.account.left_out
+        for each in self.infra.all("functionalInfrastructure", "overCrossings", "overCrossing"):
+            if each.text("constructionType") != "tunnel":
+                counts["overCrossings that are no tunnels"] += 1
+                continue
+            resistance = each.first("tunnelResistance")
+            section = 0.0 if resistance is None else resistance.number("crossSection", 0.0)
+            places = list(self._stretches(each))
+            for place in places:
+                value = section if section > 0.0 else np.nan
+                self.data[place.name].tunnels.append(Stretch(place.begin, place.end, value))
+            counts["tunnels without a stretch of track"] += not places
 
     def _add_stations(self) -> None:
         points = list(
@@ -332,7 +359,7 @@ class _File:
                 at = 0.5 * (place.begin + place.end)
                 self.data[place.name].stations.append(Station(name, at))
             if not places:
-                self.graph.account.counts["operational points without a place on a track"] += 1
+                self.graph.account.left_out["operational points without a place on a track"] += 1
 
     # ---- positioning
 
@@ -352,7 +379,7 @@ class _File:
             share = place.number("intrinsicCoord")
             for each in place.all("geometricCoordinate"):
                 if each.text("positioningSystemRef") not in self.wgs84:
-                    self.graph.account.counts["coordinates that are not those of WGS 84"] += 1
+                    self.graph.account.left_out["coordinates that are not those of WGS 84"] += 1
                     continue
                 yield share * element.length, each.number("y"), each.number("x")
 
@@ -380,7 +407,7 @@ class _File:
 
     def _account(self) -> None:
         """Count what stands in the file and not in the network."""
-        counts = self.graph.account.counts
+        counts = self.graph.account.left_out
         for container in self.infra.all("functionalInfrastructure"):
             for each in container.children:
                 if each.tag not in FUNCTIONS_HELD:

@@ -6,30 +6,19 @@ Tracks that follow each other without a choice become one edge.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, combinations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from trainlog.railway import CurvatureProfile, Line, LineReference, Station, StepProfile
+from trainlog.formats.track_data import ASSUMED_SECTION, SAME_PLACE, Account, LimitChoice, TrackData
+from trainlog.railway import Line, Station
 from trainlog.railway.composition import composed
-from trainlog.railway.line import Geometry
 from trainlog.railway.network import AT_END, Edge, Network, Node, NodeKind
-from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
-
-ASSUMED_LIMIT = 80.0 / KMH
-"""Speed limit [m/s] of a file that states none at all."""
-
-SAME_PLACE = 1e-6
-"""Positions [m] that lie nearer together are one: files have rounded sums."""
 
 
 class TrackEnd(NamedTuple):
@@ -48,53 +37,6 @@ class TrackEnd(NamedTuple):
     def other(self) -> TrackEnd:
         """The other end of the track."""
         return TrackEnd(self.track, not self.at_end)
-
-
-class Stretch(NamedTuple):
-    """What holds from `begin` to `end` [m] of a track; `last` at its end where it varies."""
-
-    begin: float
-    end: float
-    value: float
-    last: float | None = None
-
-
-@dataclass
-class Account:
-    """What of a file a network does not hold, and what was repaired or assumed.
-
-    Attributes
-    ----------
-    counts : Counter of str
-        Numbers by what they are of, in the plural: ``"signals"``.
-    notes : dict of str to float
-        Sentences with a length [m] that they are of; 0: without.
-    """
-
-    counts: Counter[str] = field(default_factory=Counter)
-    notes: dict[str, float] = field(default_factory=dict)
-
-    def note(self, sentence: str, length: float = 0.0) -> None:
-        """Add a length [m] to what a sentence states."""
-        self.notes[sentence] = self.notes.get(sentence, 0.0) + length
-
-    @property
-    def sentences(self) -> list[str]:
-        """All of it, in words.
-
-        Examples
-        --------
-        >>> account = Account()
-        >>> account.counts["signals"] += 2
-        >>> account.note("speed limits assumed", 1_500.0)
-        >>> account.sentences
-        ['signals: 2', 'speed limits assumed: 1.500 km']
-        """
-        words = [f"{what}: {number}" for what, number in self.counts.items() if number]
-        return words + [
-            f"{what}: {length / 1e3:.3f} km" if length else what
-            for what, length in self.notes.items()
-        ]
 
 
 @dataclass
@@ -125,19 +67,25 @@ class TrackGraph:
     account: Account = field(default_factory=Account)
 
     def add(
-        self, track: TrackData, limit: float, sections: dict[str, tuple[float, float]] | None = None
+        self,
+        track: TrackData,
+        limits: LimitChoice,
+        sections: dict[str, tuple[float, float]] | None = None,
     ) -> None:
         """Add a track, or the sections [m] that switches cut it into.
 
         Sections without a length are not: what they would join is.
         """
-        line = None if track.length <= SAME_PLACE else track.line(self.account, limit)
+        line = None if track.length <= SAME_PLACE else track.line(self.account, limits)
         for name, (start, end) in (sections or {track.name: (0.0, track.length)}).items():
             if line is None or end - start <= SAME_PLACE:
                 self._pass_through(name)
                 continue
             whole = start == 0.0 and end == track.length
             part = replace(line if whole else line.section(start, end), name=name)
+            if all(each.cross_section != ASSUMED_SECTION for each in part.tunnels):
+                assumed = tuple(each for each in part.assumed if each != "tunnel_cross_sections")
+                part = replace(part, assumed=assumed)
             self.tracks[name] = part
             if part.geometry is not None:
                 for at_end, index in ((False, 0), (True, -1)):
@@ -407,128 +355,3 @@ def _unused(name: str, taken: set[str]) -> str:
     )
     taken.add(found)
     return found
-
-
-@dataclass
-class TrackData:
-    """What a file states of a track, by position [m] from its beginning.
-
-    Attributes
-    ----------
-    name : str
-    length : float [m]
-    gradients, curves : list of Stretch
-        Rise over run; curvature [1/m]. Of stretches that overlap the later one holds.
-    limits : list of Stretch
-        [m/s]; of stretches that overlap the lowest holds.
-    stations : list of Station
-    course : list of (position, latitude, longitude)
-    course_quality : str
-    reference : LineReference or None
-    level_between : bool
-        Whether the track is level where no gradient is stated, if any is.
-    """
-
-    name: str
-    length: float
-    gradients: list[Stretch] = field(default_factory=list)
-    curves: list[Stretch] = field(default_factory=list)
-    limits: list[Stretch] = field(default_factory=list)
-    stations: list[Station] = field(default_factory=list)
-    course: list[tuple[float, float, float]] = field(default_factory=list)
-    course_quality: str = ""
-    reference: LineReference | None = None
-    level_between: bool = False
-
-    def line(self, account: Account, limit: float) -> Line:
-        """The track as a line; `limit` [m/s] where it has none, which is then assumed."""
-        assumed = []
-        at, values = self._laid("gradients", account)[:2]
-        unknown = np.isnan(values) if self.gradients or not self.level_between else ~np.isfinite(at)
-        missing = self._missing(at, unknown)
-        if not self.gradients or (missing > 1.0 and not self.level_between):
-            assumed.append("gradients")
-            account.note("gradients that are not stated, assumed level", missing or self.length)
-        gradients = _steps(at, np.where(np.isnan(values), 0.0, values))
-        at, values = self._laid("limits", account)[:2]
-        missing = self._missing(at, np.isnan(values))
-        if missing > 0.0:
-            assumed.append("speed_limits")
-            account.note(
-                f"speed limits that are not stated, assumed to be {KMH * limit:.0f} km/h", missing
-            )
-        limits = _steps(at, np.where(np.isnan(values), limit, values))
-        at, first, last = self._laid("curves", account)
-        curves = CurvatureProfile(at, np.nan_to_num(first), np.nan_to_num(last))
-        return Line(
-            name=self.name,
-            length=self.length,
-            stations=tuple(sorted(self.stations, key=lambda each: each.position)),
-            speed_limits=limits,
-            gradients=gradients,
-            curvatures=curves if self.curves else None,
-            geometry=self._geometry(),
-            assumed=tuple(assumed),
-            reference=self.reference,
-        )
-
-    def _missing(self, at: FloatArray, unknown: NDArray[np.bool_]) -> float:
-        """Length [m] of the pieces that are not known."""
-        return float(np.diff(np.append(at, self.length))[unknown].sum())
-
-    def _laid(self, what: str, account: Account) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Starts of pieces and what holds at their starts and ends; NaN where nothing is stated."""
-        stretches = list[Stretch]()
-        for each in getattr(self, what):
-            begin, end = max(each.begin, 0.0), min(each.end, self.length)
-            if begin > each.begin + SAME_PLACE or end < each.end - SAME_PLACE:
-                account.counts[f"{what} that reach beyond their track, cut off there"] += 1
-            if end - begin > SAME_PLACE:
-                stretches.append(each)
-        ends = [0.0, self.length, *(x for each in stretches for x in (each.begin, each.end))]
-        edges = np.unique(np.clip(ends, 0.0, self.length))
-        edges = np.append(edges[:-1][np.diff(edges) > SAME_PLACE], self.length)
-        edges[0] = 0.0
-        first, last = (np.full(edges.size - 1, np.nan) for _ in range(2))
-        middle = 0.5 * (edges[:-1] + edges[1:])
-        over = np.zeros(middle.size, dtype=np.int64)
-        for each in stretches:
-            inside = (middle > each.begin) & (middle < each.end)
-            if what == "limits":
-                inside &= ~(first <= each.value)
-            else:
-                over += inside
-            rate = ((each.value if each.last is None else each.last) - each.value) / (
-                each.end - each.begin
-            )
-            first[inside] = each.value + rate * (edges[:-1] - each.begin)[inside]
-            last[inside] = each.value + rate * (edges[1:] - each.begin)[inside]
-        if np.any(over > 1):
-            account.counts[f"tracks with {what} that contradict each other, the later taken"] += 1
-        return edges[:-1], first, last
-
-    def _geometry(self) -> Geometry | None:
-        points = {position: (latitude, longitude) for position, latitude, longitude in self.course}
-        if len(points) < 2:
-            return None
-        at = sorted(points)
-        coordinates = np.array([points[each] for each in at])
-        return Geometry(np.array(at), coordinates[:, 0], coordinates[:, 1], self.course_quality)
-
-
-def _steps(positions: FloatArray, values: FloatArray) -> StepProfile:
-    """A profile without steps to the same value."""
-    kept = np.append(True, np.diff(values) != 0.0)
-    return StepProfile(positions[kept], values[kept])
-
-
-def lowest_limit(tracks: Iterable[TrackData]) -> float:
-    """What is assumed where a file states no limit [m/s]: the lowest that it states anywhere.
-
-    Examples
-    --------
-    >>> lowest_limit([TrackData("T1", 500.0, limits=[Stretch(0.0, 500.0, 20.0)])])
-    20.0
-    """
-    stated = [each.value for track in tracks for each in track.limits]
-    return min(stated, default=ASSUMED_LIMIT)

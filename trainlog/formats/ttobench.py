@@ -559,6 +559,7 @@ def write_track(line: Line, path: str | Path) -> list[str]:
     dropped = {
         "names of stations": named,
         "coordinates": line.geometry is not None,
+        "speed limits of the other direction": line.speed_limits_reverse is not None,
         "its survey": line.survey is not None,
         "the operator's kilometres": line.reference is not None,
         f"curve resistance '{line.curve_resistance}': a reader takes its own": (

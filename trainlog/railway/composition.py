@@ -80,6 +80,9 @@ def composed(
         reference=_joined_reference(placed),
         curve_resistance=_same_curve_resistance(name, parts),
         legs=tuple(legs),
+        speed_limits_reverse=None
+        if all(part.speed_limits_reverse is None for part in parts)
+        else _joined_steps([(at, part.limits_against) for at, part in placed]),
     )
 
 

@@ -87,6 +87,7 @@ class Line:
     stations : tuple of Station
         At least the two ends, ordered by position.
     speed_limits : StepProfile [m/s]
+        Of the direction in which the chainage grows.
     gradients : StepProfile
         Rise over run, uphill positive.
     curvatures : CurvatureProfile [1/m] or None
@@ -109,6 +110,8 @@ class Line:
         Formula of the curve resistance, `trainlog.railway.resistance.CURVE_FORMULAS`.
     legs : tuple of Leg
         Of a route in a network: the edges that it runs over, without gaps; else none.
+    speed_limits_reverse : StepProfile [m/s] or None
+        Of the other direction, by the same chainage; None: the same. `reversed` exchanges both.
 
     Examples
     --------
@@ -142,6 +145,7 @@ class Line:
     reference: LineReference | None = None
     curve_resistance: CurveFormula = "proportional"
     legs: tuple[Leg, ...] = ()
+    speed_limits_reverse: StepProfile | None = None
 
     def __post_init__(self) -> None:
         problems = list(self._problems())
@@ -154,13 +158,17 @@ class Line:
         if not self.length > 0.0:
             yield InputError(f"{where}: length {self.length} m is not positive")
             return
-        stopped = self.speed_limits.positions[self.speed_limits.values <= 0.0]
-        if stopped.size:
-            yield InputError(
-                f"{where}: speed limit at km {stopped[0] / 1e3:.3f} is not positive"
-                f"{_and_more(stopped)}",
-                remedy="a train could never pass; give the permitted speed there",
-            )
+        backwards = self.limits_against
+        for limits, words in ((self.speed_limits, ""), (backwards, " of the other direction")):
+            stopped = limits.positions[limits.values <= 0.0]
+            if stopped.size:
+                yield InputError(
+                    f"{where}: speed limit{words} at km {stopped[0] / 1e3:.3f} is not positive"
+                    f"{_and_more(stopped)}",
+                    remedy="a train could never pass; give the permitted speed there",
+                )
+            if self.speed_limits_reverse is None:
+                break
         edges, over = self.gradients.positions, min(STEEP_OVER, self.length)
         first = np.clip(edges, 0.0, self.length - over)
         means = np.abs(self.gradients.mean(first, first + over))
@@ -174,7 +182,7 @@ class Line:
                 remedy="check its unit: are per mille given as '%' or '1'?",
             )
         for name, positions in (
-            ("speed limit", self.speed_limits.positions),
+            ("speed limit", np.union1d(self.speed_limits.positions, backwards.positions)),
             ("gradient", self.gradients.positions),
             ("station", np.array([station.position for station in self.stations])),
         ):
@@ -273,6 +281,9 @@ class Line:
                 + f", resistance {self.curve_resistance}"
                 * (self.curve_resistance != "proportional")
             )
+        if self.speed_limits_reverse is not None:
+            against = self.speed_limits_reverse
+            rows["limits"] += f"; the other way {span(against.values, KMH)} km/h"
         if self.tunnels:
             rows["tunnels"] = f"{len(self.tunnels)}, {sum(t.length for t in self.tunnels):.0f} m"
         if self.geometry is not None:
@@ -293,6 +304,11 @@ class Line:
     def speed_limit(self, position: ArrayLike) -> FloatArray:
         """Permitted speed [m/s] at each position [m]."""
         return self.speed_limits(position)
+
+    @property
+    def limits_against(self) -> StepProfile:
+        """Speed limits [m/s] of a train that travels against the chainage, by this chainage."""
+        return self.speed_limits_reverse or self.speed_limits
 
     def gradient(self, position: ArrayLike) -> FloatArray:
         """Gradient (rise over run) at each position [m]."""
@@ -513,7 +529,7 @@ class Line:
                 Station(station.name, self.length - station.position)
                 for station in reversed(self.stations)
             ),
-            speed_limits=self.speed_limits.reversed(self.length),
+            speed_limits=self.limits_against.reversed(self.length),
             gradients=self.gradients.reversed(self.length, sign=-1.0),
             curvatures=None if self.curvatures is None else self.curvatures.reversed(self.length),
             tunnels=tuple(
@@ -529,6 +545,9 @@ class Line:
             reference=None if self.reference is None else self.reference.reversed(self.length),
             curve_resistance=self.curve_resistance,
             legs=tuple(leg.reversed(self.length) for leg in reversed(self.legs)),
+            speed_limits_reverse=None
+            if self.speed_limits_reverse is None
+            else self.speed_limits.reversed(self.length),
         )
 
     def section(self, start: float, end: float) -> Line:
@@ -574,6 +593,9 @@ class Line:
             if self.reference is None
             else self.reference.between(start, end, self.length),
             legs=tuple(filter(None, (leg.between(start, end) for leg in self.legs))),
+            speed_limits_reverse=None
+            if self.speed_limits_reverse is None
+            else self.speed_limits_reverse.between(start, end),
         )
 
 

@@ -284,6 +284,15 @@ class Network:
         """Of all edges together [m]."""
         return float(sum(edge.line.length for edge in self.edges))
 
+    @property
+    def assumed(self) -> dict[str, list[Edge]]:
+        """What is assumed on a part of which edges, by the names in their lines' `assumed`."""
+        found: dict[str, list[Edge]] = {}
+        for edge in self.edges:
+            for name in edge.line.assumed:
+                found.setdefault(name, []).append(edge)
+        return found
+
     def node(self, name: str) -> Node:
         """The node of a name.
 
@@ -602,6 +611,20 @@ class Route:
                 if chainage <= TINY or chainage >= edge.line.length - TINY:
                     name = edge.start if chainage <= TINY else edge.end
                     yield at, name, self.network.node(name).kind
+
+
+def assumed_on(edges: Sequence[Edge]) -> str:
+    """On how much of a network something is assumed, in words.
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> assumed_on([Edge("850", line, "St. Gallen", "Wil")])
+    'on all or a part of 1 edge, 29.556 km long together'
+    """
+    length = sum(edge.line.length for edge in edges) / 1e3
+    return f"on all or a part of {counted(len(edges), 'edge')}, {length:.3f} km long together"
 
 
 def _twice(names: Sequence[str]) -> dict[str, int]:
