@@ -36,6 +36,7 @@ from analysis.fleet.codes import code_of
 from analysis.fleet.maps import maps_folder, update_maps
 from analysis.fleet.table import problems_table
 from analysis.fleet.update import FleetUpdate, UpdateOptions, fleet_status, update_fleet
+from trainlog import version
 from trainlog.catalogue import Catalogue, open_catalogue
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
@@ -146,6 +147,69 @@ def test_the_code_of_an_analysis_is_what_it_runs_through_and_no_more() -> None:
     assert code == code_version_of("analysis.fleet.work")
     assert code != code_version_of("analysis.fleet.update")
     assert code_of(WRONG) != code
+
+
+@pytest.mark.parametrize(
+    ("module", "counts"),
+    [
+        ("analysis/adhesion/slip.py", True),
+        ("analysis/fleet/driving.py", True),
+        ("estimators/motion.py", True),
+        ("trainlog/ingest/frozen.py", True),
+        ("trainlog/units.py", True),
+        ("analysis/fleet/update.py", False),
+        ("analysis/reports/fleet.py", False),
+        ("trainlog/catalogue/catalogue.py", False),
+        ("trainlog/ingest/pipeline.py", False),
+    ],
+)
+def test_a_change_of_a_module_counts_where_an_analysis_runs_through_it(
+    module: str, counts: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = Path(version.__file__).parents[1]
+    for package in ("trainlog", "analysis", "estimators"):
+        keep = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(source / package, tmp_path / package, ignore=keep)
+    monkeypatch.setattr(version, "_SOURCE", tmp_path)
+    found = code_version_of.__wrapped__("analysis.fleet.work")
+    assert found == code_version_of("analysis.fleet.work"), "a copy is the same code"
+    with (tmp_path / module).open("a") as file:
+        file.write("# changed")
+    assert (code_version_of.__wrapped__("analysis.fleet.work") != found) is counts
+
+
+def test_names_of_packages_that_load_on_first_use_are_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "trainlog" / "numbers"
+    package.mkdir(parents=True)
+    (tmp_path / "trainlog" / "__init__.py").write_text("")
+    (package / "__init__.py").write_text(
+        "from trainlog.public import names_on_first_use\n"
+        '_NAMES = {"trainlog.numbers.one": "first=one", "trainlog.numbers.two": "two"}\n'
+        "__all__, __getattr__, __dir__ = names_on_first_use(__name__, _NAMES)\n"
+    )
+    (tmp_path / "trainlog" / "user.py").write_text("from trainlog.numbers import first\n")
+    for name in ("one", "two"):
+        (package / f"{name}.py").write_text(f"{name} = 1\n")
+    monkeypatch.setattr(version, "_SOURCE", tmp_path)
+    monkeypatch.setattr(version, "_on_first_use", version._on_first_use.__wrapped__)
+    codes = [code_version_of.__wrapped__("trainlog.user")]
+    for name in ("two", "one"):
+        (package / f"{name}.py").write_text(f"{name} = 2\n")
+        codes.append(code_version_of.__wrapped__("trainlog.user"))
+    assert codes[0] == codes[1] != codes[2]
+
+
+def test_to_state_what_is_computed_loads_nothing_that_computes(place: Path) -> None:
+    words = ["fleet", "status", "--catalogue", str(place)]
+    script = (
+        f"import sys; from trainlog.cli import main; code = main.run({words!r});"
+        "heavy = ('numba', 'scipy', 'pint', 'analysis.adhesion.slip', 'trainlog.mcap.reader');"
+        "print([each for each in heavy if each in sys.modules], code)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "[] 0", done.stdout + done.stderr
 
 
 def test_a_trip_that_goes_wrong_is_listed_and_stops_no_other(place: Path) -> None:

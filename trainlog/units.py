@@ -65,7 +65,7 @@ def _registry() -> UnitRegistry[Any]:
 
 
 _FACTORS = {
-    (unit, unit): 1.0 for unit in ("%", "1", "m", "m/s", "m/s^2", "m^2", "s", "kg", "N")
+    (unit, unit): 1.0 for unit in ("%", "1", "deg", "m", "m/s", "m/s^2", "m^2", "s", "kg", "N")
 } | {
     ("%", "1"): 0.01,
     ("km", "m"): 1000.0,

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from collections.abc import Iterable, Iterator
 from functools import cache
 from hashlib import sha256
-from importlib import import_module
 from pathlib import Path
 
 __version__ = "0.1.0"
+
+_SOURCE = Path(__file__).parents[1]
+"""Folder that holds our packages."""
 
 _PASSIVE = ("cli", "replay", "simulation", "studies")
 """Folders of code that no recording goes through."""
@@ -26,10 +29,9 @@ def code_version() -> str:
     >>> len(code_version())
     16
     """
-    package = Path(__file__).parent
     files = [
         file
-        for folder in (package, package.with_name("analysis"), package.with_name("estimators"))
+        for folder in (_SOURCE / name for name in ("trainlog", "analysis", "estimators"))
         for file in folder.rglob("*")
         if file.suffix in (".py", ".toml") and file.relative_to(folder).parts[0] not in _PASSIVE
     ]
@@ -90,7 +92,7 @@ def _imported(text: str) -> Iterator[str]:
             name = part.split("#")[0].split(" as ")[0].strip()
             if name and _file_of(f"{package}.{name}"):
                 yield f"{package}.{name}"
-            elif name and "." not in package:
+            elif name:
                 yield from _defining(package, name)
         if "." in package:
             yield package
@@ -98,15 +100,37 @@ def _imported(text: str) -> Iterator[str]:
 
 def _defining(package: str, name: str) -> Iterator[str]:
     """The module that defines a public name of a package that is imported on first use."""
-    modules: dict[str, str] = getattr(import_module(package), "_NAMES", {})
-    for module, words in modules.items():
+    for module, words in _on_first_use(package).items():
         if name in (word.partition("=")[0] for word in words.split()):
             yield module
 
 
+@cache
+def _on_first_use(package: str) -> dict[str, str]:
+    """What a package passes to `trainlog.public.names_on_first_use`, read without importing it."""
+    file = _file_of(package)
+    text = "" if file is None or file.name != "__init__.py" else file.read_text("utf-8")
+    if "names_on_first_use" not in text:
+        return {}
+    tree = ast.parse(text)
+    named = {
+        target.id: node.value
+        for node in tree.body
+        if isinstance(node, ast.Assign)
+        for target in node.targets
+        if isinstance(target, ast.Name)
+    }
+    found: dict[str, str] = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "names_on_first_use":
+            given = node.args[1]
+            found |= ast.literal_eval(named[given.id] if isinstance(given, ast.Name) else given)
+    return found
+
+
 def _file_of(module: str) -> Path | None:
     """The file of a module of ours; None if there is none."""
-    place = Path(__file__).parents[1].joinpath(*module.split("."))
+    place = _SOURCE.joinpath(*module.split("."))
     for file in (place.with_suffix(".py"), place / "__init__.py"):
         if file.is_file():
             return file
@@ -117,6 +141,6 @@ def _digest(files: Iterable[Path]) -> str:
     """Of the names and contents of files of ours."""
     total = sha256()
     for file in sorted(files):
-        total.update(f"{file.relative_to(Path(__file__).parents[1]).as_posix()}\n".encode())
+        total.update(f"{file.relative_to(_SOURCE).as_posix()}\n".encode())
         total.update(file.read_bytes())
     return total.hexdigest()[:16]

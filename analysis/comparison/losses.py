@@ -27,6 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.comparison.causes import CAUSES as CAUSES, GAINED
 from analysis.comparison.driven import STATION_REACH, DrivenTrip, Stand
 from analysis.comparison.sections import (
     CommonRange,
@@ -67,33 +68,6 @@ RECOVERY = 15_000.0
 ROUNDING = 1e-9
 """Seconds that are none."""
 
-CAUSES = {
-    "start": "later start",
-    "dwell": "longer dwell",
-    "stop": "stop that the reference does not make",
-    "held": "held: braked to a stand or a crawl off a station",
-    "limit": "lower speed limit",
-    "slip": "slip: limited by adhesion",
-    "full effort": "slower at full effort: load, power or wind",
-    "slower": "slower than needed",
-    "faster": "faster",
-    "recording": "position missing or corrected",
-}
-"""Each cause in words."""
-
-_GAINED = {
-    "start": "earlier start",
-    "dwell": "shorter dwell",
-    "stop": "the reference stops here",
-    "held": "the reference was held",
-    "limit": "the reference had a lower limit",
-    "slip": "the reference slipped",
-    "full effort": "the reference was slower at full effort",
-    "slower": "slower than needed",
-    "faster": "faster",
-    "recording": "position missing or corrected",
-}
-
 
 @dataclass(frozen=True, slots=True)
 class Loss:
@@ -123,7 +97,7 @@ class Loss:
     @property
     def words(self) -> str:
         """The cause in words."""
-        return (CAUSES if self.seconds >= 0.0 else _GAINED)[self.cause]
+        return (CAUSES if self.seconds >= 0.0 else GAINED)[self.cause]
 
 
 @dataclass(frozen=True, eq=False)

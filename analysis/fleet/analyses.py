@@ -11,38 +11,27 @@ import json
 import zlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from numpy.typing import NDArray
 
-from analysis.adhesion.condition_map import empty_map_of, entry_of
-from analysis.adhesion.covariates import covariates
-from analysis.adhesion.evidence import condition_of, evidence_of
-from analysis.fleet.checks import CHECKS, checked
-from analysis.fleet.driving import DRIVING, driven_edges
-from analysis.fleet.trips import FleetTrip
-from analysis.network.edges import edges_of, on_edge
-from analysis.resistance.combination import summarised
-from analysis.resistance.fit import fit_trip
-from analysis.resistance.recording import TripRefusedError
-from analysis.resistance.regression import LARGEST_STD
+from analysis.fleet.columns import ADHESION, CHECKS, DRIVING, KEY, PASSPORT, QUANTITIES
 from trainlog.errors import InputError
 from trainlog.formats.files import sha256
-from trainlog.formats.recordings import packed_evidence
 from trainlog.formats.summaries import COLUMNS as SUMMARY, Column
-from trainlog.identity import text_of
 from trainlog.railway.condition import BIN_LENGTH
-from trainlog.railway.passport import Quantity
+from trainlog.railway.resistance import LARGEST_STD
 
-FloatArray = NDArray[np.float64]
+if TYPE_CHECKING:
+    from analysis.fleet.trips import FleetTrip
+    from trainlog.railway.passport import Quantity
+
+# What computes is imported where it is called: a process that only names analyses, and asks for
+# their parameters and columns, loads none of it. Workers load all of it once (`load_analyses`).
 
 Run = Callable[..., pd.DataFrame]
-
-KEY = Column("key", "", "of the trip in the catalogue", "text")
-"""First column of each table of results."""
 
 _TYPES = {
     "text": pa.string(),
@@ -183,6 +172,10 @@ def resistance(
     largest_std: float = LARGEST_STD,
 ) -> pd.DataFrame:
     """The summary of a trip's fit, one row; also of a trip that is refused, with the reason."""
+    from analysis.resistance.combination import summarised
+    from analysis.resistance.fit import fit_trip
+    from analysis.resistance.recording import TripRefusedError
+
     digests = {trip.name: trip.sha256}
     try:
         chosen = None if speeds is None else (float(speeds[0]), float(speeds[1]))
@@ -196,40 +189,12 @@ def resistance(
 
 # ---------------------------------------------------------------------------------- passport
 
-_QUANTITIES = {
-    "effort_delay": ("s", "by which recorded efforts are late"),
-    "effort_gain": ("1", "recorded over true effort"),
-    "mass": ("kg", "of the loaded train, without the rotating part"),
-    "load": ("kg", "above the empty train"),
-    "effort_over_mass": ("1", "effort gain times true mass over empty mass"),
-    "axle_effort_ratio": ("1", "sum of the axles' efforts over that of the train"),
-}
-
-PASSPORT: tuple[Column, ...] = (
-    Column("trip", "", "name of the trip", "text"),
-    *(
-        column
-        for name, (unit, meaning) in _QUANTITIES.items()
-        for column in (
-            Column(name, unit, meaning),
-            Column(f"{name}_std", unit, "its standard deviation"),
-            Column(f"{name}_source", "", "recorded, estimated or assumed", "text"),
-        )
-    ),
-    Column("speed_noise", "m/s", "of the recorded speed of the train"),
-    Column("wheel_factors", "1", "recorded over true speed of each axle", "numbers"),
-    Column("wheel_factor_stds", "1", "their standard deviations", "numbers"),
-    Column("wheel_factor_source", "", "estimated where satellites or balises show it", "text"),
-    Column("sample_time", "s", "between samples of the train's state"),
-    Column("findings", "", "what a reader should know, in sentences", "text"),
-)
-
 
 def passport_row(trip: FleetTrip) -> pd.DataFrame:
     """What is known of the trip's recorder and load, one row."""
     found = trip.passport
     row: dict[str, Any] = {"trip": trip.name, "findings": "; ".join(found.findings)}
-    for name in _QUANTITIES:
+    for name in QUANTITIES:
         each: Quantity = getattr(found, name)
         row |= {name: each.value, f"{name}_std": each.std, f"{name}_source": each.source}
     noise = found.speed_noise.get("/train/state.speed")
@@ -246,32 +211,20 @@ def passport_row(trip: FleetTrip) -> pd.DataFrame:
 
 # ---------------------------------------------------------------------------------- adhesion
 
-ADHESION: tuple[Column, ...] = (
-    Column("trip", "", "name of the trip; on an edge of a network <trip>@<edge>", "text"),
-    Column("edge", "", "edge of the network, or line", "text"),
-    Column("edge_length", "m", "of the whole edge"),
-    Column("bin_length", "m", "of the bins"),
-    Column("layer", "", "rail condition", "text"),
-    Column("main_layer", "", "rail condition that held longest on this edge", "text"),
-    Column("first_day", "d", "first day with evidence, counted from 1970-01-01 UTC", "count"),
-    Column("last_day", "d", "last day with evidence", "count"),
-    Column("onsets", "1", "onsets of slip that measured the maximum adhesion", "count"),
-    Column("bins", "1", "bins with any evidence", "count"),
-    Column("weight", "1", "sum of the weights of the onsets"),
-    Column("weighted_log", "1", "sum of the weighted logarithms of the maximum adhesion"),
-    Column("sha256", "", "of the log; empty of a part of a long one", "text"),
-    Column("identity", "", "of the drive, by its recorded samples", "text"),
-    Column("steps", "1", "of processing since it was recorded", "count"),
-    Column("entry", "", "what a map keeps of the trip, as JSON", "text"),
-    Column("evidence", "", "sums by day and bin, packed and compressed", "data"),
-)
-
 
 def adhesion(trip: FleetTrip, bin_length: float = BIN_LENGTH) -> pd.DataFrame:
     """What a trip shows of the maximum adhesion, one row an edge and rail condition.
 
     A trip that never met an edge's limit gives a row there, too: what it used without slip.
     """
+    from analysis.adhesion.condition_map import entry_of
+    from analysis.adhesion.covariates import covariates
+    from analysis.adhesion.empty_map import empty_map_of
+    from analysis.adhesion.evidence import condition_of, evidence_of
+    from analysis.network.edges import edges_of, on_edge
+    from trainlog.formats.recordings import packed_evidence
+    from trainlog.identity import text_of
+
     line = trip.own_line
     of_line = empty_map_of(line.name, line.length)
     conditions = {
@@ -319,11 +272,15 @@ def adhesion(trip: FleetTrip, bin_length: float = BIN_LENGTH) -> pd.DataFrame:
 
 def driving(trip: FleetTrip) -> pd.DataFrame:
     """Times, energy and losses of a trip, one row an edge."""
+    from analysis.fleet.driving import driven_edges
+
     return frame_of(DRIVING, driven_edges(trip))
 
 
 def checks(trip: FleetTrip) -> pd.DataFrame:
     """What of a trip's recording is doubtful, one row."""
+    from analysis.fleet.checks import checked
+
     return frame_of(CHECKS, [checked(trip)])
 
 

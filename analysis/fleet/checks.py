@@ -13,7 +13,6 @@ from analysis.comparison.gaps import SHORT_GAP, SILENCE
 from analysis.fleet.trips import FleetTrip
 from analysis.resistance.recording import speed_scale
 from trainlog.errors import TrainlogError
-from trainlog.formats.summaries import Column
 from trainlog.ingest.frozen import MEASURED, blank_frozen
 from trainlog.ingest.profile_parts import Limits
 from trainlog.ingest.recording import Table
@@ -38,28 +37,6 @@ CHANNELS = {
     "satellite speed": ("/gnss/motion", "speed"),
 }
 """What is listed as missing where it is not recorded."""
-
-CHECKS: tuple[Column, ...] = (
-    Column("trip", "", "name of the trip", "text"),
-    Column("duration", "s", "from the first sample to the last"),
-    Column("distance", "m", "between the lowest and the highest position"),
-    Column("damage", "", "what of the log is lost; empty if it is whole", "text"),
-    Column("gaps", "1", "pauses of the train's state", "count"),
-    Column("gap_time", "s", "in all of them"),
-    Column("longest_gap", "s", "of them"),
-    Column("repairs", "1", "cells and rows that ingest repaired or dropped", "count"),
-    Column("repaired", "", "how often each rule was applied: rule=count, ...", "text"),
-    Column("missing", "", "channels that are not recorded, separated by commas", "text"),
-    Column("frozen", "", "columns that repeat a value while the train moves", "text"),
-    Column("frozen_samples", "1", "of them", "count"),
-    Column("speed_scale", "1", "measured over true speed, by satellites or balises"),
-    Column("speed_scale_std", "1", "its standard deviation"),
-    Column("speed_scale_source", "", "by what", "text"),
-    Column("fix_beside", "m", "median distance of fixes beside the line's geometry"),
-    Column("fix_along", "m", "median difference of the fixes' chainage to the recorded one"),
-    Column("fix_spread", "m", "half of the fixes' chainages are within this of that median"),
-    Column("doubts", "", "what could not be checked, and why", "text"),
-)
 
 
 def checked(trip: FleetTrip) -> Mapping[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from analysis.adhesion.condition_map import empty_map_of
+from analysis.adhesion.empty_map import empty_map_of
 from analysis.fleet.diff_judgement import REACH
 from analysis.fleet.maps import evidence_of_row
 from trainlog.condition import estimated

@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.comparison.driven import STATION_REACH, DrivenTrip, Stand
-from analysis.comparison.losses import CAUSES, lost_time
+from analysis.comparison.losses import lost_time
 from analysis.comparison.sections import (
     STOPPING_REACH,
     CommonRange,
     Sections,
     section_table,
 )
+from analysis.fleet.columns import LOST
 from analysis.fleet.trips import FleetTrip
 from analysis.network.edges import Stretch, edges_of
 from trainlog.errors import LogError
 from trainlog.formats.attached import largest_load
-from trainlog.formats.summaries import Column
 from trainlog.railway.motion import timetable_run
 from trainlog.units import NANOSECONDS
 
@@ -32,36 +32,6 @@ SHORTEST_RUN = 500.0
 
 SERVICE_DECELERATION, FULL_LEVER = 0.6, 1.0
 """Deceleration [m/s²] and share of the effort of the shortest run that losses are counted from."""
-
-LOST = tuple(cause for cause in CAUSES if cause not in ("start", "dwell", "stop"))
-"""Causes of lost time against the shortest run that makes the same stops."""
-
-DRIVING: tuple[Column, ...] = (
-    Column("trip", "", "name of the trip", "text"),
-    Column("edge", "", "edge of the network, or line", "text"),
-    Column("direction", "", "forward or reverse on the edge's chainage", "text"),
-    Column("first", "m", "chainage on the edge where the trip came upon it"),
-    Column("last", "m", "chainage on the edge where it left it"),
-    Column("entered", "ns", "when it came upon it, since 1970 UTC", "count"),
-    Column("distance", "m", "run on the edge"),
-    Column("running_time", "s", "without stands"),
-    Column("dwell", "s", "at stations"),
-    Column("held", "s", "stands off stations"),
-    Column("stops", "1", "at stations, those where the trip ends not counted", "count"),
-    Column("traction", "J", "work of the tractive effort at the wheel rims"),
-    Column("dynamic_braking", "J", "work of the dynamic brake at the wheel rims"),
-    Column("braking", "J", "work of all brakes at the wheel rims"),
-    Column("line_energy", "J", "drawn from the line less fed back"),
-    Column("line_energy_source", "", "recorded, or efficiencies of the train's file", "text"),
-    Column("coasting", "1", "share of the distance"),
-    Column("excess", "m/s", "largest speed above the permitted one; 0 within 1 km/h"),
-    Column("excess_distance", "m", "run above it"),
-    Column("slips", "1", "actions of the slip protection"),
-    Column("mass", "kg", "of the loaded train, as the log or its passport states it"),
-    Column("mass_std", "kg", "its standard deviation"),
-    Column("shortest_time", "s", "running time of the shortest run with the same stops"),
-    *(Column(f"lost_{cause.replace(' ', '_')}", "s", CAUSES[cause]) for cause in LOST),
-)
 
 
 def driven_edges(trip: FleetTrip) -> list[Mapping[str, Any]]:

@@ -137,7 +137,12 @@ class Processes(Engine):
         forks = "forkserver" in methods and sys.platform != "darwin"
         self._context = multiprocessing.get_context("forkserver" if forks else "spawn")
         if forks:
-            self._context.set_forkserver_preload(["analysis.fleet.work"])
+            # It loads the analyses while the parent asks the catalogue what there is to do.
+            from multiprocessing import forkserver
+
+            self._context.set_forkserver_preload(["analysis.fleet.worker"])
+            with _single_threaded():
+                forkserver.ensure_running()
         self._pool = self._started(self.workers)
         self._single: ProcessPoolExecutor | None = None
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from analysis.adhesion.condition_map import empty_map_of
+from analysis.adhesion.empty_map import empty_map_of
 from trainlog.formats.files import made_folder, sha256, write_bytes
 from trainlog.formats.mapfile import MapFile
 from trainlog.formats.packed import unpack

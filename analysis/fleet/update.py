@@ -11,6 +11,8 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, field
+from itertools import islice
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from analysis.fleet.codes import code_of
@@ -19,8 +21,6 @@ from trainlog.errors import InputError
 from trainlog.progress import task
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from analysis.fleet.analyses import FleetAnalysis
     from analysis.fleet.engine import Engine
     from analysis.fleet.maps import MapsUpdate
@@ -30,8 +30,9 @@ if TYPE_CHECKING:
 BATCH = 16
 """Most trips of a batch."""
 
-SHARES = 8
-"""Of few trips, batches for each worker: so that all of them end at about the same time."""
+SHARES = 3
+"""A batch is one of so many shares of a worker in the trips that are left: batches become smaller
+towards the end, so that all workers end at about the same time."""
 
 MERGED = 100_000
 """Trips up to which the files of results are put together: that takes all of them into memory."""
@@ -364,20 +365,26 @@ class _Update:
     def _batches(self, workers: int) -> Iterator[Batch]:
         from analysis.fleet.work import Batch
 
-        most = max(1, min(self.options.batch, -(-self.total // (SHARES * workers))))
-        given = 0
-        jobs: list[Job] = []
-        for job in self._jobs():
-            jobs.append(job)
+        given = count = 0
+        jobs = self._jobs()
+        while True:
+            left = max(self.total - count, 1)
+            most = max(1, min(self.options.batch, -(-left // (SHARES * workers))))
             # One trip each at first: these take longest, and are kept soon.
-            if len(jobs) == (1 if given < workers else most):
-                yield Batch(tuple(jobs), self.analyses)
-                given, jobs = given + 1, []
-        if jobs:
-            yield Batch(tuple(jobs), self.analyses)
+            part = tuple(islice(jobs, 1 if given < workers else most))
+            if not part:
+                return
+            yield Batch(part, self.analyses)
+            given, count = given + 1, count + len(part)
 
     def _jobs(self) -> Iterator[Job]:
-        """Trips with the numbers of the analyses that wait for them, in the order of key."""
+        """Trips with the numbers of the analyses that wait for them, of a page long ones first."""
+        jobs = self._by_key()
+        while page := list(islice(jobs, PAGE)):
+            yield from sorted(page, key=lambda job: -_size(job.path))
+
+    def _by_key(self) -> Iterator[Job]:
+        """The same in the order of key."""
         from analysis.fleet.work import Job
 
         waiting = [self._pending(number) for number in range(len(self.analyses))]
@@ -473,6 +480,14 @@ class _Update:
                 from analysis.fleet.maps import update_maps
 
                 self.found.maps = update_maps(self.catalogue, analysis, code)
+
+
+def _size(path: str) -> int:
+    """Of a log [bytes]; 0 where it cannot be seen from here."""
+    try:
+        return Path(path).stat().st_size
+    except OSError:
+        return 0
 
 
 @dataclass(frozen=True, repr=False)

@@ -15,16 +15,18 @@ import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import pandas as pd
 import pyarrow as pa
 
 from analysis.fleet.analyses import FleetAnalysis
-from analysis.fleet.trips import FleetTrip, fleet_trips
 from trainlog.errors import TrainlogError
 from trainlog.formats.files import sha256_of
 from trainlog.version import code_version
+
+if TYPE_CHECKING:
+    from analysis.fleet.trips import FleetTrip
 
 THREADS = (
     "OMP_NUM_THREADS",
@@ -108,6 +110,8 @@ class BatchResult:
         Of the worker.
     seconds : float
         Processor time [s].
+    began, ended : float
+        By the worker's clock [s since 1970].
     """
 
     tables: list[pa.Table]
@@ -116,6 +120,8 @@ class BatchResult:
     code: str = ""
     host: str = ""
     seconds: float = 0.0
+    began: float = 0.0
+    ended: float = 0.0
 
 
 def begin_worker(*, watched: bool = True) -> None:
@@ -131,12 +137,18 @@ def begin_worker(*, watched: bool = True) -> None:
         if parent is not None:
             threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     one_thread()
+    load_analyses()
 
 
 def one_thread() -> None:
     """Let Arrow use one thread; the environment of a worker limits the others."""
     pa.set_cpu_count(1)
     pa.set_io_thread_count(1)
+
+
+def load_analyses() -> None:
+    """Load all that the registered analyses run through, before a first trip asks for it."""
+    import analysis.fleet.worker  # noqa: F401
 
 
 def _end_with(parent: object) -> None:
@@ -149,7 +161,7 @@ def computed(batch: Batch) -> BatchResult:
 
     What a trip cannot give is stated with the reason, and keeps no other from being computed.
     """
-    began = time.process_time()
+    began, started = time.process_time(), time.time()
     kept: list[list[tuple[str, pd.DataFrame]]] = [[] for _ in batch.analyses]
     result = BatchResult([], [[] for _ in batch.analyses], [], code_version(), socket.gethostname())
     for job in batch.jobs:
@@ -165,6 +177,7 @@ def computed(batch: Batch) -> BatchResult:
         analysis.arrow(frames) for analysis, frames in zip(batch.analyses, kept, strict=True)
     ]
     result.seconds = time.process_time() - began
+    result.began, result.ended = started, time.time()
     return result
 
 
@@ -198,6 +211,8 @@ def _of_trip(
     job: Job, analyses: Sequence[FleetAnalysis]
 ) -> dict[int, tuple[Outcome, pd.DataFrame | None]]:
     """The outcomes and tables of a trip, by the number of the analysis."""
+    from analysis.fleet.trips import fleet_trips
+
     gathered = {number: _Gathered() for number in job.analyses}
     try:
         for trip in fleet_trips(Path(job.path), job.sha256):

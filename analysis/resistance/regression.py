@@ -45,14 +45,12 @@ from analysis.resistance.noise import (
 )
 from analysis.resistance.windows import Windows
 from estimators.rls import RecursiveLeastSquares
+from trainlog.railway.resistance import LARGEST_STD as LARGEST_STD
 
 FloatArray = NDArray[np.float64]
 
 CONFIDENCE = 0.95
 """Of every band."""
-
-LARGEST_STD = 0.10
-"""Standard deviation of a curve, over the curve, up to which it is known at a speed."""
 
 
 def powers(speed: ArrayLike) -> FloatArray:

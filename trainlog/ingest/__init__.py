@@ -7,39 +7,57 @@ Examples
 '6847 rows read, 6847 kept, 0 dropped'
 """
 
-from trainlog.ingest.batch import Ingested, Outcome, ingest_all
-from trainlog.ingest.pipeline import PROFILE_ATTACHMENT, ingest, ingest_each
-from trainlog.ingest.profile import Profile, profile_of, read_profile
-from trainlog.ingest.proposal import Proposal, needs_profile, propose_profile
-from trainlog.ingest.recording import NO_TIME, Finding, Raw, Recording, Table
-from trainlog.ingest.registry import Format, formats
-from trainlog.ingest.report import REPAIRS_ATTACHMENT, Report, repairs_of, report_of
-from trainlog.ingest.rules import RULES, Rule
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "NO_TIME",
-    "PROFILE_ATTACHMENT",
-    "REPAIRS_ATTACHMENT",
-    "RULES",
-    "Finding",
-    "Format",
-    "Ingested",
-    "Outcome",
-    "Profile",
-    "Proposal",
-    "Raw",
-    "Recording",
-    "Report",
-    "Rule",
-    "Table",
-    "formats",
-    "ingest",
-    "ingest_all",
-    "ingest_each",
-    "needs_profile",
-    "profile_of",
-    "propose_profile",
-    "read_profile",
-    "repairs_of",
-    "report_of",
-]
+from trainlog.public import names_on_first_use
+
+if TYPE_CHECKING:
+    from trainlog.ingest.batch import (
+        Ingested as Ingested,
+        Outcome as Outcome,
+        ingest_all as ingest_all,
+    )
+    from trainlog.ingest.pipeline import (
+        PROFILE_ATTACHMENT as PROFILE_ATTACHMENT,
+        ingest as ingest,
+        ingest_each as ingest_each,
+    )
+    from trainlog.ingest.profile import (
+        Profile as Profile,
+        profile_of as profile_of,
+        read_profile as read_profile,
+    )
+    from trainlog.ingest.proposal import (
+        Proposal as Proposal,
+        needs_profile as needs_profile,
+        propose_profile as propose_profile,
+    )
+    from trainlog.ingest.recording import (
+        NO_TIME as NO_TIME,
+        Finding as Finding,
+        Raw as Raw,
+        Recording as Recording,
+        Table as Table,
+    )
+    from trainlog.ingest.registry import Format as Format, formats as formats
+    from trainlog.ingest.report import (
+        REPAIRS_ATTACHMENT as REPAIRS_ATTACHMENT,
+        Report as Report,
+        repairs_of as repairs_of,
+        report_of as report_of,
+    )
+    from trainlog.ingest.rules import RULES as RULES, Rule as Rule
+
+_NAMES = {
+    "trainlog.ingest.batch": "Ingested Outcome ingest_all",
+    "trainlog.ingest.pipeline": "PROFILE_ATTACHMENT ingest ingest_each",
+    "trainlog.ingest.profile": "Profile profile_of read_profile",
+    "trainlog.ingest.proposal": "Proposal needs_profile propose_profile",
+    "trainlog.ingest.recording": "NO_TIME Finding Raw Recording Table",
+    "trainlog.ingest.registry": "Format formats",
+    "trainlog.ingest.report": "REPAIRS_ATTACHMENT Report repairs_of report_of",
+    "trainlog.ingest.rules": "RULES Rule",
+}
+
+if not TYPE_CHECKING:  # type checkers refuse names that are not listed above
+    __all__, __getattr__, __dir__ = names_on_first_use(__name__, _NAMES)

@@ -32,6 +32,9 @@ TUNNEL_COEFFICIENT = 1.3e-7
 """k_T [1/m]: tunnel resistance is weight times k_T times the tunnel's length, where no coefficient
 of the train itself is known; Amirhosseini et al. (2024), eq. (6), corrected."""
 
+LARGEST_STD = 0.10
+"""Standard deviation of a curve, over the curve, up to which it is known at a speed."""
+
 
 @dataclass(frozen=True, slots=True)
 class RunningResistance:

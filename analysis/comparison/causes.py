@@ -1,0 +1,31 @@
+"""Causes of lost time, in words."""
+
+from __future__ import annotations
+
+CAUSES = {
+    "start": "later start",
+    "dwell": "longer dwell",
+    "stop": "stop that the reference does not make",
+    "held": "held: braked to a stand or a crawl off a station",
+    "limit": "lower speed limit",
+    "slip": "slip: limited by adhesion",
+    "full effort": "slower at full effort: load, power or wind",
+    "slower": "slower than needed",
+    "faster": "faster",
+    "recording": "position missing or corrected",
+}
+"""Each cause in words."""
+
+GAINED = {
+    "start": "earlier start",
+    "dwell": "shorter dwell",
+    "stop": "the reference stops here",
+    "held": "the reference was held",
+    "limit": "the reference had a lower limit",
+    "slip": "the reference slipped",
+    "full effort": "the reference was slower at full effort",
+    "slower": "slower than needed",
+    "faster": "faster",
+    "recording": "position missing or corrected",
+}
+"""The same where time was gained."""
