@@ -390,7 +390,8 @@ def test_a_route_over_given_edges() -> None:
 
 
 def test_evidence_counts_for_the_condition_of_each_edge(tmp_path: Path) -> None:
-    from analysis.fleet.analyses import FleetTrip, adhesion
+    from analysis.fleet.analyses import adhesion
+    from analysis.fleet.trips import FleetTrip
 
     network = Network("cut", (Node("East"), Node("Mid", "junction"), Node("West")), (
         Edge("east", WHOLE.section(0.0, 10_000.0), "East", "Mid"),
