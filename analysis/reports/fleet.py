@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from analysis.fleet.analyses import ANALYSES
 from analysis.fleet.codes import code_of
-from analysis.fleet.driving import LOST
+from analysis.fleet.columns import LOST
 from analysis.fleet.maps import maps_folder
 from analysis.fleet.table import form_of_reason
 from analysis.fleet.trains import FleetTrains, trains_in
