@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from html import unescape
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -15,8 +16,12 @@ pytest.importorskip("sqlalchemy")
 
 from analysis.fleet.analyses import ANALYSES
 from analysis.fleet.codes import code_of
+from analysis.fleet.naming import Cause, Explanation
+from analysis.fleet.trains import FleetTrains
+from analysis.fleet.unlike import Finding, UnlikeTrains
 from analysis.fleet.update import UpdateOptions, update_fleet
 from analysis.reports.fleet import FleetReportOptions, energy_sources, fleet_page
+from analysis.reports.fleet_attention import FleetFacts, attention_parts
 from analysis.reports.page import Page, Section
 from analysis.tables import WordTable, records
 from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue
@@ -120,6 +125,54 @@ def test_the_condition_is_that_of_the_maps(catalogue: Catalogue, page: Page) -> 
     lowest = [row["expected"] for row in table_of(page, "lowest_wet")]
     assert np.all(np.diff(lowest) >= 0.0)
     assert min(row["lowest"] for row in rows) == pytest.approx(lowest[0])
+
+
+def test_what_is_not_computed_asks_for_attention(page: Page) -> None:
+    rows = {(row["train"], row["what"]): row for row in table_of(page, "attention")}
+    waiting = rows["all", "resistance: not computed"]
+    assert (waiting["trips"], waiting["what_to_do"]) == (2, "'trainlog fleet update' computes it")
+    assert rows["all", "passport: not computed yet"]["trips"] == 1
+    assert not [what for _, what in rows if what.startswith(("driving", "checks", "adhesion"))]
+    assert next(iter(rows))[1].startswith("trains are not compared")
+
+
+def test_findings_and_trains_without_a_result_are_listed_with_what_to_do() -> None:
+    keys = [str(number) for number in range(8)]
+    trips = pd.DataFrame(
+        {
+            "key": keys, "name": keys, "train": 4 * ["a"] + 4 * ["b"], "reason": "",
+            "start": pd.date_range("2026-10-01", periods=8, freq="D", tz="UTC"),
+        }
+    )  # fmt: skip
+    states = {
+        "driving": 8 * ["done"],
+        "resistance": ["done", *3 * ["refused"], *4 * ["done"]],
+        "adhesion": 4 * ["done"] + 4 * ["refused"],
+        "checks": ["failed"] + 7 * ["done"],
+    }
+    since = trips["start"][2]
+    brake = Cause("dragging brake", 2e3, 150.0, "N", 0.9)
+    delay = Cause("sensor delay", 0.3, 0.02, "s", 0.1)
+    findings = [
+        Finding("a", "unit", Explanation(brake, others, known), since, "2", (since, since), since,
+                2, "own past", "constant resistance", 1e-7)
+        for others, known in (((), True), ((delay,), True), ((), False))
+    ]  # fmt: skip
+    facts = FleetFacts(
+        trips,
+        FleetTrains(cast("Any", ()), UnlikeTrains(tuple(findings), (), 0.01, 1.0), (), {}),
+        {name: trips.assign(state=each) for name, each in states.items()},
+        pd.DataFrame({"train": trips["train"], "damage": "", "frozen": 7 * [""] + ["speed"]}),
+    )
+    (table,) = attention_parts(facts)
+    assert isinstance(table, WordTable)
+    rows = [(row["train"], row["trips"], row["what_to_do"]) for row in records(table)]
+    release = "look for a friction brake that does not release"
+    assert rows[0] == ("a", 2, release), "of its four trips two began since then"
+    assert rows[1][2] == f"{release}; or check clock and filter of the recorded efforts"
+    assert rows[2][2].startswith("look at its trips before and after")
+    assert [row[:2] for row in rows[3:]] == [("b", 4), ("a", 1), ("b", 1)]
+    assert "record the speeds of its axles" in rows[3][2]
 
 
 def test_doubts_of_recordings_are_counted(catalogue: Catalogue, page: Page) -> None:

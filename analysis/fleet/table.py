@@ -14,6 +14,7 @@ FEW = 5
 
 _NUMBERS = re.compile(r"[-+]?\d+(?:[.,]\d+)*(?:e[-+]?\d+)?")
 _QUOTED = re.compile(r"'[^']*'")
+_PRESENT = re.compile(r"; topics present: .*")
 
 
 def update_table(counts: Mapping[str, Counts]) -> WordTable:
@@ -67,14 +68,14 @@ def _by_reason(groups: Sequence[Sequence[Problem]]) -> WordTable:
 
 
 def form_of_reason(reason: str) -> str:
-    """A reason without its figures and names, which do not part it from others.
+    """A reason without its figures, names and what else the log has, which part it from no other.
 
     Examples
     --------
     >>> form_of_reason("trip 'a' has 3 axles") == form_of_reason("trip 'b' has 12 axles")
     True
     """
-    return _NUMBERS.sub("#", _QUOTED.sub("''", reason))
+    return _NUMBERS.sub("#", _QUOTED.sub("''", _PRESENT.sub("", reason)))
 
 
 def _trip_of(problem: Problem) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from analysis.comparison.losses import CAUSES
 from analysis.fleet.analyses import ANALYSES
 from analysis.fleet.codes import code_of
 from analysis.fleet.columns import LOST
@@ -19,6 +20,7 @@ from analysis.fleet.maps import maps_folder
 from analysis.fleet.table import form_of_reason
 from analysis.fleet.trains import FleetTrains, trains_in
 from analysis.plotting import BLUE, GREEN, GREY, ORANGE, dress, legend, new_figure, write_figure
+from analysis.reports.fleet_attention import FleetFacts, attention_parts
 from analysis.reports.fleet_trains import drift_parts, resistance_parts, unlike_parts
 from analysis.reports.page import Page, Part, Section, Warned
 from analysis.reports.pictures import Picture, drawn
@@ -35,6 +37,7 @@ from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.progress import note
 from trainlog.units import JOULES_PER_KWH
+from trainlog.version import __version__, code_version
 
 if TYPE_CHECKING:
     from trainlog.catalogue import Catalogue
@@ -143,13 +146,14 @@ def fleet_page(catalogue: Catalogue, options: FleetReportOptions) -> Page:
             "no trip is chosen", file=catalogue.place, remedy="choose others, or add logs"
         )
     parts: Mapping[str, Callable[[_Fleet], list[Part]]] = {
+        "What asks for attention": _attention,
         "The fleet in numbers": _numbers,
         "Trips": _trips,
         "Running resistance": lambda fleet: resistance_parts(fleet.trains),
         "Trains unlike the others": lambda fleet: unlike_parts(fleet.trains),
         "Drift": lambda fleet: drift_parts(fleet.trains),
         "Condition of the rail": _condition,
-        "Energy": _energy,
+        "Energy and time": _energy,
         "Refused and failed": _refused,
         "Quality of the recordings": _quality,
     }
@@ -163,6 +167,15 @@ def fleet_page(catalogue: Catalogue, options: FleetReportOptions) -> Page:
         sections.append(Section(title, shown, whole_page=bool(sections)))
     chosen = f"trips: {options.where}" if options.where else ""
     return Page(f"Fleet of {counted(len(fleet.trips), 'trip')}", chosen, sections)
+
+
+def _attention(fleet: _Fleet) -> list[Part]:
+    try:
+        trains: FleetTrains | str = fleet.trains
+    except TrainlogError as error:
+        trains = str(error)
+    outcomes = {name: fleet.outcomes(name) for name in ANALYSES}
+    return attention_parts(FleetFacts(fleet.trips, trains, outcomes, fleet.results("checks")))
 
 
 # ------------------------------------------------------------------------------------ catalogue
@@ -191,6 +204,7 @@ def _numbers(fleet: _Fleet) -> list[Part]:
         "recorded by": ", ".join(
             f"{name} ({count:,})" for name, count in trips["software"].value_counts().items()
         ),
+        "report made by": f"trainlog {__version__}, code {code_version()}",
     }
     for name, words in facts.items():
         table.add_row(name, words)
@@ -225,7 +239,8 @@ def _trips(fleet: _Fleet) -> list[Part]:
         ("train", trips["train"]),
         ("month", month),
     ):
-        parts.append(_grouped(trips, title, keys))
+        if title != "month" or len(set(month)) > 1:
+            parts.append(_grouped(trips, title, keys))
     return parts
 
 
@@ -238,15 +253,18 @@ def _grouped(trips: pd.DataFrame, title: str, keys: pd.Series) -> WordTable:
         duration=("duration", "sum"), lost=("_lost", "sum"),
     )  # fmt: skip
     kept = found.nlargest(MOST_ROWS, "trips") if len(found) > MOST_ROWS else found
+    trains = [Column("trains", NUMBER)] if name != "train" else []
+    damaged = [Column("damaged logs", NUMBER)] if groups["_lost"].any() else []
     table = new_table(
-        f"By {title}", name, Column("trips", NUMBER), Column("trains", NUMBER),
-        Column("distance", DISTANCE), Column("time", HOURS), Column("not whole", NUMBER),
+        f"By {title}", name, Column("trips", NUMBER), *trains, Column("distance", DISTANCE),
+        Column("time", HOURS), *damaged,
         name=f"by_{name}", caption=_more(len(found) - len(kept)), caption_justify="left",
     )  # fmt: skip
     for key, row in kept.sort_index().iterrows():
         table.add_cells(
-            str(key), int(row["trips"]), int(row["trains"]), float(row["distance"]),
-            float(row["duration"]), int(row["lost"]),
+            str(key), int(row["trips"]), *([int(row["trains"])] if trains else []),
+            float(row["distance"]), float(row["duration"]),
+            *([int(row["lost"])] if damaged else []),
         )  # fmt: skip
     return table
 
@@ -301,11 +319,14 @@ def _energy(fleet: _Fleet) -> list[Part]:
     rows = rows[rows["distance"] > 0.0]
     by_edge, by_train = (_energy_of(rows, by) for by in ("edge", "train"))
     return [
+        "A run is that of a trip over one edge, or over the whole line where trips run on no"
+        " network. Traction and dynamic brake are work at the wheel rims; from the line is what was"
+        " drawn less what was fed back.",
+        energy_sources(rows["line_energy_source"]),
         _bars(by_train, "train"),
         _energy_table(by_train, "train"),
         _bars(by_edge, "line or edge"),
         _energy_table(by_edge, "line or edge"),
-        energy_sources(rows["line_energy_source"]),
         _lost(rows),
     ]
 
@@ -348,10 +369,10 @@ def _energy_of(rows: pd.DataFrame, by: str) -> pd.DataFrame:
 def _energy_table(found: pd.DataFrame, what: str) -> WordTable:
     kept = found.nlargest(MOST_ROWS, "distance") if len(found) > MOST_ROWS else found
     table = new_table(
-        f"Energy by {what}", what, Column("runs over an edge", NUMBER, "runs"),
-        Column("distance", DISTANCE), Column("traction at the wheel", PER_KM, "traction"),
-        Column("dynamic brake at the wheel", PER_KM, "dynamic_brake"),
-        Column("from the line less fed back", PER_KM, "from_the_line"),
+        f"Energy by {what}", what, Column("runs", NUMBER, "runs"),
+        Column("distance", DISTANCE), Column("traction", PER_KM, "traction"),
+        Column("dynamic brake", PER_KM, "dynamic_brake"),
+        Column("from the line", PER_KM, "from_the_line"),
         Column("slip protection acted, times", NUMBER, "slips"),
         name=f"energy_by_{what.split(' ')[0]}", caption=_more(len(found) - len(kept)),
         caption_justify="left",
@@ -394,7 +415,7 @@ def _lost(rows: pd.DataFrame) -> WordTable:
     """Time lost against the shortest run with the same stops, by cause."""
     table = new_table(
         "Time against the shortest run with the same stops", "cause", Column("a run", DURATION),
-        Column("share of the running time", SHARE, "share"), name="lost_time",
+        Column("share of the running time", SHARE, "share"), "which is", name="lost_time",
     )  # fmt: skip
     for cause in LOST:
         column = f"lost_{cause.replace(' ', '_')}"
@@ -404,7 +425,8 @@ def _lost(rows: pd.DataFrame) -> WordTable:
         known = np.isfinite(values)
         if known.any():
             time = float(rows["running_time"].to_numpy(np.float64)[known].sum())
-            table.add_cells(cause, float(values[known].mean()), float(values[known].sum()) / time)
+            mean, share = float(values[known].mean()), float(values[known].sum()) / time
+            table.add_cells(cause, mean, share, CAUSES[cause].removeprefix(f"{cause}: "))
     return table
 
 
@@ -425,7 +447,8 @@ def _refused(fleet: _Fleet) -> list[Part]:
         for (state, _), rows in sorted(groups, key=lambda each: -len(each[1]))[:MOST_ROWS]:
             first = rows.iloc[0]
             trains = rows["train"].nunique()
-            table.add_cells(name, str(state), len(rows), trains, first["reason"], first["name"])
+            reason = first["reason"].removeprefix(f"trip '{first['name']}': ")
+            table.add_cells(name, str(state), len(rows), trains, reason, first["name"])
     return [table] if table.row_count else ["Every analysis has a result of every trip."]
 
 

@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 
 ADHESION = Quantity("", "", 1.0, 3)
 
-MOST_PLACES = 20
+MOST_PLACES = 10
 """Places that are listed of each rail condition."""
 
 APART = 500.0
@@ -72,7 +72,9 @@ def condition_parts(
     layers = sorted(bins["layer"].unique())
     span = (0.0, max(0.3, float(bins["expected"].max(skipna=True))))
     parts: list[Part] = [*bad, f"What is expected on {at:%Y-%m-%d %H:%M} UTC, by the maps of"
-                         f" {counted(len(tracks), 'edge')}."]  # fmt: skip
+                         f" {counted(len(tracks), 'edge')}, on each condition of the rail. Where"
+                         " nothing was observed the maps have no estimate, and the network is drawn"
+                         " in grey."]  # fmt: skip
     for layer in layers:
         rows = bins[bins["layer"] == layer]
         if network is not None and rows["expected"].notna().any():
@@ -90,14 +92,18 @@ def _drawn(network: Network, layer: str, rows: pd.DataFrame, span: tuple[float, 
         )
         for edge, part in rows.groupby("edge", sort=True)
     }
+    unseen = {
+        edge.name: AlongEdge(np.array([0.0, edge.line.length]), np.array([np.nan]))
+        for edge in network.edges
+        if edge.name not in shown
+    }
     draw = partial(
-        draw_network, network, shown=shown, label="expected maximum adhesion",
-        title=f"{layer} rail", span=span,
+        draw_network, network, shown={**shown, **unseen}, label="expected maximum adhesion",
+        title=f"condition of the rail: {layer}", span=span,
     )  # fmt: skip
     return drawn(
         lambda path: draw(path),
         f"The network, coloured by the maximum adhesion that is expected on {layer} rail.",
-        "Grey where nothing was observed: there the maps have no estimate.",
     )
 
 
@@ -119,7 +125,8 @@ def _observed(bins: pd.DataFrame) -> WordTable:
 def _lowest(bins: pd.DataFrame, layer: str) -> WordTable:
     """The places with the least expected adhesion, each once."""
     table = new_table(
-        f"Lowest on {layer} rail", "edge", Column("chainage on the edge", POSITION, "position"),
+        f"Lowest expected, condition of the rail: {layer}", "edge",
+        Column("chainage on the edge", POSITION, "position"),
         Column("expected", ADHESION), "95 % band", Column("onsets", NUMBER),
         name=f"lowest_{layer}",
     )  # fmt: skip

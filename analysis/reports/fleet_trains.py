@@ -33,8 +33,16 @@ def resistance_parts(found: FleetTrains) -> list[Part]:
 
 def unlike_parts(found: FleetTrains) -> list[Part]:
     """Trains that are not like the others, with the rate of false alarms and what is not seen."""
-    parts: list[Part] = [*_few(found), findings_table(found)]
-    if found.unlike.findings:
+    unlike = found.unlike
+    parts: list[Part] = [*_few(found)]
+    if not unlike.findings:
+        parts.append(
+            f"No finding in {unlike.train_months:.1f} months of trains; what would not be seen is"
+            f" below. A healthy train raises an alarm in at most {100.0 * unlike.rate:g} % of"
+            " months."
+        )
+    else:
+        parts.append(findings_table(found))
         words = "Of each finding the channel that shows it, trip by trip."
         parts.append(drawn(partial(draw_findings, found), words))
     return [*parts, limits_table(found)]

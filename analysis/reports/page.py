@@ -34,6 +34,12 @@ LARGEST = 5_000_000
 
 STILL = "The charts stand still here, so that the page is not too large to be sent."
 
+SHORT_NAME = 14
+"""Letters of a row's heading that stand on one line."""
+
+LONG_CELL = 30
+"""Letters of a cell that is as wide as a few words, however narrow the screen."""
+
 _STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
 _SCRIPT = (Path(__file__).parent / "page.js").read_text(encoding="utf-8")
 
@@ -277,7 +283,9 @@ def _table(table: Table) -> str:
     for cells_of_row, row in zip(zip(*columns, strict=True), table.rows, strict=True):
         kind = ' class="end"' if row.end_section else ""
         first, *others = cells_of_row
-        cells = f'<th scope="row">{_cell(first)}</th>' + "".join(
+        # A short name, of a train for one, is not broken at its hyphen.
+        name = ' class="name"' if "-" in first and len(first) <= SHORT_NAME else ""
+        cells = f'<th scope="row"{name}>{_cell(first)}</th>' + "".join(
             f"<td{_kind(cell)}>{_cell(cell)}</td>" for cell in others
         )
         rows.append(f"<tr{kind}>{cells}</tr>")
@@ -289,7 +297,9 @@ def _table(table: Table) -> str:
 
 
 def _kind(cell: str) -> str:
-    return ' class="number"' if _NUMBER.fullmatch(cell.strip()) else ""
+    if _NUMBER.fullmatch(cell.strip()):
+        return ' class="number"'
+    return ' class="words"' if len(cell) > LONG_CELL else ""
 
 
 def _cell(cell: str) -> str:

@@ -28,7 +28,7 @@ from trainlog.railway.condition import (
     TrackConditionMap,
 )
 from trainlog.railway.evidence import DailyEvidence
-from trainlog.version import code_version
+from trainlog.version import code_version_of
 
 _LISTED: dict[str, Any] = {"spots": PassingSpot, "changes": ConditionChange}
 
@@ -108,7 +108,9 @@ def _read(opened: MapFile) -> TrackConditionMap:
         entries = sorted((row.entry_whole for row in trips if row.counted), key=place_of)
         track = replace(opened.empty, trips=tuple(entries))
         known = opened.layers(trips)
-        made_from = {name: f"{digest} {code_version()}" for name, (_, digest) in known.items()}
+        # What else changed since the estimate was made does not matter.
+        code = code_version_of(__name__)
+        made_from = {name: f"{digest} {code}" for name, (_, digest) in known.items()}
         kept = {name: opened.estimate(name, each) for name, each in made_from.items()}
     for name, (evidence, _) in known.items():
         if (evidence.bins, evidence.levels) != (track.bins, track.levels.size):
