@@ -18,9 +18,10 @@ TRAIN = "flirt-01"
 """Whose observed set is planned for."""
 
 FAULTS = (
-    "train=flirt-02,dragging-brake=2kN,from=2026-10-05",
-    "train=kiss-01,effort-gain=5%,from=2026-10-06",
+    "train=flirt-02,dragging-brake=6kN,from=2026-10-05",
+    "train=kiss-01,wheel-diameter=1%,from=2026-10-06",
 )
+"""So large that five trips show them; smaller ones need more trips than the demo has."""
 
 
 def commands(output: Path, trips: int = TRIPS, places: str | None = None) -> list[list[str]]:
@@ -29,7 +30,7 @@ def commands(output: Path, trips: int = TRIPS, places: str | None = None) -> lis
     network = fleet / "network.network.json"
     parameters, trajectory = output / f"{TRAIN}.json", output / "trajectory.json"
     faults = [word for fault in FAULTS for word in ("--fault", fault)]
-    size = ["--trains", 6, "--days", 10, "--count", trips]
+    size = ["--trains", 9, "--days", 10, "--count", trips]
     train = fleet / "trains" / f"{TRAIN}.train.json"
     route = f"{network}#{places or ROUTE}"
     where = ["--trips", f"train = '{TRAIN}'"]
