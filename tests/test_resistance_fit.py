@@ -38,9 +38,10 @@ from trainlog.formats.samples import sample
 from trainlog.formats.train import read_train, train_to_bytes
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import EffortCurve, RunningResistance, StepProfile, Train, Tunnel
+from trainlog.railway.adhesion import polach_curve
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.topics import GNSS_MOTION, TRAIN_AXLES
-from trainlog.trip import Trip, frame_of
+from trainlog.trip import Trip, frame_of, seconds
 
 Array = NDArray[np.float64]
 
@@ -586,3 +587,31 @@ def test_efforts_that_cannot_be_those_of_the_train_are_refused_in_a_line() -> No
         with pytest.raises(TripRefusedError, match=message) as caught:
             fit_trip(bad)
         assert caught.value.reason in ("not recorded", "contradiction")
+
+
+def test_slip_is_masked_where_no_axle_speeds_are_recorded() -> None:
+    """Wheels of another adhesion than any estimator knows slip; the effort alone shows it."""
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
+    wet = replace(draw_scenarios(line, train, 4, seed=2)[3], characteristic=polach_curve("wet"))
+    trip = simulate(wet)
+    state, wheels, truth = trip["/train/state"], trip["/train/axles"], trip["/truth"]
+    names = [name for name in wheels if name.startswith("wheel_speed")]
+    slip = wheels[names].sub(truth["speed"], axis=0).sum(axis=1).to_numpy()
+    time = seconds(state)
+
+    def left(trip: Trip) -> tuple[float, float]:
+        """Change of the sum of slips in a window [m/s], RMS, and time that is used [s]."""
+        windows = build_windows(prepare(trip, line_of(trip), train).recording)
+        change = np.interp(windows.end, time, slip) - np.interp(windows.start, time, slip)
+        return float(np.sqrt(np.mean(change**2))), float(windows.duration.sum())
+
+    bare = replace(trip, topics={n: f for n, f in trip.topics.items() if n != TRAIN_AXLES.name})
+    speeds = np.tile(state["speed"].to_numpy()[:, None], (1, train.axles.count))
+    # Axles that turn as the train moves hide slip from masks.
+    hidden = bare.with_topic(frame_of(TRAIN_AXLES, state.index, {"wheel_speed": speeds}))
+    unseen, all_time = left(hidden)
+    rest, used = left(bare)
+    assert unseen > 0.5
+    assert rest < 0.25 * unseen
+    assert used > 0.8 * all_time

@@ -21,6 +21,8 @@ Laird, N. M., Ware, J. H. (1982), Random-effects models for longitudinal data, B
 Pinheiro, J. C., Liu, C., Wu, Y. N. (2001), Efficient algorithms for robust estimation in linear
 mixed-effects models using the multivariate t distribution, Journal of Computational and Graphical
 Statistics 10(2), section 3.
+Satterthwaite, F. E. (1946), An approximate distribution of estimates of variance components,
+Biometrics Bulletin 2(6).
 """
 
 from __future__ import annotations
@@ -102,6 +104,7 @@ class MixedEffects:
     weights: FloatArray
     _model: _Model
     _equations: tuple[FloatArray, FloatArray]
+    _trusts: tuple[FloatArray, ...]
 
     def left_out(self, trips: NDArray[np.bool_]) -> FloatArray:
         """What the other trips make of some trips (n, d) that are left out, with their spreads."""
@@ -129,6 +132,20 @@ class MixedEffects:
         covariance = self.block(0, 0) + self.block(place, place)
         crossed = self.block(0, place)
         return self.mean + self.effects[group][number], covariance + crossed + crossed.T
+
+    def rests_on(self, group: int, number: int) -> float:
+        """Share of the covariance of `of` that follows the spread of the group.
+
+        The relative change of its variances with those of the spread: 0 where an effect's own trips
+        determine it, 1 where it is only known that effects differ by so much. With it follow the
+        degrees of freedom (Satterthwaite 1946).
+        """
+        _, covariance = self.of(group, number)
+        place = self.first[group]
+        every = place + np.arange(len(self.effects[group]))
+        with_all = self.covariance[0][:, every] + self.covariance[place + number][:, every]
+        change = np.einsum("ikj,kjl,mkl->im", with_all, self._trusts[group], with_all)
+        return float(np.trace(change) / np.trace(covariance))
 
 
 def mixed_effects(
@@ -191,6 +208,10 @@ def mixed_effects(
         if change < TOLERANCE:
             break
     effects, covariance = found
+    trusts = tuple(
+        heavy[:, None, None] * np.linalg.inv(spread)
+        for spread, heavy in zip(spreads, heavies, strict=True)
+    )
     return MixedEffects(
         mean=effects[0],
         effects=tuple(
@@ -204,6 +225,7 @@ def mixed_effects(
         weights=weights,
         _model=model,
         _equations=model.complete(spreads, heavies, scale, weights),
+        _trusts=trusts,
     )
 
 

@@ -322,15 +322,19 @@ def _kind_resistance(kind: str, rows: pd.DataFrame) -> KindResistance:
 
     own = np.bincount(train, minlength=names.size)
     freedom = names.size - 1 + PRIOR_TRAINS
+    spread_freedom = min(freedom, TAIL)
     trains = []
     for place, name in enumerate(names.tolist()):
         value, covariance = found.of(0, place)
         trips = int(own[place])
-        trains.append(curve(name, trips, value, covariance, trips - 1 + freedom))
+        # What rests on how trains differ is known no better than a train without trips.
+        shared = found.rests_on(0, place)
+        inverse = shared**2 / spread_freedom + (1.0 - shared) ** 2 / (trips - 1 + freedom)
+        trains.append(curve(name, trips, value, covariance, 1.0 / inverse))
     every = len(rows)
     mean = curve("", every, found.mean, found.block(0, 0), freedom)
     spread = found.block(0, 0) + found.spreads[0]
-    another = curve("", 0, found.mean, spread, min(freedom, TAIL))
+    another = curve("", 0, found.mean, spread, spread_freedom)
     return KindResistance(
         kind=kind,
         mean=mean,

@@ -1,12 +1,14 @@
 """What a fleet shows of its trains, against what is true.
 
-    python benchmarks/fleet/benchmark_trains.py [--part bands|faults|missing|false-alarms|drift]
+    python benchmarks/fleet/benchmark_trains.py [--part PART]
 
-Bands and faults: trains of three kinds on three lines, simulated, recorded by their sensors and
-fitted (`simulated_trains`). False alarms, missing channels and drift: tables drawn from the errors
-of such fits, with other tails and effects than the estimator takes for true (`drawn_trains`). A
-fault begins after 30 trips (40 where drawn); "seen within" counts the trips from then on. Rates
-have the 95 % band of Clopper and Pearson.
+Parts: bands, axles, faults, missing, false-alarms, drift.
+
+Bands, axles and faults: trains of three kinds on three lines, simulated, recorded by their sensors
+and fitted (`simulated_trains`). False alarms, missing channels and drift: tables drawn from the
+errors of such fits, with other tails and effects than the estimator takes for true
+(`drawn_trains`). A fault begins after 30 trips (40 where drawn); "seen within" counts the trips
+from then on. Rates have the 95 % band of Clopper and Pearson.
 """
 
 from __future__ import annotations
@@ -23,6 +25,9 @@ from simulated_trains import FAULTS, KINDS, Task, healthy, rows_of
 
 from analysis.fleet.resistance import fleet_resistance
 from analysis.fleet.trains import FleetTrains, fleet_trains
+from analysis.resistance.regression import band_factor, curve_std, powers
+from trainlog.formats.summaries import covariances_of, parameters_of
+from trainlog.units import KMH
 
 POOL = Path(__file__).parents[2] / "tests" / "data" / "fleet_trips.parquet"
 SPEEDS = np.linspace(5.0, 34.0, 30)
@@ -74,6 +79,39 @@ def _parts(fleet: pd.DataFrame, trips: int) -> list[pd.DataFrame]:
     last = int(fleet["number"].max()) + 1
     firsts = range(0, last - trips + 1, max(trips, 5))
     return [fleet[(fleet["number"] >= n) & (fleet["number"] < n + trips)] for n in firsts]
+
+
+def axles(rows: pd.DataFrame) -> None:
+    """Trips of trains that record no axles, so that slip and creep are not seen: single and all."""
+    used = rows[rows["refused"] == ""].reset_index(drop=True)
+    estimates, covariances = parameters_of(used)[:, :3], covariances_of(used)[:, :3, :3]
+    true = used[["true_r0", "true_r1", "true_r2"]].to_numpy(np.float64)
+    apart = (estimates - true) @ powers(SPEEDS).T
+    held = np.zeros(len(used), dtype=bool)
+    for n, (highest, freedom) in enumerate(
+        used[["asked_highest", "freedom"]].itertuples(index=False)
+    ):
+        factor = band_factor(covariances[n], (0.0, highest), freedom)
+        below = highest >= SPEEDS
+        held[n] = np.all(
+            np.abs(apart[n]) <= factor * curve_std(covariances[n], SPEEDS), where=below
+        )
+    print("no axles recorded: whole true curve of single trips in the 95 % band, mean error")
+    share = apart / (true @ powers(SPEEDS).T)
+    for kind in KINDS:
+        mine = (used["kind"] == kind).to_numpy()
+        count = int(mine.sum())
+        errors = ", ".join(
+            f"{100.0 * share[mine, at].mean():+.1f} ±"
+            f" {196.0 * share[mine, at].std(ddof=1) / np.sqrt(count):.1f} %"
+            f" at {KMH * SPEEDS[at]:.0f} km/h"
+            for at in (0, 9, 19)
+        )
+        print(f"  {kind:6s} {band(int(held[mine].sum()), count)} of {count}; {errors}", flush=True)
+    for kind, inside_band in inside(rows).items():
+        print(
+            f"  trains, {kind}: {sum(inside_band)} of {len(inside_band)} in the band of the fleet"
+        )
 
 
 class Score:
@@ -242,6 +280,14 @@ def main() -> None:
         fleets = [simulated("h1", healthy(1, 10, 40))]
         if wanted in ("all", "bands"):
             bands(fleets, arguments.seeds)
+    if wanted in ("all", "axles"):
+        tasks = [
+            Task(2, kind, train, trip, missing="axles")
+            for kind in KINDS
+            for train in range(4)
+            for trip in range(10)
+        ]
+        axles(simulated("a2", tasks))
     if wanted in ("all", "faults"):
         tasks = [
             Task(1, kind, number, SINCE + trip, fault=fault)
