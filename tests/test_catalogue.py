@@ -337,16 +337,7 @@ def test_many_files_are_read_by_several_processes_with_the_same_result(
     assert held[0] == held[1]
 
 
-def test_a_later_version_and_what_is_no_catalogue_are_refused(
-    where: Callable[[], Catalogue], place: str, tmp_path: Path
-) -> None:
-    catalogue = where()
-    header = metadata.tables["header"]
-    with catalogue._database.writing() as connection:
-        later = sa.update(header).where(header.c.key == "version").values(value="2")
-        connection.execute(later)
-    with pytest.raises(InputError, match=r"newer than this trainlog knows .*update trainlog"):
-        open_catalogue(place)
+def test_what_is_no_catalogue_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no catalogue"):
         open_catalogue(tmp_path / "none", create=False)
     with pytest.raises(InputError, match=r"holds a catalogue|is no database") as refused:

@@ -95,12 +95,13 @@ def _duckdb(catalogue: Catalogue) -> Callable[[str], list[str]]:
         connection.execute(f"ALTER TABLE trips ALTER {name} TYPE JSON")
 
     def ask(where: str) -> list[str]:
-        compiled = condition_of(where).compile(
+        asked = sa.select(metadata.tables["trips"].c.name).where(condition_of(where))
+        compiled = asked.compile(
             dialect=postgresql.dialect(), compile_kwargs={"literal_binds": True}
         )
         # A name that begins with a slash is a path to DuckDB.
         words = str(compiled).replace("%%", "%").replace("'/train/axles'", "'$.\"/train/axles\"'")
-        found = connection.execute(f"SELECT name FROM trips WHERE {words}").fetchall()
+        found = connection.execute(words).fetchall()
         return sorted(name for (name,) in found)
 
     return ask

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import sqlalchemy as sa
 
+from trainlog.catalogue.database import Database
 from trainlog.catalogue.querying import Limits
 from trainlog.catalogue.registration import (
     Added,
@@ -25,7 +26,7 @@ from trainlog.catalogue.registration import (
     place_again,
     register,
 )
-from trainlog.catalogue.schema import Database, files, trips
+from trainlog.catalogue.schema import files, trips
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.progress import track

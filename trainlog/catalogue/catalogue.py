@@ -11,10 +11,10 @@ import pandas as pd
 
 from trainlog.catalogue import adding, listing, querying, results as stored
 from trainlog.catalogue.adding import Refreshed
+from trainlog.catalogue.database import Database
 from trainlog.catalogue.querying import Limits, condition_of
 from trainlog.catalogue.registration import Added, FileOutcome
 from trainlog.catalogue.results import ResultOutcome, ResultState
-from trainlog.catalogue.schema import Database
 from trainlog.display import as_text
 from trainlog.formats.settings import read_settings
 
@@ -36,6 +36,8 @@ def open_catalogue(
 ) -> Catalogue:
     """Open the catalogue of a fleet; a new one is made where there is none.
 
+    Tables of an earlier version are brought to the latest in one transaction, with a warning.
+
     Parameters
     ----------
     where : path or str, optional
@@ -55,7 +57,8 @@ def open_catalogue(
     Raises
     ------
     InputError
-        If there is none and none is to be made, it is of a later version, or cannot be reached.
+        If there is none and none is to be made, it is of a version that this trainlog does not
+        know, or cannot be reached.
     MissingExtraError
         If the extra ``fleet`` is not installed, or ``postgresql`` with a URL.
 
@@ -109,6 +112,16 @@ class Catalogue:
     def results_folder(self) -> Path:
         """Folder of the results."""
         return self._database.results
+
+    @property
+    def version(self) -> int:
+        """Version of its tables."""
+        return self._database.version
+
+    @property
+    def migrated_from(self) -> int | None:
+        """Version that its tables had before opening brought them to the latest; None if none."""
+        return self._database.migrated_from
 
     def counts(self) -> dict[str, int]:
         """How many trips count, how many recordings of the same drives there are, and files."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pandas as pd
 import sqlalchemy as sa
 
-from trainlog.catalogue.schema import Database, files, trips
+from trainlog.catalogue.database import Database
+from trainlog.catalogue.schema import files, trips
 
 
 def counts(database: Database) -> dict[str, int]:

@@ -8,13 +8,14 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import sqlalchemy as sa
 
+from trainlog.catalogue.database import Database, columns_of
 from trainlog.catalogue.days import times_of
 from trainlog.catalogue.schema import (
     TRIP_COLUMNS,
-    Database,
     files,
     on_line,
     trip_edges,
@@ -88,23 +89,31 @@ def query(database: Database, limits: Limits, columns: Sequence[str] | None) -> 
 
 def _frame(rows: Sequence[Any], names: Sequence[str]) -> pd.DataFrame:
     """A frame of trips, its times as time stamps."""
-    frame = pd.DataFrame(rows, columns=list(names))
-    units = {}
-    for column in TRIP_COLUMNS:
-        if column.name not in frame:
-            continue
-        values = frame[column.name]
-        if column.kind == "time":
-            frame[column.name] = pd.to_datetime(values.astype("Int64"), unit="ns", utc=True)
-        elif column.kind == "number":
-            frame[column.name] = values.astype("float64")
-            units[column.name] = column.unit
-        elif column.kind == "count":
-            frame[column.name] = values.astype("int64")
-        else:
-            frame[column.name] = values.astype(object)
-    frame.attrs["units"] = units
+    kinds = {each.name: each.kind for each in TRIP_COLUMNS}
+    made = {
+        name: _series(values, kinds.get(name, "text"))
+        for name, values in columns_of(rows, names).items()
+    }
+    frame = pd.DataFrame(made)
+    frame.attrs["units"] = {
+        each.name: each.unit for each in TRIP_COLUMNS if each.name in made and each.kind == "number"
+    }
     return frame
+
+
+def _series(values: Sequence[Any], kind: str) -> pd.Series:
+    """A column of a frame of trips."""
+    if kind == "time":
+        nothing = np.iinfo(np.int64).min
+        stamps = np.array([nothing if each is None else each for each in values], np.int64)
+        return pd.Series(pd.DatetimeIndex(stamps.view("datetime64[ns]"), tz="UTC"))
+    if kind == "number":
+        return pd.Series(np.array(values, np.float64))
+    if kind == "count":
+        return pd.Series(np.array(values, np.int64))
+    held = np.empty(len(values), object)
+    held[:] = values
+    return pd.Series(held, dtype=object)
 
 
 def unmatched(

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import pandas as pd
 import sqlalchemy as sa
 
+from trainlog.catalogue.database import columns_of
 from trainlog.catalogue.registration import parts
 from trainlog.catalogue.schema import computations, files, result_files, results, trips
 from trainlog.errors import InputError
@@ -25,7 +26,7 @@ from trainlog.formats.files import made_folder, sha256 as digest, write_bytes
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from trainlog.catalogue.schema import Database
+    from trainlog.catalogue.database import Database
 
 ResultState = Literal["done", "refused", "failed"]
 
@@ -33,6 +34,9 @@ STATES: tuple[ResultState, ...] = ("done", "refused", "failed")
 
 KEY = "key"
 """Column of a table of results that names the trip of a row."""
+
+OTHERS = ("same drive", "older version")
+"""Standings of trips that do not count."""
 
 ROWS = 50_000
 """Rows of a row group."""
@@ -158,7 +162,7 @@ def pending(
         if page is not None:
             asked = asked.where(trips.c.key > page[0]).limit(page[1])
         rows = connection.execute(asked.order_by(trips.c.key)).all()
-    return pd.DataFrame(rows, columns=["key", "sha256", "path"], dtype=object)
+    return pd.DataFrame(columns_of(rows, ["key", "sha256", "path"]), dtype=object)
 
 
 def _unmade(computation: int | None) -> list[sa.ColumnElement[bool]]:
@@ -182,13 +186,17 @@ def standing(
     count = sa.func.count()
     with database.reading() as connection:
         number = computation_id(connection, analysis, code, parameters)
-        asked = (
-            sa.select(results.c.state, count)
-            .join(trips, trips.c.id == results.c.trip)
-            .where(results.c.computation == (number or -1), trips.c.standing == "counts", *also)
-            .group_by(results.c.state)
-        )
-        found = {str(row[0]): int(row[1]) for row in connection.execute(asked)}
+        found: dict[str, int] = {}
+        if number is not None and not also:
+            found = _by_state(connection, results.c.computation == number).get(number, {})
+        elif number is not None:
+            asked = (
+                sa.select(results.c.state, count)
+                .join(trips, trips.c.id == results.c.trip)
+                .where(results.c.computation == number, trips.c.standing == "counts", *also)
+                .group_by(results.c.state)
+            )
+            found = {str(row[0]): int(row[1]) for row in connection.execute(asked)}
         left = sa.select(count).select_from(trips).where(*_unmade(number), *also)
         pending = int(connection.execute(left).scalar_one())
     return {state: found.get(state, 0) for state in STATES} | {"pending": pending}
@@ -422,7 +430,7 @@ def _recorded(
     with database.reading() as connection:
         number = latest(connection, analysis, code, parameters)
         rows = connection.execute(asked.where(results.c.computation == (number or -1)))
-        return pd.DataFrame(rows.all(), columns=[KEY, *JOINED, "name"])
+        return pd.DataFrame(columns_of(rows.all(), [KEY, *JOINED, "name"]))
 
 
 def latest(
@@ -442,38 +450,47 @@ def _joined(database: Database, analysis: str, rows: pd.DataFrame) -> pd.DataFra
     if not len(rows):
         return pd.DataFrame(columns=[KEY, *JOINED])
     together: pd.DataFrame = _table_of(database.results / analysis, rows).to_pandas()
-    about = rows.set_index(KEY)
+    place = pd.Index(rows[KEY]).get_indexer(together[KEY])
     for name in JOINED:
         if name not in together:
-            values = together[KEY].map(about[name])
-            together[name] = pd.to_datetime(values, utc=True) if name == "start" else values
+            values = pd.to_datetime(rows[name], utc=True) if name == "start" else rows[name]
+            together[name] = values.take(place).array
     return together
+
+
+def _by_state(
+    connection: sa.Connection, *only: sa.ColumnElement[bool]
+) -> dict[int, dict[str, int]]:
+    """How many trips that count each computation has in each state.
+
+    All of them but those that do not count: these are few, and trips are not read one by one.
+    """
+    by = (results.c.computation, results.c.state)
+    every = sa.select(*by, sa.func.count()).where(*only).group_by(*by)
+    apart = every.join(trips, trips.c.id == results.c.trip).where(trips.c.standing.in_(OTHERS))
+    found: dict[int, dict[str, int]] = {}
+    for asked, sign in ((every, 1), (apart, -1)):
+        for computation, state, count in connection.execute(asked):
+            counts = found.setdefault(computation, dict.fromkeys(STATES, 0))
+            counts[state] += sign * int(count)
+    return found
 
 
 def recorded_computations(database: Database) -> pd.DataFrame:
     """What was computed, and of how many trips; see `Catalogue.computations`."""
-    counted = {
-        state: sa.func.sum(sa.case((results.c.state == state, 1), else_=0)).label(state)
-        for state in STATES
-    }
-    asked = (
-        sa.select(computations, *counted.values())
-        .join(results, results.c.computation == computations.c.id)
-        .join(trips, trips.c.id == results.c.trip)
-        .where(trips.c.standing == "counts")
-        .group_by(*computations.c)
-        .order_by(computations.c.last.desc())
-    )
     with database.reading() as connection:
+        asked = sa.select(computations).order_by(computations.c.last.desc())
         rows = connection.execute(asked).mappings().all()
+        counts = _by_state(connection)
     found = [
         {
             "analysis": row["analysis"],
             "code": row["code"],
             "parameters": json.loads(row["content"]),
-            **{state: int(row[state]) for state in STATES},
+            **counts[row["id"]],
         }
         for row in rows
+        if any(counts.get(row["id"], {}).values())
     ]
     return pd.DataFrame(found, columns=["analysis", "code", "parameters", *STATES])
 
@@ -499,7 +516,8 @@ def outcomes_of(
     with database.reading() as connection:
         number = latest(connection, analysis, code, parameters)
         rows = connection.execute(asked.where(results.c.computation == (number or -1))).all()
-    found = pd.DataFrame(rows, columns=[*about, "state", "reason", "rows", "seconds"])
+    names = [*about, "state", "reason", "rows", "seconds"]
+    found = pd.DataFrame(columns_of(rows, names))
     found["start"] = pd.to_datetime(found["start"], utc=True)
     return found
 
@@ -547,7 +565,7 @@ def _held(connection: sa.Connection, computation: int) -> pd.DataFrame:
         .where(results.c.computation == computation)
     )
     rows = connection.execute(asked).all()
-    found = pd.DataFrame(rows, columns=[KEY, "sha256", "trip", "file", "name"])
+    found = pd.DataFrame(columns_of(rows, [KEY, "sha256", "trip", "file", "name"]))
     return found.sort_values([KEY, "sha256"], kind="stable", ignore_index=True)
 
 
@@ -569,10 +587,8 @@ def _put(
                 results.c.computation == computation, results.c.trip.in_(part)
             )
             connection.execute(asked.values(file=file))
-        used = sa.select(results.c.file).where(results.c.file.is_not(None))
-        gone = sa.delete(result_files).where(
-            result_files.c.computation == computation, result_files.c.id.not_in(used)
-        )
+        used = sa.exists().where(results.c.file == result_files.c.id)
+        gone = sa.delete(result_files).where(result_files.c.computation == computation, ~used)
         return list(connection.execute(gone.returning(result_files.c.name)).scalars())
 
 
@@ -589,6 +605,9 @@ def _table_of(folder: Path, rows: pd.DataFrame) -> pa.Table:
             table.filter(pc.is_in(table[KEY], value_set=pa.array(group[KEY].tolist(), pa.string())))
         )
     together = pa.concat_tables(pieces, promote_options="permissive").combine_chunks()
+    keys = together[KEY]
+    if pc.all(pc.less_equal(keys[:-1], keys[1:]), min_count=0).as_py():
+        return together.replace_schema_metadata(None)
     place = pa.array(range(together.num_rows), pa.int64())
     order = pc.sort_indices(
         pa.table({KEY: together[KEY], "place": place}),

@@ -143,7 +143,8 @@ def catalogue_list(
     with open_catalogue(catalogue, create=False) as opened:
         counts = opened.counts()
         shown = problems_table(opened) if problems else overview_table(opened)
-        as_json = state({"catalogue": opened.place, "counts": counts})
+        about = {"version": opened.version, "migrated_from": opened.migrated_from}
+        as_json = state({"catalogue": opened.place, **about, "counts": counts})
     if shown.row_count or as_json or not problems:
         console.print(shown)
     else:
