@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
+from rich.markup import escape
 
 from analysis.tables import MASS, NUMBER, Column, Quantity, Said, WordTable, new_table
 from trainlog.units import clock
@@ -58,33 +60,90 @@ def trips_as_data(frame: pd.DataFrame) -> list[dict[str, Any]]:
     return [{str(key): value for key, value in record.items()} for record in records]
 
 
-def overview_table(catalogue: Catalogue) -> WordTable:
-    """How many trips there are by train and line."""
-    frame = catalogue.overview()
-    table = new_table(
-        f"Catalogue {catalogue.place}",
-        Column("train"),
-        Column("kind"),
-        Column("line"),
-        Column("trips", NUMBER),
-        Column("first"),
-        Column("last"),
-        Column("driven", DISTANCE, key="distance"),
-        Column("time", HOURS, key="duration"),
-        name="trains",
-    )
+_HEADINGS = {
+    "route": (Column("train"), Column("kind"), Column("line")),
+    "train": (Column("train"), Column("kind")),
+    "kind": (Column("kind"),),
+    "line": (Column("line"),),
+    "edge": (Column("edge"),),
+    "day": (Column("day, UTC", key="day"),),
+    "weather": (Column("weather"),),
+}
+_SUMS = (
+    Column("trips", NUMBER),
+    Column("trains", NUMBER),
+    Column("lines", NUMBER),
+    Column("first day", key="first"),
+    Column("last day", key="last"),
+    Column("forward", NUMBER),
+    Column("reverse", NUMBER),
+    Column("driven", DISTANCE, key="distance"),
+    Column("time", HOURS, key="duration"),
+    Column("damaged", NUMBER),
+)
+_NAMES = {"route": "trains", "weather": "weather"}
+"""Keys in JSON that are not plurals of what has a row."""
+
+
+def overview_table(catalogue: Catalogue, by: str = "route") -> WordTable:
+    """How many trips there are by train and line, or by what is given."""
+    frame = catalogue.overview(by)
+    named = _HEADINGS[by]
+    sums = [each for each in _SUMS if (each.key or each.heading) in frame]
+    name = _NAMES.get(by, f"{by}s")
+    table = new_table(f"Catalogue {catalogue.place}", *named, *sums, name=name)
     for row in frame.to_dict("records"):
         table.add_cells(
-            row["train"],
-            row["kind"],
-            row["line"],
-            row["trips"],
-            _time(row["first"]),
-            _time(row["last"]),
-            float("nan") if row["distance"] is None else float(row["distance"]),
-            float(row["duration"]),
+            *(_text(row[each.key or each.heading]) for each in named),
+            *(_sum(row[each.key or each.heading]) for each in sums),
         )
     return table
+
+
+def _text(value: Any) -> Any:
+    return None if pd.isna(value) else value
+
+
+def _sum(value: Any) -> Any:
+    return _time(value, "%Y-%m-%d") if isinstance(value, pd.Timestamp) else value
+
+
+SHOWN_DIGITS = 6
+"""Of a number that a statement finds, in a table."""
+
+
+def found_table(frame: pd.DataFrame, found: int) -> WordTable:
+    """What a statement of SQL finds; `found`: with the rows that are not listed."""
+    title = f"{found:,} rows" if found != 1 else "1 row"
+    table = new_table(title, *map(str, frame.columns), name="found")
+    for row in frame.itertuples(index=False):
+        table.add_row(*(escape(_shown(each)) for each in row))
+    return table
+
+
+def found_as_data(frame: pd.DataFrame) -> dict[str, Any]:
+    """The same as JSON holds it: the columns, and the values of each row in their order."""
+    rows = [[_plain(each) for each in row] for row in frame.itertuples(index=False)]
+    return {"columns": [str(each) for each in frame.columns], "rows": rows}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, pd.Timestamp):
+        return None if pd.isna(value) else value.isoformat()
+    if isinstance(value, np.ndarray):
+        return [_plain(each) for each in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or value is pd.NaT or value is pd.NA:
+        return None
+    return value if isinstance(value, bool | int | float | str | dict | list) else str(value)
+
+
+def _shown(value: Any) -> str:
+    plain = _plain(value)
+    if plain is None or (isinstance(plain, float) and pd.isna(plain)):
+        return "-"
+    return f"{plain:.{SHOWN_DIGITS}g}" if isinstance(plain, float) else str(plain)
 
 
 def problems_table(catalogue: Catalogue) -> WordTable:
@@ -100,6 +159,6 @@ def problems_table(catalogue: Catalogue) -> WordTable:
     return table
 
 
-def _time(time: Any) -> Said:
+def _time(time: Any, form: str = _TIME) -> Said:
     known = not pd.isna(time)
-    return Said(time.isoformat() if known else None, f"{time:{_TIME}}" if known else "-")
+    return Said(time.isoformat() if known else None, f"{time:{form}}" if known else "-")

@@ -165,9 +165,9 @@ def test_commands_state_that_a_catalogue_was_migrated(
     first_version: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ("catalogue", "list", "--json", "--catalogue", first_version)
-    for before in (1, None):
+    for migrated in (True, False):
         status, shown, said = run(monkeypatch, capsys, *words)
         assert status == 0
         found = json.loads(shown)
-        assert (found["version"], found["migrated_from"]) == (2, before)
-        assert ("brought from version 1 to 2" in " ".join(said.split())) == (before is not None)
+        assert (found["version"], found["migrated"]) == (2, migrated)
+        assert ("brought from version 1 to 2" in " ".join(said.split())) == migrated

@@ -63,6 +63,14 @@ convert part.mcap -o part.parquet
 catalogue add sample_logs --catalogue fleet
 catalogue list --catalogue fleet
 catalogue list --catalogue fleet --problems
+catalogue list --catalogue fleet --by train
+catalogue list --catalogue fleet --by kind
+catalogue list --catalogue fleet --by line
+catalogue list --catalogue fleet --by edge
+catalogue list --catalogue fleet --by day
+catalogue list --catalogue fleet --by weather
+catalogue sql --catalogue fleet
+catalogue sql --catalogue fleet select/**/key,duration/**/from/**/trips
 catalogue query --catalogue fleet --where weather='wet'
 catalogue export trips.csv --catalogue fleet
 catalogue refresh --catalogue fleet
@@ -247,7 +255,7 @@ PURE = {
     *("against_kind", "against_kind_std", "band_ratio", "beyond", "done", "failed", "known"),
     *("moved_in_all", "pending", "refused", "rounding", "rows", "unread", "verdicts_in_all"),
     *("within", "words", "workers", "lines", "lost", "lost_by_number", "late_by_number"),
-    *("repeated_by_number", "restarts_by_number"),
+    *("repeated_by_number", "restarts_by_number", "trains", "damaged", "forward", "reverse"),
 }
 """Numbers without a unit, beside those of the commands of the map."""
 

@@ -234,16 +234,32 @@ class Catalogue:
         """
         return listing.uncounted(self._database)
 
-    def overview(self) -> pd.DataFrame:
-        """One row a train and line, of the trips that count.
+    def overview(self, by: str = "route") -> pd.DataFrame:
+        """How many trips there are, of those that count.
+
+        Parameters
+        ----------
+        by : {"route", "train", "kind", "line", "edge", "day", "weather"}
+            What has a row: a train and line, a train, ... An edge is each line that trips ran over,
+            a route's line also where they only passed over it; a day is that of the start, UTC.
 
         Returns
         -------
         DataFrame
-            ``train``, ``kind``, ``line``, ``trips``, ``first`` and ``last`` start, ``distance`` [m]
-            and ``duration`` [s] in all.
+            What names the row; ``trips``; ``trains`` and ``lines``, how many there are; ``first``
+            and ``last`` start; ``distance`` [m] and ``duration`` [s] in all; ``damaged``, of how
+            many the log is. Of an edge the distance driven on it, and how often it was run over
+            ``forward`` and in ``reverse``.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     _ = catalogue.add("sample_logs")
+        ...     catalogue.overview("edge")[["edge", "trips", "trains", "forward"]].values.tolist()
+        [['CH_StGallen_Wil', 2, 1, 2]]
         """
-        return listing.overview(self._database)
+        return listing.overview(self._database, by)
 
     # ---------------------------------------------------------------------------------- trips
 
@@ -573,6 +589,64 @@ class Catalogue:
             A word: who does the same under the same word waits.
         """
         return self._database.alone(what)
+
+    def sql(self, statement: str) -> pd.DataFrame:
+        """What a statement of SQL finds in the trips and in what was computed of them.
+
+        DuckDB runs it. Its tables are ``trips`` (those that count, with the columns of
+        `TRIP_COLUMNS`), ``files``, ``edges`` (a row each line that a trip ran over), and one of
+        each analysis, as ``resistance``, with the rows of its latest code and parameters, of each
+        trip that counts once; ``key`` joins them. Times are UTC, numbers in SI units but
+        kilometres. Nothing can be changed by it.
+
+        Parameters
+        ----------
+        statement : str
+            ``"select train, avg(r0) from resistance join trips using (key) group by train"``
+
+        Returns
+        -------
+        DataFrame
+
+        Raises
+        ------
+        InputError
+            If it is not understood, or names a table or column that there is not; names those that
+            there are.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     _ = catalogue.add("sample_logs")
+        ...     catalogue.sql("select weather, count(*) as trips from trips group by 1 order by 1")
+          weather  trips
+        0     dry      1
+        1     wet      1
+        """
+        from trainlog.catalogue import sql
+
+        return sql.asked(self._database, statement)
+
+    def tables(self) -> pd.DataFrame:
+        """The tables that `sql` knows, with their columns.
+
+        Returns
+        -------
+        DataFrame
+            The columns ``table``, ``column`` and ``type``.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     _ = catalogue.add("sample_logs")
+        ...     catalogue.tables()["table"].unique().tolist()
+        ['trips', 'files', 'edges']
+        """
+        from trainlog.catalogue import sql
+
+        return sql.tables(self._database)
 
     def compact(
         self, analysis: str, code: str | None = None, parameters: Mapping[str, Any] | None = None

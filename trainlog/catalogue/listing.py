@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pandas as pd
 import sqlalchemy as sa
 
-from trainlog.catalogue.database import Database
-from trainlog.catalogue.schema import files, trips
+from trainlog.catalogue.database import Database, columns_of
+from trainlog.catalogue.schema import files, trip_edges, trips
+from trainlog.errors import InputError
 
 
 def counts(database: Database) -> dict[str, int]:
@@ -64,25 +67,61 @@ def uncounted(database: Database) -> pd.DataFrame:
     return pd.DataFrame(sorted(found), columns=["path", "what", "reason"])
 
 
-def overview(database: Database) -> pd.DataFrame:
-    """One row a train and line, of the trips that count; see `Catalogue.overview`."""
-    by = (trips.c.train, trips.c.kind, trips.c.line)
-    asked = (
-        sa.select(
-            *by,
-            sa.func.count(),
-            sa.func.min(trips.c.start),
-            sa.func.max(trips.c.start),
-            sa.func.sum(trips.c.distance),
-            sa.func.sum(trips.c.duration),
-        )
-        .where(trips.c.standing == "counts")
-        .group_by(*by)
-    )
-    names = ["train", "kind", "line", "trips", "first", "last", "distance", "duration"]
+GROUPS: dict[str, tuple[str, ...]] = {
+    "route": ("train", "kind", "line"),
+    "train": ("train",),
+    "kind": ("kind",),
+    "line": ("line",),
+    "weather": ("weather",),
+    "edge": ("edge",),
+    "day": ("day",),
+}
+"""By what an overview can be, and the columns that name a row of it."""
+
+_DAY = 86_400_000_000_000
+
+
+def overview(database: Database, by: str) -> pd.DataFrame:
+    """How many trips there are by train, line, edge or day; see `Catalogue.overview`."""
+    if by not in GROUPS:
+        raise InputError(f"there is no overview by '{by}'", remedy=f"known: {', '.join(GROUPS)}")
+    names = GROUPS[by]
+    edge = trip_edges.c
+    columns = {name: trips.c[name] for name in names if name in trips.c}
+    columns |= {"edge": edge.edge} if by == "edge" else {}
+    columns |= {"day": trips.c.start // _DAY} if by == "day" else {}
+    count, total = sa.func.count, sa.func.sum
+    # Of a train some logs may not state the kind.
+    sums: dict[str, Any] = {"kind": sa.func.max(trips.c.kind)} if by == "train" else {}
+    sums["trips"] = count(trips.c.id.distinct())
+    if "train" not in names:
+        sums["trains"] = count(trips.c.train.distinct())
+    if not {"line", "edge"} & set(names):
+        sums["lines"] = count(trips.c.line.distinct())
+    if by != "day":
+        sums |= {"first": sa.func.min(trips.c.start), "last": sa.func.max(trips.c.start)}
+    asked = sa.select(trips.c.id)
+    if by == "edge":
+        asked = asked.join(trip_edges, edge.trip == trips.c.id)
+        sums["forward"] = total(sa.case((edge.direction == "forward", 1), else_=0))
+        sums["reverse"] = total(sa.case((edge.direction == "reverse", 1), else_=0))
+        sums["distance"] = 1e3 * total(edge.km_to - edge.km_from)
+    else:
+        sums |= {"distance": total(trips.c.distance), "duration": total(trips.c.duration)}
+        sums["damaged"] = total(sa.case((trips.c.quality == "damaged", 1), else_=0))
+    asked = asked.with_only_columns(*columns.values(), *sums.values(), maintain_column_froms=True)
+    asked = asked.where(trips.c.standing == "counts").group_by(*columns.values())
     with database.reading() as connection:
-        frame = pd.DataFrame(connection.execute(asked).all(), columns=names)
-    for name in ("first", "last"):
+        rows = connection.execute(asked).all()
+    frame = pd.DataFrame(columns_of(rows, [*columns, *sums]))
+    for name in {"first", "last"} & set(frame):
         frame[name] = pd.to_datetime(frame[name].astype("Int64"), unit="ns", utc=True)
-    order = frame[["train", "kind", "line"]].fillna("")
-    return frame.loc[order.sort_values(["train", "kind", "line"]).index].reset_index(drop=True)
+    for name in {"distance", "duration"} & set(frame):
+        frame[name] = frame[name].astype("float64")
+    for name in {"damaged", "forward", "reverse"} & set(frame):
+        frame[name] = frame[name].astype("int64")
+    if by == "day":
+        days = pd.to_datetime(frame["day"].astype("Int64") * _DAY, unit="ns", utc=True)
+        frame["day"] = days.dt.strftime("%Y-%m-%d").astype(object)
+    order = frame[list(names)].fillna("").sort_values(list(names))
+    return frame.loc[order.index].reset_index(drop=True)

@@ -396,7 +396,7 @@ def merged(
 ) -> pd.DataFrame:
     """The rows of all trips that count, in the order of trip; see `Catalogue.results`."""
     for attempt in range(attempts):
-        rows = _recorded(database, analysis, code, parameters, condition)
+        rows = recorded(database, analysis, code, parameters, condition)
         try:
             return _joined(database, analysis, rows)
         except FileNotFoundError as error:
@@ -410,7 +410,7 @@ def merged(
     raise AssertionError
 
 
-def _recorded(
+def recorded(
     database: Database,
     analysis: str,
     code: str | None,
@@ -443,6 +443,12 @@ def latest(
     if parameters is not None:
         asked = asked.where(computations.c.parameters == digest_of(parameters))
     return connection.execute(asked.order_by(computations.c.last.desc()).limit(1)).scalar()
+
+
+def analyses_recorded(connection: sa.Connection) -> list[str]:
+    """The analyses that have results, in the order of their names."""
+    asked = sa.select(computations.c.analysis).distinct().order_by(computations.c.analysis)
+    return list(connection.execute(asked).scalars())
 
 
 def _joined(database: Database, analysis: str, rows: pd.DataFrame) -> pd.DataFrame:

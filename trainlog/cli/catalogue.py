@@ -1,11 +1,11 @@
-"""The commands of the catalogue of a fleet: add, list, query, export, refresh, remove."""
+"""The commands of the catalogue: add, list, query, sql, export, refresh, remove."""
 
 from __future__ import annotations
 
 import os
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -124,6 +124,14 @@ def catalogue_add(
 @catalogue_app.command("list")
 def catalogue_list(
     catalogue: CatalogueOption = None,
+    by: Annotated[
+        Literal["route", "train", "kind", "line", "edge", "day", "weather"],
+        typer.Option(
+            help="What has a row: a train and line (route), a train, a kind of trains, a line, an"
+            " edge (each line that trips ran over, whatever their route), a day, or a weather."
+            " Their names are what --train, --line and --where take."
+        ),
+    ] = "route",
     problems: Annotated[
         bool,
         typer.Option(
@@ -135,15 +143,20 @@ def catalogue_list(
 ) -> None:
     """List how many trips there are by train and line, and how many files do not count.
 
+    Trips, trains and lines are counted, distance and time driven are summed. Of an edge the
+    distance is that on it; forward and reverse count how often it was run over.
+
     Example: trainlog catalogue list
+
+    Example: trainlog catalogue list --by edge
     """
     from analysis.catalogue_table import overview_table, problems_table
     from trainlog.catalogue import open_catalogue
 
     with open_catalogue(catalogue, create=False) as opened:
         counts = opened.counts()
-        shown = problems_table(opened) if problems else overview_table(opened)
-        about = {"version": opened.version, "migrated_from": opened.migrated_from}
+        shown = problems_table(opened) if problems else overview_table(opened, by)
+        about = {"version": opened.version, "migrated": opened.migrated_from is not None}
         as_json = state({"catalogue": opened.place, **about, "counts": counts})
     if shown.row_count or as_json or not problems:
         console.print(shown)
@@ -220,6 +233,51 @@ def _chosen(
 
 SHOWN = 50
 """Trips that are listed on a terminal."""
+
+
+@catalogue_app.command("sql")
+def catalogue_sql(
+    statement: Annotated[
+        str | None,
+        typer.Argument(help="Statement of SQL; without one the tables and columns are listed."),
+    ] = None,
+    catalogue: CatalogueOption = None,
+    csv: Annotated[
+        bool, typer.Option("--csv", help="Print all rows as CSV, in place of a table.")
+    ] = False,
+    most: Annotated[
+        int | None,
+        typer.Option(min=1, help="List at most so many rows; default: 50 on a terminal."),
+    ] = None,
+) -> None:
+    """Ask the trips, and what was computed of them, by a statement of SQL.
+
+    Tables: [bold]trips, files, edges[/bold], and one of each analysis ([bold]resistance, driving
+    ...[/bold]) with its latest results of each trip that counts; [bold]key[/bold] joins them. Times
+    are UTC, numbers in SI units but kilometres. Nothing can be changed. DuckDB runs it: its dialect
+    is understood.
+
+    Example: trainlog catalogue sql
+
+    Example: trainlog catalogue sql "select train, avg(r0) from resistance join trips using (key)"
+    """
+    from analysis.catalogue_table import found_as_data, found_table
+    from trainlog.catalogue import open_catalogue
+
+    with open_catalogue(catalogue, create=False) as opened:
+        frame = opened.tables() if statement is None else opened.sql(statement)
+    if csv and not current().as_json:
+        console.print(frame.to_csv(index=False).rstrip("\n"), markup=False, highlight=False,
+                      soft_wrap=True)  # fmt: skip
+        return
+    terminal = console.is_terminal and not current().as_json and statement is not None
+    most = most or (SHOWN if terminal else None)
+    shown = frame if most is None else frame.iloc[:most]
+    if state({**found_as_data(shown), "count": len(frame)}):
+        return
+    console.print(found_table(shown, len(frame)))
+    if len(shown) < len(frame):
+        console.print(f"and {len(frame) - len(shown):,} more (--most lists more of them)")
 
 
 @catalogue_app.command("export")

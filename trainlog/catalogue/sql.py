@@ -1,0 +1,308 @@
+"""Statements of SQL over a catalogue: its trips, files and edges, and the results of each analysis.
+
+DuckDB runs them, over the Parquet files of results as they are and the tables that a statement
+names, of whichever database the catalogue is in. Nothing can be changed, and no other file be read.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+import sqlalchemy as sa
+
+from trainlog.catalogue.database import columns_of
+from trainlog.catalogue.results import KEY, analyses_recorded, recorded
+from trainlog.catalogue.schema import TRIP_COLUMNS, files, trip_edges, trips
+from trainlog.errors import InputError
+from trainlog.extras import require
+
+if TYPE_CHECKING:
+    import duckdb
+    import pyarrow as pa
+
+    from trainlog.catalogue.database import Database
+
+_ATTEMPTS = 3
+"""At reading files of results that another process puts together meanwhile."""
+
+_EXAMPLE = "select train, count(*) from trips group by train"
+
+
+@dataclass(frozen=True)
+class _Named:
+    """What a statement names: tables, and columns or parts of their names; None if all of them."""
+
+    tables: list[str]
+    columns: frozenset[str] | None = None
+
+    def wants(self, column: str) -> bool:
+        """Whether a column is among them."""
+        return self.columns is None or column in self.columns
+
+
+@dataclass(frozen=True)
+class _Analysis:
+    """The results of an analysis: the files, and which of them holds each trip that counts."""
+
+    paths: list[str]
+    rows: pd.DataFrame
+
+
+def asked(database: Database, statement: str) -> pd.DataFrame:
+    """What a statement finds; see `Catalogue.sql`."""
+    require("duckdb")
+    import duckdb
+
+    for attempt in range(_ATTEMPTS):
+        analyses = _analyses(database)
+        named = _named_in(statement, [*_TABLES, *analyses], database.place)
+        try:
+            with _connection(database, analyses, named) as connection:
+                return connection.execute(statement).df()
+        except duckdb.IOException as error:
+            if attempt + 1 == _ATTEMPTS:
+                raise InputError(
+                    f"a file of results cannot be read: {_first_line(error)}",
+                    file=database.place,
+                    remedy="run the analysis again after 'trainlog catalogue refresh'",
+                ) from error
+        except duckdb.Error as error:
+            every = _Named(named.tables)
+            with _connection(database, analyses, every, empty=True) as connection:
+                columns = _columns(connection, named.tables)
+            raise _refused(statement, error, columns) from error
+    raise AssertionError
+
+
+def tables(database: Database) -> pd.DataFrame:
+    """Tables and columns that a statement can name; see `Catalogue.tables`."""
+    require("duckdb")
+    analyses = _analyses(database)
+    known = [*_TABLES, *analyses]
+    with _connection(database, analyses, _Named(known), empty=True) as connection:
+        found = [
+            (table, name, kind)
+            for table, columns in _columns(connection, known).items()
+            for name, kind in columns.items()
+        ]
+    return pd.DataFrame(found, columns=["table", "column", "type"])
+
+
+def _analyses(database: Database) -> dict[str, str]:
+    """The analyses that have results, by the name of their table."""
+    with database.reading() as connection:
+        names = analyses_recorded(connection)
+    return {f"{name}_results" if name.casefold() in _TABLES else name: name for name in names}
+
+
+def _named_in(statement: str, known: list[str], place: str) -> _Named:
+    """What a statement names, which must be one that reads."""
+    import sqlglot
+    from sqlglot import exp
+
+    try:
+        parsed = [each for each in sqlglot.parse(statement, read="duckdb") if each is not None]
+    except (sqlglot.errors.SqlglotError, RecursionError) as error:
+        raise _refused(statement, error, {}) from error
+    if len(parsed) != 1 or not isinstance(parsed[0], exp.Query):
+        raise InputError(
+            "is not one statement that reads",
+            place=_shown(statement),
+            remedy=f"write one as: {_EXAMPLE}",
+        )
+    own = {each.alias_or_name.casefold() for each in parsed[0].find_all(exp.CTE)}
+    folded = {each.casefold(): each for each in known}
+    found = []
+    for table in parsed[0].find_all(exp.Table):
+        name = table.name.casefold()
+        if not isinstance(table.this, exp.Identifier) or (name in own and name not in folded):
+            continue
+        if name not in folded or table.db:
+            close = get_close_matches(name, list(folded), n=1)
+            meant = f"; did you mean '{folded[close[0]]}'?" if close else ""
+            raise InputError(
+                f"there is no table '{table.sql(dialect='duckdb')}'{meant}",
+                place=_shown(statement),
+                remedy=f"tables of {place}: {', '.join(known)}",
+            )
+        found.append(folded[name])
+    tables = list(dict.fromkeys(found))
+    if any(not isinstance(each.parent, exp.Count) for each in parsed[0].find_all(exp.Star)):
+        return _Named(tables)
+    words = (each.this.casefold() for each in parsed[0].find_all(exp.Identifier))
+    return _Named(tables, frozenset(words))
+
+
+@contextmanager
+def _connection(
+    database: Database, analyses: dict[str, str], named: _Named, empty: bool = False
+) -> Iterator[duckdb.DuckDBPyConnection]:
+    """A connection with the tables that are named; `empty`: those of the database without rows."""
+    import duckdb
+
+    with duckdb.connect(config={"python_enable_replacements": False}) as connection:
+        paths: list[str] = []
+        for name in named.tables:
+            if name in analyses:
+                analysis = _results_of(database, analyses[name])
+                paths += analysis.paths
+                _view(connection, name, analysis, len(paths))
+            else:
+                connection.register(name, _TABLES[name](database, named, empty))
+        _confine(connection, paths)
+        yield connection
+
+
+def _confine(connection: duckdb.DuckDBPyConnection, paths: list[str]) -> None:
+    """Let a connection read these files alone."""
+    connection.execute(f"SET allowed_paths = [{', '.join(map(_quoted, paths))}]")
+    for setting in ("enable_external_access = false", "lock_configuration = true"):
+        connection.execute(f"SET {setting}")
+
+
+def _results_of(database: Database, analysis: str) -> _Analysis:
+    rows = recorded(database, analysis, None, None, None)
+    folder = (database.results / analysis).absolute()
+    return _Analysis([str(folder / name) for name in sorted(set(rows["name"]))], rows)
+
+
+def _view(
+    connection: duckdb.DuckDBPyConnection, name: str, analysis: _Analysis, number: int
+) -> None:
+    """A view of the rows of the trips that count, each of the file that holds them."""
+    import pyarrow as pa
+
+    table = '"' + name.replace('"', '""') + '"'
+    if not analysis.paths:
+        connection.execute(f"CREATE VIEW {table} AS SELECT '' AS {KEY} WHERE false")
+        return
+    held = f"_counting_{number}"
+    place = pa.array(analysis.rows["name"].tolist(), pa.string())
+    counting = {"trip": pa.array(analysis.rows[KEY].tolist(), pa.string()), "name": place}
+    connection.register(held, pa.table(counting))
+    listed = ", ".join(map(_quoted, analysis.paths))
+    connection.execute(
+        f"CREATE VIEW {table} AS SELECT r.* EXCLUDE (_file)"
+        f" FROM read_parquet([{listed}], union_by_name = true, filename = '_file') r SEMI JOIN"
+        f" {held} c ON r.{KEY} = c.trip AND parse_filename(r._file) = c.name"
+    )
+
+
+def _quoted(text: str) -> str:
+    return "'" + text.replace("'", "''") + "'"
+
+
+# ------------------------------------------------------------------------ tables of the database
+
+_ARROW = {"text": "string", "json": "string", "number": "double", "count": "int64"}
+_TRIPS = {each.name: (trips.c[each.name], each.kind) for each in TRIP_COLUMNS}
+_FILES = {
+    "path": (files.c.path, "text"),
+    KEY: (trips.c.key, "text"),
+    "state": (files.c.state, "text"),
+    "reason": (files.c.reason, "text"),
+    "size": (files.c.size, "count"),
+    "changed": (files.c.changed, "time"),
+    "sha256": (files.c.sha256, "text"),
+}
+_EDGES = {
+    KEY: (trips.c.key, "text"),
+    "place": (trip_edges.c.place, "count"),
+    "edge": (trip_edges.c.edge, "text"),
+    "km_from": (trip_edges.c.km_from, "number"),
+    "km_to": (trip_edges.c.km_to, "number"),
+    "direction": (trip_edges.c.direction, "text"),
+}
+
+
+def _trips(database: Database, named: _Named, empty: bool) -> pa.Table:
+    asked = sa.select(trips.c.key).where(trips.c.standing == "counts").order_by(trips.c.key)
+    return _table(database, asked, _TRIPS, named, empty)
+
+
+def _files(database: Database, named: _Named, empty: bool) -> pa.Table:
+    asked = sa.select(files.c.path).outerjoin(trips, trips.c.id == files.c.trip)
+    return _table(database, asked.order_by(files.c.path, files.c.sha256), _FILES, named, empty)
+
+
+def _edges(database: Database, named: _Named, empty: bool) -> pa.Table:
+    asked = sa.select(trips.c.key).join(trip_edges, trips.c.id == trip_edges.c.trip)
+    asked = asked.where(trips.c.standing == "counts").order_by(trips.c.key, trip_edges.c.place)
+    return _table(database, asked, _EDGES, named, empty)
+
+
+_TABLES = {"trips": _trips, "files": _files, "edges": _edges}
+
+
+def _table(
+    database: Database,
+    asked: sa.Select[Any],
+    columns: Mapping[str, tuple[Any, str]],
+    named: _Named,
+    empty: bool,
+) -> pa.Table:
+    """The columns that are wanted of a table of the database, times as time stamps in UTC."""
+    import pyarrow as pa
+
+    kinds = {name: kind for name, (_, kind) in columns.items() if named.wants(name)}
+    kinds = kinds or {KEY: "text"}
+    asked = asked.with_only_columns(
+        *(
+            sa.cast(columns[name][0], sa.Text) if kind == "json" else columns[name][0]
+            for name, kind in kinds.items()
+        ),
+        maintain_column_froms=True,
+    )
+    with database.reading() as connection:
+        rows = connection.execute(asked.limit(0) if empty else asked).all()
+    made = {}
+    for name, values in columns_of(rows, list(kinds)).items():
+        if kinds[name] == "time":
+            made[name] = pa.array(values, pa.int64()).cast(pa.timestamp("ns"))
+            made[name] = made[name].cast(pa.timestamp("us"), safe=False)
+        else:
+            made[name] = pa.array(values, _ARROW[kinds[name]])
+    return pa.table(made)
+
+
+# ------------------------------------------------------------------------------ what is refused
+
+
+def _columns(connection: duckdb.DuckDBPyConnection, named: list[str]) -> dict[str, dict[str, str]]:
+    """Columns and their types, by table."""
+    found = {}
+    for name in named:
+        table = '"' + name.replace('"', '""') + '"'
+        rows = connection.execute(f"DESCRIBE {table}").fetchall()
+        found[name] = {str(row[0]): str(row[1]) for row in rows}
+    return found
+
+
+def _refused(statement: str, error: Exception, columns: dict[str, dict[str, str]]) -> InputError:
+    """That a statement is refused, in one sentence, with the columns of its tables."""
+    missing = re.search(r'column (?:named )?"([^"]+)"', str(error))
+    problem = _first_line(error)
+    if missing:
+        every = [each for names in columns.values() for each in names]
+        close = get_close_matches(missing[1], every, n=1)
+        problem = f"there is no column '{missing[1]}'"
+        problem += f"; did you mean '{close[0]}'?" if close else ""
+    known = "; ".join(f"{table} has {', '.join(names)}" for table, names in columns.items())
+    return InputError(problem, place=_shown(statement), remedy=known or f"write one as: {_EXAMPLE}")
+
+
+def _first_line(error: Exception) -> str:
+    """The first line of a message, without the kind of the error and colours of a terminal."""
+    line = re.sub(r"\x1b\[[\d;]*m", "", str(error)).strip().splitlines()[0]
+    return re.sub(r"^[A-Z]\w+ Error: ", "", line).rstrip(".!")
+
+
+def _shown(statement: str) -> str:
+    text = " ".join(statement.split())
+    return f'statement "{text if len(text) <= 200 else f"{text[:200]}..."}"'
