@@ -87,7 +87,7 @@ def overview(database: Database, by: str) -> pd.DataFrame:
         raise InputError(f"there is no overview by '{by}'", remedy=f"known: {', '.join(GROUPS)}")
     names = GROUPS[by]
     edge = trip_edges.c
-    columns = {name: trips.c[name] for name in names if name in trips.c}
+    columns: dict[str, Any] = {name: trips.c[name] for name in names if name in trips.c}
     columns |= {"edge": edge.edge} if by == "edge" else {}
     columns |= {"day": trips.c.start // _DAY} if by == "day" else {}
     count, total = sa.func.count, sa.func.sum
