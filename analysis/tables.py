@@ -22,6 +22,9 @@ PAGE = 110
 _PADDING = 3
 """Of each column: a space on both sides, and what divides it from the next."""
 
+_SHORTEST = 7
+"""Names are not cut to fewer letters."""
+
 
 @dataclass(frozen=True)
 class Quantity:
@@ -225,6 +228,9 @@ class WordTable(Table):
         width = options.max_width - _PADDING * len(words) - 1
         leasts = (whole, [*whole[:1], *words[1:]], words)
         least = next((each for each in leasts if sum(each) <= width), None)
+        if least is None and (cut := self._cut(words, width)) is not None:
+            yield from cut._laid_out(console, options)
+            return
         more = 0 if least is None else sum(wishes) - sum(least)
         for number, column in enumerate(self.columns):
             column.width = None
@@ -232,6 +238,41 @@ class WordTable(Table):
                 part = (width - sum(least)) * (wishes[number] - least[number]) // more
                 column.width = least[number] + part
         yield from super().__rich_console__(console, options)
+
+    def _cut(self, words: list[int], width: int) -> WordTable | None:
+        """The table with the longest names cut in their middles; None where that is not enough.
+
+        Columns of numbers are left whole: a number that is cut is another one.
+        """
+        named = [n for n, form in enumerate(self.forms) if form.quantity is None]
+        least = list(words)
+        while sum(least) > width:
+            widest = max(named, key=lambda number: least[number], default=None)
+            if widest is None or least[widest] <= _SHORTEST:
+                return None
+            least[widest] -= 1
+        heads = [str(each.header) for each in self.columns]
+        cut = new_table(str(self.title or ""), *heads, show_header=self.show_header)
+        cut.caption, cut.caption_justify = self.caption, self.caption_justify
+        columns = [
+            [_shortened(str(cell), least[number] if number in named else None)
+             for cell in column.cells]
+            for number, column in enumerate(self.columns)
+        ]  # fmt: skip
+        for row, cells in zip(self.rows, zip(*columns, strict=True), strict=True):
+            cut.add_row(*cells, end_section=row.end_section)
+        return cut
+
+
+def _shortened(cell: str, most: int | None) -> str:
+    """A cell whose words have so many letters at most; the middles of others are left out."""
+    if most is None:
+        return cell
+    end = (most - 1) // 2
+    return " ".join(
+        word if len(word) <= most else f"{word[: most - 1 - end]}…{word[-end:]}"
+        for word in cell.split(" ")
+    )
 
 
 def new_table(title: str, *columns: str | Column, name: str = "", **options: Any) -> WordTable:

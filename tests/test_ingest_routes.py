@@ -18,6 +18,7 @@ from route_networks import (
     Received,
     Receiver,
     balloon,
+    bezier,
     doubled,
     drive,
     motion,
@@ -32,6 +33,7 @@ from route_networks import (
 
 from trainlog.errors import InputError
 from trainlog.formats.attached import line_of
+from trainlog.formats.imports import networks_in
 from trainlog.formats.network import write_network
 from trainlog.ingest import Profile, ingest, ingest_all, ingest_each, report_of
 from trainlog.ingest.live import LiveIngest, LiveOptions
@@ -183,6 +185,129 @@ def test_a_network_without_geometry_asks_for_stations(tmp_path: Path) -> None:
     fixes = drive(Y.route("A", "B"), GPX, np.random.default_rng(6))
     with pytest.raises(InputError, match=r"no edge of network 'drawn' has a geometry.*--stations"):
         ingested(tmp_path, fixes, bare)
+
+
+CHAIN = network_of(
+    [
+        ("west", "A", "P", straight(-5_000, 0)),
+        ("bend", "P", "Q", bezier(0, 2_500, 3_000 + 500j, 3_000 + 3_000j)),
+        ("north", "Q", "B", straight(3_000 + 3_000j, 3_000 + 9_000j)),
+    ],
+    "AB",
+)
+"""Three edges one behind the other, of which the middle is a bend."""
+
+
+def without_course(network: Network, *names: str, longer: float = 1.0) -> Network:
+    """The network without the course of some edges, or of all; these so many times as long."""
+    edges = []
+    for each in network.edges:
+        line = each.line
+        if not names or each.name in names:
+            stations = tuple(replace(s, position=longer * s.position) for s in line.stations)
+            line = replace(line, geometry=None, length=longer * line.length, stations=stations)
+        edges.append(replace(each, line=line))
+    return replace(network, edges=tuple(edges))
+
+
+@pytest.mark.parametrize("places", [("A", "B"), ("B", "A")])
+def test_an_edge_without_a_course_is_passed_where_the_distance_driven_is_its_length(
+    tmp_path: Path, places: tuple[str, str]
+) -> None:
+    route = CHAIN.route(*places)
+    fixes = drive(route, RATE_2, np.random.default_rng([11, len(places[0])]))
+    trip = ingested(tmp_path, fixes, without_course(CHAIN, "bend"))
+    assert legs_of(trip) == [(leg.edge, leg.forward) for leg in route.legs]
+    assert re.search(
+        r"over bend.* without a geometry by the distance driven", trip.metadata["route_evidence"]
+    )
+    course = line_of(trip).geometry
+    assert course is not None
+    assert "straight over bend, of which none is known" in course.quality
+    # The fixes there are not taken for ones on the chord, some 500 m beside the bend.
+    (words,) = [each for each in trip.metadata if "of fixes on bend" in each]
+    assert int(trip.metadata[words]) > 50
+    found = errors(trip, fixes)
+    assert np.median(found) < 12.0
+    assert np.quantile(found, 0.95) < 60.0
+
+
+def test_an_edge_without_a_course_is_refused_where_the_distance_is_another_or_unknown(
+    tmp_path: Path,
+) -> None:
+    route = CHAIN.route("A", "B")
+    fixes = drive(route, RATE_2, np.random.default_rng(12))
+    with pytest.raises(InputError, match=r"bend without a geometry.* by its speed the train drove"):
+        ingested(tmp_path, fixes, without_course(CHAIN, "bend", longer=1.06))
+    unknown = drive(route, replace(RATE_2, speed=None), np.random.default_rng(12))
+    with pytest.raises(InputError, match="no speed shows how far it drove there"):
+        ingested(tmp_path, unknown, without_course(CHAIN, "bend"))
+
+
+@pytest.mark.parametrize(
+    ("network", "places"),
+    [(Y, ("A", "C")), (Y, ("C", "A")), (WYE, ("B", "C")), (BALLOON, ("A", "loop@2.0", "A"))],
+    ids=["along", "against", "curve", "loop"],
+)
+def test_stated_stations_are_the_route_where_there_are_neither_fixes_nor_courses(
+    tmp_path: Path, network: Network, places: tuple[str, ...]
+) -> None:
+    bare = without_course(network)
+    route = bare.route(*places)
+    assert route.line.geometry is None
+    file, position = write_odometer(tmp_path / "run.csv", [0.0, 0.4 * route.length, route.length])
+    stated = {"stations": ",".join(places)}
+    trip = ingest(file, odometer_profile(), network=bare, metadata=stated)
+    assert line_of(trip).legs == route.legs
+    assert trip.metadata["route_evidence"] == f"stated: {', '.join(places)}"
+    assert np.abs(trip["/train/state"]["position"].to_numpy() - position).max() < 80.0
+
+
+@pytest.mark.parametrize("back", [False, True])
+def test_distances_between_stops_show_the_route_of_an_imported_network_without_courses(
+    tmp_path: Path, back: bool
+) -> None:
+    """OSRD's network has five tracks between its stations; two of them are as long."""
+    path = Path(__file__).parents[1] / ".." / "shared" / "data" / "osrd" / "infras"
+    if not path.is_dir():
+        pytest.skip("needs ../shared/data/osrd")
+    infra = networks_in(path / "small_infra.json")
+    assert infra is not None
+    network = without_course(infra.networks[0])
+    places = ["West_station", "Mid_West_station", "Mid_East_station", "North_East_station"]
+    places = places[::-1] if back else places
+    route = network.route(*places)
+    stops = [station.position for station in route.line.stations if station.name in places]
+    file, _ = write_odometer(tmp_path / "run.csv", stops)
+    # Parallel tracks of stations are as long: stops alone do not show which was driven.
+    with pytest.raises(InputError, match=r"do not determine the route.*--stations A,B"):
+        ingest(file, odometer_profile(), network=network)
+    trip = ingest(
+        file, odometer_profile(), network=network, metadata={"stations": ",".join(places)}
+    )
+    assert line_of(trip).legs == route.legs
+    # On a network of one of them each, they do.
+    single = _of_edges(network, {leg.edge for leg in route.legs})
+    trip = ingest(file, odometer_profile(), network=single)
+    assert [leg.edge for leg in line_of(trip).legs] == [leg.edge for leg in route.legs]
+    assert "4 of 4 stops" in trip.metadata["route_evidence"]
+
+
+def _of_edges(network: Network, names: set[str]) -> Network:
+    """The part of a network that some edges are."""
+    edges = tuple(each for each in network.edges if each.name in names)
+    ends = {name for each in edges for name in (each.start, each.end)}
+    turns = {
+        node: kept
+        for node, pairs in network.turns.items()
+        if node in ends and (kept := tuple(pair for pair in pairs if set(pair) <= names))
+    }
+    return replace(
+        network,
+        edges=edges,
+        nodes=tuple(node for node in network.nodes if node.name in ends),
+        turns=turns,
+    )
 
 
 def test_a_route_begins_and_ends_at_stations_on_the_way() -> None:

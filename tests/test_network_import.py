@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import io
 import itertools
 import json
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from command import run
 from infrastructure_files import RAILML_2, RAILML_3, TUNNELS_2, TUNNELS_3
+from rich.console import Console
 
 import trainlog
 from analysis.network.export import export_network
@@ -648,6 +650,35 @@ def test_lines_that_do_not_meet_are_refused() -> None:
     with pytest.raises(InputError, match="not connected"):
         network_of_lines("two", [plain("a", ("A", 0.0), ("B", 1e3)),
                                  plain("b", ("C", 0.0), ("D", 1e3))])  # fmt: skip
+
+
+# ---- tables
+
+
+@needs_osrd
+@pytest.mark.parametrize("width", [80, 120])
+@pytest.mark.parametrize("name", INFRAS)
+def test_no_name_is_folded_in_the_tables_of_a_network(name: str, width: int) -> None:
+    network = imported(name)
+    console = Console(width=width, file=io.StringIO(), markup=False)
+    console.print(network_tables(network))
+    printed = console.file.getvalue()  # type: ignore[attr-defined]
+    rows = printed.partition("Nodes")[0].splitlines()
+    assert max(map(len, rows)) <= width
+    for edge in network.edges:
+        cells = [each.split() for each in rows if f" {edge.line.length / 1e3:.3f} " in each]
+        shown = [row for row in cells if _abbreviates(row[0], edge.name)]
+        assert any(
+            _abbreviates(row[1], edge.start) and _abbreviates(row[2], edge.end) for row in shown
+        )
+        # With enough columns nothing is cut.
+        assert width < 120 or edge.name in {row[0] for row in shown}
+
+
+def _abbreviates(cell: str, name: str) -> bool:
+    """Whether a cell is a name, or the name without its middle."""
+    begin, _, end = cell.partition("…")
+    return cell == name or ("…" in cell and name.startswith(begin) and name.endswith(end))
 
 
 # ---- commands

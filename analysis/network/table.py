@@ -17,8 +17,9 @@ RADIUS = Quantity("m", "m", 1.0, 0)
 
 def network_tables(network: Network) -> Group:
     """A network as a person reads it: its edges, its nodes, and what is not known of it."""
-    return Group(*([network.source] if network.source else []), _edges(network), _nodes(network),
-                 *_unknown(network))  # fmt: skip
+    stations = [_stations(network)] if any(e.line.stations for e in network.edges) else []
+    return Group(*([network.source] if network.source else []), _edges(network), *stations,
+                 _nodes(network), *_unknown(network))  # fmt: skip
 
 
 def _edges(network: Network) -> WordTable:
@@ -32,7 +33,6 @@ def _edges(network: Network) -> WordTable:
         Column("fall", HEIGHT),
         Column("limits", SPEED, key="lowest_limit"),
         Column("radius", RADIUS, key="least_radius"),
-        Column("stations"),
         name="edges",
     )
     for edge in network.edges:
@@ -46,8 +46,17 @@ def _edges(network: Network) -> WordTable:
             fall,
             _limits(edge.line),
             _least_radius(edge.line),
-            ", ".join(station.name for station in edge.line.stations),
         )
+    return table
+
+
+def _stations(network: Network) -> WordTable:
+    table = new_table(
+        "Stations", Column("station"), Column("edge"), Column("at", POSITION), name="stations"
+    )
+    for edge in network.edges:
+        for station in edge.line.stations:
+            table.add_cells(station.name, edge.name, station.position)
     return table
 
 

@@ -6,6 +6,7 @@ from the smoother of `estimators.motion`, never from differences of raw values.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -72,7 +73,12 @@ class Estimate:
     metadata: dict[str, str] = field(default_factory=dict)
 
 
-def estimated_state(trip: Trip, line: Line | None, profile: Profile) -> Estimate:
+def estimated_state(
+    trip: Trip,
+    line: Line | None,
+    profile: Profile,
+    unplaced: Sequence[tuple[int, int]] = (),
+) -> Estimate:
     """The ``/estimates/state`` frame of a trip, if its data give one.
 
     From fixes and satellite speed on a line with geometry; else from the wheels' speed and the
@@ -90,7 +96,7 @@ def estimated_state(trip: Trip, line: Line | None, profile: Profile) -> Estimate
     """
     geometry = line.geometry if line is not None else None
     if geometry is not None and "/gnss/fix" in trip and trip["/gnss/fix"]["latitude"].count() > 1:
-        fixes = fixes_of(trip)
+        fixes = _placed(fixes_of(trip), unplaced)
         matched = chainage_of(
             geometry,
             fixes,
@@ -184,6 +190,20 @@ def _constant(off: FloatArray, least: FloatArray, drifted: FloatArray) -> float:
 
 def _seconds(index: pd.DatetimeIndex) -> FloatArray:
     return np.asarray((index.asi8 - index.asi8[0]) / NANOSECONDS)
+
+
+def _placed(fixes: Fixes, unplaced: Sequence[tuple[int, int]]) -> Fixes:
+    """The fixes without positions between some times [ns]."""
+    time = fixes.index.as_unit("ns").asi8
+    lost = np.zeros(time.size, dtype=np.bool_)
+    for first, last in unplaced:
+        lost |= (time >= first) & (time <= last)
+    if not lost.any():
+        return fixes
+    latitude, longitude = (
+        np.where(lost, np.nan, each) for each in (fixes.latitude, fixes.longitude)
+    )
+    return replace(fixes, latitude=latitude, longitude=longitude)
 
 
 def fixes_of(trip: Trip) -> Fixes:

@@ -545,7 +545,7 @@ def _trip(
             findings.append(Finding("direction", 1, (), "", note_of))
         driven: Direction = "reverse" if place.direction == "reverse" else "forward"
         stated = stated or driven
-    heading, estimate = _estimated(trip, line, profile, stated)
+    heading, estimate = _estimated(trip, line, recording, profile, stated)
     findings += estimate.findings
     if estimate.frame is not None and profile.repair.position_offset:
         before = list(tables)
@@ -600,17 +600,21 @@ def _topics(recording: Recording, profile: Profile, tables: list[Table]) -> dict
 
 
 def _estimated(
-    trip: Trip, line: Line | None, profile: Profile, stated: Direction | None
+    trip: Trip,
+    line: Line | None,
+    recording: Recording,
+    profile: Profile,
+    stated: Direction | None,
 ) -> tuple[Direction, Estimate]:
     """The direction of a trip and its estimated state; fixes give a direction that none states."""
     travelled = line.reversed() if line is not None and stated == "reverse" else line
     try:
-        return stated or "forward", estimated_state(trip, travelled, profile)
+        return stated or "forward", estimated_state(trip, travelled, profile, recording.unplaced)
     except AgainstLineError:
         if line is None or stated is not None or not profile.repair.direction:
             raise
     try:
-        estimate = estimated_state(trip, line.reversed(), profile)
+        estimate = estimated_state(trip, line.reversed(), profile, recording.unplaced)
     except AgainstLineError as error:
         raise InputError(
             "the fixes run along the line in both directions",

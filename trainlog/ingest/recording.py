@@ -223,6 +223,8 @@ class Recording:
     about : dict of str to (n,) object array
         Cells of the columns that state facts of a trip, such as its number or load, by column; one
         a row of the first table.
+    unplaced : tuple of (int, int) [ns]
+        Times between which fixes lie on edges of a network without a course.
 
     Examples
     --------
@@ -242,6 +244,7 @@ class Recording:
     attachments: dict[str, bytes] = field(default_factory=dict)
     raw: tuple[Raw, ...] = ()
     about: dict[str, NDArray[np.object_]] = field(default_factory=dict)
+    unplaced: tuple[tuple[int, int], ...] = ()
 
     def __repr__(self) -> str:
         rows = {f"table {number}": repr(table) for number, table in enumerate(self.tables)}

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +77,9 @@ STOOD_SPEED, TURNING_TIME = 1.5, 60.0
 """Speed [m/s] at which a train may have turned round, and the time [s] that takes, where no speed
 is known."""
 
+KNOWN_LENGTH = 0.01
+"""Share by which the length of an edge without a course may be off."""
+
 ROUNDS = 4
 """How often a better route found among the others takes the place of the best."""
 
@@ -120,6 +123,35 @@ def _track(geometry: Geometry, length: float, origin: tuple[float, float]) -> Tr
 
 
 @dataclass(frozen=True)
+class Unseen:
+    """Edges without a course on the way between two fixes.
+
+    Attributes
+    ----------
+    courses : tuple of int
+    before, after : float [s]
+        Of the last fix before them and the first behind them.
+    length : float [m]
+        Between the two along the way.
+    driven, std : float [m]
+        By the speed; NaN where none is known. Its standard deviation.
+    """
+
+    courses: tuple[int, ...]
+    before: float
+    after: float
+    length: float
+    driven: float
+    std: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the distance driven is that along the way."""
+        most = GATE * self.std + KNOWN_LENGTH * self.length
+        return bool(abs(self.driven - self.length) <= most)
+
+
+@dataclass(frozen=True)
 class Passage:
     """A stretch driven over the network in one direction.
 
@@ -139,6 +171,8 @@ class Passage:
         The courses of the second-best.
     after : str
         Why it does not go on from the passage before: ``"reversal"``, ``"absence"``, or empty.
+    unseen : tuple of Unseen
+        Where it runs over edges without a course.
     """
 
     courses: tuple[int, ...]
@@ -149,6 +183,7 @@ class Passage:
     margin: float = np.inf
     other: tuple[int, ...] = ()
     after: str = ""
+    unseen: tuple[Unseen, ...] = ()
 
     @property
     def determined(self) -> bool:
@@ -464,7 +499,32 @@ class Search:
             finish=float(seconds[-1]),
             margin=margin,
             other=() if other is None else self._courses(other),
+            unseen=tuple(self._unseen(best)),
         )
+
+    def _unseen(self, way: Way) -> Iterator[Unseen]:
+        """The edges without a course between its fixes; none where no edge has one."""
+        n, tracks = self.nodes, self.edges.tracks
+        if all(track is None for track in tracks):
+            return
+        for part, legs in zip(way.parts, way.legs(self.edges.graph.lengths), strict=True):
+            for bare, run in groupby(legs, key=lambda leg: tracks[leg.course // 2] is None):
+                passed = list(run)
+                end = passed[-1].begun + passed[-1].length
+                before = np.flatnonzero(part.position <= passed[0].begun)
+                after = np.flatnonzero(part.position >= end)
+                if not bare or not before.size or not after.size:
+                    continue
+                at = np.array([before[-1], after[0]])
+                one, two = part.node[at].tolist()
+                variance = n.driven_variance[two] - n.driven_variance[one]
+                yield Unseen(
+                    tuple(leg.course for leg in passed),
+                    *n.seconds[[one, two]].tolist(),
+                    float(np.diff(part.position[at])[0]),
+                    float(n.driven[two] - n.driven[one]),
+                    float(np.sqrt(variance + n.std[one] ** 2 + n.std[two] ** 2)),
+                )
 
     def _way(self, left_out: LeftOut | None) -> Way:
         chain = best_chain_on(self.edges.graph, self.nodes, self.between, left_out)

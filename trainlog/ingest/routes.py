@@ -29,11 +29,12 @@ from trainlog.ingest.route_matching import (
     EdgeTracks,
     Passage,
     Passages,
+    Unseen,
     edge_tracks,
     match_route,
 )
 from trainlog.ingest.rules import POSITION
-from trainlog.railway.line import Leg, Line
+from trainlog.railway.line import Geometry, Leg, Line
 from trainlog.railway.network import Edge, Network, Route
 from trainlog.trip import Trip
 
@@ -220,16 +221,20 @@ class OnRoute:
         What shows it, in words.
     start_position : str or None
         As for a profile: the first position [m], or ``"stations"``.
+    course : Geometry or None
+        Of the line, where edges without one lie between those with.
     """
 
     route: Route
     evidence: str
     start_position: str | None = None
+    course: Geometry | None = None
 
-    @property
+    @cached_property
     def line(self) -> Line:
         """As travelled."""
-        return self.route.line
+        line = self.route.line
+        return line if self.course is None else replace(line, geometry=self.course)
 
     @property
     def metadata(self) -> dict[str, str]:
@@ -377,14 +382,17 @@ def by_fixes(
             part = _between(recording, table, span, name)
             if off and number == 1:
                 part = replace(part, not_used=part.not_used | {off[0]: off[1]})
+            joined = "".join(_joined_over(routes, unseen) for unseen in passage.unseen)
             if not passage.determined:
                 raise _undetermined(routes, passage)
             route = routes.along(passage.courses, passage.start, passage.end)
-            _check_geometry(route)
+            evidence = _evidence(routes, found, passage) + joined
+            for unseen in passage.unseen:
+                part = _without_fixes(part, fixes, unseen, routes.words(unseen.courses))
         except TrainlogError as error:
             yield part, error
         else:
-            yield part, OnRoute(route, _evidence(routes, found, passage))
+            yield part, OnRoute(route, evidence, course=_course(route))
 
 
 def named(recording: Recording, name: str) -> Recording:
@@ -392,15 +400,63 @@ def named(recording: Recording, name: str) -> Recording:
     return replace(recording, metadata=recording.metadata | {"trip": name})
 
 
-def _check_geometry(route: Route) -> None:
-    """Refuse a route on which fixes have no chainage."""
-    if route.line.geometry is None:
-        edges = [route.network.edge(leg.edge) for leg in route.legs]
-        lacking = next(edge.name for edge in edges if edge.line.geometry is None)
+def _joined_over(routes: NetworkRoutes, unseen: Unseen) -> str:
+    """That the distance driven over edges without a course is theirs, in words.
+
+    Raises
+    ------
+    InputError
+        If it is another, or not known.
+    """
+    words = routes.words(unseen.courses)
+    remedy = "give the course of these edges of the network, or state the stations (--stations A,B)"
+    if not np.isfinite(unseen.driven):
         raise InputError(
-            f"its route runs over '{lacking}', which has no geometry",
-            remedy="give the course of this edge of the network",
+            f"its route runs over {words} without a geometry, and no speed shows how far it drove"
+            " there",
+            remedy=remedy,
         )
+    if not unseen.agrees:
+        raise InputError(
+            f"its route runs over {words} without a geometry: between the fixes before and behind"
+            f" it is {unseen.length:.0f} m long, and by its speed the train drove"
+            f" {unseen.driven:.0f} m",
+            remedy=remedy,
+        )
+    return (
+        f"; over {words} without a geometry by the distance driven ({unseen.driven:.0f} of"
+        f" {unseen.length:.0f} m)"
+    )
+
+
+def _without_fixes(part: Recording, fixes: Fixes, unseen: Unseen, words: str) -> Recording:
+    """The recording, with its fixes on edges that have no course known as without a chainage."""
+    inside = (fixes.seconds > unseen.before) & (fixes.seconds < unseen.after)
+    count = int(np.count_nonzero(inside & np.isfinite(fixes.latitude)))
+    time = fixes.index.as_unit("ns").asi8
+    if not count:
+        return part
+    span = (int(time[inside][0]), int(time[inside][-1]))
+    off = {f"{counted(count, 'position')} of fixes on {words}, which has no geometry": count}
+    return replace(part, unplaced=(*part.unplaced, span), not_used=part.not_used | off)
+
+
+def _course(route: Route) -> Geometry | None:
+    """The course of a route on which some edges have none, straight there; None of other routes."""
+    if route.line.geometry is not None:
+        return None
+    courses = [(leg, route.leg_line(leg).geometry) for leg in route.legs]
+    known = [(leg, course) for leg, course in courses if course is not None]
+    lacking = dict.fromkeys(leg.edge for leg, course in courses if course is None)
+    positions = np.concatenate([leg.position + course.positions for leg, course in known])
+    grows = np.concatenate(([True], np.diff(np.maximum.accumulate(positions)) > 0.01))
+    quality = dict.fromkeys(course.quality for _, course in known if course.quality)
+    return Geometry(
+        positions[grows],
+        np.concatenate([course.latitudes for _, course in known])[grows],
+        np.concatenate([course.longitudes for _, course in known])[grows],
+        "; ".join([*quality, f"straight over {', '.join(lacking)}, of which none is known"]),
+    )
 
 
 def _check(network: Network, found: Passages) -> None:

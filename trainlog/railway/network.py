@@ -574,10 +574,10 @@ class Route:
         >>> back.legs[0].edge_start, back.legs[0].edge_end
         (29556.1, 0.0)
         """
-        parts = [(leg.position, self._travelled(leg)) for leg in self.legs]
+        parts = [(leg.position, self.leg_line(leg)) for leg in self.legs]
         return composed(self.name, parts, self._stations(parts), self.legs)
 
-    def _travelled(self, leg: Leg) -> Line:
+    def leg_line(self, leg: Leg) -> Line:
         """What of an edge's line a leg runs over, in the direction of travel."""
         start, end = sorted((leg.edge_start, leg.edge_end))
         part = self.network.edge(leg.edge).line.section(start, end)
