@@ -520,7 +520,8 @@ class Search:
                 variance = n.driven_variance[two] - n.driven_variance[one]
                 yield Unseen(
                     tuple(leg.course for leg in passed),
-                    *n.seconds[[one, two]].tolist(),
+                    float(n.seconds[one]),
+                    float(n.seconds[two]),
                     float(np.diff(part.position[at])[0]),
                     float(n.driven[two] - n.driven[one]),
                     float(np.sqrt(variance + n.std[one] ** 2 + n.std[two] ** 2)),
