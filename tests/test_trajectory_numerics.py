@@ -141,11 +141,12 @@ def test_a_grid_too_coarse_for_the_timetable_is_made_finer() -> None:
     assert found.certificate["audit"]["passed"]
 
 
+@pytest.mark.parametrize("coarse", [60, pytest.param(120, marks=pytest.mark.long)])
 @pytest.mark.parametrize("objective", ["wheel", "line"])
-def test_a_run_without_reserve_is_the_fastest_and_audited(objective: str) -> None:
+def test_a_run_without_reserve_is_the_fastest_and_audited(objective: str, coarse: int) -> None:
     configurations = drawn(FLIRT, 3, seed=2)
     times = []
-    for cells in (120, 240):
+    for cells in (coarse, 2 * coarse):
         found = optimised(
             hilly_line(), FLIRT, configurations, reserve=0.0, cells=cells,
             objective=objective,  # type: ignore[arg-type]
