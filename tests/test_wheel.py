@@ -26,13 +26,19 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def environment(folder: Path) -> tuple[Path, Path]:
-    """A fresh environment: its Python and its site-packages."""
-    venv.create(folder, with_pip=True)
+    """A fresh environment, without pip: its Python and its site-packages."""
+    venv.create(folder)
     scripts = folder / ("Scripts" if os.name == "nt" else "bin")
     python = scripts / ("python.exe" if os.name == "nt" else "python")
     code = "import sysconfig; print(sysconfig.get_path('purelib'))"
     site = subprocess.run([python, "-c", code], check=True, capture_output=True, text=True)
     return python, Path(site.stdout.strip())
+
+
+def install(python: Path, *arguments: str, timeout: float) -> None:
+    """Install into the environment of `python`, by the pip that runs here."""
+    pip = [sys.executable, "-m", "pip", "--python", str(python), "install", "--quiet"]
+    subprocess.run([*pip, *arguments], check=True, capture_output=True, timeout=timeout)
 
 
 def trainlog(python: Path, *arguments: str, cwd: Path) -> str:
@@ -71,8 +77,7 @@ def installed_works(python: Path, folder: Path) -> None:
 
 def test_the_wheel_runs_outside_the_checkout(wheel: Path, tmp_path: Path) -> None:
     python, site = environment(tmp_path / "environment")
-    install = [python, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", str(wheel)]
-    subprocess.run(install, check=True, capture_output=True, timeout=300)
+    install(python, "--no-deps", "--no-index", "--no-compile", str(wheel), timeout=300)
     # Third-party packages come from the environment that runs the tests; trainlog does not, as
     # its editable install is not followed from here.
     (site / "third_party.pth").write_text(sysconfig.get_path("purelib") + "\n")
@@ -82,6 +87,5 @@ def test_the_wheel_runs_outside_the_checkout(wheel: Path, tmp_path: Path) -> Non
 @pytest.mark.long
 def test_the_wheel_declares_all_it_needs(wheel: Path, tmp_path: Path) -> None:
     python, _ = environment(tmp_path / "environment")
-    install = [python, "-m", "pip", "install", "--quiet", str(wheel)]
-    subprocess.run(install, check=True, capture_output=True, timeout=1800)
+    install(python, str(wheel), timeout=1800)
     installed_works(python, tmp_path)
