@@ -60,6 +60,9 @@ POINTS = (
     "new maps in their place, the old ones there",
 )
 
+ANALYSES = ("adhesion", "checks")
+"""What the updates compute: with the maps, that which passes all points."""
+
 OTHER_CODE = "0123456789abcdef"
 PATIENCE = 120.0
 
@@ -231,7 +234,7 @@ def updated(where: str, code: str, seed: int | None = None) -> None:
             draw = random.Random(seed)
             chosen = f"key >= '{draw.choice('9abcdef')}'"
             done = ("done", "refused", "failed")
-            for analysis in analyses_named():
+            for analysis in analyses_named(ANALYSES):
                 about = (analysis.name, code or code_of(analysis), analysis.parameters)
                 if not sum(catalogue.standing(*about, where=chosen).values()):
                     continue
@@ -240,7 +243,7 @@ def updated(where: str, code: str, seed: int | None = None) -> None:
             if draw.random() < 0.3:
                 with catalogue.alone(maps.MAPS):
                     shutil.rmtree(maps.maps_folder(catalogue), ignore_errors=True)
-        update.update_fleet(catalogue, None, update.UpdateOptions(workers=0, batch=2))
+        update.update_fleet(catalogue, ANALYSES, update.UpdateOptions(workers=0, batch=2))
 
 
 def first_update(where: str, modules: Path) -> None:
@@ -356,7 +359,7 @@ def main() -> None:
         page = catalogue.pending("none", "")
     row = page.iloc[0]
     work.begin_worker(watched=False)
-    analyses = analyses_named()
+    analyses = analyses_named(ANALYSES)
     job = work.Job(row["key"], row["sha256"], row["path"], tuple(range(len(analyses))))
     work.computed(work.Batch((job,), analyses))  # what is compiled is loaded once
     for each in analyses:
