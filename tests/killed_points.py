@@ -24,9 +24,8 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -246,12 +245,6 @@ def updated(where: str, code: str, seed: int | None = None) -> None:
         update.update_fleet(catalogue, ANALYSES, update.UpdateOptions(workers=0, batch=2))
 
 
-def first_update(where: str, modules: Path) -> None:
-    """Update, and state which modules that needs: they are imported once for all that follow."""
-    updated(where, "", 1)
-    modules.write_text("\n".join(sorted(sys.modules)))
-
-
 class Forked:
     """A process that updates; what it passed."""
 
@@ -356,20 +349,8 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with open_catalogue(where, results=kept if "://" in where else None) as catalogue:
         catalogue.add(logs)
-        page = catalogue.pending("none", "")
-    row = page.iloc[0]
     work.begin_worker(watched=False)
-    analyses = analyses_named(ANALYSES)
-    job = work.Job(row["key"], row["sha256"], row["path"], tuple(range(len(analyses))))
-    work.computed(work.Batch((job,), analyses))  # what is compiled is loaded once
-    for each in analyses:
-        code_of(each)
-    modules = folder / "modules"
-    if Forked(folder, partial(first_update, where, modules), None).end():
-        raise AssertionError("the first update failed")
-    for name in modules.read_text().split():
-        with suppress(ImportError):
-            import_module(name)
+    updated(where, "", 1)  # what is imported and compiled is loaded once, for all that follow
     print(json.dumps(run(folder, where, *map(int, numbers))))
 
 
