@@ -88,7 +88,7 @@ def kill_at_random(
     """Update until nothing is pending, killing at random moments; what was done.
 
     Each moment is that at which some results more are recorded, up to `each`, and up to `within`
-    [s] later: however slow the computer is, what is killed has begun. Of four kills two are of a
+    [s] later: however slow the computer is, what is killed has begun. Of eight kills six are of a
     worker, one of the parent, one Ctrl-C.
     """
     chance = random.Random(seed)
@@ -106,7 +106,7 @@ def kill_at_random(
             if process.poll() is not None:
                 break
             every = descendants(process.pid)
-            kind = chance.choice(["worker", "worker", "parent", "interrupt"])
+            kind = chance.choice([*["worker"] * 6, "parent", "interrupt"])
             if kind == "worker":
                 busy = workers(process.pid)
                 if busy:
