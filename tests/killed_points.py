@@ -33,7 +33,7 @@ from analysis.fleet import maps, update, work
 from analysis.fleet.analyses import analyses_named
 from analysis.fleet.codes import code_of
 from trainlog.catalogue import open_catalogue, results
-from trainlog.catalogue.schema import Database
+from trainlog.catalogue.database import Database
 from trainlog.formats import mapfile
 from trainlog.formats.files import atomic_write
 

@@ -8,15 +8,16 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 import pytest
 from failing_analyses import DEADLY
 from fleet_trips import TRIPS
-from killed_fleet import contents, descendants
+from killed_fleet import contents, descendants, recorded
 
 from analysis.fleet.engine import MPI, Dask
 from analysis.fleet.update import UpdateOptions, update_fleet
@@ -130,6 +131,35 @@ def test_dask_goes_on_when_its_workers_die(place: Path) -> None:
                 os.kill(worker, signal.SIGKILL)
             more = update_fleet(catalogue, ["checks"], UpdateOptions(scheduler=address, batch=1))
             assert more.counts["checks"].done == TRIPS
+
+
+@pytest.mark.long
+def test_a_scheduler_that_dies_ends_the_update_and_fails_no_trip(
+    tmp_path: Path, fleet_logs: Path
+) -> None:
+    pytest.importorskip("distributed")
+    with open_catalogue(tmp_path / "dask") as catalogue, dask_cluster(tmp_path) as (address, _):
+        catalogue.add(fleet_logs)
+        when_ready(address)
+        options = UpdateOptions(scheduler=address, batch=1)
+        killing = threading.Thread(target=kill_scheduler, args=(address, catalogue.place))
+        killing.start()
+        with pytest.raises(InputError, match="scheduler does not answer any more"):
+            update_fleet(catalogue, None, options)
+        killing.join()
+        found = update_fleet(catalogue, ["checks"], UpdateOptions(workers=0)).counts["checks"]
+        assert (found.known + found.done, found.failed) == (TRIPS, 0)
+
+
+def kill_scheduler(address: str, catalogue: str) -> None:
+    """Kill the scheduler as soon as anything is recorded."""
+    while not recorded(catalogue):
+        time.sleep(0.05)
+    for entry in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):
+            words = entry.read_bytes().split(b"\0")
+            if b"scheduler" in words and address.rpartition(":")[2].encode() in words:
+                os.kill(int(entry.parent.name), signal.SIGKILL)
 
 
 def test_a_scheduler_that_does_not_answer_is_named() -> None:

@@ -456,3 +456,41 @@ def test_kills_at_each_point_of_an_update_leave_what_one_that_was_not_killed_giv
     assert not list((tmp_path / "many" / "maps").glob(".*"))
     with open_catalogue(place["many"]) as known:
         assert len(known.results("checks")) == 6
+
+
+@pytest.mark.long
+def test_a_full_disk_ends_an_update_by_one_error_and_the_next_completes_it(
+    tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    short_trips(tmp_path / "logs", 4)
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", str(disk)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("no small disk can be mounted here")
+    request.addfinalizer(lambda: subprocess.run(["umount", str(disk)], check=False))
+    with open_catalogue(tmp_path / "one") as known:
+        known.add(tmp_path / "logs")
+    assert updated(tmp_path / "one", *TWO).trips == 4
+    refused = set()
+    for free in (0, 8, 32, 64, 128, 160, 200, 260, 320, 340, 360, 380):
+        with open_catalogue(disk / "many") as known:
+            known.add(tmp_path / "logs")
+        known_free = os.statvfs(disk)
+        (disk / "filler").write_bytes(
+            bytes(known_free.f_bavail * known_free.f_frsize - free * 1024)
+        )
+        try:
+            updated(disk / "many", *TWO)
+        except InputError as error:
+            refused.add((error.problem, error.remedy))
+        assert not list((disk / "many" / "results").rglob(".*.parquet")), "nothing half"
+        (disk / "filler").unlink()
+        assert updated(disk / "many", *TWO).counts["checks"].pending == 0
+        grow_old(disk / "many")
+        updated(disk / "many", *TWO)
+        assert kept(disk / "many") == kept(tmp_path / "one")
+        shutil.rmtree(disk / "many")
+    print(refused)
+    assert len({problem for problem, _ in refused}) >= 2, "at the file and at the database"
+    assert all("free some space" in str(remedy) for _, remedy in refused)

@@ -12,6 +12,7 @@ import concurrent.futures as futures
 import multiprocessing
 import os
 import sys
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
@@ -39,6 +40,9 @@ IN_FLIGHT = 2
 
 PATIENCE = 5.0
 """How long a scheduler is waited for [s]."""
+
+WITHOUT_WORKERS = 60.0
+"""How long a scheduler may have no workers [s]: those that died are replaced meanwhile."""
 
 
 class Engine:
@@ -89,6 +93,14 @@ class Engine:
             "a worker of the executor died, and it cannot be started anew from here",
             remedy="what was finished is kept: start the executor and update again",
         )
+
+    def check(self) -> None:
+        """Refuse to wait for workers that do not come back.
+
+        Raises
+        ------
+        InputError
+        """
 
     def alone(self, batch: Batch) -> BatchResult:
         """Compute a batch in a worker that does nothing else."""
@@ -251,6 +263,7 @@ class Dask(Engine):
             raise
         super().__init__(self._client.get_executor(pure=False, retries=0), workers)
         self._killed = distributed.KilledWorker
+        self._since = 0.0
 
     def _workers(self, address: str) -> int:
         known = self._client.scheduler_info(n_workers=-1)["workers"]
@@ -286,6 +299,24 @@ class Dask(Engine):
 
     def renew(self) -> None:
         """Nothing: the scheduler goes on with the other workers."""
+
+    def check(self) -> None:
+        """Refuse to go on without the scheduler, or when it has had no workers for long.
+
+        Raises
+        ------
+        InputError
+        """
+        remedy = "what was finished is kept: start it with its workers and update again"
+        try:
+            known = self._client.scheduler_info(n_workers=-1)["workers"]
+        except (OSError, TimeoutError):
+            known = None
+        if known is None or self._client.status != "running":
+            raise InputError("the Dask scheduler does not answer any more", remedy=remedy)
+        self._since = 0.0 if known else self._since or time.monotonic()
+        if not known and time.monotonic() - self._since > WITHOUT_WORKERS:
+            raise InputError("the Dask scheduler has no workers any more", remedy=remedy)
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         assert self._executor is not None
@@ -376,12 +407,16 @@ def run(
                 running[engine.submit(attempt.batch)] = attempt
             if not running:
                 return
-            done, _ = futures.wait(running, return_when=futures.FIRST_COMPLETED)
+            done, _ = futures.wait(running, PATIENCE, futures.FIRST_COMPLETED)
+            if not done:
+                engine.check()
+                continue
             lost = _finish(engine, done, running, finished)
             if lost:
                 # All that was in flight is lost with a pool; which had the worker is not known.
                 if any(isinstance(error, futures.BrokenExecutor) for _, error in lost):
                     lost += _finish(engine, set(running), running, finished)
+                engine.check()
                 engine.renew()
                 for attempt, error in lost:
                     if attempt.deaths:
@@ -430,6 +465,7 @@ def _one_by_one(
             except BaseException as found:
                 if not engine.lost_worker(found):
                     raise
+                engine.check()
                 error = found
                 if attempt + 1 == RAN_ALONE:
                     words = "the worker that computed it died each time, out of memory perhaps"

@@ -208,11 +208,13 @@ class Database:
             yield
         except sa.exc.DBAPIError as error:
             words = " ".join(str(error.orig).split())
+            full = any(each in words for each in ("is full", "disk I/O", "No space left"))
+            reached = "check that it can be reached and written"
+            remedy = "free some space on its disk" if full else reached
             raise InputError(
                 f"the database refuses: {words}",
                 file=self.place,
-                remedy="check that it can be reached and written, then do it again: what was begun"
-                " was undone",
+                remedy=f"{remedy}, then do it again: what was begun was undone",
             ) from error
 
     def _server(self, text: str) -> URL:
