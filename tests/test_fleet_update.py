@@ -480,6 +480,8 @@ def test_a_full_disk_ends_an_update_by_one_error_and_the_next_completes_it(
         (disk / "filler").write_bytes(
             bytes(known_free.f_bavail * known_free.f_frsize - free * 1024)
         )
+            bytes(known_free.f_bavail * known_free.f_frsize - free * 1024)
+        )
         try:
             updated(disk / "many", *TWO)
         except InputError as error:
