@@ -476,12 +476,9 @@ def test_a_full_disk_ends_an_update_by_one_error_and_the_next_completes_it(
     for free in (0, 8, 32, 64, 128, 160, 200, 260, 320, 340, 360, 380):
         with open_catalogue(disk / "many") as known:
             known.add(tmp_path / "logs")
-        known_free = os.statvfs(disk)
-        (disk / "filler").write_bytes(
-            bytes(known_free.f_bavail * known_free.f_frsize - free * 1024)
-        )
-            bytes(known_free.f_bavail * known_free.f_frsize - free * 1024)
-        )
+        space = os.statvfs(disk)
+        left = space.f_bavail * space.f_frsize - free * 1024
+        (disk / "filler").write_bytes(bytes(left))
         try:
             updated(disk / "many", *TWO)
         except InputError as error:

@@ -2,7 +2,7 @@
 
     python benchmarks/fleet/benchmark_long_logs.py [--sizes 0.1,1,10] [--folder FOLDER]
 
-writes logs of so many GB (10^9 bytes) as a recorder that never stops makes them: the sample trips one after the
+writes logs of so many GB as a recorder that never stops makes them: the sample trips one after the
 other, ten minutes apart, accelerations at 1 kHz, axles at 200 Hz, everything else as it was
 recorded. Nothing but a trip is in memory while they are written. Each is registered and computed by
 the commands ``trainlog catalogue add`` and ``trainlog fleet update``, each in a process of its own:
