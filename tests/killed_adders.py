@@ -3,31 +3,50 @@
     python tests/killed_adders.py WHERE RESULTS LOGS ADDERS KILLS
 
 The adders are forked from this process, which has imported everything. Each adds the logs in an
-order of its own and records a result of each trip. One after the other is killed at a random
-moment and replaced; then one more does the rest. How many were killed while they worked is printed.
+order of its own and records a result of each trip. One after the other is killed, at a named point
+and a moment after it passed some points in turn, and replaced; then one more does the rest. How
+many were killed, how many failed and where the kills fell is printed.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import signal
 import sys
+import tempfile
 import time
 import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
+from passed_points import Passed
 
-from trainlog.catalogue import ResultOutcome, adding, open_catalogue
+from trainlog.catalogue import ResultOutcome, adding, open_catalogue, reading, results
+from trainlog.catalogue.schema import Database
+
+POINTS = (
+    "a log looked at",
+    "logs registered, not committed",
+    "logs registered",
+    "a file written, its rows not",
+    "rows written, not committed",
+    "rows committed",
+)
 
 adding.BATCH = 3
 
 
-def work(where: str, results: str | None, logs: list[str], seed: int) -> None:
+def work(where: str, kept: str | None, logs: list[str], seed: int) -> None:
     """Add the logs in an order of its own, and record a result of each trip."""
     random.Random(seed).shuffle(logs)
-    with open_catalogue(where, results=results) as catalogue:
+    with open_catalogue(where, results=kept) as catalogue:
         for at in range(0, len(logs), 4):
             catalogue.add(logs[at : at + 4])
             todo = catalogue.pending("length", "1")
@@ -38,41 +57,117 @@ def work(where: str, results: str | None, logs: list[str], seed: int) -> None:
             catalogue.record("length", "1", {}, done, table)
 
 
-def forked(where: str, results: str | None, logs: list[str], seed: int) -> int:
-    """A process that works; its number."""
-    number = os.fork()
-    if number:
-        return number
-    status = 1
-    try:
-        work(where, results, list(logs), seed)
-        status = 0
-    except BaseException:  # noqa: BLE001 - the child must not go on as the parent
-        traceback.print_exc()
-    finally:
-        os._exit(status)
+def watch(passed: Passed) -> None:
+    """Let this process note what it passes."""
+    recording = [False]
+
+    def noted(owner: Any, name: str, point: str) -> None:
+        inner = getattr(owner, name)
+
+        def outer(*given: Any, **named: Any) -> Any:
+            found = inner(*given, **named)
+            passed.at(point)
+            return found
+
+        setattr(owner, name, outer)
+
+    inner_record, inner_writing = results.record, Database.writing
+
+    def record(*given: Any) -> int:
+        recording[0] = True
+        found = inner_record(*given)
+        recording[0] = False
+        passed.at("rows committed")
+        return found
+
+    @contextmanager
+    def writing(self: Database) -> Iterator[Any]:
+        with inner_writing(self) as connection:
+            yield connection
+            passed.at(f"{'rows written' if recording[0] else 'logs registered'}, not committed")
+        if not recording[0]:
+            passed.at("logs registered")
+
+    noted(reading, "read_file", "a log looked at")
+    noted(results, "write_table", "a file written, its rows not")
+    results.record = record
+    Database.writing = writing  # type: ignore[method-assign,assignment]
 
 
-def main(where: str, results: str, folder: str, adders: int, kills: int) -> int:
+class Adder:
+    """A process that works; what it passed."""
+
+    def __init__(
+        self, work: Callable[[], None], folder: Path, order: tuple[str, int] | None
+    ) -> None:
+        self.passed = Passed(folder / f"passed-{time.monotonic_ns()}", POINTS)
+        self.passed.order = order
+        self.status: int | None = None
+        self.number = os.fork()
+        if self.number:
+            return
+        status = 1
+        try:
+            watch(self.passed)
+            work()
+            status = 0
+        except BaseException:  # noqa: BLE001 - the child must not go on as the parent
+            traceback.print_exc()
+        finally:
+            os._exit(status)
+
+    def running(self) -> bool:
+        if self.status is None:
+            number, status = os.waitpid(self.number, os.WNOHANG)
+            self.status = os.waitstatus_to_exitcode(status) if number else None
+        return self.status is None
+
+    def kill(self, points: int, within: float) -> None:
+        """Kill it a moment after it passed so many points, or let it end."""
+        while self.passed.total < points and self.running():
+            time.sleep(0.001)
+        time.sleep(within)
+        if self.running():
+            os.kill(self.number, signal.SIGKILL)
+
+    def end(self) -> int:
+        """Wait for its end; its exit status, negative if it was killed."""
+        while self.running():
+            time.sleep(0.002)
+        assert self.status is not None
+        return self.status
+
+
+def main(where: str, results_folder: str, folder: str, adders: int, kills: int) -> int:
     """Kill adders, and let one finish."""
-    kept = results or None
+    kept = results_folder or None
     logs = sorted(str(path) for path in Path(folder).rglob("*.mcap"))
     draw = random.Random(7)
-    running = [forked(where, kept, logs, seed) for seed in range(adders)]
-    killed = failed = 0
-    for seed in range(kills):
-        time.sleep(draw.uniform(0.0, 0.3))
-        victim = running.pop(0)
-        os.kill(victim, signal.SIGKILL)
-        _, status = os.waitpid(victim, 0)
-        killed += os.WIFSIGNALED(status)
-        failed += os.WIFEXITED(status) and os.WEXITSTATUS(status) != 0
-        running.append(forked(where, kept, logs, adders + seed))
-    for number in running:
-        _, status = os.waitpid(number, 0)
-        failed += not os.WIFEXITED(status) or os.WEXITSTATUS(status) != 0
+    fell: Counter[str] = Counter()
+    failed = 0
+    with tempfile.TemporaryDirectory() as notes:
+
+        def begun(seed: int) -> Adder:
+            point = POINTS[seed // 2 % len(POINTS)]
+            order = (point, draw.randint(1, 4)) if seed % 2 else None
+            return Adder(partial(work, where, kept, list(logs), seed), Path(notes), order)
+
+        running = [begun(seed) for seed in range(adders)]
+        seed = adders
+        while sum(fell.values()) < kills and seed < 10 * kills:
+            victim = running.pop(0)
+            if victim.passed.order is None:
+                victim.kill(draw.randint(1, 30), draw.uniform(0.0, 0.02))
+            status = victim.end()
+            if status == -signal.SIGKILL:
+                fell[victim.passed.last or "begun"] += 1
+            failed += status > 0
+            running.append(begun(seed))
+            seed += 1
+        for each in running:
+            failed += each.end() > 0
     work(where, kept, logs, 1000)
-    print(killed, failed)
+    print(json.dumps({"killed": sum(fell.values()), "failed": failed, "fell": fell}))
     return 0
 
 

@@ -2,8 +2,8 @@
 
     python tests/killed_points.py WHERE RESULTS LOGS EACH RANDOM TOGETHER
 
-The updates are forked from this process, which has imported and compiled everything: each begins
-within milliseconds and computes in its own process. What they pass is patched here, in the process
+The updates are forked from this process, which has imported everything and computed each trip once:
+each begins within milliseconds. What they pass is patched here, in the process
 that is killed, and noted in a file that outlasts it. Each is killed by SIGKILL, at each point EACH
 times, then RANDOM times at moments that are drawn; TOGETHER of them run at once, on one catalogue.
 Between them some results are forgotten, and the code is another in turn, so that there is always
@@ -13,7 +13,6 @@ something to compute, to merge and to map. At last two updates end, and what fel
 from __future__ import annotations
 
 import json
-import mmap
 import os
 import pathlib
 import random
@@ -23,14 +22,16 @@ import sys
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from passed_points import Passed
+
 from analysis.fleet import maps, update, work
-from analysis.fleet.analyses import analyses_named
+from analysis.fleet.analyses import FleetAnalysis, analyses_named
 from analysis.fleet.codes import code_of
 from trainlog.catalogue import open_catalogue, results
 from trainlog.catalogue.database import Database
@@ -64,36 +65,6 @@ ANALYSES = ("adhesion", "checks")
 
 OTHER_CODE = "0123456789abcdef"
 PATIENCE = 120.0
-
-
-class Passed:
-    """How often a process passed each point, and the last of them, in a file that outlasts it."""
-
-    def __init__(self, path: Path) -> None:
-        path.write_bytes(bytes(4 * (len(POINTS) + 1)))
-        self._stream = path.open("r+b")
-        self._map = mmap.mmap(self._stream.fileno(), 0)
-        self._view = memoryview(self._map).cast("I")
-        self.order: tuple[str, int] | None = None
-
-    def at(self, point: str) -> None:
-        """Note a point, and end there if that was ordered."""
-        number = POINTS.index(point)
-        self._view[number] += 1
-        self._view[len(POINTS)] = number
-        if self.order == (point, self._view[number]):
-            os.kill(os.getpid(), signal.SIGKILL)
-
-    def count(self, point: str) -> int:
-        return self._view[POINTS.index(point)]
-
-    @property
-    def total(self) -> int:
-        return sum(self._view[: len(POINTS)])
-
-    @property
-    def last(self) -> str:
-        return POINTS[self._view[len(POINTS)]]
 
 
 def watch(passed: Passed) -> None:
@@ -224,6 +195,20 @@ def watch(passed: Passed) -> None:
     patch(mapfile.MapFile, "append_all", noted("a map committed", after=True))
 
 
+def remember() -> None:
+    """Compute each trip once: what is killed here is what reads, records, merges and maps."""
+    inner, known = work._of_trip, {}
+
+    def outer(job: work.Job, analyses: Sequence[FleetAnalysis]) -> dict[int, Any]:
+        missing = [n for n in job.analyses if (job.key, analyses[n].name) not in known]
+        if missing:
+            found = inner(job._replace(analyses=tuple(missing)), analyses)
+            known.update({(job.key, analyses[n].name): each for n, each in found.items()})
+        return {n: known[job.key, analyses[n].name] for n in job.analyses}
+
+    work._of_trip = outer
+
+
 def updated(where: str, code: str, seed: int | None = None) -> None:
     """Update, by the present code or as if by other; with a seed, forget some results before."""
     if code:
@@ -249,7 +234,7 @@ class Forked:
     """A process that updates; what it passed."""
 
     def __init__(self, folder: Path, run: Callable[[], None], order: tuple[str, int] | None):
-        self.passed = Passed(folder / f"passed-{time.monotonic_ns()}")
+        self.passed = Passed(folder / f"passed-{time.monotonic_ns()}", POINTS)
         self.passed.order = order
         self.pid = os.fork()
         self.status: int | None = None
@@ -350,6 +335,7 @@ def main() -> None:
     with open_catalogue(where, results=kept if "://" in where else None) as catalogue:
         catalogue.add(logs)
     work.begin_worker(watched=False)
+    remember()
     updated(where, "", 1)  # what is imported and compiled is loaded once, for all that follow
     print(json.dumps(run(folder, where, *map(int, numbers))))
 
