@@ -29,7 +29,7 @@ import pyarrow as pa
 from passed_points import Passed
 
 from trainlog.catalogue import ResultOutcome, adding, open_catalogue, reading, results
-from trainlog.catalogue.schema import Database
+from trainlog.catalogue.database import Database
 
 POINTS = (
     "a log looked at",
