@@ -220,6 +220,13 @@ def test_what_a_network_does_not_hold_of_osrd_is_counted() -> None:
 
 
 @needs_osrd
+def test_nodes_of_drawings_have_no_coordinates() -> None:
+    """tiny_infra draws 200 m of track as one degree of latitude."""
+    assert all(node.latitude is None for node in imported("tiny_infra").nodes)
+    assert all(node.latitude is not None for node in imported("nested_switches").nodes)
+
+
+@needs_osrd
 @pytest.mark.parametrize("category", [None, "none", "E32C", "HLP", "MA100"])
 @pytest.mark.parametrize("name", INFRAS)
 def test_limits_are_those_of_the_direction_and_of_the_category_of_the_train(

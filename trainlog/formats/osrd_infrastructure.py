@@ -57,6 +57,9 @@ NOT_HELD = {
 FARTHEST = 2.0
 """Courses so many times as long as their sections, or shorter by it, are drawings."""
 
+FARTHEST_ENDS = 10.0
+"""Ends so many times as far apart as their section is long have no coordinates."""
+
 
 class _Part(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True)
@@ -284,12 +287,17 @@ def _lay(track: TrackData, coordinates: list[list[float]]) -> float:
 
 
 def _corners(section: _Section) -> dict[TrackEnd, tuple[float, float]]:
-    """Latitude and longitude of a section's ends, where they lie on the earth."""
-    ends = [] if section.geo is None else [section.geo.coordinates[0], section.geo.coordinates[-1]]
+    """Latitude and longitude of a section's ends, where these are places on the earth."""
+    if section.geo is None:
+        return {}
+    ends = [(y, x) for x, y in (section.geo.coordinates[n][:2] for n in (0, -1))]
+    if any(abs(y) > 90.0 or abs(x) > 180.0 for y, x in ends):
+        return {}
+    apart = float(np.abs(to_plane(*ends[1], ends[0])))
+    if apart > FARTHEST_ENDS * section.length:
+        return {}
     return {
-        TrackEnd(section.id, at_end): (point[1], point[0])
-        for at_end, point in zip((False, True), ends, strict=False)
-        if abs(point[1]) <= 90.0 and abs(point[0]) <= 180.0
+        TrackEnd(section.id, at_end): end for at_end, end in zip((False, True), ends, strict=True)
     }
 
 
