@@ -18,21 +18,14 @@ from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import sha256
 from trainlog.formats.network import network_to_bytes
 from trainlog.ingest.chainage import distance_driven
+from trainlog.ingest.edge_candidates import EdgeTracks, edge_tracks
 from trainlog.ingest.estimates import fixes_of
 from trainlog.ingest.fixes import Fixes
 from trainlog.ingest.parts import part_of, with_cut_lines
 from trainlog.ingest.placing import stops_of
 from trainlog.ingest.recording import BoolArray, IntArray, Recording, Table
 from trainlog.ingest.route_distances import Placed, by_kilometres, by_stops, check_determined
-from trainlog.ingest.route_matching import (
-    DECIDES,
-    EdgeTracks,
-    Passage,
-    Passages,
-    Unseen,
-    edge_tracks,
-    match_route,
-)
+from trainlog.ingest.route_matching import DECIDES, Passage, Passages, Unseen, match_route
 from trainlog.ingest.rules import POSITION
 from trainlog.railway.line import Geometry, Leg, Line
 from trainlog.railway.network import Edge, Network, Route
