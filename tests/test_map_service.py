@@ -313,6 +313,37 @@ class TestCommand:
         status, shown, _ = self.run("map", "update", bad, "--map", path)
         assert (status, shown) == (0, before.replace(held, "0 trips added"))
 
+    def test_a_train_that_never_records_axles_is_listed_and_fails_no_night(
+        self, logs: Path, trips: list[Trip], path: Path, tmp_path: Path
+    ) -> None:
+        """Unlike a log whose axles may have been lost with its damage."""
+        topics = {name: each for name, each in trips[0].topics.items() if name != "/train/axles"}
+        metadata = {**trips[0].metadata, "trip": "without", "train": "bare"}
+        log = logs / "without.mcap"
+        write_log(replace(trips[0], topics=topics, metadata=metadata), log)
+        words = ("map", "update", logs, "--map", path)
+        status, shown, complaint = self.run(*words)
+        assert (status, complaint) == (0, "")
+        assert f"not used: {log}: trip 'without' has no topic /train/axles" in shown
+        assert "3 held already, 1 without axle speeds;" in shown
+        status, shown, _ = self.run(*words)
+        assert (status, "1 refused before" in shown) == (0, True)
+        status, shown, _ = self.run(*words, "--retry", "--json")
+        found = json.loads(shown)
+        assert (status, found["not_recorded"], found["refused"]) == (0, 1, 0)
+        assert {each["outcome"] for each in found["logs"]} == {"held", "not recorded"}
+        for network in (False, True):
+            place = tmp_path / ("maps" if network else "new.map")
+            place.mkdir() if network else None
+            assert self.run("map", "update", log, "--map", place)[0] == 2, "there is no map"
+            status, shown, _ = self.run("map", "update", logs, "--map", place)
+            assert (status, "1 without axle speeds" in shown) == (0, True)
+        data = log.read_bytes()
+        (logs / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
+        status, shown, complaint = self.run(*words)
+        assert (status, "1 refused," in shown) == (1, True)
+        assert "cut.mcap: trip 'without' has no topic /train/axles" in complaint
+
     def test_a_refused_log_is_tried_again_where_more_is_known(
         self, trips: list[Trip], path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:

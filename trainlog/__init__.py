@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         LogError as LogError,
         MissingExtraError as MissingExtraError,
         NotIdentifiableError as NotIdentifiableError,
+        NotRecordedError as NotRecordedError,
         TrainlogError as TrainlogError,
     )
     from trainlog.formats.characteristic import (
@@ -211,7 +212,8 @@ _NAMES = {
         "write_replay"
     ),
     "trainlog.errors": (
-        "InfeasibleError InputError LogError MissingExtraError NotIdentifiableError TrainlogError"
+        "InfeasibleError InputError LogError MissingExtraError NotIdentifiableError"
+        " NotRecordedError TrainlogError"
     ),
 }
 """Public names by the module that defines them; ``public=name`` where it has another name there."""

@@ -120,6 +120,19 @@ class LogError(TrainlogError):
     """
 
 
+class NotRecordedError(LogError):
+    """A log lacks what is asked for because its recorder never recorded it; it is not damaged.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> trip = trainlog.read("sample_logs/nonstop.mcap", ["/train/state"])
+    >>> trip["/train/axles"]  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    trainlog.errors.NotRecordedError: trip 'trip-01' has no topic /train/axles; ...
+    """
+
+
 class NotIdentifiableError(TrainlogError):
     """The data do not determine what is asked: too little excitation, too short, too many gaps.
 

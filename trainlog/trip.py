@@ -16,7 +16,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from trainlog.display import as_html, as_text, counted
-from trainlog.errors import LogError
+from trainlog.errors import LogError, NotRecordedError
 from trainlog.spans import Spans, in_spans, position_limits, spans_within, time_limits, utc
 from trainlog.topics import Topic, attributes, column_field
 from trainlog.units import NANOSECONDS, clock
@@ -91,14 +91,14 @@ class Trip:
 
         Raises
         ------
-        LogError
+        NotRecordedError
             If the trip has no such topic.
         """
         try:
             return self.topics[topic]
         except KeyError:
             present = ", ".join(self.topics) or "none"
-            raise LogError(
+            raise NotRecordedError(
                 f"trip '{self.name}' has no topic {topic}",
                 remedy=f"topics loaded: {present}",
             ) from None

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from analysis.passports import DELAY_STD
 from trainlog.display import counted
-from trainlog.errors import LogError
+from trainlog.errors import LogError, NotRecordedError
 from trainlog.railway.passport import Passport
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
@@ -244,7 +244,7 @@ def _speeds(
     recorded = sorted(int(n.rpartition("_")[2]) for n in given if frame[n].notna().any())
     count = train.axles.count
     if not recorded:
-        raise LogError(
+        raise NotRecordedError(
             f"trip '{trip.name}': /train/axles holds no axle speed",
             remedy="slip needs the speed of one powered axle at least",
         )

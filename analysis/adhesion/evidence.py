@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from analysis.adhesion.covariates import covariates
 from analysis.adhesion.slip import SlipAnalysis, joined_details, slip
 from trainlog.condition import setting
-from trainlog.errors import InputError, LogError
+from trainlog.errors import InputError, LogError, NotRecordedError
 from trainlog.formats.attached import line_of
 from trainlog.identity import TripIdentity, identity_of
 from trainlog.railway.condition import TrackConditionMap
@@ -192,7 +192,7 @@ def evidence_of_parts(
             sums.setdefault(condition, _Sums(track)).add(seen)
     left_out = sums.pop("", None)
     if not clocks:
-        raise LogError("no speed of a powered axle is recorded in it")
+        raise NotRecordedError("no speed of a powered axle is recorded in it")
     start, end = _span(clocks)
     if not sums:
         first, last = (f"{pd.Timestamp(each):%Y-%m-%d %H:%M}" for each in (start, end))

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from trainlog.display import as_text, counted
-from trainlog.errors import InputError, TrainlogError
+from trainlog.errors import InputError, LogError, NotRecordedError, TrainlogError
 from trainlog.formats.files import logs_of, refuse_reading, sha256, sha256_of
 from trainlog.formats.mapfile import MapFile
 from trainlog.formats.recordings import Recording, Refusal
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 _SETTLED = 2_000_000_000
 """A file that was changed so shortly before [ns] may change again within one step of its clock."""
 
-Outcome = Literal["added", "held", "same drive", "refused", "refused before"]
+Outcome = Literal["added", "held", "same drive", "not recorded", "refused", "refused before"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +46,10 @@ class LogOutcome:
     ----------
     log : str
         Its path.
-    outcome : {"added", "held", "same drive", "refused", "refused before"}
+    outcome : {"added", "held", "same drive", "not recorded", "refused", "refused before"}
         Counted from now on; this very log was there already; kept, but a fuller recording of the
-        drive counts; not usable; not usable for the reason that an earlier update reported.
+        drive counts; whole, but its recorder never recorded what the map is made of; not usable;
+        not added for the reason that an earlier update reported.
     trip, layer : str
         Empty where that is not known.
     reason : str
@@ -121,8 +122,13 @@ class MapUpdate:
         return self.of("refused")
 
     @property
+    def not_recorded(self) -> tuple[LogOutcome, ...]:
+        """The logs in which nothing is wrong, but that never recorded what the map is made of."""
+        return self.of("not recorded")
+
+    @property
     def refused_before(self) -> tuple[LogOutcome, ...]:
-        """The logs that cannot be used for a reason that an earlier update reported."""
+        """The logs that are not used for a reason that an earlier update reported."""
         return self.of("refused before")
 
     @property
@@ -137,6 +143,7 @@ class MapUpdate:
         for outcome, words in (
             ("held", "held already"),
             ("same drive", "of a drive that counts already"),
+            ("not recorded", "without axle speeds"),
             ("refused", "refused"),
             ("refused before", "refused before (--retry states why)"),
         ):
@@ -153,6 +160,7 @@ class MapUpdate:
             "added": len(self.added),
             "held": len(self.of("held")),
             "same_drive": len(self.of("same drive")),
+            "not_recorded": len(self.not_recorded),
             "refused": len(self.refused),
             "refused_before": len(self.refused_before),
         }
@@ -287,7 +295,7 @@ class FileUpdate:
             if _has_changed(log, state) or isinstance(error.__cause__, OSError):
                 # Not because of what the log holds.
                 return LogOutcome(str(log), "refused", reason=str(error))
-            return self._refused(log, digest, str(error))
+            return self._refused(log, digest, error)
         if _has_changed(log, state):
             return _changed(log, piece)
         self.file = self.file or MapFile(self.path, track)
@@ -319,13 +327,15 @@ class FileUpdate:
             return None
         return LogOutcome(str(log), "refused before", reason=found.reason)
 
-    def _refused(self, log: Path, digest: str, reason: str) -> LogOutcome:
+    def _refused(self, log: Path, digest: str, error: TrainlogError) -> LogOutcome:
         """The outcome of a log that is refused now, which is remembered."""
+        reason = str(error)
         new = Refusal(digest, str(log), reason, self._conditions)
         earlier = self.file.refusal(digest) if self.file else None
         self._refusals[digest] = new
         again = earlier is not None and not self.retry and earlier.is_repeated_by(new)
-        return LogOutcome(str(log), "refused before" if again else "refused", reason=reason)
+        kind: Outcome = "not recorded" if isinstance(error, NotRecordedError) else "refused"
+        return LogOutcome(str(log), "refused before" if again else kind, reason=reason)
 
     @cached_property
     def _conditions(self) -> str:
@@ -371,21 +381,30 @@ def _changed(log: Path, piece: Evidence) -> LogOutcome:
 @contextmanager
 def naming_log(log: Path) -> Iterator[list[str]]:
     """Name the log in errors; gives what of it is lost, in sentences, once the block has run."""
-    from trainlog.mcap import DamageWarning
-
     losses: list[str] = []
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             yield losses
     except TrainlogError as error:
-        if error.file:
+        kind = type(error)
+        if isinstance(error, NotRecordedError) and _losses(caught):
+            kind = LogError  # what it lacks may be what is lost
+        if error.file and kind is type(error):
             raise
-        raise type(error)(error.problem, file=log, remedy=error.remedy) from error
+        raise kind(error.problem, file=log, remedy=error.remedy) from error
     for each in caught:
         warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
-        if isinstance(each.message, DamageWarning):
-            losses.append(each.message.account.sentence)
+    losses += _losses(caught)
+
+
+def _losses(caught: Iterable[warnings.WarningMessage]) -> list[str]:
+    """What is lost of a log, by the warnings of reading it."""
+    from trainlog.mcap import DamageWarning
+
+    return [
+        each.message.account.sentence for each in caught if isinstance(each.message, DamageWarning)
+    ]
 
 
 def _added(file: MapFile, log: Path, piece: Evidence, damage: str) -> LogOutcome:

@@ -433,7 +433,7 @@ def _with_file(error: Any, log: Path) -> str:
 
 def _of_all(found: list[LogOutcome]) -> LogOutcome:
     """One outcome of those on the edges: the first of these that one of them has."""
-    for outcome in ("added", "same drive", "held", "refused", "refused before"):
+    for outcome in ("added", "same drive", "held", "refused", "not recorded", "refused before"):
         those = [each for each in found if each.outcome == outcome]
         if those:
             trip = those[0].trip.partition("@")[0]

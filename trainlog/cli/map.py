@@ -59,7 +59,8 @@ def map_update(
 
     Exit status 1 if some logs could not be used, or are held under another rail condition than the
     one given; 2 if none could be used. A log that cannot be used is reported once: the map
-    remembers it by its content, and later updates only count it.
+    remembers it by its content, and later updates only count it. One that never recorded the
+    speed of an axle is listed, and no failure.
 
     With --network trips count on each edge that their route runs over, by the edge's own chainage;
     trips on an ordinary line on the edge of its name. The folder keeps the network.
@@ -95,6 +96,8 @@ def map_update(
             print_error(outcome.reason)
         elif outcome.outcome == "refused before" or output.as_json:
             return
+        elif outcome.outcome == "not recorded":
+            console.print(f"  not used: {outcome.reason}", highlight=False, soft_wrap=True)
         elif outcome.outcome != "held" or outcome.reason:
             console.print(f"  {outcome.sentence}", highlight=False, soft_wrap=True)
 
@@ -108,10 +111,10 @@ def map_update(
         result = adding(found, condition, layer=layer, weather=stated, retry=retry, report=report)
     if not state(result.details()):
         console.print(result.sentence, highlight=False, soft_wrap=True)
-    if result.refused:
-        unusable = len(result.refused) + len(result.refused_before)
-        raise typer.Exit(2 if unusable == len(result.logs) else 1)
-    if result.elsewhere:
+    unusable = result.refused + result.not_recorded + result.refused_before
+    if len(unusable) == len(result.logs) and (result.refused or not result.made):
+        raise typer.Exit(2)
+    if result.refused or result.elsewhere:
         raise typer.Exit(1)
 
 
