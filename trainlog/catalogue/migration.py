@@ -48,9 +48,10 @@ def _nothing(_: sa.Connection) -> None:
 
 
 def _index_counting_trips(connection: sa.Connection) -> None:
-    """What is pending, and how many trips count, is found in an index, without reading trips."""
+    """What is pending, and how many trips count, is found in indices, without reading trips."""
     for statement in (
-        "CREATE INDEX trips_counting ON trips (standing, key, sha256, id)",
+        "CREATE INDEX trips_counting ON trips (key, standing, sha256, id)",
+        "CREATE INDEX trips_apart ON trips (id) WHERE standing <> 'counts'",
         "DROP INDEX IF EXISTS trips_by_key",
     ):
         connection.execute(sa.text(statement))

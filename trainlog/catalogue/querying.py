@@ -44,7 +44,8 @@ class Limits:
         if self.train is not None:
             found.append(trips.c.train == self.train)
         if self.line is not None:
-            found.append(on_line(trips.c.line == self.line, trip_edges.c.edge == self.line))
+            few = any(each is not None for each in (self.train, self.start, self.end))
+            found.append(on_line(trips.c.line == self.line, trip_edges.c.edge == self.line, few))
         first = None if self.start is None else times_of(self.start, self.zone)[0]
         last = None if self.end is None else times_of(self.end, self.zone)[1]
         if first is not None and last is not None and first > last:

@@ -35,9 +35,6 @@ STATES: tuple[ResultState, ...] = ("done", "refused", "failed")
 KEY = "key"
 """Column of a table of results that names the trip of a row."""
 
-OTHERS = ("same drive", "older version")
-"""Standings of trips that do not count."""
-
 ROWS = 50_000
 """Rows of a row group."""
 
@@ -473,7 +470,9 @@ def _by_state(
     """
     by = (results.c.computation, results.c.state)
     every = sa.select(*by, sa.func.count()).where(*only).group_by(*by)
-    apart = every.join(trips, trips.c.id == results.c.trip).where(trips.c.standing.in_(OTHERS))
+    apart = every.join(trips, trips.c.id == results.c.trip).where(
+        sa.text("trips.standing <> 'counts'")
+    )
     found: dict[int, dict[str, int]] = {}
     for asked, sign in ((every, 1), (apart, -1)):
         for computation, state, count in connection.execute(asked):

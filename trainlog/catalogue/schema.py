@@ -96,7 +96,13 @@ trips = sa.Table(
     sa.Column("same_as", _ID),
     sa.Column("share", sa.Double),
     sa.Index("trips_by_content", "sha256", unique=True),
-    sa.Index("trips_counting", "standing", "key", "sha256", "id"),
+    sa.Index("trips_counting", "key", "standing", "sha256", "id"),
+    sa.Index(
+        "trips_apart",
+        "id",
+        sqlite_where=sa.text("standing <> 'counts'"),
+        postgresql_where=sa.text("standing <> 'counts'"),
+    ),
     sa.Index("trips_by_time", "start", "end"),
     sa.Index("trips_by_train", "train", "start"),
     sa.Index("trips_by_line", "line", "start"),
@@ -177,10 +183,15 @@ results = sa.Table(
 """One row a log, analysis, code and parameters: ``"done"``, ``"refused"`` or ``"failed"``."""
 
 
-def on_line(condition: sa.ColumnElement[bool], over: sa.ColumnElement[bool]) -> Any:
+def on_line(
+    condition: sa.ColumnElement[bool], over: sa.ColumnElement[bool], few: bool = False
+) -> Any:
     """Whether a trip is of a line, or ran over one, by a condition on its name and on an edge's.
 
-    Asked of the edges of each trip: what else limits the trips is then found first.
+    Where what else is asked leaves `few` trips, the edges of each are looked at; else the trips of
+    the edge are found first.
     """
-    edge = sa.exists().where(trip_edges.c.trip == trips.c.id, over).correlate(trips)
-    return sa.or_(condition, edge)
+    if few:
+        edge = sa.exists().where(trip_edges.c.trip == trips.c.id, over).correlate(trips)
+        return sa.or_(condition, edge)
+    return sa.or_(condition, trips.c.id.in_(sa.select(trip_edges.c.trip).where(over)))

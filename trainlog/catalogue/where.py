@@ -55,6 +55,9 @@ _WORDS = [each.name for each in TRIP_COLUMNS if each.kind != "json"]
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-z]+)?\s*")
 _NANOSECONDS_A_DAY = 86_400_000_000_000
 
+_INDEXED = {"start", "train", "key", "sha256"}
+"""Columns by which few trips are found without looking at the others."""
+
 _MOST_LETTERS = 10_000
 """Of an expression."""
 
@@ -131,6 +134,7 @@ class _Compiler:
     def __init__(self, text: str, zone: str | None) -> None:
         self.text = text
         self.zone = zone
+        self.few = False
 
     def condition(self) -> sa.ColumnElement[bool]:
         if len(self.text) > _MOST_LETTERS:
@@ -150,6 +154,8 @@ class _Compiler:
             ) from None
         if len(parsed) != 1 or not isinstance(parsed[0], exp.Paren):
             raise self.refused("is more than one expression", remedy="join them by and")
+        named = {each.name.lower() for each in parsed[0].find_all(exp.Column)}
+        self.few = bool(named & _INDEXED)
         try:
             return self.truth(parsed[0].this)
         except RecursionError:
@@ -215,7 +221,7 @@ class _Compiler:
 
     def of_text(self, kind: Any, node: Any, value: _Value, text: str) -> sa.ColumnElement[bool]:
         if self.is_line(node) and kind in (exp.EQ, exp.NEQ):
-            found = on_line(value.element == text, trip_edges.c.edge == text)
+            found = on_line(value.element == text, trip_edges.c.edge == text, self.few)
             return self.result(found.self_group() if kind is exp.EQ else sa.not_(found))
         return self.result(_COMPARISONS[kind](value.element, text))
 
@@ -231,7 +237,7 @@ class _Compiler:
         found = value.element.like(pattern, escape="\\")
         if self.is_line(node.this):
             over = trip_edges.c.edge.like(pattern, escape="\\")
-            return self.result(on_line(found, over).self_group())
+            return self.result(on_line(found, over, self.few).self_group())
         return self.result(found)
 
     def unknown(self, node: Any) -> sa.ColumnElement[bool]:
