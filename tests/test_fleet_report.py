@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -165,6 +167,14 @@ def test_findings_and_trains_without_a_result_are_listed_with_what_to_do() -> No
         pd.DataFrame({"train": trips["train"], "damage": "", "frozen": 7 * [""] + ["speed"]}),
     )
     (table,) = attention_parts(facts)
+    nothing = replace(facts, outcomes={}, checks=pd.DataFrame())
+    few = replace(nothing, trains=FleetTrains(
+        cast("Any", (SimpleNamespace(kind="unit", rows=trips, compared=False),)),
+        UnlikeTrains((), (), 0.01, 1.0), (), {},
+    ))  # fmt: skip
+    words = [str(getattr(each, "text", each)) for each in attention_parts(few)]
+    assert words[0].startswith("Nothing: ")
+    assert "Too few trains of kind unit (2)" in words[1], "no finding is no all-clear"
     assert isinstance(table, WordTable)
     rows = [(row["train"], row["trips"], row["what_to_do"]) for row in records(table)]
     release = "look for a friction brake that does not release"

@@ -233,7 +233,7 @@ def _numbers(fleet: _Fleet) -> list[Part]:
 def _trips(fleet: _Fleet) -> list[Part]:
     trips = fleet.trips
     month = trips["start"].dt.strftime("%Y-%m")
-    parts: list[Part] = [_by_day(trips)]
+    parts: list[Part] = [_by_day(trips)] if len(set(trips["start"].dt.date)) > 1 else []
     for title, keys in (
         ("line or route", trips["line"]),
         ("train", trips["train"]),
@@ -293,6 +293,7 @@ def _by_day(trips: pd.DataFrame) -> Picture:
             )  # fmt: skip
             below += values
         axes.set_ylim(0.0, 1.28 * float(below.max()))
+        axes.yaxis.get_major_locator().set_params(integer=True)
         legend(axes, ncols=4)
         write_figure(figure, path)
 

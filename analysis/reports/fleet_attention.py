@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from analysis.fleet.trains import FleetTrains
-from analysis.reports.page import Part
+from analysis.reports.page import Part, Warned
 from analysis.tables import NUMBER, Column, new_table
 from trainlog.display import counted
 
@@ -69,8 +69,12 @@ class FleetFacts:
 def attention_parts(facts: FleetFacts) -> list[Part]:
     """What asks for attention, what is most urgent first, each with what to do."""
     rows = [*_findings(facts), *_results(facts), *_recordings(facts)]
+    # Where little can be compared, no finding is no all-clear.
+    few = "" if isinstance(facts.trains, str) else facts.trains.too_few
+    warned: list[Part] = [Warned(few)] if few else []
     if not rows:
-        return ["Nothing: every analysis has results, no train has a finding, no log is doubtful."]
+        words = "every analysis has results of every train, no train has a finding, no log is"
+        return [f"Nothing: {words} damaged.", *warned]
     more = len(rows) - MOST_ROWS
     table = new_table(
         "", "train", "what", "since", Column("trips", NUMBER), "what to do", name="attention",
@@ -78,7 +82,7 @@ def attention_parts(facts: FleetFacts) -> list[Part]:
     )  # fmt: skip
     for train, what, since, trips, todo in rows[:MOST_ROWS]:
         table.add_cells(train, what, since, trips, todo)
-    return [table]
+    return [table, *warned]
 
 
 Row = tuple[str, str, str, int | None, str]

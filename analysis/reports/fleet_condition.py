@@ -73,8 +73,8 @@ def condition_parts(
     span = (0.0, max(0.3, float(bins["expected"].max(skipna=True))))
     parts: list[Part] = [*bad, f"What is expected on {at:%Y-%m-%d %H:%M} UTC, by the maps of"
                          f" {counted(len(tracks), 'edge')}, on each condition of the rail. Where"
-                         " nothing was observed the maps have no estimate, and the network is drawn"
-                         " in grey."]  # fmt: skip
+                         " nothing was observed the maps have no estimate"
+                         + (", and the network is drawn in grey." if network else ".")]  # fmt: skip
     for layer in layers:
         rows = bins[bins["layer"] == layer]
         if network is not None and rows["expected"].notna().any():
