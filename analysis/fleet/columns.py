@@ -37,7 +37,7 @@ PASSPORT: tuple[Column, ...] = (
 )
 
 ADHESION: tuple[Column, ...] = (
-    Column("trip", "", "name of the trip; on an edge of a network <trip>@<edge>", "text"),
+    Column("trip", "", "name of the trip; on an edge of a network TRIP@EDGE", "text"),
     Column("edge", "", "edge of the network, or line", "text"),
     Column("edge_length", "m", "of the whole edge"),
     Column("bin_length", "m", "of the bins"),
