@@ -215,6 +215,14 @@ def test_a_count_moves_beyond_its_band_by_more_than_its_chance() -> None:
     assert "figures without a band" in sentence(found)
 
 
+def test_a_correlation_of_residuals_moves_by_more_than_its_chance() -> None:
+    columns = {"windows": np.array([100, 100]), "residual_correlation": np.array([0.02, 0.02])}
+    other = columns | {"residual_correlation": np.array([0.21, 0.22])}
+    found = difference(*(counts_of(each, "resistance") for each in (columns, other)), "resistance")
+    assert found.moved["trip"].tolist() == ["trip-1"]
+    assert found.moved["bands"].tolist() == pytest.approx([0.2 / 0.196])
+
+
 def test_a_small_rise_of_a_count_in_all_trips_is_found_in_its_mean() -> None:
     generator = np.random.default_rng(5)
     before = generator.poisson(20.0, 200)

@@ -40,7 +40,7 @@ class Values:
     value, std : FloatArray
         Of each row; a standard deviation of NaN: none.
     counted : bool
-        A count, which states no band: its standard deviation is that of chance (Poisson).
+        A count, or a correlation, which states no band: its standard deviation is that of chance.
     """
 
     value: FloatArray
@@ -161,6 +161,10 @@ def estimates(table: pd.DataFrame, counts: Collection[str] = ()) -> dict[str, Va
             found[str(name)] = Values(value, std, counted)
         elif str(name).endswith("s") and f"{str(name)[:-1]}_stds" in table:
             found |= _listed(str(name)[:-1], column, table[f"{str(name)[:-1]}_stds"])
+    if {"residual_correlation", "windows"} <= set(found):
+        # Of n uncorrelated residuals it scatters by the root of 1/n (Bartlett, 1946).
+        chance = np.sqrt(1.0 / np.fmax(found["windows"].value, 1.0))
+        found["residual_correlation"] = Values(found["residual_correlation"].value, chance, True)
     return found | _curves(table) | _adhesion(table)
 
 

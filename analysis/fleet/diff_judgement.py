@@ -136,7 +136,8 @@ def mean_shifts(
         if banded.any():
             value_std = np.fmax(value_std, np.sqrt(1.0 / total))
         if mine.counted:
-            value_std = np.fmax(value_std, np.sqrt(np.fmax(value, 1.0 / total) / total))
+            chance = np.bincount(codes[kept], (mine.std[use] ** 2)[kept], len(labels))
+            value_std = np.fmax(value_std, np.sqrt(chance) / total)
         parts.append(
             pd.DataFrame(
                 {

@@ -281,6 +281,8 @@ def _by_day(trips: pd.DataFrame) -> Picture:
     table = table.reindex(pd.date_range(day.min(), day.max()), fill_value=0)
 
     def draw(path: Path) -> None:
+        from matplotlib.ticker import MaxNLocator
+
         figure = new_figure(9.0, 2.6)
         axes = dress(figure.subplots(), x="", y="trips a day")
         below = np.zeros(len(table))
@@ -293,7 +295,7 @@ def _by_day(trips: pd.DataFrame) -> Picture:
             )  # fmt: skip
             below += values
         axes.set_ylim(0.0, 1.28 * float(below.max()))
-        axes.yaxis.get_major_locator().set_params(integer=True)
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
         legend(axes, ncols=4)
         write_figure(figure, path)
 
