@@ -309,7 +309,7 @@ class Dask(Engine):
         """
         remedy = "what was finished is kept: start it with its workers and update again"
         try:
-            known = self._client.scheduler_info(n_workers=-1)["workers"]
+            known = self._client.scheduler_info(n_workers=-1).get("workers")
         except (OSError, TimeoutError):
             known = None
         if known is None or self._client.status != "running":
@@ -320,7 +320,8 @@ class Dask(Engine):
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         assert self._executor is not None
-        self._executor.shutdown(wait=kind is None)
+        with suppress(Exception):  # the scheduler may be gone
+            self._executor.shutdown(wait=kind is None)
         self._client.close()
 
 
@@ -425,7 +426,9 @@ def run(
                         again.append(replace(attempt, deaths=1))
     finally:
         for future in running:
-            future.cancel()
+            # A client of a scheduler that is gone cannot: nothing is to be cancelled then.
+            with suppress(Exception):
+                future.cancel()
 
 
 def _finish(
