@@ -147,10 +147,17 @@ def main(where: str, results_folder: str, folder: str, adders: int, kills: int) 
     failed = 0
     with tempfile.TemporaryDirectory() as notes:
 
+        def removed_and_added(seed: int) -> None:
+            """Take some trips out, so that there is something to add; then work."""
+            with open_catalogue(where, results=kept) as catalogue:
+                if len(catalogue) and seed >= adders:
+                    catalogue.remove(f"key >= '{'2468ac'[seed % 6]}'")
+            work(where, kept, list(logs), seed)
+
         def begun(seed: int) -> Adder:
             point = POINTS[seed // 2 % len(POINTS)]
             order = (point, draw.randint(1, 4)) if seed % 2 else None
-            return Adder(partial(work, where, kept, list(logs), seed), Path(notes), order)
+            return Adder(partial(removed_and_added, seed), Path(notes), order)
 
         running = [begun(seed) for seed in range(adders)]
         seed = adders
