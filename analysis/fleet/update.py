@@ -7,6 +7,7 @@ the next goes on with what is missing, and each trip counts once.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
@@ -115,6 +116,9 @@ class FleetUpdate:
     workers : int
     seconds, worker_seconds : float [s]
         Time that it took, and processor time of the workers.
+    computing_seconds, idle_seconds : float [s]
+        From the beginning of the first batch to the end of the last, by the clocks of the workers,
+        and the time within, over all workers, in which they had none.
     files_merged : int
         Files of results that were put together.
     maps : MapsUpdate or None
@@ -129,6 +133,8 @@ class FleetUpdate:
     workers: int = 0
     seconds: float = 0.0
     worker_seconds: float = 0.0
+    computing_seconds: float = 0.0
+    idle_seconds: float = 0.0
     files_merged: int = 0
     maps: MapsUpdate | None = None
 
@@ -177,6 +183,8 @@ class FleetUpdate:
             "workers": self.workers,
             "seconds_s": self.seconds,
             "worker_seconds_s": self.worker_seconds,
+            "computing_s": self.computing_seconds,
+            "idle_s": self.idle_seconds,
             "maps": None if self.maps is None else asdict(self.maps),
             "analyses": [asdict(each) for each in self.counts.values()],
             "problems": [asdict(each) for each in self.problems],
@@ -336,6 +344,7 @@ class _Update:
         self.total = 0
         self._report = report
         self._done = 0
+        self._first, self._last, self._busy = math.inf, 0.0, 0.0
 
     def prepare(self) -> None:
         """Find out how much there is to do."""
@@ -361,6 +370,10 @@ class _Update:
             self._step = step
             step(0, note=FIRST)
             run(engine, self._batches(engine.workers), self._finished)
+        if self._busy:
+            self.found.computing_seconds = self._last - self._first
+            whole = self.found.workers * self.found.computing_seconds
+            self.found.idle_seconds = max(0.0, whole - self._busy)
 
     def _batches(self, workers: int) -> Iterator[Batch]:
         from analysis.fleet.work import Batch
@@ -442,6 +455,9 @@ class _Update:
             self._add(Problem(missing.key, missing.path, "", "unread", missing.reason))
         self.found.trips += len(batch.jobs) - len(result.unread)
         self.found.worker_seconds += result.seconds
+        if result.ended:
+            self._first, self._last = min(self._first, result.began), max(self._last, result.ended)
+            self._busy += result.ended - result.began
         self._done += len(batch.jobs)
         self._step(self._done, note="")
 

@@ -106,7 +106,7 @@ class BatchResult:
     unread : list of Unread
     code : str
         Version of the code that the worker runs.
-    host : str
+    host, process : str, int
         Of the worker.
     seconds : float
         Processor time [s].
@@ -119,6 +119,7 @@ class BatchResult:
     unread: list[Unread] = field(default_factory=list)
     code: str = ""
     host: str = ""
+    process: int = 0
     seconds: float = 0.0
     began: float = 0.0
     ended: float = 0.0
@@ -163,7 +164,8 @@ def computed(batch: Batch) -> BatchResult:
     """
     began, started = time.process_time(), time.time()
     kept: list[list[tuple[str, pd.DataFrame]]] = [[] for _ in batch.analyses]
-    result = BatchResult([], [[] for _ in batch.analyses], [], code_version(), socket.gethostname())
+    result = BatchResult([], [[] for _ in batch.analyses], [], code_version())
+    result.host, result.process = socket.gethostname(), os.getpid()
     for job in batch.jobs:
         reason = _unreadable(job)
         if reason:
