@@ -19,7 +19,7 @@ from failing_analyses import DEADLY
 from fleet_trips import TRIPS
 from killed_fleet import contents, descendants, recorded
 
-from analysis.fleet.engine import MPI, Dask
+from analysis.fleet.engine import MPI, PROFILED, Dask
 from analysis.fleet.update import UpdateOptions, update_fleet
 from trainlog.catalogue import open_catalogue
 from trainlog.errors import InputError, MissingExtraError
@@ -160,6 +160,27 @@ def kill_scheduler(address: str, catalogue: str) -> None:
             words = entry.read_bytes().split(b"\0")
             if b"scheduler" in words and address.rpartition(":")[2].encode() in words:
                 os.kill(int(entry.parent.name), signal.SIGKILL)
+
+
+def test_a_worker_of_dask_forgets_its_profile_of_earlier_trips(
+    tmp_path: Path, fleet_logs: Path
+) -> None:
+    pytest.importorskip("distributed")
+    from distributed import Worker
+
+    before = set(Worker._instances)
+    with dask_threads(tmp_path) as (address, _), open_catalogue(tmp_path / "dask") as catalogue:
+        workers = set(Worker._instances) - before
+        for worker in workers:
+            for history in (worker.profile_history, worker.profile_keys_history):
+                history.extend([(0.0, {"count": 0, "children": {}})] * 1000)
+        catalogue.add(sorted(fleet_logs.glob("*.mcap"))[:2])
+        update_fleet(catalogue, ["checks"], UpdateOptions(scheduler=address, batch=1))
+        kept = [len(worker.profile_history) for worker in workers]
+        keys = [len(worker.profile_keys_history) for worker in workers]
+    # A worker that had nothing to do keeps all; the profile goes on by an entry a second.
+    assert min(kept) < 2 * PROFILED
+    assert min(keys) < 2 * PROFILED
 
 
 def test_a_scheduler_that_does_not_answer_is_named() -> None:
