@@ -368,7 +368,7 @@ def _forget_profile() -> None:
     except ValueError:  # called by hand
         return
     for name in ("profile_history", "profile_keys_history"):
-        history = getattr(worker, name, ())
+        history: Any = getattr(worker, name, ())
         while len(history) > PROFILED:
             history.popleft()
 
