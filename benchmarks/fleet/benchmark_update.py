@@ -16,8 +16,9 @@ before. ``here`` is `--workers 0`: all in one process. Columns:
 - over: processor time beyond that and beyond the pure functions, a trip. These are measured in the
   same run: the same trips in one process, after three others.
 
-Workers of Dask have computed two trips before. ``again`` is the second run of the last engine. At the end it states what a fleet of a million trips
-on a hundred computers takes by these figures (docs/fleet.md).
+Workers of Dask have computed two trips before. ``again``
+is the second run of the last engine. At the end it states what a fleet of a million trips on a
+hundred computers takes by these figures (docs/fleet.md).
 """
 
 from __future__ import annotations
