@@ -1,10 +1,8 @@
 """Lasting condition of a line, its changes and its passing spots, from evidence by day and bin.
 
 The passes over places and days (`estimators.condition_passes`) exchange messages; the parameters
-are estimated between them by expectation and maximisation (Dempster, Laird and Rubin 1977), with
-the assumed ones as weak prior. Where the days before and after one are likelier with two lasting
-levels than with one, the lasting condition changed (generalised likelihood ratio: Basseville and
-Nikiforov 1993, section 2.4); only what was seen since then counts.
+are estimated between them (`estimators.condition_parameters`). Where the lasting condition changed
+(`estimators.condition_changes`) only what was seen since then counts.
 """
 
 from __future__ import annotations
@@ -14,70 +12,30 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from scipy.special import log_ndtr, logsumexp
+from scipy.special import log_ndtr
 
-from estimators.condition_passes import (
-    OFTEN,
-    WIDE,
-    along_line,
-    beside,
-    diagonals_of,
-    emissions,
-    over_days,
+from estimators.condition_changes import FieldChange, changes_of
+from estimators.condition_evidence import EvidenceRows, FieldEvidence
+from estimators.condition_levels import FINE, LEVELS, LevelGrid, normal_on_grid
+from estimators.condition_parameters import (
+    CHANGES_OF_CLASS,
+    NEWTON,
+    POSITION_STD,
+    Expected,
+    FieldParameters,
+    grid_for,
+    improved,
+    newton_step,
+    passes_along,
+    places_of,
+    placing_variance,
+    source_of,
+    switches_of,
 )
+from estimators.condition_passes import beside, emissions, over_days
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
-STEP = 0.025
-"""Of the grid of log adhesion."""
-
-LEVELS = np.arange(np.log(0.015), np.log(0.75), STEP)
-"""Grid of log adhesion."""
-
-SPOT_CELLS = np.arange(4, LEVELS.size, 6)
-"""Cells of the grid that are levels of lasting spots."""
-
-
-@dataclass(frozen=True, eq=False)
-class LevelGrid:
-    """Levels of log adhesion, and which of them are levels of lasting spots."""
-
-    levels: FloatArray
-    cells: IntArray
-
-    def of(self, probability: FloatArray) -> FloatArray:
-        """Rows of probabilities on the other grid, on this one."""
-        if probability.shape[1] == self.levels.size:
-            return probability
-        found = np.empty((probability.shape[0], self.levels.size))
-        if self.levels.size < probability.shape[1]:
-            found[:] = probability[:, ::2]
-        else:
-            found[:, ::2] = probability
-            found[:, 1::2] = np.sqrt(probability[:, :-1] * probability[:, 1:])
-        return np.asarray(found / found.sum(axis=1, keepdims=True))
-
-
-FINE = LevelGrid(LEVELS, SPOT_CELLS)
-COARSE = LevelGrid(np.ascontiguousarray(LEVELS[::2]), SPOT_CELLS // 2)
-"""On which messages and parameters are found: sums over either grid agree where what is added up is
-smooth over a step."""
-
-SMOOTH = 0.9
-"""Steps of the coarse grid by which the level scatters from bin to bin, for it to be used."""
-
-
-def _grid(now: FieldParameters, bin_length: float) -> LevelGrid:
-    """The coarse grid where it holds the transitions along the line."""
-    rho = float(np.exp(-bin_length / now.length))
-    smooth = now.std * np.sqrt(1.0 - rho**2) > SMOOTH * 2.0 * STEP
-    return COARSE if smooth else FINE
-
-
-POSITION_STD = 10.0
-"""Error of the place of an onset [m]: position of the train, and of the axle in it."""
 
 ASTRAY = POSITION_STD * float(np.sqrt(2.0 / np.pi))
 """Share of onsets that were in a neighbour of their bin, times the length of a bin [m]."""
@@ -85,202 +43,14 @@ ASTRAY = POSITION_STD * float(np.sqrt(2.0 / np.pi))
 ROUNDS = 10
 """Of the messages between the chains of places and days, and of the parameters."""
 
-CHANGE_RATE = 1e-3
-"""Changes of the lasting condition that are expected on a kilometre a day."""
-
-CHANGE_ODDS = float(np.log(19.0))
-"""Log odds from which a change counts: it is then as probable as a 95 % band is to hold."""
-
-CHANGE_GAP = 0.02
-"""Log odds against a change, for each bin without onsets within it."""
-
 PASSES = 3
 """Changes that a place may have had, at most."""
-
-PLACES = {"slippery_mean": 4.0, "slippery_std": 4.0}
-"""Weight of the assumed parameters, as so many independent places."""
 
 BEGUN = 2.0
 """Weight of the assumed mean of normal rail where the rounds begin, as so many onsets."""
 
-WITNESSED = {"trip_std": 8.0, "spot_mean": 8.0, "spot_std": 8.0, "life": 6.0, "occupied": 2.0}
-"""Weight of the assumed parameters, as so many measurements, spots, deaths and births."""
-
-TRIPS_BY_BIN = 200.0
-"""Weight of the assumed rate of short spots, as so many trips through a bin."""
-
 DOUBT = 0.06
 """Probability that the onsets of a single trip in a bin are not of what lasts, at least."""
-
-STEPS = {
-    "mean": ("plain", 0.05, 0.2),
-    "std": ("log", 0.3, 0.5),
-    "length": ("log", 0.4, 0.5),
-}
-"""Of Newton's method: scale, step, and deviation of what is assumed."""
-
-NEWTON = (("mean", "std"), ("mean", "std"), ("length",))
-"""Parameters that a step is taken for, round by round."""
-
-CHANGES_OF_CLASS = np.array([200.0, 60.0, 30.0])
-"""Weight of the assumed transitions along the line, as so many bins of each class."""
-
-
-@dataclass(frozen=True, slots=True)
-class FieldParameters:
-    """Parameters of the lasting condition and of what passes.
-
-    Attributes
-    ----------
-    mean, std : float
-        Of log maximum adhesion of normal rail.
-    length : float [m]
-        Over which its correlation falls to 1/e.
-    slippery_share, slippery_mean, slippery_std, slippery_length : float
-        Of the line, slippery places: their share, log maximum adhesion, and expected length [m].
-    trip_std : float
-        Of the logarithm from trip to trip at one place.
-    met : float
-        Short spots that a trip meets in a bin.
-    occupied : float
-        Share of the time in which a spot that lasts lies in a bin.
-    life : float [days]
-        Of such a spot.
-    spot_mean, spot_std : float
-        Of the log maximum adhesion in spots.
-    spot_length : float [m]
-    """
-
-    mean: float
-    std: float
-    length: float
-    slippery_share: float
-    slippery_mean: float
-    slippery_std: float
-    slippery_length: float
-    trip_std: float
-    met: float
-    occupied: float
-    life: float
-    spot_mean: float
-    spot_std: float
-    spot_length: float
-
-
-@dataclass(frozen=True, eq=False)
-class FieldEvidence:
-    """Evidence as plain arrays.
-
-    Attributes
-    ----------
-    bins : int
-    bin_length : float [m]
-    log_levels : (levels,) array
-        Of what was used without slip.
-    day, bin : (m,) int array
-    trips, mean, scatter, variance : (m,) array
-        Trips with onsets on a day in a bin; mean of their log adhesion, variance about it, and
-        mean variance of the error of one.
-    used_day, used_bin, used_level : (n,) int array
-    used_trips : (n,) array
-    """
-
-    bins: int
-    bin_length: float
-    log_levels: FloatArray
-    day: IntArray
-    bin: IntArray
-    trips: FloatArray
-    mean: FloatArray
-    scatter: FloatArray
-    variance: FloatArray
-    used_day: IntArray
-    used_bin: IntArray
-    used_level: IntArray
-    used_trips: FloatArray
-
-    def between(self, bins: IntArray, first: int, last: int) -> FieldEvidence:
-        """All evidence of other bins; of these only that of the days from `first` to `last`."""
-        own = ~np.isin(self.bin, bins) | ((self.day >= first) & (self.day <= last))
-        used = ~np.isin(self.used_bin, bins) | ((self.used_day >= first) & (self.used_day <= last))
-        onset = ("day", "bin", "trips", "mean", "scatter", "variance")
-        level = ("used_day", "used_bin", "used_level", "used_trips")
-        return replace(
-            self,
-            **{name: getattr(self, name)[own] for name in onset},
-            **{name: getattr(self, name)[used] for name in level},
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class EvidenceRows:
-    """Days of the bins with onsets."""
-
-    bins: IntArray
-    start: IntArray
-    bin: IntArray
-    day: IntArray
-    onset: FloatArray
-    used_start: IntArray
-    used_level: IntArray
-    used_trips: FloatArray
-    order: IntArray
-
-    @staticmethod
-    def of(known: FieldEvidence) -> EvidenceRows:
-        """Rows of the evidence, by bin and day."""
-        bins = np.unique(known.bin)
-        base = int(min(known.day.min(initial=2**40), known.used_day.min(initial=2**40)))
-        span = int(max(known.day.max(initial=0), known.used_day.max(initial=0))) - base + 1
-        kept = np.isin(known.used_bin, bins)
-        used_key = known.used_bin[kept] * span + known.used_day[kept] - base
-        key = known.bin * span + known.day - base
-        rows = np.union1d(key, used_key)
-        onset = np.zeros((rows.size, 4))
-        onset[np.searchsorted(rows, key)] = np.column_stack(
-            (known.trips, known.mean, known.scatter, known.variance)
-        )
-        by_row = np.argsort(used_key, kind="stable")
-        place = np.searchsorted(rows, used_key[by_row])
-        bin_, day = rows // span, rows % span + base
-        return EvidenceRows(
-            bins,
-            np.append(np.searchsorted(bin_, bins), rows.size),
-            bin_,
-            day,
-            onset,
-            np.searchsorted(place, np.arange(rows.size + 1)),
-            known.used_level[kept][by_row],
-            known.used_trips[kept][by_row],
-            np.lexsort((bin_, day)),
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class FieldChange:
-    """A change of the lasting condition of the bins from `first` to `last`, both included.
-
-    Attributes
-    ----------
-    first, last : int
-    day, earliest, latest : int
-        First day after it with evidence, most probably and in the 95 % band.
-    log_odds : float
-        That there was one.
-    before, before_std, after, after_std : float
-        Log maximum adhesion, the mean over the bins.
-    """
-
-    first: int
-    last: int
-    day: int
-    earliest: int
-    latest: int
-    log_odds: float
-    before: float = np.nan
-    before_std: float = np.nan
-    after: float = np.nan
-    after_std: float = np.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,56 +88,6 @@ class FieldPosterior:
     changes: tuple[FieldChange, ...] = ()
 
 
-def normal_on_grid(mean: float, std: float, levels: FloatArray) -> FloatArray:
-    """A normal distribution on the grid."""
-    density = np.exp(-0.5 * ((levels - mean) / std) ** 2) + 1e-12
-    return np.asarray(density / density.sum())
-
-
-def _kernel(mean: float, std: float, rho: float, levels: FloatArray) -> FloatArray:
-    """Transition of an Ornstein-Uhlenbeck process from bin to bin."""
-    spread = std * np.sqrt(1.0 - rho**2)
-    target = mean + rho * (levels[:, None] - mean)
-    away = (levels[None, :] - target) / spread
-    inside = np.abs(away) < 3.7
-    matrix = np.where(inside, np.exp(-0.5 * away**2), 0.0)
-    matrix[np.arange(levels.size), np.argmin(np.abs(away), axis=1)] += 1e-300
-    return np.asarray(matrix / matrix.sum(axis=1, keepdims=True))
-
-
-FRESH = np.array([[False, False, True], [False, False, True], [True, True, False]])
-"""Between which classes the level is drawn anew."""
-
-REGION = 3000.0
-"""Length of stretches with and without slippery places [m], to begin with."""
-
-
-def _switches(bin_length: float, assumed: FieldParameters) -> FloatArray:
-    """Transitions from bin to bin between rail without and with slippery places near, and these."""
-    leave = bin_length / assumed.slippery_length
-    enter = assumed.slippery_share / (1.0 - assumed.slippery_share) * leave
-    turn = bin_length / REGION
-    return np.array(
-        [
-            [1.0 - turn - 0.2 * enter, turn, 0.2 * enter],
-            [turn, 1.0 - turn - 2.0 * enter, 2.0 * enter],
-            [0.1 * leave, 0.9 * leave, 1.0 - leave],
-        ]
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Expected:
-    """Sufficient statistics of one round."""
-
-    grid: LevelGrid
-    posterior: FloatArray
-    present: FloatArray
-    held: FloatArray
-    turnover: FloatArray
-    met: FloatArray
-
-
 def solve(known: FieldEvidence, assumed: FieldParameters) -> FieldPosterior:
     """Posterior of the lasting condition and the passing spots, and the parameters behind it.
 
@@ -380,7 +100,7 @@ def solve(known: FieldEvidence, assumed: FieldParameters) -> FieldPosterior:
     found = _settled(known, assumed, ROUNDS)
     changes: list[FieldChange] = []
     for _ in range(PASSES):
-        new = _changes(found, known.bin_length)
+        new = changes_of(found.rows, found.cut, known.bin_length)
         if not new:
             break
         kept = known
@@ -411,54 +131,6 @@ def _described(change: FieldChange, before: FieldPosterior, after: FieldPosterio
     )
 
 
-def _changes(found: FieldPosterior, bin_length: float) -> list[FieldChange]:
-    """Stretches of bins, none in two, whose lasting level is likelier to have changed on a day."""
-    rows = found.rows
-    days = np.unique(rows.day)
-    score = np.zeros((days.size, rows.bins.size))
-    for number in range(rows.bins.size):
-        first, last = rows.start[number], rows.start[number + 1]
-        row = np.searchsorted(rows.day[first:last], days)
-        inside = (row > 0) & (row < last - first)
-        score[inside, number] = found.cut[first + row[inside]]
-    price = -float(np.log(CHANGE_RATE * bin_length / 1000.0))
-    gaps = CHANGE_GAP * np.diff(rows.bins, prepend=rows.bins[:1]).astype(np.float64)
-    changes: list[FieldChange] = []
-    while True:
-        odds, day, first, last = _best_stretch(score, gaps)
-        if odds <= price + CHANGE_ODDS:
-            break
-        profile = score[:, first : last + 1].sum(axis=1)
-        share = np.cumsum(np.exp(profile - logsumexp(profile)))
-        changes.append(
-            FieldChange(
-                int(rows.bins[first]),
-                int(rows.bins[last]),
-                int(days[day]),
-                int(days[np.searchsorted(share, 0.025)]),
-                int(days[np.clip(np.searchsorted(share, 0.975), 0, days.size - 1)]),
-                odds - price,
-            )
-        )
-        score[:, first : last + 1] = -np.inf
-    return sorted(changes, key=lambda change: change.first)
-
-
-def _best_stretch(score: FloatArray, gaps: FloatArray) -> tuple[float, int, int, int]:
-    """Largest sum over adjoining columns of a row (Kadane); its row, first and last column."""
-    total = np.full(score.shape[0], -np.inf)
-    begin = np.zeros(score.shape[0], dtype=np.int64)
-    best = (-np.inf, 0, 0, 0)
-    for column in range(score.shape[1]):
-        goes_on = total - gaps[column] > 0.0
-        begin = np.where(goes_on, begin, column)
-        total = np.where(goes_on, total - gaps[column], 0.0) + score[:, column]
-        day = int(np.argmax(total))
-        if total[day] > best[0]:
-            best = (float(total[day]), day, int(begin[day]), column)
-    return best
-
-
 def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> FieldPosterior:
     """Messages and parameters after so many rounds, with one lasting level a bin."""
     rows = EvidenceRows.of(known)
@@ -474,7 +146,7 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
     first = np.append(0.0, np.cumsum(rows.used_trips))
     trips = rows.onset[:, 0] + np.diff(first[rows.used_start])
     level = np.where(rows.onset[:, 0] > 0, rows.onset[:, 1], np.nan)
-    now, switch = _begun(assumed, rows), _switches(known.bin_length, assumed)
+    now, switch = _begun(assumed, rows), switches_of(known.bin_length, assumed)
     likely = switch
     message, present, long = (
         np.zeros(rows.day.size),
@@ -488,7 +160,7 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
     placing = np.zeros(known.bins)
     own = np.searchsorted(rows.bins, rows.bin)
     for turn in range(rounds):
-        grid = FINE if turn == rounds - 1 else _grid(now, known.bin_length)
+        grid = FINE if turn == rounds - 1 else grid_for(now, known.bin_length)
         levels = grid.levels
         tail = log_ndtr((levels[None, :] - known.log_levels[:, None]) / now.trip_std)
         lasting = (1.0 - now.slippery_share) * normal_on_grid(now.mean, now.std, levels)
@@ -514,12 +186,12 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
         likelihood = used @ tail
         likelihood[rows.bins] = log_like
         likelihood = np.exp(np.maximum(likelihood - likelihood.max(axis=1, keepdims=True), -90.0))
-        _, cavity, slippery, moves, held = _line(
+        _, cavity, slippery, moves, held = passes_along(
             likelihood, flat, now, switch, known.bin_length, grid
         )
         posterior = cavity * likelihood
         posterior /= posterior.sum(axis=1, keepdims=True)
-        before, placing = posterior, _placing(posterior, levels, known.bin_length)
+        before, placing = posterior, placing_variance(posterior, levels, known.bin_length)
         if turn == rounds - 1:
             posterior = _doubted(posterior, rows, used @ tail, lasting)
             break
@@ -535,31 +207,25 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
         # no bin knows of its neighbours yet.
         message += (fresh - message) / (turn + 1.0) * min(turn, 1)
         met = (present - long) * (posterior[rows.bin] * number).sum(axis=1)
-        expected = _Expected(grid, posterior, present, held, turnover, met)
+        expected = Expected(grid, posterior, present, held, turnover, met)
         switch = moves + CHANGES_OF_CLASS[:, None] * likely
         switch /= switch.sum(axis=1, keepdims=True)
-        new, origin = _improved(now, assumed, known, rows, used, expected)
+        new, origin = improved(now, assumed, known, rows, used, expected)
         trial = now
         for name in NEWTON[turn % len(NEWTON)]:
-            new[name], deviations[name] = _newton(
+            new[name], deviations[name] = newton_step(
                 name, likelihood, flat, trial, assumed, switch, known.bin_length, grid
             )
             trial = replace(trial, **{name: new[name]})
         origin |= deviations
-        for name, value, count, weight in _places(switch, moves, known.bin_length):
+        for name, value, count, weight in places_of(switch, moves, known.bin_length):
             new[name] = value
-            origin[name] = (value / np.sqrt(count + weight), _source(count, weight))
+            origin[name] = (value / np.sqrt(count + weight), source_of(count, weight))
         if turn < rounds - 2:
             # Expectation and maximisation go a small part of the way where much is not seen.
             new["met"] *= min(max(new["met"] / now.met, 0.3), 3.0)
         now = replace(now, **new)
     return FieldPosterior(now, origin, posterior, slippery, rows, present, long, state, cut)
-
-
-def _placing(posterior: FloatArray, levels: FloatArray, bin_length: float) -> FloatArray:
-    """Variance of an onset's log adhesion from the error of its place, by bin."""
-    slope = np.gradient(posterior @ levels) if posterior.shape[0] > 1 else np.zeros(1)
-    return np.asarray((POSITION_STD / bin_length * slope) ** 2)
 
 
 def _near(
@@ -619,191 +285,3 @@ def _begun(assumed: FieldParameters, rows: EvidenceRows) -> FieldParameters:
     high = float(np.quantile(levels, 0.9))
     mean = (levels.size * max(high, assumed.mean) + weight * assumed.mean) / (levels.size + weight)
     return replace(assumed, mean=mean)
-
-
-def _line(
-    likelihood: FloatArray,
-    flat: BoolArray,
-    now: FieldParameters,
-    switch: FloatArray,
-    bin_length: float,
-    grid: LevelGrid,
-    *,
-    likelihood_only: bool = False,
-) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """`along_line` with these parameters."""
-    rho = float(np.exp(-bin_length / now.length))
-    normal = _kernel(now.mean, now.std, rho, grid.levels)
-    # In a slippery place the level changes as slowly as the place is long.
-    rho_low = float(np.exp(-bin_length / now.slippery_length))
-    low = _kernel(now.slippery_mean, now.slippery_std, rho_low, grid.levels)
-    start = [normal_on_grid(now.mean, now.std, grid.levels)] * 2
-    start += [normal_on_grid(now.slippery_mean, now.slippery_std, grid.levels)]
-    half, diagonals = diagonals_of(np.array([normal, normal, low]))
-    return along_line(  # type: ignore[no-any-return]
-        likelihood, flat, _share(switch), np.array(start), half, diagonals, switch, FRESH,
-        likelihood_only,
-    )  # fmt: skip
-
-
-def _share(switch: FloatArray) -> FloatArray:
-    """Stationary probability of each class."""
-    system = np.vstack((switch.T - np.eye(3), np.ones(3)))
-    share = np.clip(np.linalg.lstsq(system, np.array([0.0, 0.0, 0.0, 1.0]))[0], 1e-9, 1.0)
-    return np.asarray(share / share.sum())
-
-
-def _source(count: float, weight: float) -> str:
-    return "estimated" if count > weight else "assumed"
-
-
-def _places(
-    switch: FloatArray, moves: FloatArray, bin_length: float
-) -> list[tuple[str, float, float, float]]:
-    """Share and length of slippery places, the transitions they are from, and those assumed."""
-    left = float(moves[2, :2].sum())
-    weight = float(CHANGES_OF_CLASS[2] * bin_length / 200.0)
-    return [
-        ("slippery_share", float(_share(switch)[2]), left, weight),
-        ("slippery_length", float(bin_length / switch[2, :2].sum()), left, weight),
-    ]
-
-
-def _newton(
-    name: str,
-    likelihood: FloatArray,
-    flat: BoolArray,
-    now: FieldParameters,
-    assumed: FieldParameters,
-    switch: FloatArray,
-    bin_length: float,
-    grid: LevelGrid,
-) -> tuple[float, tuple[float, str]]:
-    """A parameter by a step of Newton's method on the log likelihood, and its deviation.
-
-    Where most bins only bound the level, expectation and maximisation would take many rounds.
-    """
-    scale, width, weak = STEPS[name]
-    forward = np.log if scale == "log" else float
-    back = np.exp if scale == "log" else float
-    place = float(forward(getattr(now, name))) + width * np.array([-1.0, 0.0, 1.0])
-    value = np.array(
-        [
-            _line(
-                likelihood,
-                flat,
-                replace(now, **{name: float(back(each))}),
-                switch,
-                bin_length,
-                grid,
-                likelihood_only=True,
-            )[0]
-            for each in place
-        ]
-    )
-    value -= 0.5 * ((place - float(forward(getattr(assumed, name)))) / weak) ** 2
-    slope = (value[2] - value[0]) / (2.0 * width)
-    bend = max(-(value[2] - 2.0 * value[1] + value[0]) / width**2, 0.5 / weak**2)
-    found = float(back(place[1] + float(np.clip(slope / bend, -width, width))))
-    std = (found if scale == "log" else 1.0) / float(np.sqrt(bend))
-    return found, (std, _source(float(bend), 2.0 / weak**2))
-
-
-def _improved(
-    now: FieldParameters,
-    assumed: FieldParameters,
-    known: FieldEvidence,
-    rows: EvidenceRows,
-    used: csr_array,
-    expected: _Expected,
-) -> tuple[dict[str, float], dict[str, tuple[float, str]]]:
-    """Parameters that make what is expected likeliest; each with its deviation and source."""
-    new: dict[str, float] = {}
-    origin: dict[str, tuple[float, str]] = dict.fromkeys(
-        FieldParameters.__slots__, (0.0, "assumed")
-    )
-
-    def normal(mean: str, std: str, count: float, values: FloatArray, weights: FloatArray) -> None:
-        """Mean and deviation of values, `count` of them independent."""
-        total = max(float(weights.sum()), 1e-12)
-        weight = PLACES.get(mean, WITNESSED.get(mean, 1.0))
-        centre = (count * float(weights @ values) / total + weight * getattr(assumed, mean)) / (
-            count + weight
-        )
-        square = float(weights @ (values - centre) ** 2) / total
-        narrow = PLACES.get(std, WITNESSED.get(std, 1.0))
-        spread = np.sqrt((count * square + narrow * getattr(assumed, std) ** 2) / (count + narrow))
-        new[mean], new[std] = float(centre), float(spread)
-        origin[mean] = (float(spread / np.sqrt(count + weight)), _source(count, weight))
-        origin[std] = (float(spread / np.sqrt(2 * (count + narrow))), _source(count, narrow))
-
-    levels = expected.grid.levels
-    independent = known.bin_length / (2.0 * now.length)
-    low = expected.held[2]
-    normal("slippery_mean", "slippery_std", float(low.sum()) * independent, levels, low)
-    seen = rows.onset[:, 0] > 0
-    present, onset = expected.present[seen], rows.onset[seen]
-    alike = known.bin_length / now.spot_length
-    normal("spot_mean", "spot_std", float(present.sum()) * alike, onset[:, 1], present)
-    new["trip_std"], origin["trip_std"] = _trip_std(
-        assumed, onset, present, expected, rows, seen, known.bin_length
-    )
-    share = normal_on_grid(new["spot_mean"], new["spot_std"], levels)
-    share = np.cumsum(share) - 0.5 * share
-    # Trips that would have met a spot, had there been one.
-    # One trip alone cannot show what passes.
-    trips = used.sum(axis=1) + np.bincount(rows.bin, rows.onset[:, 0], minlength=known.bins)
-    known_twice = trips > 1.0
-    shown = known_twice[rows.bin[seen]]
-    exposed = float((used @ np.interp(known.log_levels, levels, share))[known_twice].sum())
-    exposed += float(onset[shown, 0].sum())
-    short = float(expected.met[seen][shown].sum())
-    new["met"] = (short + TRIPS_BY_BIN * assumed.met) / (exposed + TRIPS_BY_BIN)
-    found = short * alike + TRIPS_BY_BIN * assumed.met
-    origin["met"] = (
-        float(new["met"] / np.sqrt(found)),
-        _source(short * alike, TRIPS_BY_BIN * assumed.met),
-    )
-    births, calm, deaths, alive = (float(each) for each in expected.turnover * alike)
-    born, died = WITNESSED["occupied"], WITNESSED["life"]
-    rate = (births + born) / (calm + born * assumed.life / assumed.occupied)
-    new["life"] = (alive + died * assumed.life) / (deaths + died)
-    new["occupied"] = min(rate * new["life"], 0.3)
-    origin["life"] = (new["life"] / np.sqrt(deaths + died), _source(deaths, died))
-    origin["occupied"] = (new["occupied"] / np.sqrt(births + born), _source(births, born))
-    return new, origin
-
-
-def _trip_std(
-    assumed: FieldParameters,
-    onset: FloatArray,
-    present: FloatArray,
-    expected: _Expected,
-    rows: EvidenceRows,
-    seen: BoolArray,
-    bin_length: float,
-) -> tuple[float, tuple[float, str]]:
-    """Spread from trip to trip, where the place is known well and no spot was met."""
-    count, mean, scatter, variance = onset.T
-    place, levels = rows.bin[seen], expected.grid.levels
-    variance = variance + _placing(expected.posterior, levels, bin_length)[place]
-    posterior = expected.posterior[place]
-    first = posterior @ levels
-    second = posterior @ levels**2 - first**2
-    weight = (1.0 - present) * count * (second < 0.15**2)
-    square = (mean - first) ** 2 + scatter
-    tried = np.exp(np.linspace(np.log(0.02), np.log(0.3), 60))
-    narrow = tried[:, None] ** 2 + variance
-    wide = (WIDE * tried[:, None]) ** 2 + variance
-    value = (
-        np.logaddexp(
-            np.log(1.0 - OFTEN) - 0.5 * (np.log(narrow) + square / narrow),
-            np.log(OFTEN) - 0.5 * (np.log(wide) + square / wide),
-        )
-        @ weight
-    )
-    few = WITNESSED["trip_std"]
-    value -= 0.5 * few * (2.0 * np.log(tried) + assumed.trip_std**2 / tried**2)
-    best = float(tried[np.argmax(value)])
-    total = float(weight.sum())
-    return best, (best / float(np.sqrt(2.0 * (total + few))), _source(total, few))

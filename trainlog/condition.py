@@ -16,17 +16,11 @@ from numpy.typing import NDArray
 from pandas import Timestamp
 
 from estimators.condition import Prior, common_std, onset_std
-from estimators.condition_field import (
-    DOUBT,
-    LEVELS,
-    POSITION_STD,
-    SPOT_CELLS,
-    FieldChange,
-    FieldEvidence,
-    FieldParameters,
-    FieldPosterior,
-    solve,
-)
+from estimators.condition_changes import FieldChange
+from estimators.condition_evidence import FieldEvidence
+from estimators.condition_field import DOUBT, FieldPosterior, solve
+from estimators.condition_levels import LEVELS, SPOT_CELLS
+from estimators.condition_parameters import POSITION_STD, FieldParameters
 from estimators.condition_passes import OFTEN, blurred
 from trainlog.display import counted
 from trainlog.errors import InputError
