@@ -50,7 +50,7 @@ BEGUN = 2.0
 """Weight of the assumed mean of normal rail where the rounds begin, as so many onsets."""
 
 DOUBT = 0.06
-"""Probability that the onsets of a single trip in a bin are not of what lasts, at least."""
+"""Probability that the onsets of a single day in a bin are not of what lasts, at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +193,7 @@ def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> Fie
         posterior /= posterior.sum(axis=1, keepdims=True)
         before, placing = posterior, placing_variance(posterior, levels, known.bin_length)
         if turn == rounds - 1:
-            posterior = _doubted(posterior, rows, used @ tail, lasting)
+            posterior = _doubted(posterior, slippery, rows, used @ tail, lasting)
             break
         prior = np.clip(now.occupied + now.met * trips, 1e-6, 0.5)
         known_odds = np.clip(present, 1e-9, 1.0 - 1e-9)
@@ -260,19 +260,29 @@ def _of_short(
 
 
 def _doubted(
-    posterior: FloatArray, rows: EvidenceRows, bearing: FloatArray, lasting: FloatArray
+    posterior: FloatArray,
+    slippery: FloatArray,
+    rows: EvidenceRows,
+    bearing: FloatArray,
+    lasting: FloatArray,
 ) -> FloatArray:
-    """With some probability that the onsets of a single trip say nothing of what lasts.
+    """With some probability that the onsets of a single day say nothing of what lasts.
 
-    Messages between neighbouring bins that one trip alone has met go round in circles and are too
-    sure of themselves; a share of what holds without them bounds that (contaminated priors: Berger
-    1985, Statistical Decision Theory and Bayesian Analysis, section 4.7).
+    However many trips measured a low adhesion, what was met on one day alone may be gone the next:
+    only the assumed rates of spots and slippery places separate them. Messages between neighbouring
+    bins that one trip alone has met go round in circles, too, and are too sure of themselves. A
+    share of what holds without them bounds that (contaminated priors: Berger 1985, Statistical
+    Decision Theory and Bayesian Analysis, section 4.7); of several trips that is done as far as the
+    bin is held for slippery, since spots only lower what the rail bears.
     """
+    seen = rows.onset[:, 0] > 0.0
+    days = np.bincount(rows.bin[seen], minlength=posterior.shape[0])
     trips = np.bincount(rows.bin, rows.onset[:, 0], minlength=posterior.shape[0])
-    single = np.flatnonzero(trips == 1.0)
+    single = np.flatnonzero(days == 1)
+    share = DOUBT * np.where(trips[single] == 1.0, 1.0, slippery[single])[:, None]
     without = lasting * np.exp(bearing[single] - bearing[single].max(axis=1, keepdims=True))
     without /= without.sum(axis=1, keepdims=True)
-    posterior[single] = (1.0 - DOUBT) * posterior[single] + DOUBT * without
+    posterior[single] = (1.0 - share) * posterior[single] + share * without
     return posterior
 
 

@@ -281,7 +281,7 @@ def _model(track: TrackConditionMap, found: FieldPosterior) -> ConditionModel:
     constants = (
         ("onset_position_std", "m", POSITION_STD),
         ("onsets_of_wide_error", "1", OFTEN),
-        ("single_trip_doubt", "1", DOUBT),
+        ("single_day_doubt", "1", DOUBT),
         ("model_std", "1", setting(track, "model_std")),
     )
     parameters += [ModelParameter(*each, std=0.0, source="assumed") for each in constants]
