@@ -217,6 +217,9 @@ def along_line(
     return log_likelihood, cavity, low, moves, held
 
 
+NEGLIGIBLE = 40.0
+"""Log likelihoods by so much smaller than another add nothing to it."""
+
 WIDE, OFTEN = 3.0, 0.15
 """Some measurements scatter by this factor more, and how often: their errors are not normal."""
 
@@ -328,8 +331,9 @@ def emissions(
                 if k < count:
                     others += (count - k) * (constant - 0.5 * (high - levels[i]) ** 2 / variance)
                 value, other = value + others, strayed + others
-                top = max(plain[r, i], other)
-                plain[r, i] = top + np.log(np.exp(plain[r, i] - top) + np.exp(other - top))
+                if other > plain[r, i] - NEGLIGIBLE:
+                    top = max(plain[r, i], other)
+                    plain[r, i] = top + np.log(np.exp(plain[r, i] - top) + np.exp(other - top))
                 top = max(short[r, i], value)
                 if top > -np.inf:
                     kept, new = np.exp(short[r, i] - top), np.exp(value - top)
