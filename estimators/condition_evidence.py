@@ -105,6 +105,6 @@ class EvidenceRows:
             return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
         base = min(int(self.day.min()), int(other.day.min()))
         span = max(int(self.day.max()), int(other.day.max())) - base + 1
-        keys = [each.bin * span + each.day - base for each in (self, other)]
-        _, here, there = np.intersect1d(*keys, assume_unique=True, return_indices=True)
-        return here, there
+        own, given = (each.bin * span + each.day - base for each in (self, other))
+        _, here, there = np.intersect1d(own, given, assume_unique=True, return_indices=True)
+        return here.astype(np.int64), there.astype(np.int64)

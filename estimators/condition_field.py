@@ -295,6 +295,7 @@ def _settled(
             # Expectation and maximisation go a small part of the way where much is not seen.
             new["met"] *= min(max(new["met"] / now.met, 0.3), 3.0)
         now = replace(now, **new)
+    assert cavity is not None
     going_on = GoingOn(past + rounds, switch, message, cavity)
     return FieldPosterior(
         now, origin, posterior, slippery, rows, present, long, state, cut, going_on

@@ -12,13 +12,13 @@ from typer.testing import CliRunner
 
 import trainlog
 from analysis.adhesion.updating import update_map
+from analysis.network.map_scores import score_network
 from analysis.network.maps import (
     NetworkMap,
     edge_map_path,
     forecasts_of_network,
     map_along,
     network_map,
-    score_network,
     update_network_map,
 )
 from trainlog.cli.main import app

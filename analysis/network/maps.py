@@ -33,7 +33,7 @@ from trainlog.railway.network import Network
 
 if TYPE_CHECKING:
     from analysis.adhesion.evidence import Evidence
-    from analysis.verification.scoring import Score
+    from analysis.network.edges import EdgeOfLine
     from trainlog.railway.forecast import AdhesionForecast
     from trainlog.railway.weather import Weather
 
@@ -324,7 +324,7 @@ def _kept_network(folder: Path, network: Network | None) -> Network | None:
     return network
 
 
-class _Log:
+class LogOnEdges:
     """A log that is added to the maps of its edges; it is analysed once at most."""
 
     def __init__(self, path: Path, network: Network | None) -> None:
@@ -354,6 +354,36 @@ class _Log:
 
         return list(slips_of_log(self.path))
 
+    def evidence_on(
+        self,
+        edge: EdgeOfLine,
+        track: TrackConditionMap,
+        layer: str | None,
+        weather: Weather | None,
+        digest: str,
+    ) -> Evidence:
+        """What the trip showed on an edge, in the bins of its map."""
+        from analysis.adhesion.covariates import covariates
+        from analysis.adhesion.evidence import condition_of, evidence_of_parts
+        from analysis.network.edges import on_edge
+        from trainlog.mcap.reader import identity_of_log
+
+        of_line = replace(track, line=self.line.name, length=self.line.length)
+        condition = condition_of(self.trip, of_line, layer, weather, edge=edge.name)
+        parts = [on_edge(piece, edge) for piece in self.pieces]
+        parts = [part for part in parts if part.time.size]
+        if not parts:
+            raise LogError(
+                f"trip '{self.trip.name}' was not recorded on edge '{edge.name}' of its route"
+            )
+        piece = evidence_of_parts(parts, track, condition, sha256=digest)
+        return replace(
+            piece,
+            recorded=identity_of_log(self.path),
+            steps=len(self.trip.provenance),
+            details=piece.details | covariates(self.trip, piece.span, weather),
+        )
+
 
 class _EdgeUpdate(FileUpdate):
     """An update of the map of an edge."""
@@ -363,40 +393,20 @@ class _EdgeUpdate(FileUpdate):
     ) -> None:
         super().__init__(path, layer, weather, retry)
         self.edge = edge
-        self.log: _Log | None = None
+        self.log: LogOnEdges | None = None
 
     def analysed(self, log: Path, digest: str) -> tuple[Evidence, TrackConditionMap, str]:
         """The evidence of the log on the edge, the map that it is for, and what is lost of it."""
         from analysis.adhesion.condition_map import empty_map_of
-        from analysis.adhesion.covariates import covariates
-        from analysis.adhesion.evidence import condition_of, evidence_of_parts
         from analysis.adhesion.updating import naming_log
-        from analysis.network.edges import on_edge
-        from trainlog.mcap.reader import identity_of_log
 
         assert self.log is not None
-        given = self.log
-        edge = next(each for each in given.edges if each.name == self.edge)
+        edge = next(each for each in self.log.edges if each.name == self.edge)
         with naming_log(log) as losses:
             track = (
                 self.file.without_evidence if self.file else empty_map_of(edge.name, edge.length)
             )
-            of_line = replace(track, line=given.line.name, length=given.line.length)
-            condition = condition_of(given.trip, of_line, self.layer, self.weather, edge=self.edge)
-            parts = [on_edge(piece, edge) for piece in given.pieces]
-            parts = [part for part in parts if part.time.size]
-            if not parts:
-                raise LogError(
-                    f"trip '{given.trip.name}' was not recorded on edge '{self.edge}' of its route"
-                )
-            piece = evidence_of_parts(parts, track, condition, sha256=digest)
-            details = piece.details | covariates(given.trip, piece.span, self.weather)
-            found = replace(
-                piece,
-                recorded=identity_of_log(log),
-                steps=len(given.trip.provenance),
-                details=details,
-            )
+            found = self.log.evidence_on(edge, track, self.layer, self.weather, digest)
         return found, track, "; ".join(losses)
 
 
@@ -411,7 +421,7 @@ def _outcome(
     from trainlog.errors import TrainlogError
 
     try:
-        given = _Log(log, network)
+        given = LogOnEdges(log, network)
     except TrainlogError as error:
         return LogOutcome(str(log), "refused", reason=_with_file(error, log))
     found: list[LogOutcome] = []
@@ -442,70 +452,7 @@ def _of_all(found: list[LogOutcome]) -> LogOutcome:
     raise AssertionError("a log has an edge")
 
 
-# --------------------------------------------------------------------------- forecast, score
-
-
-def score_network(
-    maps: NetworkMap,
-    layers: list[str] | None = None,
-    report: Callable[[int, int], None] | None = None,
-) -> tuple[Score, dict[str, Score]]:
-    """Score what the maps of a network would have expected of each day from the days before alone.
-
-    Parameters
-    ----------
-    maps : NetworkMap
-    layers : list of str, optional
-        Rail conditions to score; default: all.
-    report : callable, optional
-        Called with the number of edges done and that of all.
-
-    Returns
-    -------
-    whole : Score
-        Of all edges together, added up by day: its bands are of days, as weather is alike on all.
-    edges : dict of str to Score
-        By edge, those that have evidence of two days.
-
-    Raises
-    ------
-    InputError
-        If no edge has evidence of two days.
-    """
-    from analysis.verification.scoring import Score, score_rolling
-    from analysis.verification.verify import Verification
-
-    found: dict[str, Score] = {}
-    short = []
-    for number, (name, track) in enumerate(maps.maps.items(), start=1):
-        chosen = None if layers is None else [each for each in layers if each in track.layers]
-        if track.days.size < 2 or chosen == []:
-            short.append(name)
-        else:
-            found[name] = score_rolling(track, chosen)
-        if report is not None:
-            report(number, len(maps.maps))
-    if not found:
-        raise InputError(
-            "no edge has evidence of two days: no day can be forecast from the days before",
-            file=maps.folder,
-            remedy="count in trips of several days",
-        )
-    names = sorted({name for each in found.values() for name in each.layers} - {"all"})
-    pooled = {
-        name: Verification.together(
-            {edge: each.layers[name] for edge, each in found.items() if name in each.layers}
-        )
-        for name in [*names, "all"]
-    }
-    limits = (
-        (f"{counted(len(short), 'edge')} without evidence of two days: not scored",)
-        if short
-        else ()
-    )
-    network = maps.network.name if maps.network is not None else maps.folder.name
-    whole = Score(f"network {network}", "the maps, day by day", pooled, limits=limits)
-    return whole, found
+# ---------------------------------------------------------------------------------- forecast
 
 
 def forecasts_of_network(

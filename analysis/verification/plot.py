@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 
 from analysis.plotting import (
     BLUE,
+    GREEN,
     GREY,
     INK,
     ORANGE,
@@ -165,9 +166,17 @@ def _draw_days(axes: Axes, found: Verification) -> None:
         return
     days = pd.to_datetime(found.days[some], unit="D").to_numpy()
     own = found.scores["forecast"][some, 0]
-    for other, colour, mark in (("prior", BLUE, "o"), ("persistence", ORANGE, "x")):
+    peers = (("prior", BLUE, "o"), ("persistence", ORANGE, "x"), ("place", GREEN, "+"))
+    for other, colour, mark in peers:
         gain = (own - found.scores[other][some, 0]) / known[some]
-        axes.plot(days, gain, mark, color=colour, markersize=4, label=f"over {other}")
+        axes.plot(
+            days,
+            gain,
+            mark,
+            color=colour,
+            markersize=4,
+            label=f"over {other}{' alone' * (other == 'place')}",
+        )
     axes.axhline(0.0, color=PALE, linewidth=1.0)
     # Whole days, at most eight of them named.
     reached = np.arange(found.days[some].min(), found.days[some].max() + 1)

@@ -1,4 +1,7 @@
-"""Forecasts that anyone can make, which a forecast must beat: climatology and persistence."""
+"""Forecasts that anyone can make, which a forecast must beat.
+
+Climatology, by the rail condition alone; persistence; and the place alone, whatever the weather.
+"""
 
 from __future__ import annotations
 
@@ -82,6 +85,49 @@ def persistence(track: TrackConditionMap, layer: str, evidence: DailyEvidence) -
     mean = found @ GRID
     std = np.sqrt(np.maximum(found @ GRID**2 - mean**2, 1e-12))
     return AdhesionEstimate(mean, std, np.ones(track.bins, dtype=bool), GRID, found)
+
+
+def place_alone(track: TrackConditionMap, layer: str, evidence: DailyEvidence) -> AdhesionEstimate:
+    """Each bin as it was on average, whatever the rail condition.
+
+    Normal, about the mean of a bin's measurements, drawn to that of the line as far as they are few
+    for their spread (shrinkage of group means: Efron and Morris 1975, JASA 70); where nothing was
+    measured on the line, the climatology.
+
+    Parameters
+    ----------
+    track : TrackConditionMap
+        Whose settings and bins are used.
+    layer : str
+        Whose climatology holds where nothing was measured.
+    evidence : DailyEvidence
+        Of all days before, of all rail conditions together.
+
+    Examples
+    --------
+    >>> from trainlog.formats.condition import read_map
+    >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
+    >>> both = DailyEvidence.total(each.evidence for each in track.layers.values())
+    >>> found, usual = place_alone(track, "dry", both), climatology(track, "dry")
+    >>> bool(found.log_std[0] > 0.0), bool(found.log_mean[0] != usual.log_mean[0])
+    (True, True)
+    """
+    known = evidence.weight > 0.0
+    trips, place = evidence.trips[known], evidence.bin[known]
+    if trips.sum() < ENOUGH:
+        return climatology(track, layer)
+    log = evidence.weighted_log[known] / evidence.weight[known]
+    count = np.bincount(place, trips, minlength=track.bins)
+    mean = np.bincount(place, trips * log, minlength=track.bins) / np.maximum(count, 1.0)
+    whole = float(trips @ log / trips.sum())
+    within = float(trips @ (log - mean[place]) ** 2) / max(trips.sum() - (count > 0).sum(), 1.0)
+    within = max(within, LEAST_DIFFERENCE**2)
+    between = float(np.average((mean - whole) ** 2, weights=count))
+    share = count * between / (count * between + within)
+    variance = within + between * (1.0 - share)
+    return AdhesionEstimate(
+        whole + share * (mean - whole), np.sqrt(variance), np.ones(track.bins, dtype=bool)
+    )
 
 
 def _difference(place: NDArray[np.int64], log: FloatArray) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -133,7 +133,7 @@ class Score:
 
 
 @dataclass
-class _Trips:
+class ScoredTrips:
     """What the logs hold: evidence of each trip, and what could not be used."""
 
     track: TrackConditionMap
@@ -192,6 +192,7 @@ def score_rolling(
     track: TrackConditionMap,
     layers: Sequence[str] | None = None,
     report: Callable[[int, int], None] | None = None,
+    forecaster: Forecaster | None = None,
 ) -> Score:
     """Score what a map would have expected of each of its days from the days before alone.
 
@@ -202,6 +203,8 @@ def score_rolling(
         Rail conditions to score; default: all of the map.
     report : callable, optional
         Called before each day that is forecast, with its number and that of all.
+    forecaster : callable, optional
+        That forecasts; default: `analysis.verification.forecasts.rolling_forecast` of the map.
 
     Raises
     ------
@@ -231,9 +234,15 @@ def score_rolling(
     demand = Demand([layer.evidence for layer in track.layers.values()], track.levels)
     first = min(days)
     scored = [each for each in every if each.day > first]
-    forecaster = _reporting(rolling_forecast(track), scored, report)
+    forecaster = _reporting(forecaster or rolling_forecast(track), scored, report)
+    known = _with_all({name: layer.evidence for name, layer in track.layers.items()})
     return _scored("the map, day by day", track, scored, forecaster,
-                   lambda layer, day: chosen[layer].between(first, day - 1), demand)  # fmt: skip
+                   lambda layer, day: known[layer].between(first, day - 1), demand)  # fmt: skip
+
+
+def _with_all(held: dict[str, DailyEvidence]) -> dict[str, DailyEvidence]:
+    """Evidence by rail condition, and under ``""`` that of all together."""
+    return held | {"": DailyEvidence.total(held.values())} if held else held
 
 
 def _reporting(
@@ -285,8 +294,12 @@ def score_map(
     """
     if layer is not None:
         track.layer(layer)
+    return score_map_on(track, _trips(logs, track, layer, weather))
+
+
+def score_map_on(track: TrackConditionMap, trips: ScoredTrips) -> Score:
+    """As `score_map`, on trips whose evidence is known."""
     last = int(track.days[-1]) if track.days.size else -1
-    trips = _trips(logs, track, layer, weather)
     later = []
     for piece in trips.pieces:
         if _middle(piece) < time_of(last) + NOON:
@@ -297,8 +310,10 @@ def score_map(
     trips.pieces = later
     trips.limit_layers(track.layers)
     nothing = DailyEvidence.none(track.bins, track.levels.size)
-    held = {name: each.evidence for name, each in track.layers.items()}
-    demand = Demand([*held.values(), *trips.evidence], track.levels)
+    demand = Demand(
+        [*(each.evidence for each in track.layers.values()), *trips.evidence], track.levels
+    )
+    held = _with_all({name: each.evidence for name, each in track.layers.items()})
     return _scored("the map", track, trips.passages(), map_forecast(track),
                    lambda layer, _: held.get(layer, nothing), demand, trips)  # fmt: skip
 
@@ -353,6 +368,7 @@ def score_forecast(
         name: DailyEvidence.total(known for each, known in every if each == name)
         for name, _ in every
     }
+    held = _with_all(held)
     return _scored("the forecast", track, trips.passages(), stated_forecast(forecast, track),
                    lambda layer, day: held[layer].between(-1, day - 1),
                    Demand(trips.evidence, track.levels), trips)  # fmt: skip
@@ -365,7 +381,7 @@ def _scored(
     forecaster: Forecaster,
     history: History,
     demand: Demand,
-    trips: _Trips | None = None,
+    trips: ScoredTrips | None = None,
 ) -> Score:
     if trips is not None and not passages:
         why = [*by_reason(trips.left_out), *trips.refused]
@@ -414,7 +430,7 @@ def _trips(
     track: TrackConditionMap | None,
     layer: str | None,
     weather: Weather | None,
-) -> _Trips:
+) -> ScoredTrips:
     """Evidence of each trip, a drive once; a log that cannot be used does not stop the others."""
     found: list[Evidence] = []
     refused, digests, stated = [], set[str](), dict[str, str]()
@@ -436,6 +452,27 @@ def _trips(
             "no log could be used" + (f": {refused[0]}" if refused else ""),
             remedy="give logs of trips",
         )
+    return counted_once(track, found, refused, stated, layer)
+
+
+def counted_once(
+    track: TrackConditionMap,
+    found: Sequence[Evidence],
+    refused: list[str],
+    stated: Mapping[str, str],
+    layer: str | None,
+) -> ScoredTrips:
+    """Trips of which each drive counts once.
+
+    Parameters
+    ----------
+    track : TrackConditionMap
+    found : sequence of Evidence
+    refused : list of str
+    stated : mapping of str to str
+        Rail condition that logs state, by their digest, where `layer` is given in its place.
+    layer : str or None
+    """
     known = [
         Known(each.trip, each.recorded, (each.steps, each.sha256, each.trip), digest=each.sha256)
         for each in found
@@ -452,4 +489,4 @@ def _trips(
         conditions = ", ".join(f"'{name}'" for name in sorted({stated[e.sha256] for e in other}))
         named = _named([each.trip for each in other])
         limits.append(f"{named}: scored in '{layer}' as given; the log states {conditions}")
-    return _Trips(track, pieces, left_out, refused, limits)
+    return ScoredTrips(track, pieces, left_out, refused, limits)

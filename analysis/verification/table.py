@@ -60,17 +60,22 @@ ROWS: tuple[tuple[str, Callable[[Verification], str]], ...] = (
         "  gain over persistence",
         lambda v: _said(v.log_score("onsets", over="persistence"), 2, True),
     ),
+    ("  gain over the place alone", lambda v: _said(v.log_score("onsets", over="place"), 2, True)),
     ("log score of used adhesion [nat]", lambda v: _said(v.log_score("used"), 3)),
     ("  gain over the prior", lambda v: _said(v.log_score("used", over="prior"), 3, True)),
     (
         "  gain over persistence",
         lambda v: _said(v.log_score("used", over="persistence"), 3, True),
     ),
+    (
+        "  gain over the place alone",
+        lambda v: _said(v.log_score("used", over="place"), 3, True),
+    ),
     ("CRPS of onsets, log adhesion", lambda v: _said(v.crps(), 3)),
     (
-        "  of the prior\n  of persistence",
+        "  of the prior\n  of persistence\n  of the place alone",
         lambda v: "\n".join(
-            _said(Figure(v.crps(name).value), 3) for name in ("prior", "persistence")
+            _said(Figure(v.crps(name).value), 3) for name in ("prior", "persistence", "place")
         ),
     ),
     ("maxima in the 95 % band", lambda v: _share(v.coverage)),
@@ -89,6 +94,16 @@ ROWS: tuple[tuple[str, Callable[[Verification], str]], ...] = (
     ("  of those where the forecast is known", lambda v: _share(v.alarm().foreseen_known)),
     ("false alarms per known train-km", lambda v: _said(v.alarm().false_alarms)),
 )
+
+
+def gain_words(figure: Figure) -> str:
+    """A gain with its sign and its 95 % band; "-" where it cannot be stated."""
+    return _said(figure, 2, sign=True)
+
+
+def share_words(figure: Figure) -> str:
+    """A share with its 95 % band; "-" where it cannot be stated."""
+    return _share(figure)
 
 
 def _reliability(found: Verification) -> Table:

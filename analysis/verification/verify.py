@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from analysis.verification.passages import Demand, Passages, asked_adhesion
-from analysis.verification.references import climatology, persistence
+from analysis.verification.references import climatology, persistence, place_alone
 from analysis.verification.scores import (
     CLASSES,
     LEVELS_OF_PIT,
@@ -39,10 +39,11 @@ Forecaster = Callable[[str, pd.Timestamp], AdhesionEstimate | None]
 """The adhesion forecast for a rail condition and a time, by bin; None: unknown everywhere."""
 
 History = Callable[[str, int], DailyEvidence]
-"""What was known of a rail condition before a day."""
+"""What was known of a rail condition before a day; of ``""``, of all of them together."""
 
-FORECASTS = ("forecast", "prior", "persistence")
-"""That are scored on the same passages."""
+FORECASTS = ("forecast", "prior", "persistence", "place")
+"""That are scored on the same passages: the one under verification, and those that anyone can make:
+by the rail condition alone, as last seen, and by the place alone, whatever the rail condition."""
 
 ALARMS = np.array([0.003, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9])
 """Probabilities of slip from which on an alarm is given."""
@@ -218,7 +219,7 @@ class Verification:
         Parameters
         ----------
         what : {"onsets", "used", "all"}
-        over : {"prior", "persistence"}, optional
+        over : {"prior", "persistence", "place"}, optional
         """
         columns = {"onsets": (0,), "used": (1,), "all": (0, 1)}[what]
         one = self.scores["forecast"]
@@ -376,7 +377,7 @@ def verify(
     history: History,
     demand: Demand,
 ) -> dict[str, Verification]:
-    """Score a forecast, beside climatology and persistence, on what trips met, by rail condition.
+    """Score a forecast, beside those that anyone can make, on what trips met, by rail condition.
 
     Parameters
     ----------
@@ -388,7 +389,7 @@ def verify(
         Not of a day that the forecast knows.
     forecaster : callable
     history : callable
-        What persistence knows.
+        What persistence and the place alone know.
     demand : Demand
 
     Raises
@@ -457,6 +458,7 @@ class _References:
                 (layer, day): {
                     "prior": climatology(self._track, layer),
                     "persistence": persistence(self._track, layer, known),
+                    "place": place_alone(self._track, layer, self._history("", day)),
                 }
             }
         return self._made[layer, day]

@@ -42,15 +42,22 @@ from analysis.fleet.maps import maps_folder
 from analysis.fleet.resistance import fleet_resistance
 from analysis.fleet.trains import fleet_trains, joined, trips_of
 from analysis.fleet.unlike import FALSE_ALARMS, Finding, UnlikeTrains, unlike_trains
-from analysis.network.maps import NetworkMap, network_map, score_network
+from analysis.network.map_scores import score_network
+from analysis.network.maps import NetworkMap, network_map
 from analysis.resistance.regression import band_factor, curve_std
 from analysis.tables import new_table
+from analysis.verification.forecasts import rolling_forecast
+from analysis.verification.passages import time_of
+from analysis.verification.references import climatology, persistence, place_alone
+from analysis.verification.scores import crps, day_weights
 from analysis.verification.table import ROWS
+from analysis.verification.verify import BAND, DRAWS, FORECASTS, Forecaster
 from trainlog.catalogue import Catalogue, open_catalogue
 from trainlog.cli.terminal import console
 from trainlog.formats.summaries import covariances_of, parameters_of
 from trainlog.mcap import read_log
-from trainlog.railway.condition import AdhesionEstimate
+from trainlog.railway.condition import AdhesionEstimate, TrackConditionMap
+from trainlog.railway.evidence import DailyEvidence
 from trainlog.simulation import Fault, Fleet
 from trainlog.simulation.fleet import MINUTE
 from trainlog.topics import TRUTH
@@ -511,13 +518,14 @@ def expected_row(given: Judged, day: int, layers: Sequence[str]) -> list[str]:
 
 
 def judge_forecast(given: Judged) -> None:
-    """Each day's forecast scored, as `trainlog map score --rolling` does."""
-    begun = time.perf_counter()
-    whole, edges = score_network(given.maps)
+    """Each day's forecast scored, as `trainlog map score --rolling` does; then against the truth."""
+    begun = time.process_time()
+    forecasters = {edge: rolling_forecast(track) for edge, track in given.maps.maps.items()}
+    whole, edges = score_network(given.maps, None, None, forecasters)
     names = [name for name in whole.layers if name != "all"]
     printed(
         f"each day's forecast from the days before, {len(edges)} edges (95 % band by day;"
-        f" {time.perf_counter() - begun:.0f} s)",
+        f" {time.process_time() - begun:.0f} s of processor time)",
         ("", *names, "all"),
         [
             (ROWS[n][0], *(ROWS[n][1](whole.layers[name]) for name in (*names, "all")))
@@ -530,16 +538,79 @@ def judge_forecast(given: Judged) -> None:
             each.layers["all"].onsets,
             *(
                 f"{each.layers['all'].log_score('onsets', over=name).value:+.2f}"
-                for name in ("prior", "persistence")
+                for name in FORECASTS[1:]
             ),
             f"{each.layers['all'].onsets_in_band.value:.1%}",
         )
         for edge, each in edges.items()
     ]
-    columns = ("edge", "onsets", "over the prior", "over persistence", "onsets in band")
+    columns = (
+        "edge", "onsets", "over the prior", "over persistence", "over the place alone",
+        "onsets in band",
+    )  # fmt: skip
     printed("log score of onsets by edge [nat]", columns, gains)
     for note in whole.notes:
         console.print(f"  {note}")
+    against_rail(given, forecasters)
+
+
+def against_rail(given: Judged, forecasters: dict[str, Forecaster]) -> None:
+    """Each day's forecast against the true maximum adhesion at noon, in all bins it is known in."""
+    parts: list[dict[str, object]] = []
+    for edge, track in given.maps.maps.items():
+        rail = given.fleet.rail(edge)
+        every = DailyEvidence.total(layer.evidence for layer in track.layers.values())
+        for day in track.days[1:].tolist():
+            noon = time_of(day)
+            name = rail.weather(noon.value).condition
+            expected = forecasters[edge](name, noon) if name in track.layers else None
+            if expected is None or not expected.observed.any():
+                continue
+            met = rail.profile(noon.value, noon.value // MINUTE)(track.centres)
+            parts.append(
+                {"day": day, "layer": name} | errors_of(track, name, day, every, expected, met)
+            )
+    table = pd.DataFrame(parts)
+    rows = []
+    for name, part in [*table.groupby("layer"), ("all", table)]:
+        days = part.drop(columns="layer").groupby("day").sum()
+        weights = np.vstack((np.ones(len(days)), day_weights(len(days), DRAWS)))
+        sums = {column: weights @ days[column].to_numpy() for column in days}
+        cells = [f"{sums['forecast'][0] / sums['bins'][0]:.4f}"]
+        for other in FORECASTS[1:]:
+            skill = 1.0 - sums["forecast"] / sums[other]
+            low, high = np.quantile(skill[1:], BAND)
+            cells.append(f"{skill[0]:+.2f} ({low:+.2f}, {high:+.2f})")
+        held = sums["inside"] / sums["bins"]
+        low, high = np.quantile(held[1:], BAND)
+        cells.append(f"{held[0]:.1%} ({low:.1%}, {high:.1%})")
+        rows.append((name, len(days), int(sums["bins"][0]), *cells))
+    columns = ("rail", "days", "bins", "CRPS", "skill over the prior", "over persistence",
+               "over the place alone", "in the 95 % band")  # fmt: skip
+    printed("forecast against the true maximum at noon (95 % band by day)", columns, rows)
+
+
+def errors_of(
+    track: TrackConditionMap,
+    layer: str,
+    day: int,
+    every: DailyEvidence,
+    expected: AdhesionEstimate,
+    met: np.ndarray,
+) -> dict[str, float]:
+    """Sums over the bins that are known: CRPS of each forecast, and bins in the 95 % band."""
+    known = np.flatnonzero(expected.observed)
+    earlier = track.layer(layer).evidence.between(-1, day - 1)
+    others = {
+        "forecast": expected,
+        "prior": climatology(track, layer),
+        "persistence": persistence(track, layer, earlier),
+        "place": place_alone(track, layer, every.between(-1, day - 1)),
+    }
+    low, high = (expected.quantile(share)[known] for share in BAND)
+    inside = float(np.count_nonzero((low <= met[known]) & (met[known] <= high)))
+    sums = {name: float(crps(e.at_bins(known), met[known]).sum()) for name, e in others.items()}
+    return sums | {"bins": float(known.size), "inside": inside}
 
 
 # ----------------------------------------------------------------------------------------- energy

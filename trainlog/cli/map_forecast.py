@@ -120,60 +120,62 @@ def map_score(
 ) -> None:
     """Score a map's forecast, or anyone's, on trips that it does not know.
 
-    Log score of measured and of used adhesion with the gain over the prior and over persistence,
-    reliability, Brier score of slip, slips foreseen against false alarms, coverage; bands by a
+    Log score of measured and of used adhesion with the gain over the prior, over persistence and over
+    the place alone, reliability, Brier score of slip, slips foreseen against false alarms, coverage; bands by a
     bootstrap over days. Where the forecast is unknown it is counted as unknown. What each figure
     means: docs/adhesion-forecast-verification.md. Exit status 1 if a log could not be used.
 
     Example: trainlog map score results/wil.map results/later-trips --picture results/score.png
     """
+    from analysis.network.map_scores import edges_details, edges_table
     from analysis.verification.plot import draw_score
     from analysis.verification.scoring import by_reason
     from analysis.verification.table import score_table
 
     if picture is not None:
         destination(picture, ".png")
-    found = (
-        _scored_network(forecast, logs or [], rolling, layer)
-        if forecast.is_dir()
-        else _scored(forecast, logs or [], rolling, layer, weather)
-    )
+    edges: dict[str, Score] = {}
+    if forecast.is_dir():
+        found, edges = _scored_network(forecast, logs or [], rolling, layer, weather)
+    else:
+        found = _scored(forecast, logs or [], rolling, layer, weather)
     for words in found.refused:
         print_error(words)
     if picture is not None:
         draw_score(found, picture)
-    if not state(found.details()):
+    if not state(found.details() | ({"edges": edges_details(edges)} if edges else {})):
         for words in by_reason(found.left_out):
             console.print(f"  {words}", highlight=False, soft_wrap=True)
         console.print(score_table(found))
+        if edges:
+            console.print(edges_table(edges))
     if picture is not None:
         wrote(picture)
     if found.refused:
         raise typer.Exit(1)
 
 
-def _scored_network(folder: Path, logs: list[Path], rolling: bool, layer: str | None) -> Score:
-    from analysis.network.maps import network_map, score_network
-
-    if logs or not rolling:
-        raise InputError(
-            "the maps of a network are scored on their own days",
-            remedy="give --rolling and no logs",
-        )
-    with task("forecasting edge by edge", unit="edge") as step:
-        chosen = None if layer is None else [layer]
-        return score_network(network_map(folder), chosen, lambda done, edges: step(done, edges))[0]
-
-
-def _scored(
-    forecast: Path, logs: list[Path], rolling: bool, layer: str | None, weather: Path | None
-) -> Score:
-    from analysis.verification.scoring import line_of_logs, score_forecast, score_map, score_rolling
-    from trainlog.formats.condition import read_map
-    from trainlog.formats.forecast import read_forecast
+def _scored_network(
+    folder: Path, logs: list[Path], rolling: bool, layer: str | None, weather: Path | None
+) -> tuple[Score, dict[str, Score]]:
+    from analysis.network.map_scores import score_network, score_network_on
+    from analysis.network.maps import network_map
     from trainlog.formats.weather import read_weather
 
-    foreign = forecast.suffix.lower() == ".csv"
+    _check_scored(logs, rolling, weather)
+    maps = network_map(folder)
+    if logs:
+        sky = None if weather is None else read_weather(weather)
+        return score_network_on(maps, track(logs_in(logs), "scoring", "log"), layer, sky)
+    with task("forecasting edge by edge", unit="edge") as step:
+        chosen = None if layer is None else [layer]
+        return score_network(maps, chosen, lambda done, edges: step(done, edges))
+
+
+def _check_scored(
+    logs: list[Path], rolling: bool, weather: Path | None, *, foreign: bool = False
+) -> None:
+    """Refuse what contradicts itself: a map is scored on its own days, or on logs."""
     if rolling and weather is not None:
         raise InputError(
             "--weather gives the rail condition of logs, of which --rolling takes none",
@@ -189,6 +191,18 @@ def _scored(
             "there is nothing to compare the forecast with",
             remedy="give logs of trips" + ("" if foreign else ", or --rolling"),
         )
+
+
+def _scored(
+    forecast: Path, logs: list[Path], rolling: bool, layer: str | None, weather: Path | None
+) -> Score:
+    from analysis.verification.scoring import line_of_logs, score_forecast, score_map, score_rolling
+    from trainlog.formats.condition import read_map
+    from trainlog.formats.forecast import read_forecast
+    from trainlog.formats.weather import read_weather
+
+    foreign = forecast.suffix.lower() == ".csv"
+    _check_scored(logs, rolling, weather, foreign=foreign)
     if rolling:
         own = read_map(forecast)
         with task("forecasting day by day", unit="day") as step:
