@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from simulated_line import level_line
 
 from analysis.adhesion.condition_map import LEVELS, empty_map
-from trainlog.condition import estimated
+from analysis.verification.forecasts import before
+from trainlog.condition import DailyEstimates, estimated
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
 
@@ -101,6 +102,31 @@ class TestChanges:
     def test_weeks_of_few_trips_are_no_change(self) -> None:
         days = [*range(0, 20), 40, 41, 62, 80, 81]
         assert layer_of([met(DAY + number, 38, 0.09, 0.06) for number in days]).changes == ()
+
+
+def test_what_one_day_alone_showed_may_have_passed() -> None:
+    normal = [met(DAY + n, 4 + 12 * n, 0.16, 0.05, bins=8) for n in range(7)]
+    once = layer_of([*normal, *(met(DAY + 3, 90, 0.08, 0.05) for _ in range(6))])
+    assert once.quantile(0.5)[91] < 0.1
+    assert once.quantile(0.975)[91] > 0.14, "a spot of that day is in the band, too"
+    often = [met(DAY + 3 * n, 90, 0.08, 0.05) for n in range(6)]
+    assert layer_of([*normal, *often]).quantile(0.975)[91] < 0.11
+
+
+def test_estimates_day_by_day_come_close_to_those_of_all_evidence() -> None:
+    pieces = [calm(DAY + number, 0.13) for number in range(12)]
+    pieces += [met(DAY + number, 20, 0.09, 0.13) for number in range(12)]
+    pieces += [met(DAY + number, 60 + number, 0.16, 0.13) for number in range(12)]
+    known = ConditionLayer.unestimated(DailyEvidence.total(pieces))
+    track = replace(empty_map(LINE), layers={"wet": known})
+    days = DailyEstimates(track, "wet")
+    assert days.before(DAY) is None
+    found = [days.before(DAY + number) for number in range(1, 12)][-1]
+    whole = before(track, DAY + 11, "wet")
+    assert found is not None
+    assert whole is not None
+    for share in (0.025, 0.5, 0.975):
+        np.testing.assert_allclose(found.quantile(share), whole.quantile(share), rtol=0.1)
 
 
 def test_the_order_of_trips_does_not_matter() -> None:

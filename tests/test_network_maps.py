@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 import trainlog
 from analysis.adhesion.updating import update_map
-from analysis.network.map_scores import score_network
+from analysis.network.map_scores import score_network, score_network_on
 from analysis.network.maps import (
     NetworkMap,
     edge_map_path,
@@ -23,6 +23,7 @@ from analysis.network.maps import (
 )
 from trainlog.cli.main import app
 from trainlog.errors import InputError
+from trainlog.formats.files import sha256_of
 from trainlog.formats.line import line_to_bytes, read_line
 from trainlog.formats.samples import sample
 from trainlog.railway import Edge, Line, Network, Node
@@ -167,6 +168,27 @@ def test_forecasts_and_scores_of_all_edges(maps: Path) -> None:
         score_network(NetworkMap(maps, None, {}))
 
 
+def test_maps_are_scored_on_later_trips_edge_by_edge(maps: Path, logs: Path) -> None:
+    found = network_map(maps)
+    early = found.known_before(pd.Timestamp("2024-10-08T00:00Z"))
+    every = sorted(logs.glob("*.mcap"))
+    whole, edges = score_network_on(early, every)
+    held = {each["sha256"] for track in early.maps.values() for each in track.trips}
+    later = [path for path in every if sha256_of(path) not in held]
+    assert later, "some trip must be later"
+    alone, _ = score_network_on(early, later)
+    assert whole.layers["all"].details() == alone.layers["all"].details()
+    assert {each.trip for each in whole.left_out} == {"day-0@east", "day-0@west/old"}
+    assert whole.layers["all"].onsets == sum(each.layers["all"].onsets for each in edges.values())
+    # What ran on an edge without a map is stated, and the other edges are scored.
+    name = next(iter(edges))
+    partial, rest = score_network_on(replace(early, maps={name: early.maps[name]}), later)
+    assert set(rest) == {name}
+    assert any("has no map" in words for words in partial.limits)
+    with pytest.raises(InputError, match="no later trip on an edge with a map"):
+        score_network_on(found, every)
+
+
 def test_commands_take_a_folder_of_maps(maps: Path, tmp_path: Path) -> None:
     picture = tmp_path / "network.png"
     run = CliRunner().invoke(app, ["map", "show", str(maps), "--picture", str(picture)])
@@ -182,3 +204,4 @@ def test_commands_take_a_folder_of_maps(maps: Path, tmp_path: Path) -> None:
     run = CliRunner().invoke(app, ["map", "score", str(maps), "--rolling"])
     assert run.exit_code == 0, run.output
     assert "network cut" in run.output
+    assert "west/old" in run.output

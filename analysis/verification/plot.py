@@ -166,8 +166,12 @@ def _draw_days(axes: Axes, found: Verification) -> None:
         return
     days = pd.to_datetime(found.days[some], unit="D").to_numpy()
     own = found.scores["forecast"][some, 0]
-    peers = (("prior", BLUE, "o"), ("persistence", ORANGE, "x"), ("place", GREEN, "+"))
-    for other, colour, mark in peers:
+    peers = (
+        ("prior", "prior", BLUE, "o"),
+        ("persistence", "persistence", ORANGE, "x"),
+        ("place", "the place alone", GREEN, "+"),
+    )
+    for other, words, colour, mark in peers:
         gain = (own - found.scores[other][some, 0]) / known[some]
         axes.plot(
             days,
@@ -175,7 +179,7 @@ def _draw_days(axes: Axes, found: Verification) -> None:
             mark,
             color=colour,
             markersize=4,
-            label=f"over {other}{' alone' * (other == 'place')}",
+            label=f"over {words}",
         )
     axes.axhline(0.0, color=PALE, linewidth=1.0)
     # Whole days, at most eight of them named.

@@ -144,9 +144,11 @@ class ScoredTrips:
 
     @property
     def evidence(self) -> list[DailyEvidence]:
+        """Of each trip, by rail condition."""
         return [known for piece in self.pieces for known in piece.layers.values()]
 
     def passages(self) -> list[Passages]:
+        """What each trip met, a day at a time."""
         return [
             day
             for piece in self.pieces

@@ -518,7 +518,7 @@ def expected_row(given: Judged, day: int, layers: Sequence[str]) -> list[str]:
 
 
 def judge_forecast(given: Judged) -> None:
-    """Each day's forecast scored, as `trainlog map score --rolling` does; then against the truth."""
+    """Each day's forecast, scored as by `trainlog map score --rolling`, and against the truth."""
     begun = time.process_time()
     forecasters = {edge: rolling_forecast(track) for edge, track in given.maps.maps.items()}
     whole, edges = score_network(given.maps, None, None, forecasters)

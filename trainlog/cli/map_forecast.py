@@ -120,10 +120,11 @@ def map_score(
 ) -> None:
     """Score a map's forecast, or anyone's, on trips that it does not know.
 
-    Log score of measured and of used adhesion with the gain over the prior, over persistence and over
-    the place alone, reliability, Brier score of slip, slips foreseen against false alarms, coverage; bands by a
-    bootstrap over days. Where the forecast is unknown it is counted as unknown. What each figure
-    means: docs/adhesion-forecast-verification.md. Exit status 1 if a log could not be used.
+    Log score of measured and of used adhesion with the gain over the prior, over persistence and
+    over the place alone, reliability, Brier score of slip, slips foreseen against false alarms,
+    coverage; bands by a bootstrap over days. Of a network, all edges together, and each. Where the
+    forecast is unknown it is counted as unknown. What each figure means:
+    docs/adhesion-forecast-verification.md. Exit status 1 if a log could not be used.
 
     Example: trainlog map score results/wil.map results/later-trips --picture results/score.png
     """
