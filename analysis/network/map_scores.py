@@ -176,24 +176,24 @@ def _whole(
         left_out |= dict.fromkeys(score.left_out)
     own = {f"edge '{edge}': {words}": None for edge, each in found.items() for words in each.limits}
     return Score(
-        f"network {network}", name, pooled, tuple(left_out), tuple(refused), (*limits, *own)
+        f"network {network}",
+        name,
+        pooled,
+        tuple(left_out),
+        tuple(refused),
+        (*limits, *own),
+        {edge: each.layers["all"] for edge, each in found.items()},
     )
 
 
-def edges_details(edges: Mapping[str, Score]) -> dict[str, object]:
-    """Figures of each edge, all rail conditions together, as JSON has them."""
-    return {edge: each.layers["all"].details() for edge, each in edges.items()}
-
-
-def edges_table(edges: Mapping[str, Score]) -> Table:
+def edges_table(edges: Mapping[str, Verification]) -> Table:
     """How good the forecasts of each edge were, all rail conditions together."""
     table = new_table(
         "By edge, all rail conditions (95 % band by day)",
         "edge", "onsets", "gain over\nthe prior [nat]", "over persistence\n[nat]",
         "over the\nplace alone [nat]", "CRPS", "maxima in\n95 % band", "onsets in it",
     )  # fmt: skip
-    for edge, score in edges.items():
-        whole = score.layers["all"]
+    for edge, whole in edges.items():
         gains = [gain_words(whole.log_score("onsets", over=name)) for name in
                  ("prior", "persistence", "place")]  # fmt: skip
         crps = whole.crps().value

@@ -80,6 +80,8 @@ class Score:
         Logs that could not be used, with the reason.
     limits : tuple of str
         What the forecast does not cover, and what else the trips must be read with.
+    edges : dict of str to Verification
+        Of a network each edge by itself, all rail conditions together.
     """
 
     line: str
@@ -88,6 +90,7 @@ class Score:
     left_out: tuple[LeftOut, ...] = ()
     refused: tuple[str, ...] = ()
     limits: tuple[str, ...] = ()
+    edges: Mapping[str, Verification] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         whole = self.layers["all"]
@@ -126,6 +129,7 @@ class Score:
             "line": self.line,
             "scored": self.name,
             "layers": {name: each.details() for name, each in self.layers.items()},
+            "edges": [{"edge": name} | each.details() for name, each in self.edges.items()],
             "left_out": [f"trip '{each.trip}': {each.reason}" for each in self.left_out],
             "refused": list(self.refused),
             "notes": list(self.notes),

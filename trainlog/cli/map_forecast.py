@@ -128,28 +128,25 @@ def map_score(
 
     Example: trainlog map score results/wil.map results/later-trips --picture results/score.png
     """
-    from analysis.network.map_scores import edges_details, edges_table
+    from analysis.network.map_scores import edges_table
     from analysis.verification.plot import draw_score
     from analysis.verification.scoring import by_reason
     from analysis.verification.table import score_table
 
     if picture is not None:
         destination(picture, ".png")
-    edges: dict[str, Score] = {}
-    if forecast.is_dir():
-        found, edges = _scored_network(forecast, logs or [], rolling, layer, weather)
-    else:
-        found = _scored(forecast, logs or [], rolling, layer, weather)
+    scored = _scored_network if forecast.is_dir() else _scored
+    found = scored(forecast, logs or [], rolling, layer, weather)
     for words in found.refused:
         print_error(words)
     if picture is not None:
         draw_score(found, picture)
-    if not state(found.details() | ({"edges": edges_details(edges)} if edges else {})):
+    if not state(found.details()):
         for words in by_reason(found.left_out):
             console.print(f"  {words}", highlight=False, soft_wrap=True)
         console.print(score_table(found))
-        if edges:
-            console.print(edges_table(edges))
+        if found.edges:
+            console.print(edges_table(found.edges))
     if picture is not None:
         wrote(picture)
     if found.refused:
@@ -158,7 +155,7 @@ def map_score(
 
 def _scored_network(
     folder: Path, logs: list[Path], rolling: bool, layer: str | None, weather: Path | None
-) -> tuple[Score, dict[str, Score]]:
+) -> Score:
     from analysis.network.map_scores import score_network, score_network_on
     from analysis.network.maps import network_map
     from trainlog.formats.weather import read_weather
@@ -167,10 +164,10 @@ def _scored_network(
     maps = network_map(folder)
     if logs:
         sky = None if weather is None else read_weather(weather)
-        return score_network_on(maps, track(logs_in(logs), "scoring", "log"), layer, sky)
+        return score_network_on(maps, track(logs_in(logs), "scoring", "log"), layer, sky)[0]
     with task("forecasting edge by edge", unit="edge") as step:
         chosen = None if layer is None else [layer]
-        return score_network(maps, chosen, lambda done, edges: step(done, edges))
+        return score_network(maps, chosen, lambda done, edges: step(done, edges))[0]
 
 
 def _check_scored(
