@@ -17,13 +17,12 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import settings
 
+from trainlog.threads import limit_threads
+
 if TYPE_CHECKING:
     from trainlog.railway import ConditionLayer, TrackConditionMap
 
-# One process a core: threads of the linear algebra beside it would only wait for each other, which
-# makes small matrices ten times as slow. It is read when numpy is imported.
-for _library in ("OPENBLAS", "MKL", "OMP"):
-    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+limit_threads()
 
 # A slow machine, or a first call that compiles, is no failure. Continuous integration tries the
 # same cases each time, so that a change alone decides; other runs go on looking for new ones.

@@ -23,18 +23,13 @@ import pyarrow as pa
 from analysis.fleet.analyses import FleetAnalysis
 from trainlog.errors import TrainlogError
 from trainlog.formats.files import sha256_of
+from trainlog.threads import LINEAR_ALGEBRA
 from trainlog.version import code_version
 
 if TYPE_CHECKING:
     from analysis.fleet.trips import FleetTrip
 
-THREADS = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-    "NUMBA_NUM_THREADS",
-)
+THREADS = (*LINEAR_ALGEBRA, "NUMBA_NUM_THREADS")
 """Environment of a worker: one thread each. Workers share out the processors among trips."""
 
 State = Literal["done", "refused", "failed"]
