@@ -270,9 +270,9 @@ def _followed(folder: Path) -> tuple[str, str, str] | None:
             except LogError as refused:
                 words.append(f"{how} not summed up: {refused.problem}")
                 continue
+            acts = "not recorded" if found.slips is None else counted(found.slips, "time")
             words.append(
                 f"{how} at most {abs(found.late):.1f} s from the trajectory on arrival, slip"
-                f" protection acts {'?' if found.slips is None else found.slips} times on"
-                f" {counted(found.trips, 'trip')}"
+                f" protection on {counted(found.trips, 'trip')}: {acts}"
             )
     return ("following", "; ".join(words), str(folder / "driven")) if words else None
