@@ -346,7 +346,9 @@ class _Motion:
         noise: dict[str, Quantity],
     ) -> None:
         self._trip, self._line, self._train, self._scale = trip, line, train, scale
-        self._mass = train.mass + 0.5 * largest_load(train)
+        # By it the rotating parts' share of the inertia: half a load off biases the gain by 0.5 %.
+        load = recorded_load(trip, train)
+        self._mass = train.mass + (0.5 * largest_load(train) if load is None else load.value)
         step = float(np.median(np.diff(seconds(trip["/train/state"]))))
         self._width = window_width(seconds(trip["/train/state"]))
         self._sampling = SAMPLING * step
