@@ -15,6 +15,11 @@ eq. 6).
 The motion determines g m only. Gain and load are separated by what is known beforehand: the load
 that was recorded, with a weighing error, or any load up to the largest; and the accuracy of a
 traction converter's torque estimate.
+
+Wheels creep ahead of the train by s(F), as adhesion needs slip. Where their speeds are not known,
+the momentum J ds/dt that this takes of the effort is missing; with the compliance ds/dF of the
+contact, what moves the train is F - J ds/dF dF/dt, later than F by J ds/dF. The motion then shows
+the delay less that lead, which is added, with all of its range in the band (`_Motion.creep_lead`).
 """
 
 from __future__ import annotations
@@ -34,6 +39,7 @@ from analysis.resistance.recording import (
     SpeedScale,
     check_recorded,
     prepare,
+    recorded_wheels,
     speed_scale,
 )
 from analysis.resistance.regression import BRAKE_SCALE_STD, CLUSTER, DRAG_STD
@@ -48,12 +54,13 @@ from trainlog.formats.attached import (
     train_of,
     with_passport,
 )
+from trainlog.railway.adhesion import DRY, WET, CreepCurve, creep_coefficients
 from trainlog.railway.line import Line
 from trainlog.railway.passport import Passport, Quantity, Source
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, seconds
-from trainlog.units import KMH
+from trainlog.units import GRAVITY, KMH
 
 FloatArray = NDArray[np.float64]
 
@@ -112,6 +119,21 @@ OUTLIER = 5.0
 
 SHARPER = 0.6
 """Gain and load count as estimated where the trip leaves less of their standard deviation."""
+
+NO_LEAD = Quantity(0.0, 0.0, "recorded")
+"""Lead by creep where the speeds of all powered wheels are recorded: their momentum is known."""
+
+PEAKS = 41
+"""Maxima of adhesion over which the lead by creep is averaged."""
+
+LEAST_PEAK = 0.06
+"""Lowest maximum adhesion of a rail on which wheels were seen to slip, as under leaves."""
+
+ADHESION_QUANTILE = 0.99
+"""Share of the seconds that use no more adhesion than what counts as the most that was used."""
+
+SHARED_LEAD = 0.5
+"""Share of the variance of the lead by creep that is alike on all trips of a train."""
 
 LAGS = 0.5
 """Noise of a speed is looked for over lags up to this [s]."""
@@ -180,7 +202,7 @@ def estimated_passport(trip: Trip, fleet: Iterable[Passport] = ()) -> Passport:
     prior = _prior(trip, train, tuple(fleet))
     noise = _speed_noise(trip)
     scale = _scale(trip, findings)
-    delay, ratio = _delay_and_ratio(trip, line, train, scale, noise)
+    delay, ratio, lead = _delay_and_ratio(trip, line, train, scale, noise)
     gain, load, mass = _gain_and_load(prior, ratio, train)
     found = Passport(
         trip=trip.name,
@@ -193,6 +215,7 @@ def estimated_passport(trip: Trip, fleet: Iterable[Passport] = ()) -> Passport:
         speed_noise=noise,
         wheel_factor=_wheel_factors(trip, train, scale),
         sample_time=_sample_times(trip),
+        creep_lead=lead,
     )
     return replace(found, findings=(*findings, *_findings(found, prior)))
 
@@ -316,8 +339,11 @@ def _delay_and_ratio(
     train: Train | None,
     scale: SpeedScale,
     noise: dict[str, Quantity],
-) -> tuple[Quantity, Quantity]:
-    """Delay of the efforts and effort over mass; with the reason where the trip shows neither."""
+) -> tuple[Quantity, Quantity, Quantity]:
+    """Delay of the efforts, effort over mass, and the lead by creep that is taken out of the delay.
+
+    With the reason where the trip shows none of them.
+    """
     try:
         if line is None or train is None:
             what = "train" if train is None else "line, whose gradients are needed"
@@ -330,8 +356,8 @@ def _delay_and_ratio(
         reason = str(error).removeprefix(f"trip '{trip.name}': ")
         none = Quantity(np.nan, np.nan, "assumed", reason)
         if "/train/controls" not in trip:
-            return none, none
-        return Quantity(0.0, DELAY_STD, "assumed", reason), none
+            return none, none, NO_LEAD
+        return Quantity(0.0, DELAY_STD, "assumed", reason), none, NO_LEAD
 
 
 class _Motion:
@@ -351,6 +377,7 @@ class _Motion:
         self._mass = train.mass + (0.5 * largest_load(train) if load is None else load.value)
         step = float(np.median(np.diff(seconds(trip["/train/state"]))))
         self._width = window_width(seconds(trip["/train/state"]))
+        self._slipped = False
         self._sampling = SAMPLING * step
         white = noise["/train/state.speed"].value if "/train/state.speed" in noise else np.nan
         per_end = (white if np.isfinite(white) else 0.1) * np.sqrt(step / self._width)
@@ -373,10 +400,10 @@ class _Motion:
         bend = before - 2.0 * here + after
         return float(DELAYS[best] + DELAY_STEP * 0.5 * (before - after) / max(bend, 1e-12))
 
-    def quantities(self, delay: float) -> tuple[Quantity, Quantity]:
-        """Delay and effort over mass, refined around a delay [s]."""
+    def quantities(self, delay: float) -> tuple[Quantity, Quantity, Quantity]:
+        """Delay, effort over mass, and lead by creep, refined around a delay [s]."""
         for _ in range(2):
-            found, covariance, inertia = self._around(delay)
+            found, covariance, inertia, used = self._around(delay)
             change = float(found[5] / found[0])
             delay += change
             if abs(change) < 0.02:
@@ -393,14 +420,40 @@ class _Motion:
             raise NotIdentifiableError(
                 "the efforts vary too little for their delay to be seen in the motion"
             )
-        late = Quantity(float(delay), delay_std, "estimated")
+        lead = self.creep_lead(used)
+        late = Quantity(
+            float(delay) + lead.value, float(np.hypot(delay_std, lead.std)), "estimated"
+        )
         if not ratio_std < LARGEST_RATIO_STD * ratio:
             reason = "the efforts vary too little for the mass to be seen in the motion"
-            return late, Quantity(np.nan, np.nan, "assumed", reason)
-        return late, Quantity(float(ratio), ratio_std, "estimated")
+            return late, Quantity(np.nan, np.nan, "assumed", reason), lead
+        return late, Quantity(float(ratio), ratio_std, "estimated"), lead
 
-    def _around(self, delay: float) -> tuple[FloatArray, FloatArray, float]:
-        """Parameters (6,), their covariance, and the share of the rotating parts in the inertia.
+    def creep_lead(self, used: float) -> Quantity:
+        """By how much efforts seem early as wheels creep [s], from the most adhesion in use.
+
+        Any from none, for a stiff contact, to that of the soft curves of Zhao et al. (2025), with
+        all maxima from the wet rail's, or what was used, to the dry rail's taken for as probable;
+        from what was used on where wheels slipped. The compliance is that from no effort to the
+        largest, slip speed over force.
+        """
+        axles = self._train.axles
+        if recorded_wheels(self._trip) == axles.count or not axles.rotating_mass > 0.0:
+            return NO_LEAD
+        peak = max(used, LEAST_PEAK if self._slipped else WET.peak)
+        peaks = np.linspace(min(peak, 0.99), max(min(peak, 0.99), DRY.peak), PEAKS)
+        slip = np.array([_creep_at(used, *each) for each in creep_coefficients(peaks).tolist()])
+        weight = GRAVITY * axles.adhesive_mass * self._mass / self._train.mass
+        turning = min(axles.rotating_mass * axles.count, self._train.rotating_mass)
+        soft = turning * slip / (weight * max(used, 1e-6))
+        # Uniform from 0 to each of them.
+        mean = 0.5 * float(soft.mean())
+        std = float(np.sqrt(np.mean(soft**2) / 3.0 - mean**2))
+        reason = "the speeds of the wheels, which creep, are not recorded"
+        return Quantity(mean, std, "assumed", reason)
+
+    def _around(self, delay: float) -> tuple[FloatArray, FloatArray, float, float]:
+        """Parameters (6,), their covariance, share of the rotating parts in the inertia, adhesion.
 
         With the efforts shifted by a delay [s]; the last parameter is what is left of it.
         """
@@ -417,7 +470,10 @@ class _Motion:
             if not far.any():
                 break
             kept[np.flatnonzero(kept)[far]] = False
-        return found, covariance, self._train.rotating_mass / self._mass
+        force = np.abs(impulse[kept, 1]) / windows.duration[kept]
+        share = self._train.axles.adhesive_mass / self._train.mass
+        adhesion = np.quantile(force, ADHESION_QUANTILE) * abs(found[0]) / (GRAVITY * share)
+        return found, covariance, self._train.rotating_mass / self._mass, float(adhesion)
 
     def _windows(self, delay: float, shifts: FloatArray) -> tuple[Windows, FloatArray, FloatArray]:
         """Windows with the efforts shifted by a delay [s], and impulses (n, k) for further shifts.
@@ -425,7 +481,9 @@ class _Motion:
         The last are the changes of the rotating parts' momentum (n,).
         """
         trip = with_effort_delay(self._trip, delay)
-        recording = prepare(trip, self._line, self._train, self._scale).recording
+        prepared = prepare(trip, self._line, self._train, self._scale)
+        recording = prepared.recording
+        self._slipped = bool(prepared.masks["slip"].any())
         windows = build_windows(recording, self._width)
         if windows.count < LEAST_WINDOWS:
             raise NotIdentifiableError(
@@ -481,6 +539,21 @@ class _Motion:
         return expected + spread * step, covariance * np.outer(spread, spread), squares
 
 
+def _creep_at(adhesion: float, a: float, b: float, scale: float) -> float:
+    """Slip speed [m/s] at an adhesion on a creep curve, at most that of its maximum."""
+    curve = CreepCurve(a, b, scale, scale)
+    slips = curve.peak_slip * np.linspace(0.0, 1.0, 201)
+    return float(np.interp(adhesion, curve(slips), slips))
+
+
+def shared_delay_std(known: Passport) -> float:
+    """Part [s] of the delay's standard deviation by which all trips of a train err alike.
+
+    Half the variance of the lead by creep: the form of the curve lasts, the rail changes.
+    """
+    return float(np.sqrt(SHARED_LEAD) * known.creep_lead.std)
+
+
 def with_effort_delay(trip: Trip, delay: float) -> Trip:
     """The trip with its recorded efforts where they belong: earlier by their delay [s].
 
@@ -519,15 +592,15 @@ def with_calibrated_efforts(trip: Trip, known: Passport) -> Trip:
     >>> round(float(largest[1] / largest[0]), 6)
     2.0
     """
-    delay = known.effort_delay.value if known.effort_delay.known else 0.0
-    if abs(delay) < max(LEAST_DELAY, 2.0 * known.effort_delay.std):
+    delay = known.motion_delay.value if known.motion_delay.known else 0.0
+    if abs(delay) < max(LEAST_DELAY, 2.0 * known.motion_delay.std):
         delay = 0.0
     gain = known.effort_gain.value if known.effort_gain.known else 1.0
     ratio = known.axle_effort_ratio.value if known.axle_effort_ratio.known else 1.0
     ratio = ratio or 1.0  # axle efforts of 0 throughout
     if "/train/controls" in trip:
         trip = _scaled(with_effort_delay(trip, delay), "/train/controls", "effort", 1.0 / gain)
-    if "/train/axles" not in trip or not (known.effort_delay.known or known.effort_gain.known):
+    if "/train/axles" not in trip or not (known.motion_delay.known or known.effort_gain.known):
         return trip
     axles = trip["/train/axles"]
     time = seconds(axles)

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from analysis.fleet.channels import channel_table
 from analysis.fleet.drift import Drift
 from analysis.fleet.mixed import Group, mixed_effects
 from analysis.fleet.plot import draw_findings
@@ -185,6 +186,27 @@ def test_a_late_fault_is_one_finding_that_begins_with_it_where_the_channel_wande
     assert found.what == "sensor delay"
     assert found.since == rows["start"].iloc[mine].sort_values().iloc[200]
     assert found.trips <= 5
+
+
+def test_what_the_delays_of_a_train_err_by_alike_hides_no_change_of_them() -> None:
+    fault = Fault("sensor delay", 0.3, 0, 40)
+    rows = drawn_fleet(pool("flirt"), 5, trains=5, trips=60, faults=(fault,))
+    train = sorted(rows["train"].unique())[0]
+    # Wheels without recorded speeds: what their creep adds is known badly, but lasts.
+    rows["effort_delay"] += 0.06
+    wide = rows.assign(
+        effort_delay_std=np.hypot(rows["effort_delay_std"], 0.2), effort_delay_shared_std=0.2
+    )
+    (found,) = fleet_trains(wide).of(train)
+    assert found.what == "sensor delay"
+    assert found.trips <= 5
+    (kind,) = fleet_resistance(wide)
+    own, counted_apart = (
+        channel_table(kind, each)["effort delay"][1]
+        for each in (wide, wide.drop(columns="effort_delay_shared_std"))
+    )
+    assert own == pytest.approx(rows["effort_delay_std"] ** 2, nan_ok=True)
+    assert np.nanmin(counted_apart) > 0.2**2 > 5.0 * np.nanmedian(own)
 
 
 def test_healthy_trains_raise_no_alarm() -> None:

@@ -92,7 +92,7 @@ def inputs_of(trip: Trip, model: ParameterSet | Train, wind_std: float | None) -
     """The trip and the model as they are compared; errors as `calculate`."""
     train = train_of(trip)
     known = estimated_passport(trip)
-    delay = known.effort_delay.value if known.effort_delay.source == "estimated" else 0.0
+    delay = known.motion_delay.value if known.effort_delay.source == "estimated" else 0.0
     # Efforts are corrected here, not once more by a stored passport.
     bare = replace(
         with_effort_delay(trip, delay),

@@ -192,6 +192,8 @@ def resistance(
 
 def passport_row(trip: FleetTrip) -> pd.DataFrame:
     """What is known of the trip's recorder and load, one row."""
+    from analysis.passports import shared_delay_std
+
     found = trip.passport
     row: dict[str, Any] = {"trip": trip.name, "findings": "; ".join(found.findings)}
     for name in QUANTITIES:
@@ -200,6 +202,7 @@ def passport_row(trip: FleetTrip) -> pd.DataFrame:
     noise = found.speed_noise.get("/train/state.speed")
     sources: list[str] = [each.source for each in found.wheel_factor]
     row |= {
+        "effort_delay_shared_std": shared_delay_std(found),
         "speed_noise": np.nan if noise is None else noise.value,
         "wheel_factors": [each.value for each in found.wheel_factor],
         "wheel_factor_stds": [each.std for each in found.wheel_factor],

@@ -152,7 +152,10 @@ def channel_table(
     found["speed scale"] = _logarithm(column("speed_scale"), column("speed_scale_std"), scaled)
     timed = text("effort_delay_source") == "estimated"
     delay = np.where(timed, column("effort_delay"), np.nan)
-    found["effort delay"] = delay, np.where(timed, column("effort_delay_std") ** 2, np.nan)
+    # What all trips of a train err by alike is in none of their differences.
+    shared = np.nan_to_num(column("effort_delay_shared_std"))
+    variance = np.maximum(column("effort_delay_std") ** 2 - shared**2, 0.0)
+    found["effort delay"] = delay, np.where(timed, variance, np.nan)
     noise = column("speed_noise") if "speed_noise" in trips else column("noise_speed")
     found["speed noise"] = _logarithm(noise, 0.03 * noise, noise > 0.0)
     return found

@@ -28,6 +28,7 @@ PASSPORT: tuple[Column, ...] = (
             Column(f"{name}_source", "", "recorded, estimated or assumed", "text"),
         )
     ),
+    Column("effort_delay_shared_std", "s", "of its standard deviation, what trips share"),
     Column("speed_noise", "m/s", "of the recorded speed of the train"),
     Column("wheel_factors", "1", "recorded over true speed of each axle", "numbers"),
     Column("wheel_factor_stds", "1", "their standard deviations", "numbers"),

@@ -529,6 +529,15 @@ def _wheel_speeds(trip: Trip, index: pd.DatetimeIndex) -> FloatArray:
     return np.column_stack(known) if known else np.empty((len(index), 0))
 
 
+def recorded_wheels(trip: Trip) -> int:
+    """Number of powered wheels whose speeds are recorded, of any sample."""
+    if "/train/axles" not in trip:
+        return 0
+    axles = trip["/train/axles"]
+    names = [name for name in axles.columns if name.startswith("wheel_speed_")]
+    return int(axles[names].notna().any().sum())
+
+
 def _rotating_momentum(train: Train, speed: FloatArray, wheels: FloatArray) -> FloatArray:
     """Momentum of the rotating parts [kg m/s]; powered axles turn at their own speed."""
     own = train.axles.rotating_mass if wheels.shape[1] == train.axles.count else 0.0

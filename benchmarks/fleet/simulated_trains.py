@@ -29,6 +29,7 @@ from trainlog.formats.attached import with_passport
 from trainlog.formats.train import train_to_bytes
 from trainlog.formats.ttobench import read_track, read_train
 from trainlog.railway import Line, RunningResistance, Train
+from trainlog.railway.adhesion import CreepCurve, polach_curve
 from trainlog.simulation import draw_scenarios, sensors as measuring, simulate
 from trainlog.simulation.scenario import Scenario, survey_error
 from trainlog.trip import TRAIN_ATTACHMENT, Trip
@@ -44,12 +45,20 @@ START = pd.Timestamp("2025-10-01T06:00:00Z")
 TRIPS_A_DAY = 2
 QUANTITIES = (
     "effort_delay",
+    "creep_lead",
     "effort_gain",
     "effort_over_mass",
     "mass",
     "load",
     "axle_effort_ratio",
 )
+
+RAILS = {
+    "": None,
+    "soft": CreepCurve(a=4.0, b=40.0, c=0.4, d=0.4, variable="creepage"),
+    "Polach": polach_curve("wet"),
+}
+"""Forms of the creep curve: the simulation's own over slip speed, and two over creepage."""
 
 FAULTS = {
     "dragging brake": 2000.0,
@@ -77,7 +86,7 @@ class Vehicle:
 
 @dataclass(frozen=True)
 class Task:
-    """One trip: of a train, by number, with a fault or none, or a channel that is missing."""
+    """One trip: of a train, by number, with a fault or none, a channel that is missing, a rail."""
 
     seed: int
     kind: str
@@ -85,6 +94,7 @@ class Task:
     trip: int
     fault: str = ""
     missing: str = ""
+    rail: str = ""
 
 
 @cache
@@ -151,6 +161,7 @@ def scenario_of(task: Task) -> tuple[Scenario, Vehicle, float]:
             max_power=known.max_traction_power * float(generator.normal(0.96, 0.01)),
             seed=int(generator.integers(2**31)),
             start=start.value,
+            characteristic=RAILS[task.rail],
         ),
         truth,
         months,
@@ -188,8 +199,7 @@ def recorded(task: Task) -> tuple[Trip, Scenario, Vehicle]:
     wander = np.random.default_rng([scenario.seed, 5]).normal(0.0, 0.003)
     gain = truth.gain * (1.0 + wander)
     gain *= 1.0 + (FAULTS["effort gain"] if task.fault == "effort gain" else 0.0)
-    late = truth.delay + (FAULTS["sensor delay"] if task.fault == "sensor delay" else 0.0)
-    trip = _with_efforts(trip, gain, late)
+    trip = _with_efforts(trip, gain, delay_of(task))
     # The load is weighed as a load, whatever the train itself weighs.
     empty = truth.mass + (FAULTS["mass"] if task.fault == "mass" else 0.0)
     load = max(scenario.mass - train_of(task.kind).mass * empty, 0.0)
@@ -200,6 +210,12 @@ def recorded(task: Task) -> tuple[Trip, Scenario, Vehicle]:
     named = train_to_bytes(replace(train_of(task.kind), name=truth.name))
     trip = replace(trip, metadata=known, attachments={**trip.attachments, TRAIN_ATTACHMENT: named})
     return _without(trip, task.missing), scenario, truth
+
+
+def delay_of(task: Task) -> float:
+    """By how much the recorded efforts of a trip are late [s]."""
+    own = vehicle(task.seed, task.kind, task.train).delay
+    return own + (FAULTS["sensor delay"] if task.fault == "sensor delay" else 0.0)
 
 
 def _with_efforts(trip: Trip, gain: float, late: float) -> Trip:
@@ -256,6 +272,8 @@ def row_of(task: Task) -> dict[str, object]:
         "empty_mass": train_of(task.kind).mass,
         "fault": task.fault,
         "missing": task.missing,
+        "rail": task.rail,
+        "true_effort_delay": delay_of(task),
         "fleet": task.seed,
         "number": task.trip,
         **{f"true_{n}": v for n, v in zip(("r0", "r1", "r2"), (r.r0, r.r1, r.r2), strict=True)},

@@ -48,6 +48,7 @@ class _PassportFile(File):
     wheel_factor: list[_QuantityPart] = Field(default_factory=list)
     sample_time: dict[str, float] = Field(default_factory=dict)
     findings: list[str] = Field(default_factory=list)
+    creep_lead: _QuantityPart | None = None
 
     def passport(self) -> Passport:
         """The passport that the file describes."""
@@ -59,6 +60,7 @@ class _PassportFile(File):
             wheel_factor=tuple(part.quantity() for part in self.wheel_factor),
             sample_time=self.sample_time,
             findings=tuple(self.findings),
+            **({} if self.creep_lead is None else {"creep_lead": self.creep_lead.quantity()}),
         )
 
     @staticmethod
@@ -71,6 +73,7 @@ class _PassportFile(File):
             wheel_factor=[_QuantityPart.of(each) for each in passport.wheel_factor],
             sample_time=dict(passport.sample_time),
             findings=list(passport.findings),
+            creep_lead=_QuantityPart.of(passport.creep_lead) if passport.creep_lead.value else None,
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -106,6 +106,10 @@ class Passport:
         Median time between samples, by topic.
     findings : tuple of str
         What a reader should know, in sentences.
+    creep_lead : Quantity [s]
+        By how much efforts seem early to the motion, as wheels whose speeds are not recorded creep;
+        `effort_delay` is without it, and its uncertainty is in that of `effort_delay`. 0 where the
+        speeds of all powered wheels are recorded.
 
     Examples
     --------
@@ -126,6 +130,17 @@ class Passport:
     wheel_factor: tuple[Quantity, ...] = ()
     sample_time: Mapping[str, float] = field(default_factory=dict)
     findings: tuple[str, ...] = ()
+    creep_lead: Quantity = Quantity(0.0, 0.0, "recorded")
+
+    @property
+    def motion_delay(self) -> Quantity:
+        """Delay [s] by which the efforts fit the recorded motion: `effort_delay` less `creep_lead`.
+
+        The uncertainty of the lead is not in it.
+        """
+        late, lead = self.effort_delay, self.creep_lead
+        std = float(np.sqrt(max(late.std**2 - lead.std**2, 0.0))) if late.known else late.std
+        return replace(late, value=late.value - lead.value, std=std)
 
     def __repr__(self) -> str:
         return as_text(self._title, self.rows())
@@ -139,9 +154,11 @@ class Passport:
 
     def rows(self) -> dict[str, str]:
         """Each quantity in words, by its name."""
+        lead = {"creep lead": self.creep_lead.text("s")} if self.creep_lead.value else {}
         rows = {
             "±": "half the 95 % band, 1.96 standard deviations",
             "effort delay": self.effort_delay.text("s"),
+            **lead,
             "effort gain": self.effort_gain.text(digits=3),
             "mass": self.mass.text("t", 1e-3, 1),
             "load": self.load.text("t", 1e-3, 1),
