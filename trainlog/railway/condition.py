@@ -626,7 +626,7 @@ class TrackConditionMap:
         >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
         >>> seen = track.centres[track.layer("wet").observed][:2]
         >>> track.lower_bound("wet", seen).round(3).tolist()
-        [0.126, 0.125]
+        [0.125, 0.124]
         >>> bool(np.all(track.lower_bound("wet", seen, risk=0.5) > track.lower_bound("wet", seen)))
         True
         """
