@@ -28,13 +28,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import sqlalchemy as sa
 from passed_points import Passed
 
 from analysis.fleet import maps, update, work
 from analysis.fleet.analyses import FleetAnalysis, analyses_named
 from analysis.fleet.codes import code_of
-from trainlog.catalogue import open_catalogue, results
+from trainlog.catalogue import Catalogue, open_catalogue, results
 from trainlog.catalogue.database import Database
+from trainlog.catalogue.schema import result_files, results as table
 from trainlog.formats import mapfile
 from trainlog.formats.files import atomic_write
 
@@ -217,17 +219,37 @@ def updated(where: str, code: str, seed: int | None = None) -> None:
         if seed is not None:
             draw = random.Random(seed)
             chosen = f"key >= '{draw.choice('9abcdef')}'"
-            done = ("done", "refused", "failed")
+            anew = draw.random() < 0.5
             for analysis in analyses_named(ANALYSES):
                 about = (analysis.name, code or code_of(analysis), analysis.parameters)
-                if not sum(catalogue.standing(*about, where=chosen).values()):
+                if catalogue.standing(*about)["pending"]:
                     continue
-                if not catalogue.standing(*about)["pending"]:
-                    catalogue.forget(*about, where=chosen, states=done)
-            if draw.random() < 0.3:
+                if anew:
+                    forget_whole(catalogue, analysis)
+                elif sum(catalogue.standing(*about, where=chosen).values()):
+                    catalogue.forget(*about, where=chosen, states=results.STATES)
+            if draw.random() < 0.5:
                 with catalogue.alone(maps.MAPS):
                     shutil.rmtree(maps.maps_folder(catalogue), ignore_errors=True)
         update.update_fleet(catalogue, ANALYSES, update.UpdateOptions(workers=0, batch=2))
+
+
+def forget_whole(catalogue: Catalogue, analysis: FleetAnalysis) -> None:
+    """Forget the results of both codes, and remove their files.
+
+    All trips give the same merged file each time, and one that is there is not written again: it
+    would never be found half written. Nobody names a file during a transaction that writes.
+    """
+    for code in (code_of(analysis), OTHER_CODE):
+        catalogue.forget(analysis.name, code, analysis.parameters, states=results.STATES)
+    with catalogue._database.writing() as connection:
+        used = sa.select(result_files.c.name).where(
+            sa.exists().where(table.c.file == result_files.c.id)
+        )
+        named = set(connection.execute(used).scalars())
+        for path in (catalogue.results_folder / analysis.name).glob("[!.]*.parquet"):
+            if path.name not in named:
+                path.unlink()
 
 
 class Forked:
@@ -292,12 +314,14 @@ def run(
     """Kill updates at each point and at random; where they fell."""
     draw = random.Random(together)
     fell: dict[str, Counter[str]] = {"named": Counter(), "random": Counter(), "beside": Counter()}
-    runs, waiting = 0, [*orders(each, draw), *[""] * at_random]
+    runs, missed, waiting = 0, "", [*orders(each, draw), *[""] * at_random]
     while waiting:
         point = waiting.pop(0)
         runs += 1
         code, seed = draw.choice(["", OTHER_CODE]), draw.randrange(10**6)
-        order = (point, draw.randint(1, 3)) if point else None
+        # Where it did not come so often to the point, the next is killed the first time there.
+        order = (point, 1 if point == missed else draw.randint(1, 3)) if point else None
+        missed = ""
         first = Forked(folder, partial(updated, where, code, seed), order)
         beside = partial(updated, where, code)
         others = [Forked(folder, beside, None) for _ in range(together - 1)]
@@ -307,7 +331,8 @@ def run(
         if status == -signal.SIGKILL:
             fell["named" if point else "random"][first.passed.last] += 1
         elif status == 0:
-            waiting.insert(draw.randint(0, len(waiting)), point)  # it did not come there
+            waiting.insert(0, point)  # it did not come there
+            missed = point
         else:
             raise AssertionError(f"an update failed at: {first.passed.last}")
         for other in others:

@@ -22,6 +22,7 @@ from killed_fleet import (
     contents,
     descendants,
     forget_all,
+    grow_old,
     kill_at_random,
     maps_in,
     rows_by_trip,
@@ -384,15 +385,9 @@ def kept(folder: Path) -> dict[str, bytes]:
     return contents(folder / "results") | maps_in(folder / "maps")
 
 
-def grow_old(folder: Path) -> None:
-    """Let files of results seem to be of yesterday."""
-    for path in (folder / "results").rglob("*.parquet"):
-        os.utime(path, (0, 0))
-
-
 @pytest.mark.long
 @SERVERS
-def test_a_hundred_kills_leave_each_trip_once(
+def test_kills_of_the_command_leave_each_trip_once(
     server: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
     count = 12
@@ -403,21 +398,48 @@ def test_a_hundred_kills_leave_each_trip_once(
             known.add(tmp_path / "logs")
     assert updated(place["one"]).trips == count
     at, kills = place["many"], dict.fromkeys(("parent", "worker", "interrupt", "runs"), 0)
-    for seed in range(100):
-        left = 100 - kills["parent"] - kills["worker"] - kills["interrupt"]
+    for seed in range(15):
+        left = 15 - kills["parent"] - kills["worker"]
         if left <= 0:
             break
-        done = kill_at_random(at, left, seed, "--workers", "2", "--batch", "1", each=6)
+        options = ("--workers", "2", "--batch", "1")
+        done = kill_at_random(at, left, seed, *options, within=2.0, each=1)
         kills = {name: kills[name] + done[name] for name in kills}
         (tmp_path / "kills.json").write_text(json.dumps(kills))
         assert done["orphans"] == 0
         assert updated(at, workers=2, retry=True).counts["checks"].pending == 0
         assert {count for _, count in rows_by_trip(at)} == {ONCE}
-        grow_old(tmp_path / "many")
+        grow_old(tmp_path / "many" / "results")
         updated(at)
         assert kept(tmp_path / "many") == kept(tmp_path / "one")
         forget_all(at)  # compute all of it once more
     print(kills)
+
+
+@pytest.mark.long
+@SERVERS
+def test_a_hundred_kills_of_an_update_and_its_workers_leave_each_trip_once(
+    server: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    short_trips(tmp_path / "logs", 12)
+    place = places(server, tmp_path, request, "one", "many")
+    for at in place.values():
+        with open_catalogue(at) as known:
+            known.add(tmp_path / "logs")
+    updated(place["one"])
+    words = [str(HERE_FOLDER / "killed_fleet.py"), place["many"], "100", str(tmp_path / "one")]
+    done = subprocess.run(
+        [sys.executable, *words], capture_output=True, text=True, check=False,
+        env={**os.environ, "PYTHONPATH": str(HERE_FOLDER.parent)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    print(found)
+    assert found["parent"] + found["worker"] >= 100
+    assert min(found["parent"], found["worker"]) >= 20
+    assert found["orphans"] == 0
+    assert found["same"] == found["once"] == found["compared"] >= 3
+    assert {count for _, count in rows_by_trip(place["many"])} == {ONCE}
 
 
 @pytest.mark.long
@@ -450,7 +472,7 @@ def test_kills_at_each_point_of_an_update_leave_what_one_that_was_not_killed_giv
     assert {point: fell["named"].get(point, 0) for point in POINTS} == dict.fromkeys(POINTS, each)
     assert sum(fell["random"].values()) == at_random
     assert {count for _, count in rows_by_trip(place["many"])} == {2 * len(TWO) + 2}, "two codes"
-    grow_old(tmp_path / "many")
+    grow_old(tmp_path / "many" / "results")
     updated(place["many"], *TWO)
     assert kept(tmp_path / "many") == kept(tmp_path / "one")
     assert not list((tmp_path / "many" / "maps").glob(".*"))
@@ -482,14 +504,15 @@ def test_a_full_disk_ends_an_update_by_one_error_and_the_next_completes_it(
         try:
             updated(disk / "many", *TWO)
         except InputError as error:
-            refused.add((error.problem, error.remedy))
+            refused.add((Path(str(error.file)).suffix, error.problem, error.remedy))
         assert not list((disk / "many" / "results").rglob(".*.parquet")), "nothing half"
         (disk / "filler").unlink()
         assert updated(disk / "many", *TWO).counts["checks"].pending == 0
-        grow_old(disk / "many")
+        grow_old(disk / "many" / "results")
         updated(disk / "many", *TWO)
         assert kept(disk / "many") == kept(tmp_path / "one")
         shutil.rmtree(disk / "many")
     print(refused)
-    assert len({problem for problem, _ in refused}) >= 2, "at the file and at the database"
-    assert all("free some space" in str(remedy) for _, remedy in refused)
+    assert {".parquet", ".map"} <= {suffix for suffix, _, _ in refused}, "of results, and of maps"
+    assert any("the database refuses" in problem for _, problem, _ in refused)
+    assert all("free some space" in str(remedy) for _, _, remedy in refused)
