@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from multiprocessing.connection import Connection
 
 import pandas as pd
 
@@ -26,6 +27,19 @@ def deadly(trip: FleetTrip, name: str) -> pd.DataFrame:
     return _counted(trip)
 
 
+def deadly_after(trip: FleetTrip, name: str) -> pd.DataFrame:
+    """Ends the worker when it has written half of the result."""
+    if trip.name == name:
+        Connection._send = half_sent
+    return _counted(trip)
+
+
+def half_sent(self: Connection, data: bytes, *_: object) -> None:
+    """Write half of a message, and end."""
+    os.write(self.fileno(), bytes(data)[: len(data) // 2])
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
 def wrong(trip: FleetTrip, name: str) -> pd.DataFrame:
     """Fails by a mistake in the analysis, or refuses."""
     if trip.name == name:
@@ -36,4 +50,5 @@ def wrong(trip: FleetTrip, name: str) -> pd.DataFrame:
 
 
 DEADLY = FleetAnalysis("deadly", COLUMNS, deadly, {"name": "trip-002"})
+DEADLY_AFTER = FleetAnalysis("deadly-after", COLUMNS, deadly_after, {"name": "trip-002"})
 WRONG = FleetAnalysis("wrong", COLUMNS, wrong, {"name": "trip-002"})

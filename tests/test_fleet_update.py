@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from failing_analyses import DEADLY, WRONG
+from failing_analyses import DEADLY, DEADLY_AFTER, WRONG
 from fleet_trips import TRIPS, short_trips
 from killed_fleet import (
     alive,
@@ -32,7 +32,7 @@ from killed_fleet import (
 from killed_points import ANALYSES as TWO, POINTS
 
 from analysis.adhesion.updating import update_map
-from analysis.fleet.analyses import ANALYSES
+from analysis.fleet.analyses import ANALYSES, FleetAnalysis
 from analysis.fleet.codes import code_of
 from analysis.fleet.maps import maps_folder, update_maps
 from analysis.fleet.table import problems_table
@@ -236,14 +236,22 @@ def test_a_trip_that_goes_wrong_is_listed_and_stops_no_other(place: Path) -> Non
     assert updated(place, WRONG, retry=True).trips == 2
 
 
-def test_a_trip_that_ends_its_worker_is_named_and_stops_no_other(place: Path) -> None:
-    found = updated(place, DEADLY, workers=2, batch=3)
-    assert found.counts["deadly"].done == TRIPS - 1
+@pytest.mark.parametrize(
+    "analysis",
+    [DEADLY, pytest.param(DEADLY_AFTER, marks=pytest.mark.long)],
+    ids=["deadly", "after"],
+)
+def test_a_trip_that_ends_its_worker_is_named_and_stops_no_other(
+    place: Path, analysis: FleetAnalysis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("analysis.fleet.engine.PATIENCE", 1.0)
+    found = updated(place, analysis, workers=2, batch=3)
+    assert found.counts[analysis.name].done == TRIPS - 1
     (problem,) = found.problems
     assert Path(problem.path).stem == "trip-002"
     assert problem.state == "failed"
     assert "worker that computed it died each time" in problem.reason
-    assert sorted(results(place, "deadly")["trip"]) == [
+    assert sorted(results(place, analysis.name)["trip"]) == [
         f"trip-{number:03d}" for number in range(TRIPS) if number != 2
     ]
 

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from multiprocessing import connection
 from typing import Any, Self
 
 from analysis.fleet.work import (
@@ -179,13 +180,20 @@ class Processes(Engine):
         _end(self._pool)
         self._pool = self._started(self.workers)
 
+    def check(self) -> None:
+        """Let the pool notice that a worker died while it handed on a result."""
+        _break_if_dead(self._pool)
+
     def alone(self, batch: Batch) -> BatchResult:
         """Compute a batch in a process of its own."""
         if self._single is None:
             self._single = self._started(1)
         try:
             with _single_threaded():
-                return self._single.submit(computed, batch).result()
+                future = self._single.submit(computed, batch)
+            while not futures.wait([future], PATIENCE).done:
+                _break_if_dead(self._single)
+            return future.result()
         except BrokenProcessPool:
             _end(self._single)
             self._single = None
@@ -201,13 +209,32 @@ class Processes(Engine):
                 _end(pool)
 
 
-def _end(pool: ProcessPoolExecutor) -> None:
-    """End a pool and its processes at once."""
+def _break_if_dead(pool: ProcessPoolExecutor) -> None:
+    """Kill the workers of a pool of which one is dead, so that all that it had is lost.
+
+    The pool mostly notices by itself. Not if the worker was killed while it wrote a result: the
+    pool's thread then reads the rest for ever, for this process, too, could write to that pipe.
+    """
     processes = list((getattr(pool, "_processes", None) or {}).values())
-    pool.shutdown(wait=False, cancel_futures=True)
+    if connection.wait([process.sentinel for process in processes], 0):
+        _kill(processes, getattr(pool, "_result_queue", None))
+
+
+def _kill(processes: list[Any], results: Any) -> None:
+    """Kill workers, and close the pipe for their results on this side."""
     for process in processes:
         with suppress(ProcessLookupError, AttributeError, ValueError):
             process.kill()
+    with suppress(AttributeError, OSError):
+        results._writer.close()
+
+
+def _end(pool: ProcessPoolExecutor) -> None:
+    """End a pool and its processes at once."""
+    processes = list((getattr(pool, "_processes", None) or {}).values())
+    results = getattr(pool, "_result_queue", None)
+    pool.shutdown(wait=False, cancel_futures=True)
+    _kill(processes, results)
     for process in processes:
         with suppress(AssertionError, ValueError):
             process.join(PATIENCE)
