@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import shutil
 import signal
 import socket
@@ -12,17 +11,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 import pytest
 from failing_analyses import DEADLY
 from fleet_trips import TRIPS
-from killed_fleet import alive, command_of, contents, descendants, recorded, rows_by_trip
+from killed_fleet import contents, descendants, recorded
 
-from analysis.fleet.analyses import analyses_named
-from analysis.fleet.codes import code_of
 from analysis.fleet.engine import MPI, PROFILED, Dask
 from analysis.fleet.update import UpdateOptions, update_fleet
 from trainlog.catalogue import open_catalogue
@@ -135,43 +131,6 @@ def test_dask_goes_on_when_its_workers_die(place: Path) -> None:
                 os.kill(worker, signal.SIGKILL)
             more = update_fleet(catalogue, ["checks"], UpdateOptions(scheduler=address, batch=1))
             assert more.counts["checks"].done == TRIPS
-
-
-@pytest.mark.long
-def test_workers_of_dask_that_are_killed_leave_the_same_bytes(
-    place: Path, tmp_path: Path, fleet_logs: Path
-) -> None:
-    pytest.importorskip("distributed")
-    chance, kills, rounds, named = random.Random(4), 0, 0, ("passport", "checks")
-    with open_catalogue(tmp_path / "dask") as catalogue, dask_cluster(tmp_path) as (address, pid):
-        catalogue.add(fleet_logs)
-        when_ready(address)
-        options = UpdateOptions(scheduler=address, batch=1, retry=True)
-        while kills < 20:
-            ended = threading.Event()
-            with ThreadPoolExecutor(1) as beside:
-                killed = beside.submit(kill_workers, pid, ended, chance)
-                update_fleet(catalogue, named, options)
-                ended.set()
-                kills, rounds = kills + killed.result(), rounds + 1
-            update_fleet(catalogue, named, options)
-            assert {count for _, count in rows_by_trip(catalogue.place)} == {len(named)}
-            assert contents(tmp_path / "dask" / "results") == contents(place / "one" / "results")
-            for analysis in analyses_named(named):
-                about = (analysis.name, code_of(analysis), analysis.parameters)
-                catalogue.forget(*about, states=("done", "refused", "failed"))
-    print({"kills": kills, "updates": rounds})
-
-
-def kill_workers(pid: int, ended: threading.Event, chance: random.Random) -> int:
-    """Kill a worker of Dask now and then until an update has ended; how often."""
-    kills = 0
-    while not ended.wait(chance.uniform(0.1, 2.0)):
-        busy = [each for each in alive(descendants(pid)) if b"spawn_main" in command_of(each)]
-        if busy:
-            os.kill(chance.choice(busy), signal.SIGKILL)
-            kills += 1
-    return kills
 
 
 @pytest.mark.long
