@@ -319,13 +319,18 @@ def _draw_line(figure: Any, line: Line) -> None:
     from analysis.plotting import km_axis
 
     limit, gradient = figure.subplots(2, 1, sharex=True)
-    places = np.unique(np.concatenate((line.breakpoints, [0.0, line.length])))
-    for axes, values, label in (
-        (limit, line.speed_limit(places) * KMH, "limit [km/h]"),
-        (gradient, line.gradients(places) * 1e3, "gradient [‰]"),
-    ):
-        axes.step(places / 1e3, values, where="post", linewidth=1.2)
+    own, against = line.speed_limits, line.speed_limits_reverse
+    drawn = [(limit, own, KMH, "limit [km/h]"), (gradient, line.gradients, 1e3, "gradient [‰]")]
+    if against is not None:
+        drawn.insert(0, (limit, against, KMH, "limit [km/h]"))
+    for axes, profile, factor, label in drawn:
+        places = np.append(profile.positions, line.length)
+        style = {"color": "C1", "linestyle": "--"} if profile is against else {"color": "C0"}
+        axes.step(places / 1e3, profile(places) * factor, where="post", linewidth=1.2, **style)
         axes.set_ylabel(label)
+    if against is not None:
+        names = ["against the chainage", "along it"]
+        limit.legend(names, fontsize=8, frameon=False, loc="lower center", ncols=2)
     for station in line.stations:
         for axes in (limit, gradient):
             axes.axvline(station.position / 1e3, color="0.7", linewidth=0.8)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,10 @@ from trainlog.formats.line import (
     line_from_bytes,
     line_to_bytes,
     read_line,
+    write_line,
 )
 from trainlog.formats.parameters import parameters_from_bytes, parameters_to_bytes
+from trainlog.formats.plausible import check_line
 from trainlog.formats.samples import sample
 from trainlog.formats.train import consist_from_bytes, read_train, train_from_bytes, train_to_bytes
 from trainlog.formats.trajectory import trajectory_from_bytes, trajectory_to_bytes
@@ -29,6 +32,7 @@ from trainlog.railway import (
     Configuration,
     ParameterSet,
     RunningResistance,
+    StepProfile,
     Trajectory,
 )
 from trainlog.railway.journey import Journey, TimingPoint
@@ -108,10 +112,11 @@ def test_a_file_of_another_format_is_reported(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", GOOD)
 def test_a_newer_version_is_reported(kind: str) -> None:
-    complaint = refused(kind, setting("version", 2))
-    assert (
-        complaint
-        == "f.json, version: version 2 is newer than this trainlog knows (1); update trainlog"
+    known = 2 if kind == "line" else 1
+    complaint = refused(kind, setting("version", known + 1))
+    assert complaint == (
+        f"f.json, version: version {known + 1} is newer than this trainlog knows ({known});"
+        " update trainlog"
     )
     assert "version None is not one that" in refused(kind, lambda content: content.pop("version"))
     assert "version True is not one that" in refused(kind, setting("version", True))
@@ -571,3 +576,14 @@ def test_logs_are_not_judged() -> None:
 
     train = replace(simple_train(), mass=122.0)
     assert train_from_bytes(train_to_bytes(train)).mass == 122.0
+
+
+def test_limits_of_the_other_direction_that_cannot_be_meant_are_refused(tmp_path: Path) -> None:
+    line = read_line(sample("CH_StGallen_Wil.line.json"))
+    wild = replace(line, speed_limits_reverse=StepProfile([0.0, 5e3], [20.0, 1_000.0]))
+    words = r"speed_limits_reverse\.values\[1\]\[1\]: 3600 km/h is not plausible"
+    with pytest.raises(InputError, match=words):
+        check_line(wild)
+    write_line(wild, tmp_path / "wild.line.json")
+    with pytest.raises(InputError, match=words):
+        read_line(tmp_path / "wild.line.json")

@@ -35,6 +35,7 @@ from trainlog.formats.line import (
     write_line,
 )
 from trainlog.formats.mapfile import MapFile, whole_file
+from trainlog.formats.network import read_network, write_network
 from trainlog.formats.parameters import (
     parameters_from_bytes,
     parameters_to_bytes,
@@ -70,6 +71,7 @@ from trainlog.railway import (
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.consist import Consist
 from trainlog.railway.journey import Journey, TimingPoint
+from trainlog.railway.network import Edge, Network, Node
 from trainlog.trip import Trip
 
 quick = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -280,3 +282,27 @@ def test_a_trip_without_line_or_with_a_damaged_one_is_refused() -> None:
     damaged = Trip({}, {"trip": "t1"}, attachments={"train.json": b'{"format": '})
     with pytest.raises(InputError, match=r"^train\.json of trip 't1', line 1, column 12: "):
         train_of(damaged)
+
+
+def test_limits_of_two_directions_raise_the_version_of_lines_and_networks(tmp_path: Path) -> None:
+    """A trainlog that does not know them states that it is too old, not that a key is misspelt."""
+    line = simple_line()
+    both = replace(line, speed_limits_reverse=StepProfile([0.0], [20.0]))
+    nodes = (Node("A"), Node("B"))
+    for one, version in ((line, 1), (both, 2)):
+        for name in ("one.line.json", "one.line.toml"):
+            write_line(one, tmp_path / name)
+            assert read_line(tmp_path / name) == one
+        write_network(Network("n", nodes, (Edge("e", one, "A", "B"),)), tmp_path / "n.json")
+        assert read_network(tmp_path / "n.json").edges[0].line.limits_against == one.limits_against
+        for name in ("one.line.json", "n.json"):
+            assert read_json(tmp_path / name)["version"] == version
+        assert f"version = {version}" in (tmp_path / "one.line.toml").read_text()
+    # As in a program that only knows version 1.
+    path = tmp_path / "one.line.json"
+    path.write_text(path.read_text().replace('"version": 2', '"version": 3'))
+    with pytest.raises(InputError, match=r"version 3 is newer than this trainlog knows \(2\)"):
+        read_line(path)
+    path.write_text(path.read_text().replace('"version": 3', '"version": 0'))
+    with pytest.raises(InputError, match="expected 1 or 2"):
+        read_line(path)

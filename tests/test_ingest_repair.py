@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +23,13 @@ from ingest_logs import (
 from recorder_files import MTK_HEADER, drive, mtk_at_rest, mtk_rows
 
 from trainlog.errors import InputError
+from trainlog.formats.line import read_line
+from trainlog.formats.samples import sample
 from trainlog.ingest import RULES, ingest, report_of
 from trainlog.ingest.clock import longest_nondecreasing
 from trainlog.ingest.profile_parts import Repair
 from trainlog.ingest.spikes import spikes
+from trainlog.railway import StepProfile
 from trainlog.trip import Trip, seconds
 
 FILES = settings(
@@ -191,6 +195,29 @@ def test_impossible_values_become_absent_by_the_lines_own_limits(tmp_path: Path)
     # Without the profile's limit the value is possible, but nothing can have jumped to it.
     report = report_of(read(tmp_path, rows))
     assert report.counts == {"spikes": 1}
+
+
+@pytest.mark.parametrize("direction", ["forward", "reverse"])
+def test_a_direction_in_which_trains_may_run_faster_loses_no_speed(
+    tmp_path: Path, direction: str
+) -> None:
+    """33 m/s where 60 km/h hold in one direction and 140 km/h in that of the trip."""
+    slow, fast = StepProfile([0.0], [60.0 / 3.6]), StepProfile([0.0], [140.0 / 3.6])
+    forward, reverse = (fast, slow) if direction == "forward" else (slow, fast)
+    line = replace(
+        read_line(sample("CH_StGallen_Wil.line.json")),
+        speed_limits=forward,
+        speed_limits_reverse=reverse,
+    )
+    speed = np.minimum(0.4 * np.arange(300.0), 33.0)
+    rows = [
+        f"2026-03-01T08:{t // 60:02d}:{t % 60:02d}Z,{v:.3f},{s:.3f}"
+        for t, (v, s) in enumerate(zip(speed, 2_000.0 + np.cumsum(speed), strict=True))
+    ]
+    profile = plain_profile(trip={"direction": direction})
+    trip = ingest(write(tmp_path / "run.csv", rows), profile=profile, line=line)
+    assert trip["/train/state"]["speed"].max() == 33.0
+    assert "out_of_limits" not in report_of(trip).counts
 
 
 def test_wheels_that_spin_are_no_spikes(tmp_path: Path) -> None:

@@ -35,7 +35,8 @@ def made_up(**changes: object) -> Line:
 def test_each_bin_states_what_the_line_is_within_it(name: str) -> None:
     line = made_up() if name == "made up" else read_line(sample(f"{name}.line.json"))
     table = line_table(line, empty_map(line))
-    assert table.columns.tolist() == list(UNITS)
+    assert table.columns.tolist() == list(UNITS)[:-1]
+    assert table.attrs["units"].keys() == set(table.columns)
     assert table["end"].iloc[-1] == line.length
     for row in table.iloc[:: max(1, len(table) // 150)].to_dict("records"):
         # Every centimetre of the bin, its last one left out: there the next begins.
@@ -73,3 +74,13 @@ def test_a_map_of_another_line_is_refused() -> None:
     other = empty_map(made_up(name="other"))
     with pytest.raises(InputError, match="the map is of 'other'"):
         line_table(made_up(), other)
+
+
+def test_limits_of_both_directions_stand_where_they_differ() -> None:
+    line = made_up(speed_limits_reverse=StepProfile([0.0, 600.0], [15.0, 35.0]))
+    table = line_table(line, empty_map(line))
+    assert table.speed_limit.iloc[[0, -1]].tolist() == pytest.approx([108.0, 90.0])
+    assert table.speed_limit_reverse.iloc[[0, -1]].tolist() == pytest.approx([54.0, 126.0])
+    assert table.attrs["units"]["speed_limit_reverse"] == "km/h"
+    unknown = replace(line, assumed=("speed_limits",))
+    assert line_table(unknown, empty_map(line)).speed_limit_reverse.isna().all()

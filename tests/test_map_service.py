@@ -22,8 +22,9 @@ import trainlog
 from analysis import update_map
 from analysis.adhesion import updating
 from analysis.adhesion.condition_map import adhesion_map, empty_map
+from analysis.adhesion.updating import naming_log
 from trainlog.cli.main import app
-from trainlog.errors import InputError
+from trainlog.errors import InputError, LogError, NotRecordedError
 from trainlog.formats.condition import map_to_bytes, read_map
 from trainlog.formats.mapfile import MapFile
 from trainlog.formats.recordings import Row
@@ -338,6 +339,13 @@ class TestCommand:
             assert self.run("map", "update", log, "--map", place)[0] == 2, "there is no map"
             status, shown, _ = self.run("map", "update", logs, "--map", place)
             assert (status, "1 without axle speeds" in shown) == (0, True)
+        # A topic that the log has, but that was not read, is another matter.
+        missing = NotRecordedError("no such topic")
+        for topic, kind in (("/train/axles", NotRecordedError), ("/train/controls", LogError)):
+            missing.topic = topic
+            with pytest.raises(LogError, match="no such topic") as caught, naming_log(log):
+                raise missing
+            assert type(caught.value) is kind
         data = log.read_bytes()
         (logs / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
         status, shown, complaint = self.run(*words)

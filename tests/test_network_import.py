@@ -6,6 +6,7 @@ import heapq
 import io
 import itertools
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from trainlog.formats.track_data import Infrastructure
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.railway.line_network import network_of_lines
 from trainlog.railway.network import Network
+from trainlog.units import KMH
 
 OSRD = Path(__file__).parents[1] / ".." / "shared" / "data" / "osrd"
 INFRAS = ("tiny_infra", "one_line", "nested_switches", "overlapping_routes", "small_infra")
@@ -751,3 +753,77 @@ def test_a_network_without_coordinates_is_not_exported(tmp_path: Path) -> None:
         export_network(found.network, tmp_path / "a.geojson")
     write_network(found.network, tmp_path / "a.network.json")
     assert list(tmp_path.iterdir()) == [tmp_path / "a.network.json"]
+
+
+def test_the_same_track_in_two_files_keeps_the_limits_of_both_directions() -> None:
+    """As an operator has them: one file a direction, whose limits differ."""
+    main = plain("there", ("A", 0.0), ("B", 4e3), ("C", 9e3), gradient=0.004)
+    own = StepProfile([0.0, 1e3], [30.0, 20.0])
+    back = replace(main.reversed(), name="back", speed_limits=own)
+    # Measured anew, 3 m longer.
+    back = replace(back, length=9_003.0, stations=(*back.stations[:-1], Station("A", 9_003.0)))
+    found = network_of_lines("both", [main, back])
+    notes = [note for note in found.notes if "takes over" in note]
+    # From B to A `back` has 20 m/s all along, from C to B 30 m/s over its first kilometre.
+    assert len(notes) == len(found.network.edges) == 2
+    assert "its speed limits for the other direction" in notes[0]
+    there, again = (found.network.route(*ends).line for ends in (("A", "C"), ("C", "A")))
+    assert there.speed_limit([100.0, 8_500.0]).tolist() == [30.0, 30.0]
+    assert again.speed_limit([100.0, 990.0, 1_010.0, 8_900.0]).tolist() == [30.0, 30.0, 20.0, 20.0]
+    # The same limits in both files are one profile; those that are assumed, or that the first
+    # file states otherwise itself, are not taken over.
+    alike = replace(main.reversed(), name="back")
+    own_way = replace(main, speed_limits_reverse=StepProfile([0.0], [10.0]))
+    for first, second, limit, words in (
+        (main, alike, None, "stays"),
+        (main, replace(back, assumed=("speed_limits",)), None, "stays"),
+        (own_way, back, 10.0, "with its own speed limits of the other direction, which differ"),
+        (main, replace(main, name="again", speed_limits=own), None, "are not used"),
+    ):
+        found = network_of_lines("both", [first, second])
+        limits = [edge.line.speed_limits_reverse for edge in found.network.edges]
+        assert [None if x is None else x.values.tolist() for x in limits] == [
+            None if limit is None else [limit]
+        ] * 2
+        assert any(note.endswith(words) for note in found.notes)
+
+
+def test_a_speed_change_of_railml_2_without_a_direction_holds_in_both(tmp_path: Path) -> None:
+    """Changes of one direction end it in that one alone."""
+    changes = (
+        '<speedChange id="x1" pos="0" vMax="100"/>'
+        '<speedChange id="x2" pos="500" dir="up" vMax="60"/>'
+        '<speedChange id="x3" pos="800" dir="down" vMax="72"/>'
+        '<speedChange id="x4" pos="1100" vMax="90"/>'
+    )
+    text = RAILML_2.replace('<speedChange id="v6" pos="0" vMax="40"/>', changes)
+    (network,), _, assumed = railml(text, tmp_path)
+    line = network.edge("loop").line
+    places = [100.0, 600.0, 900.0, 1_200.0]
+    assert KMH * line.speed_limit(places) == pytest.approx([100.0, 60.0, 60.0, 90.0])
+    # That of 'down' holds from 800 m to the beginning of the track, and is the lower one there.
+    assert KMH * line.limits_against(places) == pytest.approx([72.0, 72.0, 100.0, 90.0])
+    assert "speed changes without a direction, taken to hold in both: 3" in assumed
+
+
+def test_an_import_takes_the_limits_of_a_category(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "valley.xml"
+    source.write_text(RAILML_2)
+    limits = {}
+    for category in ("none", "freight"):
+        words = ("import", source, "-o", tmp_path / category, "--category", category)
+        status, _, problems = run(monkeypatch, capsys, *words)
+        assert status == 0, problems
+        network = read_network(tmp_path / category / "valley.network.json")
+        limits[category] = min(KMH * edge.line.speed_limits.values.min() for edge in network.edges)
+    assert limits == pytest.approx({"none": 40.0, "freight": 40.0})
+    first = {c: read_network(tmp_path / c / "valley.network.json").edges[0].line for c in limits}
+    assert KMH * first["none"].speed_limit(100.0) == pytest.approx(80.0)
+    assert KMH * first["freight"].speed_limit(100.0) == pytest.approx(40.0)
+    line = Path(trainlog.sample("CH_StGallen_Wil.line.json"))
+    words = ("import", line, "-o", tmp_path / "l", "--category", "freight")
+    status, _, problems = run(monkeypatch, capsys, *words)
+    assert status == 2
+    assert "has no speed limits by category of train; leave the category out" in problems

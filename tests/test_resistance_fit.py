@@ -615,3 +615,7 @@ def test_slip_is_masked_where_no_axle_speeds_are_recorded() -> None:
     assert unseen > 0.5
     assert rest < 0.25 * unseen
     assert used > 0.8 * all_time
+    # Once a second the efforts do not show it: the fit states so, and of no other trip.
+    for one, step, notes in ((bare, 1, 0), (bare, 10, 1), (trip, 10, 0)):
+        seldom = {n: f.iloc[:: step if len(f) > 5_000 else 1] for n, f in one.topics.items()}
+        assert len(fit_trip(replace(one, topics=seldom)).notes) == notes

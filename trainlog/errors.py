@@ -121,7 +121,15 @@ class LogError(TrainlogError):
 
 
 class NotRecordedError(LogError):
-    """A log lacks what is asked for because its recorder never recorded it; it is not damaged.
+    """What is asked for is not in the trip: it has no such topic, or the topic holds nothing of it.
+
+    Of a trip at hand that does not say why: the topic may not have been loaded. Where a log is
+    known, as in ``trainlog map update``, its channels decide whether it was never recorded.
+
+    Attributes
+    ----------
+    topic : str
+        That the trip does not have; empty where it has the topic, but nothing of it in there.
 
     Examples
     --------
@@ -131,6 +139,8 @@ class NotRecordedError(LogError):
     Traceback (most recent call last):
     trainlog.errors.NotRecordedError: trip 'trip-01' has no topic /train/axles; ...
     """
+
+    topic: str = ""
 
 
 class NotIdentifiableError(TrainlogError):

@@ -98,10 +98,12 @@ class Trip:
             return self.topics[topic]
         except KeyError:
             present = ", ".join(self.topics) or "none"
-            raise NotRecordedError(
+            error = NotRecordedError(
                 f"trip '{self.name}' has no topic {topic}",
                 remedy=f"topics loaded: {present}",
-            ) from None
+            )
+            error.topic = topic
+            raise error from None
 
     def __contains__(self, topic: object) -> bool:
         return topic in self.topics

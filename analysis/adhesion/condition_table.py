@@ -435,11 +435,16 @@ def kilometres(line: Line | None, start: FloatArray, end: FloatArray) -> dict[st
 def _line_attributes(line: Line, track: TrackConditionMap) -> dict[str, object]:
     table = line_table(line, track)
     station = table["station"].to_numpy(dtype=object)
+    limits = {
+        f"{name}_km_h": table[name].to_numpy().round(3)
+        for name in ("speed_limit", "speed_limit_reverse")
+        if name in table
+    }
     return {
         "gradient_permil": table["gradient"].to_numpy().round(3),
         # Straight track has a curvature that every format can hold.
         "curvature_per_km": (1e3 / table["curve_radius"].to_numpy()).round(6),
-        "speed_limit_km_h": table["speed_limit"].to_numpy().round(3),
+        **limits,
         "tunnel": table["tunnel"].to_numpy(),
         "station": [name or None for name in station],
     }

@@ -20,8 +20,9 @@ UNITS = {
     "tunnel": "",
     "station": "",
     "speed_limit": "km/h",
+    "speed_limit_reverse": "km/h",
 }
-"""Unit of each column of `line_table`."""
+"""Unit of each column of `line_table`; the last one where limits differ by direction."""
 
 
 def line_table(line: Line, track: TrackConditionMap) -> pd.DataFrame:
@@ -39,8 +40,9 @@ def line_table(line: Line, track: TrackConditionMap) -> pd.DataFrame:
         One row a bin: ``start``, ``end`` [m]; ``gradient`` [per mille], its mean, uphill positive;
         ``curve_radius`` [m], the least, infinite where the line is straight; ``tunnel``, whether
         any of the bin lies in one that the line states; ``station``, the names of those in the
-        bin, joined by a comma, else empty; ``speed_limit`` [km/h], the least. NaN is what the line
-        does not state. Units are in ``attrs["units"]``.
+        bin, joined by a comma, else empty; ``speed_limit`` [km/h], the least along the line, and
+        where limits differ by direction ``speed_limit_reverse``, the least against it. NaN is what
+        the line does not state. Units are in ``attrs["units"]``.
 
     Raises
     ------
@@ -73,11 +75,14 @@ def line_table(line: Line, track: TrackConditionMap) -> pd.DataFrame:
         "station": _stations(line, track),
         "speed_limit": KMH * _least(line.speed_limits, start, end),
     }
-    for column, name in (("gradient", "gradients"), ("speed_limit", "speed_limits")):
-        if name in line.assumed:
+    if line.speed_limits_reverse is not None:
+        columns["speed_limit_reverse"] = KMH * _least(line.speed_limits_reverse, start, end)
+    sources = {"gradient": "gradients", "speed_limit": "speed_limits"}
+    for column in columns:
+        if sources.get(column.removesuffix("_reverse")) in line.assumed:
             columns[column] = np.full(start.size, np.nan)
     table = pd.DataFrame(columns)
-    table.attrs["units"] = dict(UNITS)
+    table.attrs["units"] = {name: UNITS[name] for name in table.columns}
     return table
 
 

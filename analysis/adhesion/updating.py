@@ -388,14 +388,23 @@ def naming_log(log: Path) -> Iterator[list[str]]:
             yield losses
     except TrainlogError as error:
         kind = type(error)
-        if isinstance(error, NotRecordedError) and _losses(caught):
-            kind = LogError  # what it lacks may be what is lost
+        if isinstance(error, NotRecordedError) and (
+            _losses(caught) or _holds_topic(log, error.topic)
+        ):
+            kind = LogError  # what it lacks may be what is lost, or was not read
         if error.file and kind is type(error):
             raise
         raise kind(error.problem, file=log, remedy=error.remedy) from error
     for each in caught:
         warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
     losses += _losses(caught)
+
+
+def _holds_topic(log: Path, topic: str) -> bool:
+    """Whether a log has a channel of the topic, so that it was recorded."""
+    from trainlog.mcap import read_log
+
+    return bool(topic) and topic in read_log(log, topics=[topic])
 
 
 def _losses(caught: Iterable[warnings.WarningMessage]) -> list[str]:

@@ -66,6 +66,12 @@ LARGEST_GAIN_ERROR = 0.2
 SHORTEST_TIME = 200.0
 """Less usable time than this [s] is too short a trip."""
 
+SLIP_UNSEEN = (
+    "slip is not masked: not all axle speeds are recorded, and fewer than two samples a second do"
+    " not show it in the efforts; where wheels slip the curve is 2 to 8 % too low at 20 km/h"
+)
+"""Of a trip; docs/fleet-trains.md."""
+
 
 @dataclass(frozen=True, eq=False)
 class History:
@@ -144,6 +150,8 @@ class TripFit:
         Of the drive, by its recorded samples (`trainlog.identity`); empty if it is not known.
     passport : Passport or None
         By which the recorded efforts were corrected; what it does not know widens the band.
+    notes : tuple of str
+        What the recording does not show and the band does not hold, in words.
     """
 
     trip: str
@@ -175,6 +183,7 @@ class TripFit:
     history: History
     identity: str = ""
     passport: Passport | None = None
+    notes: tuple[str, ...] = ()
 
     def __eq__(self, other: object) -> bool:
         return same_values(self, other) if isinstance(other, TripFit) else NotImplemented
@@ -196,6 +205,7 @@ class TripFit:
         if self.max_power is not None and self.max_power_std is not None:
             power = f"{self.max_power / 1e3:.0f} ± {1.96 * self.max_power_std / 1e3:.0f} kW"
         masked = [f"{reason} {time:.0f} s" for reason, time in self.masked.items() if time > 0.0]
+        notes = {"notes": "; ".join(self.notes)} if self.notes else {}
         return {
             "curve": curve_words(self),
             "mass": f"{self.mass / 1e3:.1f} ± {1.96 * self.mass_std / 1e3:.1f} t",
@@ -203,7 +213,9 @@ class TripFit:
             "speeds": f"{span(self.speed_range, KMH)} km/h, asked for {span(self.asked, KMH)} km/h",
             "windows": f"{self.windows['used']} used, {self.windows['outlier']} outliers",
             "masked": ", ".join(masked) or "nothing",
-        } | self._efforts()
+            **notes,
+            **self._efforts(),
+        }
 
     def _efforts(self) -> dict[str, str]:
         """How the recorded efforts were corrected."""
@@ -477,6 +489,7 @@ def fit_evidence(
             ),
         ),
         passport=known,
+        notes=(SLIP_UNSEEN,) if evidence.slip_unseen else (),
     )
 
 

@@ -429,7 +429,8 @@ def fit_table(fits: Fits) -> Group:
         " correlated: trust the curve.",
     ]
     for fit in fits.trips:
-        words += [f"{fit.trip}: {doubt}" for doubt in diagnosed(fit.residuals).doubts]
+        doubts = (*diagnosed(fit.residuals).doubts, *fit.notes)
+        words += [f"{fit.trip}: {doubt}" for doubt in doubts]
     words += [f"refused, {error.reason}: {error}" for error in fits.refused.values()]
     words += [f"counted once: {sentence}" for sentence in fits.same]
     words += _doubts(fits.drives)

@@ -240,6 +240,8 @@ class Prepared:
         Smoothed, and as recorded.
     masks : dict of str to (n,) bool array
         What is masked, by reason; reasons may overlap.
+    slip_unseen : bool
+        Whether wheels may slip without anything that is recorded showing it.
     """
 
     recording: Recording
@@ -248,6 +250,7 @@ class Prepared:
     speed: FloatArray
     position: FloatArray
     masks: dict[str, BoolArray]
+    slip_unseen: bool = False
 
     @property
     def masked(self) -> dict[str, float]:
@@ -334,7 +337,8 @@ def prepare(
         nearest_edge=nearest,
         usable=~bad,
     )
-    return Prepared(recording, index, scale, smooth, position, masks)
+    unseen = _slip_unseen(time, wheels.shape[1], train)
+    return Prepared(recording, index, scale, smooth, position, masks, unseen)
 
 
 def _air_square(trip: Trip, index: pd.DatetimeIndex, speed: FloatArray) -> FloatArray:
@@ -589,18 +593,25 @@ def _protected(time: FloatArray, effort: FloatArray, recorded: int, train: Train
     comes back when effort, and weight in the fit, are lower. Running resistance at low speeds is
     2 to 8 % too low if that stays in. The protection shows in the recorded effort: it takes that of
     an axle off and gives it back, a notch that the morphological closing fills (a black top-hat).
+    Samples further apart than a sixth of `READHESION` do not show it.
     """
     from scipy.ndimage import grey_closing, uniform_filter1d
 
-    step = float(np.median(np.diff(time))) if time.size > 1 else np.inf
-    if recorded >= train.axles.count or 6.0 * step > READHESION:
+    if time.size < 2 or recorded >= train.axles.count or _slip_unseen(time, recorded, train):
         return np.zeros(time.size, dtype=bool)
+    step = float(np.median(np.diff(time)))
     size = uniform_filter1d(np.abs(np.nan_to_num(effort)), max(round(0.1 * READHESION / step), 1))
     filled = grey_closing(size, max(round(READHESION / step), 1))
     axle = np.maximum(filled, LEAST_EFFORT * train.max_tractive_effort) / max(train.axles.count, 1)
     marked = np.concatenate(([0], np.cumsum(filled - size > NOTCH * axle)))
     last = np.searchsorted(time, time + READHESION, side="right")
     return np.asarray(marked[last] > marked[:-1])
+
+
+def _slip_unseen(time: FloatArray, recorded: int, train: Train) -> bool:
+    """Whether wheels may slip without anything that is recorded showing it."""
+    seldom = time.size > 1 and 6.0 * float(np.median(np.diff(time))) > READHESION
+    return seldom and recorded < train.axles.count
 
 
 def _gaps(time: FloatArray, frames: list[pd.DataFrame], origin: pd.Timestamp) -> BoolArray:

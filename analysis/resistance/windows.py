@@ -339,6 +339,8 @@ class Part:
     masked : dict of str to float [s]
     duration : float [s]
     timeline : Timeline
+    slip_unseen : bool
+        Whether wheels may slip without anything that is recorded showing it.
     """
 
     recording: Recording
@@ -346,6 +348,7 @@ class Part:
     masked: dict[str, float]
     duration: float
     timeline: Timeline
+    slip_unseen: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -360,6 +363,8 @@ class Evidence:
         Time masked, by reason; reasons may overlap.
     duration : float [s]
     timeline : Timeline
+    slip_unseen : bool
+        Whether wheels may slip without anything that is recorded showing it.
     """
 
     windows: Windows
@@ -367,6 +372,7 @@ class Evidence:
     masked: dict[str, float]
     duration: float
     timeline: Timeline
+    slip_unseen: bool = False
 
     @staticmethod
     def of(parts: Iterable[Part]) -> Evidence:
@@ -375,7 +381,7 @@ class Evidence:
         limited: list[LimitedSamples] = []
         lines: list[Timeline] = []
         masked: dict[str, float] = {}
-        duration = 0.0
+        duration, unseen = 0.0, False
         open_run: Recording | None = None
         for part in parts:
             closed, open_run = _parted(part.recording, open_run)
@@ -384,6 +390,7 @@ class Evidence:
             lines.append(part.timeline)
             masked = {reason: masked.get(reason, 0.0) + t for reason, t in part.masked.items()}
             duration += part.duration
+            unseen |= part.slip_unseen
         if open_run is not None:
             windows.append(build_windows(open_run))
         return Evidence(
@@ -392,6 +399,7 @@ class Evidence:
             masked,
             duration,
             _at_a_glance(lines),
+            unseen,
         )
 
 
@@ -428,6 +436,7 @@ def part_of(
         },
         duration=float(np.sum(step[inside])),
         timeline=_timeline(prepared, inside),
+        slip_unseen=prepared.slip_unseen,
     )
 
 

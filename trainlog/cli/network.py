@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from trainlog.cli.options import destination
+from trainlog.cli.options import CategoryOption, destination
 from trainlog.cli.terminal import console, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
@@ -41,14 +41,7 @@ def network_import(
             help="Speed limit in km/h where the file states none; default: its lowest.",
         ),
     ] = None,
-    category: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Of trains, whose speed limits hold; 'none': those for all trains. Default: the"
-            " lowest of all categories.",
-        ),
-    ] = None,
+    category: CategoryOption = None,
 ) -> None:
     """Import the infrastructure of another program as a network.
 

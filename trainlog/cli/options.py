@@ -49,6 +49,15 @@ CatalogueOption = Annotated[
         help="Folder or URL of the catalogue; default: as set, else the folder catalogue.",
     ),
 ]
+CategoryOption = Annotated[
+    str | None,
+    typer.Option(
+        "--category",
+        metavar="NAME",
+        help="Of trains, whose speed limits a network gets; 'none': those for all trains. Default:"
+        " the lowest of all categories.",
+    ),
+]
 LineOption = Annotated[
     Path | None, typer.Option("--line", help="Line file; default: as set, else St.Gallen-Wil.")
 ]

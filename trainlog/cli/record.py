@@ -11,6 +11,7 @@ import typer
 
 from trainlog.cli.commands import end_in_part
 from trainlog.cli.options import (
+    CategoryOption,
     LineOption,
     Logs,
     RiskOption,
@@ -623,6 +624,7 @@ def import_(
         Literal["proportional", "roeckl", "roeckl_small_radius"] | None,
         typer.Option(help="Of a line: 0.6/R; Roeckl's 0.65/(R - 55); 0.5/(R - 30)."),
     ] = None,
+    category: CategoryOption = None,
 ) -> None:
     """Turn lines, trains, journeys and networks of other programs into trainlog's files.
 
@@ -644,7 +646,7 @@ def import_(
     )
     options = ImportOptions(
         electrification, traction, braking, mass_model, acceleration_limits, curve_resistance,
-        None if loaded is None else loaded / 100.0,
+        None if loaded is None else loaded / 100.0, category,
     )  # fmt: skip
     if formation is None and name is not None:
         raise InputError("--name is that of a formation", remedy="give --formation, too")

@@ -66,6 +66,8 @@ class ImportOptions:
         Of a line: see `Line`.
     loaded : float
         Share of the heaviest load that is on board of a formation of railtoolkit.
+    category : str or None
+        Of trains, whose speed limits infrastructure gets; see `networks_in`.
     """
 
     electrification: str | None = None
@@ -75,6 +77,7 @@ class ImportOptions:
     acceleration_limits: AccelerationLimits | None = None
     curve_resistance: CurveFormula | None = None
     loaded: float | None = None
+    category: str | None = None
 
     @property
     def of_train(self) -> dict[str, Any]:
@@ -247,6 +250,7 @@ def _things(path: str | Path, options: ImportOptions) -> list[_Found]:
     """Everything in the file."""
     if Path(path).suffix.lower() in (".yaml", ".yml"):
         _refuse_electrification(path, options)
+        _refuse_category(path, options)
         return [_Found(*each) for each in railtoolkit.read_any(path, options.loaded)]
     if options.loaded is not None:
         raise InputError(
@@ -255,7 +259,7 @@ def _things(path: str | Path, options: ImportOptions) -> list[_Found]:
             remedy="leave the load out; add it to a plan",
         )
     data = read_bytes(path)
-    if (infra := networks_in(path, data)) is not None:
+    if (infra := networks_in(path, data, None, options.category)) is not None:
         _refuse_electrification(path, options)
         stem = Path(path).stem
         # The file's account stands with its first network.
@@ -267,6 +271,7 @@ def _things(path: str | Path, options: ImportOptions) -> list[_Found]:
             )
             for number, each in enumerate(infra.networks, start=1)
         ]
+    _refuse_category(path, options)
     content = parse_json(data, file=path)
     if osrd.is_rolling_stock(content):
         train, dropped = osrd.read_train(path, options.electrification)
@@ -323,6 +328,15 @@ def _refuse_electrification(path: str | Path, options: ImportOptions) -> None:
             "has no efforts by electrification",
             file=path,
             remedy="leave the electrification out; it is for rolling stock of OSRD",
+        )
+
+
+def _refuse_category(path: str | Path, options: ImportOptions) -> None:
+    if options.category is not None:
+        raise InputError(
+            "has no speed limits by category of train",
+            file=path,
+            remedy="leave the category out; it is for infrastructure of OSRD and railML",
         )
 
 

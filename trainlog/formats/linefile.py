@@ -108,6 +108,7 @@ class LineFile(File):
     """A line as it stands in its file."""
 
     FORMAT: ClassVar[str] = "trainlog/line"
+    VERSION: ClassVar[int] = 2
 
     name: str = Field(min_length=1)
     source: str = ""
@@ -126,6 +127,11 @@ class LineFile(File):
     curve_resistance: CurveFormula | None = None
     legs: _Legs | None = None
     speed_limits_reverse: _Limits | None = None
+
+    @property
+    def version_needed(self) -> int:
+        """2 where limits differ by direction; older programs are to refuse the file for that."""
+        return 1 if self.speed_limits_reverse is None else 2
 
     def content(self) -> Line:
         """The line that the file describes."""

@@ -59,12 +59,18 @@ class _Edge(Part):
 
 class _NetworkFile(File):
     FORMAT: ClassVar[str] = "trainlog/network"
+    VERSION: ClassVar[int] = LineFile.VERSION
 
     name: str = Field(min_length=1)
     source: str = ""
     nodes: _Nodes
     edges: list[_Edge]
     turns: dict[str, list[list[str]]] | None = None
+
+    @property
+    def version_needed(self) -> int:
+        """That of the lines which the file holds."""
+        return max((each.line.version_needed for each in self.edges if each.line), default=1)
 
     def network(self, folder: Path, plausible: bool) -> Network:
         """The network that the file describes; files of lines are looked for in `folder`."""

@@ -328,11 +328,13 @@ def implausible_line(values: Mapping[str, Any]) -> Iterator[InputError]:
         problem = plausible.problem(values.get(name) or 0.0, name)
         if problem is not None:
             yield problem
-    if values.get("speed_limits") is not None:
-        limits = np.asarray(values["speed_limits"][1], dtype=np.float64)
+    for name in ("speed_limits", "speed_limits_reverse"):
+        if values.get(name) is None:
+            continue
+        limits = np.asarray(values[name][1], dtype=np.float64)
         wild = np.flatnonzero((limits > 0.0) & ((limits < LIMIT.low) | (limits > LIMIT.high)))
         if wild.size:
-            problem = LIMIT.problem(float(limits[wild[0]]), f"speed_limits.values[{wild[0]}][1]")
+            problem = LIMIT.problem(float(limits[wild[0]]), f"{name}.values[{wild[0]}][1]")
             if problem is not None:
                 yield problem
     altitude = values.get("altitude") or 0.0
@@ -357,9 +359,11 @@ def check_line(line: Line) -> None:
     >>> check_line(trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json"))
     """
     stations = [station.position for station in line.stations]
+    against = line.speed_limits_reverse
     tables = {
         "stations": ((), stations),
         "speed_limits": (line.speed_limits.positions, line.speed_limits.values),
+        "speed_limits_reverse": None if against is None else (against.positions, against.values),
         "gradients": (line.gradients.positions, line.gradients.values),
     }
     problems = list(implausible_line({"length": line.length, "altitude": line.altitude} | tables))

@@ -34,6 +34,8 @@ ELEMENTS_HELD = {
 TRANSITIONS = ("clothoid", "transition", "bloss", "cubic", "sinus", "cosinus", "mixed", "wiener")
 """Parts of the names of curves whose radius changes along them."""
 
+UNDIRECTED = "speed changes without a direction, taken to hold in both"
+
 
 @dataclass
 class _Track:
@@ -200,13 +202,24 @@ class _File:
         return bends
 
     def _limits(self, track: _Track) -> list[Limit]:
-        """Limits by direction, each from its change to the next of the same trains."""
+        """Limits by direction, each from its change to the next of the same trains.
+
+        A change without a direction, which the schema allows and which then is not known, counts
+        in both: along the track among those of "up", against it up to the next without one. Where
+        one of "down" holds as well, the lower of both does.
+        """
         found = list[Limit]()
-        changes: dict[tuple[bool, str], list[Element]] = {}
+        changes: dict[tuple[str, str], list[Element]] = {}
         for each in self._elements(track, "speed"):
-            key = each.text("dir") == "down", self._category(each)
-            changes.setdefault(key, []).append(each)
-        for (down, category), used in changes.items():
+            stated, category = each.text("dir"), self._category(each)
+            if stated not in ("up", "down"):
+                changes.setdefault(("", category), []).append(each)
+                if stated != "both":
+                    self.graph.account.assumed[UNDIRECTED] += 1
+            way = "down" if stated == "down" else "up"
+            changes.setdefault((way, category), []).append(each)
+        for (way, category), used in changes.items():
+            down = way == "down"
             if down:
                 used.reverse()
             places = [*(track.at(each) for each in used), 0.0 if down else track.length]
@@ -217,9 +230,7 @@ class _File:
                 if speed <= 0.0:
                     raise each.error("vMax 0 could never be passed", "give the permitted speed")
                 low, high = sorted((start, end))
-                # One without a direction holds from its place to the next in both.
-                both = each.text("dir") not in ("up", "down")
-                found.append(Limit(low, high, speed, not down, down or both, category))
+                found.append(Limit(low, high, speed, way == "up", way != "up", category))
         return found
 
     def _category(self, change: Element) -> str:

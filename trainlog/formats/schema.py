@@ -52,6 +52,12 @@ class File(Part):
 
     FORMAT: ClassVar[str]
     VERSION: ClassVar[int] = 1
+    """The newest that is read; all older ones are, too."""
+
+    @property
+    def version_needed(self) -> int:
+        """The oldest version in which all that the file states is known; it is written."""
+        return 1
 
     @classmethod
     def from_bytes(cls, data: bytes, file: str | Path) -> Self:
@@ -78,14 +84,16 @@ class File(Part):
                 remedy="check which file is meant",
             )
         version = content.get("version")
-        if version != cls.VERSION or isinstance(version, bool):
+        if version not in range(1, cls.VERSION + 1) or isinstance(version, bool):
             newer = isinstance(version, int) and version > cls.VERSION
             raise InputError(
                 f"version {version} is {'newer than' if newer else 'not one that'} this trainlog"
                 f" {f'knows ({cls.VERSION})' if newer else 'reads'}",
                 file=file,
                 place="version",
-                remedy="update trainlog" if newer else f"expected {cls.VERSION}",
+                remedy="update trainlog"
+                if newer
+                else "expected " + " or ".join(map(str, range(1, cls.VERSION + 1))),
             )
         body = {key: value for key, value in content.items() if key not in ("format", "version")}
         try:
@@ -149,7 +157,7 @@ class File(Part):
 
     def file_content(self) -> dict[str, Any]:
         """What stands in the file: canonical units, parts without content left out."""
-        return {"format": self.FORMAT, "version": self.VERSION} | dumped(self)
+        return {"format": self.FORMAT, "version": self.version_needed} | dumped(self)
 
 
 @cache

@@ -642,8 +642,12 @@ def _joined(findings: list[Finding]) -> tuple[Finding, ...]:
 
 
 def bounded_limits(limits: Limits, line: Line | None, train: Train | None) -> Limits:
-    """The profile's limits; speeds bounded by what line and train allow where it gives none."""
-    allowed = [float(line.speed_limit(line.breakpoints).max())] if line is not None else []
+    """The profile's limits; speeds bounded by what line and train allow where it gives none.
+
+    The line's direction in which the train may run faster counts: which one it ran in is found
+    from the speeds that are kept.
+    """
+    allowed = [line.highest_limit] if line is not None else []
     allowed += [train.max_speed] if train is not None else []
     if not allowed:
         return limits

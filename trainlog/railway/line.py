@@ -253,11 +253,12 @@ class Line:
 
     def _repr_html_(self) -> str:
         s = np.linspace(0.0, self.length, 500)
-        drawn = {
-            "limit [km/h]": KMH * self.speed_limit(s),
-            "altitude [m]": self.altitudes(s).round(1),
-        }
-        return as_html(self._title, self._summary(), picture(s, drawn, steps=("limit [km/h]",)))
+        drawn = {"limit [km/h]": KMH * self.speed_limit(s)}
+        if self.speed_limits_reverse is not None:
+            drawn["limit the other way [km/h]"] = KMH * self.speed_limits_reverse(s)
+        steps = tuple(drawn)
+        drawn["altitude [m]"] = self.altitudes(s).round(1)
+        return as_html(self._title, self._summary(), picture(s, drawn, steps=steps))
 
     @property
     def _title(self) -> str:
@@ -309,6 +310,11 @@ class Line:
     def limits_against(self) -> StepProfile:
         """Speed limits [m/s] of a train that travels against the chainage, by this chainage."""
         return self.speed_limits_reverse or self.speed_limits
+
+    @property
+    def highest_limit(self) -> float:
+        """The highest speed limit [m/s] of both directions: no train may exceed it anywhere."""
+        return float(max(self.speed_limits.values.max(), self.limits_against.values.max()))
 
     def gradient(self, position: ArrayLike) -> FloatArray:
         """Gradient (rise over run) at each position [m]."""

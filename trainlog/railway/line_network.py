@@ -13,6 +13,7 @@ from trainlog.errors import InputError
 from trainlog.railway.geometry import to_plane
 from trainlog.railway.line import Line
 from trainlog.railway.network import AT_END, Edge, Network, Node
+from trainlog.railway.profiles import StepProfile
 
 SAME_STATION = 2_000.0
 """How far apart [m] two lines may have a station of one name."""
@@ -41,7 +42,9 @@ def network_of_lines(name: str, lines: Sequence[Line]) -> NetworkOfLines:
 
     Nodes are the ends of the lines, and stations that several of them serve; there lines are cut,
     and trains can pass from any edge to any other. Where two lines run over the same track, which
-    is as long and as steep on both, it is one edge, that of the line that comes first.
+    is as long and as steep on both, it is one edge, that of the line that comes first. Where a
+    later one runs the other way, its speed limits become the edge's `speed_limits_reverse`, unless
+    the first states these itself, or the later one does not know its own.
 
     Parameters
     ----------
@@ -87,8 +90,10 @@ def network_of_lines(name: str, lines: Sequence[Line]) -> NetworkOfLines:
             same = next((each for each in edges if _same_track(each, part)), None)
             if same is None:
                 edges.append(part)
-            else:
-                notes.append(f"'{part.name}' is the track of '{same.name}', which stays")
+                continue
+            kept, note = _with_limits_of(same, part)
+            edges[edges.index(same)] = kept
+            notes.append(f"'{part.name}' is the track of '{same.name}', which stays{note}")
     names = dict.fromkeys(end for edge in edges for end in (edge.start, edge.end))
     nodes = tuple(_node(each, edges, shared) for each in names)
     source = "; ".join(dict.fromkeys(line.source for line in lines if line.source))
@@ -167,6 +172,35 @@ def _same_track(edge: Edge, other: Edge) -> bool:
     s = np.arange(25.0, line.length, 50.0)
     apart = np.abs(line.altitudes(s) - line.altitude - (against.altitudes(s) - against.altitude))
     return bool(np.max(apart, initial=0.0) < 1.0)
+
+
+def _with_limits_of(edge: Edge, other: Edge) -> tuple[Edge, str]:
+    """The edge with the other direction's limits of the same track, and what is said of them."""
+    line, turned = edge.line, other.line
+    if edge.start == other.start:
+        same = _alike(line.speed_limits, _scaled(turned.speed_limits, turned, line), line.length)
+        return edge, "" if same else "; its speed limits, which differ, are not used"
+    turned = turned.reversed()
+    against = _scaled(turned.limits_against, turned, line)
+    if "speed_limits" in turned.assumed or _alike(line.limits_against, against, line.length):
+        return edge, ""
+    if line.speed_limits_reverse is not None:
+        return edge, " with its own speed limits of the other direction, which differ"
+    kept = replace(edge, line=replace(line, speed_limits_reverse=against))
+    return kept, " and takes over its speed limits for the other direction"
+
+
+def _scaled(limits: StepProfile, own: Line, other: Line) -> StepProfile:
+    """A line's limits by the chainage of another over the same track."""
+    return StepProfile(limits.positions * (other.length / own.length), limits.values)
+
+
+def _alike(limits: StepProfile, others: StepProfile, length: float) -> bool:
+    """Whether limits differ nowhere over more than the lines' lengths may."""
+    edges = np.unique(np.concatenate((limits.positions, others.positions, [length])))
+    middle = 0.5 * (edges[:-1] + edges[1:])
+    apart = ~np.isclose(limits(middle), others(middle), rtol=1e-3, atol=0.0)
+    return bool(np.max(np.diff(edges)[apart], initial=0.0) <= max(1.0, SAME_TRACK * length))
 
 
 def _node(name: str, edges: Sequence[Edge], stations: set[str]) -> Node:
