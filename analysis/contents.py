@@ -330,7 +330,7 @@ def _draw_line(figure: Any, line: Line) -> None:
         axes.set_ylabel(label)
     if against is not None:
         names = ["against the chainage", "along it"]
-        limit.legend(names, fontsize=8, frameon=False, loc="lower center", ncols=2)
+        limit.legend(names, fontsize=8, frameon=False, loc="best")
     for station in line.stations:
         for axes in (limit, gradient):
             axes.axvline(station.position / 1e3, color="0.7", linewidth=0.8)
