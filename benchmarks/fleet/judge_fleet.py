@@ -12,8 +12,8 @@ fleet update`. The fleet is drawn anew from its seed: trains, faults, rail. Part
 - ``unlike``: the detection on the trips up to each day: which faults are found, when and as what,
   and alarms on trains that have none;
 - ``drift``: wear of wheels;
-- ``map``: maximum adhesion that lasts, and that expected at noon of some days, by edge and layer;
-- ``forecast``: each day's forecast from the days before, scored;
+- ``map``: maximum adhesion that lasts, by edge and layer;
+- ``forecast``: each day's forecast from the days before, scored, and that of noon by layer;
 - ``energy``: by line and kind, and against the truth of single trips.
 
 Rates have the 95 % band of Clopper and Pearson. Truths of trips are kept in the folder `--keep`.
@@ -457,7 +457,7 @@ class Held:
 
 
 def judge_map(given: Judged) -> None:
-    """Lasting maximum adhesion by edge and layer; that expected at noon of some days."""
+    """Lasting maximum adhesion by edge and layer, and by the trips and days that show it."""
     apart = check_rail(given.fleet, given.trips)
     console.print(f"maximum adhesion of logs drawn anew: the same to {apart:.1e}")
     edges: dict[str, dict[str, Held]] = defaultdict(lambda: defaultdict(Held))
@@ -467,11 +467,15 @@ def judge_map(given: Judged) -> None:
         for name, layer in track.layers.items():
             true = rail.lasting(name, given.fleet.start)(track.centres)
             trips = layer.evidence.by_bin("trips")
+            bins_of_days = layer.evidence.bin[layer.evidence.trips > 0.0]
+            days = np.bincount(bins_of_days, minlength=track.bins)
             for row in (edge, "all"):
                 for column in (name, "all"):
                     edges[row][column].add(layer, true, trips > 0)
             for words, chosen in (
                 ("of one trip", trips == 1),
+                ("of one day", days == 1),
+                ("of one day, of several trips", (days == 1) & (trips > 1)),
                 ("of ten or more", trips >= 10),
                 ("without onsets", (trips == 0) & layer.observed),
             ):
@@ -494,27 +498,6 @@ def judge_map(given: Judged) -> None:
             for row, cells in by_trips.items()
         ],
     )
-    days = range(max(given.fleet.days // 3, 1), given.fleet.days + 1, max(given.fleet.days // 3, 1))
-    printed(
-        "maximum adhesion expected at noon from the days before, in all bins it is known in",
-        ("day", *layers),
-        [(day, *expected_row(given, day - 1, layers)) for day in days],
-    )
-
-
-def expected_row(given: Judged, day: int, layers: Sequence[str]) -> list[str]:
-    """Against what a trip at noon of a day met, by the rail condition of each edge then."""
-    at = given.fleet.start + day * DAY + DAY // 2
-    when = pd.Timestamp(at, tz="UTC")
-    found: dict[str, Held] = defaultdict(Held)
-    for edge, track in given.maps.known_before(when).maps.items():
-        rail = given.fleet.rail(edge)
-        name = rail.weather(at).condition
-        if name in track.layers:
-            expected = track.layer(name).expected(when)
-            met = rail.profile(at, at // MINUTE)(track.centres)
-            found[name].add(expected, met, expected.observed)
-    return [found[name].words() for name in layers]
 
 
 def judge_forecast(given: Judged) -> None:
