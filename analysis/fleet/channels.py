@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import stdtr
 
-from analysis.fleet.mixed import TAIL, Group, mixed_effects
+from analysis.fleet.mixed import TAIL, Group, MixedEffects, mixed_effects
 from analysis.fleet.resistance import FEWEST_TRAINS, KindResistance, periods_of, positive, ways_of
 
 FloatArray = NDArray[np.float64]
@@ -62,6 +62,17 @@ CHANNELS = (
     Channel("speed noise", "1", 0.25, 0.2, 0.1, 0.03, "of the recorded speed, over the kind's"),
 )
 """The tolerances are what a workshop would not act on."""
+
+LEVEL_CHANGE = 1e-4
+"""A train's level is taken as changed, where that is sought so that its trips' noise is not judged
+by the change, if noise alone would show such a change with this probability."""
+
+FEWEST_AT_LEVEL = 3
+"""A level holds for at least so many trips."""
+
+OUTLYING = 4.0
+"""Trips further from their neighbours than so many deviations are drawn in to that distance while
+changes of the level are sought."""
 
 PRIOR = 3.0
 """What is expected of trains, trips and days counts as so many of them."""
@@ -213,8 +224,7 @@ def series_of(
     y, v = value[rows, None] / channel.between, variance[rows, None, None] / channel.between**2
     relative = channel.trips / channel.between, channel.periods / channel.between
     lines = int(line.max()) + 1
-    groups = (
-        Group(train, names.size, None, unit, PRIOR, heavy=True),
+    others = (
         Group(
             number if common else np.full(rows.size, -1),
             len(periods) if common else 0,
@@ -224,7 +234,17 @@ def series_of(
         ),
         Group(line, lines, None, relative[0] ** 2 * unit, PRIOR),
     )
-    found = mixed_effects(y, v, groups, relative[0] ** 2 * unit, PRIOR)
+
+
+    def fitted(level: IntArray) -> MixedEffects:
+        trains = Group(level, int(level.max()) + 1, None, unit, PRIOR, heavy=True)
+        return mixed_effects(y, v, (trains, *others), relative[0] ** 2 * unit, PRIOR)
+
+    found = fitted(train)
+    # A change of a train's level is no noise of its trips: each level is an effect of its own.
+    level = _levels(y[:, 0] - found.without(0)[:, 0], np.sqrt(v[:, 0, 0]), train)
+    changed = int(level.max()) + 1 > names.size
+    within = fitted(level) if changed else found
     expected = np.empty(rows.size)
     for each in range(names.size):
         mine = train == each
@@ -233,9 +253,10 @@ def series_of(
         else:
             expected[mine] = found.without(0)[:, 0]
     own = y[:, 0] - expected
-    std = np.sqrt(v[:, 0, 0] + found.within[0, 0])
+    std = np.sqrt(v[:, 0, 0] + within.within[0, 0])
     mean_variance = float(found.block(0, 0)[0, 0])
-    tail, size = _tail(own / std, train)
+    steady = own - pd.Series(own).groupby(level).transform("median").to_numpy() if changed else own
+    tail, size = _tail(steady / std, train)
     days = (used["start"] - used["start"].min()) / pd.Timedelta(days=1)
     wander = _wander(own, train, days.to_numpy(np.float64))
     scale = channel.between
@@ -251,6 +272,55 @@ def series_of(
         wander=wander * scale**2,
         common=names.size > 1,
     )
+
+
+def _levels(own: FloatArray, known: FloatArray, train: IntArray) -> IntArray:
+    """Number of the level at which each trip is: a train's trips between two of its changes.
+
+    By repeated parting in two (Scott and Knott 1974), with the Student test of two means, the noise
+    being that around the two: so that neither a change nor a false scale of the noise decides.
+    """
+    level = np.zeros(own.size, dtype=np.int64)
+    count = 0
+    for each in range(int(train.max()) + 1):
+        mine = np.flatnonzero(train == each)
+        value = _without_outliers(own[mine])
+        parts = [(0, mine.size)]
+        while parts:
+            first, end = parts.pop()
+            at = _parting(value[first:end], known[mine[first:end]])
+            if at:
+                parts += [(first + at, end), (first, first + at)]
+            else:
+                level[mine[first:end]] = count
+                count += 1
+    return level
+
+
+def _without_outliers(value: FloatArray) -> FloatArray:
+    """Values, those far from the median of their neighbours drawn in."""
+    near = pd.Series(value).rolling(5, center=True, min_periods=1).median().to_numpy()
+    apart = value - near
+    reach = OUTLYING * 1.4826 * float(np.median(np.abs(apart[apart != 0.0]))) if apart.any() else 0.0
+    return np.asarray(near + np.clip(apart, -reach, reach))
+
+
+def _parting(value: FloatArray, known: FloatArray) -> int:
+    """The trip at which the level changes; 0 where it does not."""
+    n = value.size
+    if n < 2 * FEWEST_AT_LEVEL:
+        return 0
+    before = np.arange(1, n)
+    sums, squares = np.cumsum(value), np.cumsum(value**2)
+    one, other = sums[:-1] / before, (sums[-1] - sums[:-1]) / (n - before)
+    rest = squares[-1] - before * one**2 - (n - before) * other**2
+    # Values that are all alike show no smaller noise than each is known with.
+    variance = np.maximum(rest / (n - 2), np.median(known) ** 2 / n)
+    t = np.abs(other - one) / np.sqrt(variance * (1.0 / before + 1.0 / (n - before)))
+    t[: FEWEST_AT_LEVEL - 1] = t[n - FEWEST_AT_LEVEL :] = 0.0
+    at = int(np.argmax(t))
+    chance = 2.0 * (n - 2 * FEWEST_AT_LEVEL + 1) * float(beyond(t[at : at + 1], n - 2.0)[0])
+    return at + 1 if chance < LEVEL_CHANGE else 0
 
 
 TAILS = np.array([2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 20.0, 60.0])

@@ -54,14 +54,20 @@ WINDOWS = (3, 5, 9, 15, 31)
 BEFORE = 40
 """At most so many trips before a change show the level that the train had."""
 
-FEWEST_BEFORE = 6
+FEWEST_BEFORE = 3
 """A level that fewer trips show is not compared with."""
+
+NORMAL_BEFORE = 6
+"""The median of so many trips is as far off as a normal distribution states; of fewer it is judged
+by the trips' own distribution."""
 
 POWER = 0.9
 """Share of faults of a stated least size that are seen."""
 
 _STEPS = 30
 """Of the search for a level, each of which weighs the trips anew."""
+
+_SHARES = np.linspace(0.1, 0.9, 17)
 
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(21)
 _WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
@@ -461,8 +467,36 @@ def _changes(series: Series, own: FloatArray, std: FloatArray, days: FloatArray)
             window,
             series.tail,
         )
+        few = count.shift(window).to_numpy() < NORMAL_BEFORE
+        if few.any():
+            least = (apart[few] - series.channel.tolerance) / size[few]
+            scale = typical.shift(window).to_numpy()[few] / size[few]
+            before = count.shift(window).to_numpy()[few]
+            p[few] = _medians_apart(least, scale, before, window, series.tail)
         best = np.fmin(best, p)
     return best
+
+
+def _medians_apart(
+    x: FloatArray, scale: FloatArray, before: FloatArray, window: int, tail: float
+) -> FloatArray:
+    """Bound of the probability that two medians are x apart.
+
+    One of them must be beyond a share of x, or the other beyond the rest (Boole's inequality): of
+    all shares the least bound. The trips of the first deviate `scale` times as much.
+    """
+    best = np.ones(x.shape)
+    with np.errstate(invalid="ignore"):
+        for share in _SHARES:
+            after = _half_beyond(share * x, window, tail)
+            best = np.fmin(best, after + _half_beyond((1.0 - share) * x / scale, before, tail))
+    return np.where(x > 0.0, best, 1.0)
+
+
+def _half_beyond(x: FloatArray, count: FloatArray | float, tail: float) -> FloatArray:
+    """Probability that the median of trips may be beyond x: half of them are."""
+    half = np.ceil(0.5 * np.asarray(count, dtype=np.float64))
+    return np.asarray(betainc(half, count - half + 1.0, beyond(x, tail)))
 
 
 def _median_beyond(x: FloatArray, uncertain: FloatArray, window: int, tail: float) -> FloatArray:
@@ -505,8 +539,11 @@ def _step_likelihood(own: FloatArray, std: FloatArray, tail: float) -> tuple[Flo
 def _least_change(series: Series, std: float, count: int, level: float) -> float:
     """Smallest change that is seen within five trips, with the probability `POWER`."""
     x = np.linspace(0.05, 60.0, 1200)
-    uncertain = np.sqrt(0.5 * np.pi / count) * np.ones_like(x)
-    p = _median_beyond(x, uncertain, 5, series.tail)
+    one = np.ones_like(x)
+    if count < NORMAL_BEFORE:
+        p = _medians_apart(x, one, count * one, 5, series.tail)
+    else:
+        p = _median_beyond(x, np.sqrt(0.5 * np.pi / count) * one, 5, series.tail)
     seen = x[int(np.argmax(p < level))] if (p < level).any() else np.nan
     # The median of five trips is below its mean by this much in one case of ten.
     return float(series.channel.tolerance + std * (seen + 1.3 * np.sqrt(0.5 * np.pi / 5.0)))
