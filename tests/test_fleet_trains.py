@@ -242,6 +242,11 @@ def test_of_two_trains_none_is_called_unlike_the_other_and_this_is_stated(tmp_pa
     found = fleet_trains(drawn_fleet(pool("flirt"), 13, trains=2, trips=10, faults=(fault,)))
     assert found.unlike.findings == ()
     assert all(np.isnan(each.constant) for each in found.unlike.limits)
+    rows = records(trains_table(found).renderables[1])
+    assert all(row["against_kind"] is None for row in rows)
+    assert [type(row["trips"]) for row in rows] == [int] * 3
+    alone = found.only("flirt-01").unlike.train_months
+    assert alone == pytest.approx(0.5 * found.unlike.train_months, rel=0.1)
     for shown in (found, found.only("flirt-01")):
         assert "Too few trains of kind flirt (2)" in shown.too_few
         assert trains_table(shown).renderables[0] == shown.too_few
@@ -250,6 +255,32 @@ def test_of_two_trains_none_is_called_unlike_the_other_and_this_is_stated(tmp_pa
     drawn = path.read_text("utf-8")
     assert "Too few trains of kind flirt (2)" in drawn
     assert "unlike the others" not in drawn
+
+
+@pytest.mark.parametrize(
+    ("kind", "what", "size", "trips", "since"),
+    [
+        ("flirt", "dragging brake", 4e3, 18, 9),
+        ("kiss", "effort gain", 0.1, 18, 9),
+        ("virm", "wheel diameter", 0.03, 7, 4),
+    ],
+)
+def test_a_gross_fault_of_one_of_two_trains_does_not_hide_itself_in_the_noise(
+    kind: str, what: str, size: float, trips: int, since: int
+) -> None:
+    fault = Fault(what, size, 1, since)
+    found = fleet_trains(drawn_fleet(pool(kind), 37, trains=2, trips=trips, faults=(fault,)))
+    (finding,) = found.unlike.findings
+    named = {each.what for each in (finding.explanation.cause, *finding.explanation.others)}
+    assert (finding.train, finding.against) == (f"{kind}-02", "own past")
+    assert what in named
+    assert int(finding.trip[-5:]) == since
+    healthy = fleet_trains(drawn_fleet(pool(kind), 37, trains=2, trips=trips)).unlike
+    limits = {(each.train, each.channel): each.change for each in healthy.limits}
+    for each in found.unlike.limits:
+        # The fault does not make the noise by which it is judged.
+        if np.isfinite(each.change):
+            assert each.change < 1.25 * limits[each.train, each.channel] + 1e-9
 
 
 def test_table_and_picture_state_one_band_above_zero() -> None:
@@ -270,6 +301,7 @@ def test_table_and_picture_state_one_band_above_zero() -> None:
 def test_the_reason_for_seeing_nothing_counts_the_trips_of_the_kind() -> None:
     found = fleet_trains(drawn_fleet(pool("flirt"), 13, trains=2, trips=2))
     reasons = {each.channel: each.reason for each in found.unlike.limits}
+    assert reasons["effort gain"] == "only 4 trips of the kind with recorded load, fewer than 8"
     assert reasons["constant resistance"] == "only 4 trips of the kind, fewer than 8"
     assert reasons["size of the curve"] == "only 4 trips of the kind, fewer than 8"
 

@@ -235,7 +235,6 @@ def series_of(
         Group(line, lines, None, relative[0] ** 2 * unit, PRIOR),
     )
 
-
     def fitted(level: IntArray) -> MixedEffects:
         trains = Group(level, int(level.max()) + 1, None, unit, PRIOR, heavy=True)
         return mixed_effects(y, v, (trains, *others), relative[0] ** 2 * unit, PRIOR)
@@ -301,7 +300,9 @@ def _without_outliers(value: FloatArray) -> FloatArray:
     """Values, those far from the median of their neighbours drawn in."""
     near = pd.Series(value).rolling(5, center=True, min_periods=1).median().to_numpy()
     apart = value - near
-    reach = OUTLYING * 1.4826 * float(np.median(np.abs(apart[apart != 0.0]))) if apart.any() else 0.0
+    reach = (
+        OUTLYING * 1.4826 * float(np.median(np.abs(apart[apart != 0.0]))) if apart.any() else 0.0
+    )
     return np.asarray(near + np.clip(apart, -reach, reach))
 
 

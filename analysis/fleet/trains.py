@@ -15,7 +15,13 @@ from analysis.fleet.resistance import (
     drives_of,
     fleet_resistance,
 )
-from analysis.fleet.unlike import FALSE_ALARMS, Finding, UnlikeTrains, unlike_trains
+from analysis.fleet.unlike import (
+    FALSE_ALARMS,
+    Finding,
+    UnlikeTrains,
+    months_of,
+    unlike_trains,
+)
 from trainlog.errors import InputError
 
 if TYPE_CHECKING:
@@ -85,6 +91,11 @@ class FleetTrains:
             self.unlike,
             findings=self.of(train),
             limits=tuple(each for each in self.unlike.limits if each.train == train),
+            train_months=sum(
+                months_of(rows["start"][rows["train"] == train])
+                for rows in self.trips.values()
+                if (rows["train"] == train).any()
+            ),
         )
         drift = tuple(
             each for each in self.drift if each.kind in names and each.train in ("", train)

@@ -51,14 +51,15 @@ def _cells(found: FleetTrains, kind: KindResistance, train: TrainResistance) -> 
         trend = _drift(found, "", kind.kind, "size of the curve")
         wheels = _drift(found, "", kind.kind, "speed scale")
         name = f"another {kind.kind}"
-        return name, kind.kind, 0.0, Band(value, std), Band(0.0, std / mean), trend, wheels, ""
+        against = Band(0.0, std / mean) if kind.compared else None
+        return name, kind.kind, 0, Band(value, std), against, trend, wheels, ""
     what = ", ".join(each.what for each in found.of(train.train))
     return (
         train.train,
         kind.kind,
-        float(train.trips),
+        train.trips,
         Band(value, std),
-        Band(value / mean - 1.0, std / mean),
+        Band(value / mean - 1.0, std / mean) if kind.compared else None,
         _drift(found, train.train, kind.kind, "size of the curve"),
         _drift(found, train.train, kind.kind, "speed scale"),
         what,
@@ -98,7 +99,7 @@ def findings_table(found: FleetTrains) -> WordTable:
             cause,
             f"{each.since:%Y-%m-%d %H:%M}",
             each.trip,
-            float(each.trips),
+            each.trips,
             each.against,
             Said(each.p, f"{each.p:.0e}"),
         )
@@ -139,7 +140,10 @@ def limits_table(found: FleetTrains) -> WordTable:
             )
             table.add_cells(kind.kind, name, change, constant, reason)
     table.caption_justify = "left"
-    table.caption = "Smaller ones would not be seen: of the train on which least is, 9 times in 10."
+    table.caption = (
+        "A fault of this size is seen in 9 of 10 cases, on the train of the kind that shows it"
+        " least."
+    )
     return table
 
 

@@ -216,12 +216,16 @@ def unlike_trains(
         every[kind.kind] = found
         shown = {name: int(np.isfinite(value).sum()) for name, (value, _) in table.items()}
         for train, rows in trips.groupby("train", sort=True):
-            start = rows["start"]
-            months += max(float((start.max() - start.min()) / MONTH), 1.0 / 30.0)
+            months += months_of(rows["start"])
             watch = _Watch(str(train), kind, trips, found, rate)
             findings += watch.findings()
             limits += watch.limits(shown)
     return UnlikeTrains(tuple(findings), tuple(limits), rate, months, every)
+
+
+def months_of(start: pd.Series) -> float:
+    """Months that the trips of a train span; a day at least."""
+    return max(float((start.max() - start.min()) / MONTH), 1.0 / 30.0)
 
 
 class _Watch:
@@ -402,7 +406,8 @@ class _Watch:
                 reason = _missing(name)
                 if one is None and shown[name]:
                     trips = counted(shown[name], "trip")
-                    reason = f"only {trips} of the kind, fewer than {FEWEST_TRIPS}"
+                    which = " with recorded load" if name == "effort gain" else ""
+                    reason = f"only {trips} of the kind{which}, fewer than {FEWEST_TRIPS}"
                 found.append(Limit(self.train, name, channel.unit, np.nan, np.nan, reason))
                 continue
             std = float(np.median(one.std))
