@@ -19,9 +19,14 @@ from sqlalchemy.dialects import postgresql
 from synthetic_trips import synthetic_entry
 
 from trainlog.catalogue import Catalogue, open_catalogue
+from trainlog.catalogue.days import times_of
 from trainlog.catalogue.schema import metadata
 from trainlog.catalogue.where import condition_of
+from trainlog.cli.options import lasting_change, moment
 from trainlog.errors import InputError
+from trainlog.simulation import Fault
+from trainlog.simulation.rail import midnight
+from trainlog.spans import utc
 
 TRIPS = 120
 ENTRIES = [synthetic_entry(number, trains=6, days=400) for number in range(TRIPS)]
@@ -326,3 +331,33 @@ def test_times_without_a_zone_are_of_the_zone_that_is_given(
             assert sorted(found["name"]) == sorted(FRAME["name"][local == day])
         with pytest.raises(InputError, match="zone"):
             catalogue.query("start = '2026-01-01'", zone="Nowhere/There")
+
+
+@pytest.mark.parametrize(
+    "text", ["04.10.2026", "13.10.2026", "10/05/2026", "06.10.26", "5 Oct 2026", "2026-13-10"]
+)
+def test_a_day_whose_numbers_are_ambiguous_is_refused_wherever_a_time_is_given(text: str) -> None:
+    askers: list[Callable[[], object]] = [
+        lambda: condition_of(f"start >= '{text}'"),
+        lambda: times_of(text),
+        lambda: utc(text),
+        lambda: moment(text, "Europe/Zurich"),
+        lambda: midnight(text),
+        lambda: Fault.of(f"train=a,resistance=1.1,from={text}"),
+        lambda: lasting_change(f"km=1:2,date={text},factor=1.3"),
+    ]
+    for ask in askers:
+        with pytest.raises(InputError) as refused:
+            ask()
+        assert text in str(refused.value)
+        assert "2026-10-" in str(refused.value)
+    assert utc("2026-10-04") == utc("2026-10-04T01:00+01:00") == utc("20261004T00Z")
+
+
+def test_an_unknown_zone_is_named_with_those_written_nearly_so() -> None:
+    for ask in (times_of, moment):
+        with pytest.raises(InputError, match="'Europe/Zuerich' is no time zone") as refused:
+            ask("2026-10-04", "Europe/Zuerich")
+        assert "'Europe/Zurich'" in str(refused.value)
+    with pytest.raises(InputError, match="zone 'Europe/Zurich'"):
+        times_of("2026-03-29T02:30", "Europe/Zurich")

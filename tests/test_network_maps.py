@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 import trainlog
 from analysis.adhesion.updating import update_map
 from analysis.network.map_scores import score_network, score_network_on
+from analysis.network.map_table import network_rows
 from analysis.network.maps import (
     NetworkMap,
     edge_map_path,
@@ -21,6 +22,8 @@ from analysis.network.maps import (
     network_map,
     update_network_map,
 )
+from analysis.reports.fleet_condition import condition_parts
+from analysis.tables import WordTable, records
 from trainlog.cli.main import app
 from trainlog.errors import InputError
 from trainlog.formats.files import sha256_of
@@ -205,3 +208,26 @@ def test_commands_take_a_folder_of_maps(maps: Path, tmp_path: Path) -> None:
     assert run.exit_code == 0, run.output
     assert "network cut" in run.output
     assert "west/old" in run.output
+
+
+def test_a_report_and_the_command_state_one_band_of_the_evidence_before_a_time(
+    maps: Path,
+) -> None:
+    last = max(int(track.days[-1]) for track in network_map(maps).maps.values())
+    for day in (last, last + 1):
+        at = pd.Timestamp(day, unit="D", tz="UTC")
+        rows = network_rows(network_map(maps).known_before(at), at)
+        lowest = min((row for row in rows if "lowest" in row), key=lambda row: row["lowest"])
+        (table,) = (
+            part
+            for part in condition_parts(maps, None, at)
+            if isinstance(part, WordTable) and part.name == "lowest_wet"
+        )
+        first = records(table)[0]
+        assert (first["edge"], first["expected"]) == (
+            lowest["edge"],
+            pytest.approx(lowest["lowest"]),
+        )
+        low, high = lowest["lowest_band"]
+        assert first["95_band"] == f"{low:.3f} to {high:.3f}"
+        assert low < lowest["lowest"] < high

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -31,8 +32,17 @@ def runs_of(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
-def utc(time: Any) -> pd.Timestamp:
-    """A time in UTC, to the nanosecond; one without a time zone is UTC already.
+_ISO = re.compile(
+    r"\d{4}(-?)\d{2}\1\d{2}([T ]\d{2}(:?\d{2}(:?\d{2}([.,]\d+)?)?)?\s?(Z|[-+]\d{2}(:?\d{2})?)?)?",
+    re.IGNORECASE,
+)
+"""What a time is written as, after ISO 8601: the day, the time of day, and its zone."""
+
+
+def stamp_of(time: Any) -> pd.Timestamp:
+    """A time as a stamp, in its own zone if it states one; a text is read by ISO 8601 alone.
+
+    Of 04.10.2026 or 10/05/2026 nothing says which number is the day: they are refused.
 
     Raises
     ------
@@ -41,18 +51,77 @@ def utc(time: Any) -> pd.Timestamp:
 
     Examples
     --------
+    >>> stamp_of("2026-10-04").day
+    4
+    >>> stamp_of("04.10.2026")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: '04.10.2026' is not a time (write it as 2026-10-01 or 2026-10-01...
+    """
+    try:
+        if isinstance(time, str):
+            text = time.strip()
+            if _ISO.fullmatch(text) is None:
+                raise ValueError("not of ISO 8601")
+            stamp = pd.to_datetime(text, format="ISO8601")
+        else:
+            stamp = pd.Timestamp(time)
+        if pd.isna(stamp):
+            raise ValueError("no time")
+        return stamp
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"'{time}' is not a time", remedy="write it as 2026-10-01 or 2026-10-01T06:30Z"
+        ) from error
+
+
+def check_zone(name: str) -> None:
+    """Refuse the name of a time zone that is not known.
+
+    Raises
+    ------
+    InputError
+        Names the zones that are written nearly so.
+
+    Examples
+    --------
+    >>> check_zone("Europe/Zurich")
+    >>> check_zone("Europe/Zuerich")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: 'Europe/Zuerich' is no time zone (did you mean 'Europe/Zurich'?)
+    """
+    try:
+        pd.Timestamp(0, tz=name)
+    except (KeyError, ValueError, TypeError, OSError) as error:
+        from difflib import get_close_matches
+        from zoneinfo import available_timezones
+
+        folded = {each.casefold(): each for each in sorted(available_timezones())}
+        close = [folded[each] for each in get_close_matches(name.casefold(), folded, n=3)]
+        near = " or ".join(f"'{each}'" for each in close)
+        remedy = f"did you mean {near}?" if close else "name it as Europe/Zurich"
+        raise InputError(f"'{name}' is no time zone", remedy=remedy) from error
+
+
+def utc(time: Any) -> pd.Timestamp:
+    """A time in UTC, to the nanosecond; one without a time zone is UTC already.
+
+    Raises
+    ------
+    InputError
+        If it is no time, see `stamp_of`.
+
+    Examples
+    --------
     >>> utc("2024-05-01 08:00+02:00").isoformat()
     '2024-05-01T06:00:00+00:00'
     """
+    stamp = stamp_of(time)
     try:
-        stamp = pd.Timestamp(time)
-        if pd.isna(stamp):
-            raise ValueError("no time")
         aware = stamp.tz_localize("UTC") if stamp.tzinfo is None else stamp.tz_convert("UTC")
         return aware.as_unit("ns")
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
-            f"'{time}' is not a time", remedy="write it as 2024-05-01T06:00:00Z"
+            f"'{time}' is not a time that time stamps reach", remedy="give one from 1678 to 2261"
         ) from error
 
 

@@ -9,15 +9,13 @@ import numpy as np
 import pandas as pd
 from rich.table import Table
 
+from analysis.adhesion.condition_table import shown
 from analysis.network.maps import NetworkMap
 from analysis.network.plot import AlongEdge, draw_network
 from analysis.tables import new_table
 from trainlog.errors import InputError
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.network import Network
-
-BAND = 1.96
-"""Standard deviations of the ends of a 95 % band."""
 
 PIECES, LEAST_PIECE = 200.0, 100.0
 """Of the length of a network in a picture, and how long they are at least [m]: what is shorter
@@ -72,16 +70,14 @@ def network_rows(
                 "length_m": track.length,
             }
             if seen.any():
-                middle, std = expected.log_mean, expected.log_std
+                middle = expected.log_mean
+                _, *ends = shown(expected)
                 lowest = int(np.flatnonzero(seen)[np.argmin(middle[seen])])
                 row |= {
                     "expected": float(np.exp(np.mean(middle[seen]))),
                     "lowest": float(np.exp(middle[lowest])),
                     "lowest_at_m": float(track.centres[lowest]),
-                    "lowest_band": [
-                        float(np.exp(middle[lowest] + sign * BAND * std[lowest]))
-                        for sign in (-1.0, 1.0)
-                    ],
+                    "lowest_band": [float(each[lowest]) for each in ends],
                 }
             rows.append(row)
     return rows

@@ -14,6 +14,7 @@ from analysis.adhesion.condition_table import bins_table
 from analysis.reports.page import Part, Warned
 from analysis.reports.pictures import drawn
 from analysis.tables import NUMBER, POSITION, SHARE, Column, Quantity, WordTable, new_table
+from trainlog.condition import known_before
 from trainlog.display import counted
 from trainlog.errors import TrainlogError
 from trainlog.formats.condition import read_map
@@ -42,7 +43,7 @@ def condition_parts(
     network : Network, optional
         On which it is drawn.
     at : Timestamp, optional
-        Default: a day after the last evidence.
+        Only evidence of days before its day counts (UTC). Default: right after the last evidence.
     """
     paths = sorted(folder.glob("[!.]*.map")) if folder.is_dir() else []
     if not paths:
@@ -63,11 +64,14 @@ def condition_parts(
     )
     if at is None:
         at = pd.Timestamp(last + 1, unit="D", tz="UTC")
+    day = at.timestamp() // 86_400
+    tracks = [known_before(each, at) for each in tracks if each.days.size and each.days[0] < day]
     tables = [
         bins_table(track, None, at).assign(edge=track.line) for track in tracks if track.layers
     ]
     if not tables:
-        return [*bad, "The maps hold no evidence yet."]
+        before = f" of days before {at:%Y-%m-%d}" if 0 <= day <= last else ""
+        return [*bad, f"The maps hold no evidence{before} yet."]
     bins = pd.concat(tables, ignore_index=True)
     layers = sorted(bins["layer"].unique())
     span = (0.0, max(0.3, float(bins["expected"].max(skipna=True))))

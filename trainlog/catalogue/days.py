@@ -8,9 +8,9 @@ from typing import Any
 import pandas as pd
 
 from trainlog.errors import InputError
-from trainlog.spans import utc
+from trainlog.spans import check_zone, stamp_of, utc
 
-_DAY = re.compile(r"\d{4}-\d{2}-\d{2}")
+_DAY = re.compile(r"\d{4}-\d{2}-\d{2}|\d{8}")
 
 
 def times_of(text: Any, zone: str | None = None) -> tuple[int, int]:
@@ -18,14 +18,15 @@ def times_of(text: Any, zone: str | None = None) -> tuple[int, int]:
 
     Parameters
     ----------
-    text : anything that `pandas.Timestamp` takes
+    text : str, or anything that `pandas.Timestamp` takes
+        A text as 2026-10-01 or 2026-10-01T06:30Z, see `trainlog.spans.stamp_of`.
     zone : str, optional
         Of a time that states none; default UTC.
 
     Raises
     ------
     InputError
-        If it is no time.
+        If it is no time, the zone is unknown, or the time is skipped or comes twice there.
 
     Examples
     --------
@@ -35,9 +36,11 @@ def times_of(text: Any, zone: str | None = None) -> tuple[int, int]:
     >>> times_of("2026-10-25", "Europe/Zurich")[0] == times_of("2026-10-24T22:00Z")[0]
     True
     """
-    day = isinstance(text, str) and _DAY.fullmatch(text) is not None
+    day = isinstance(text, str) and _DAY.fullmatch(text.strip()) is not None
+    if zone is not None:
+        check_zone(zone)
+    stamp = stamp_of(text)
     try:
-        stamp = pd.Timestamp(text)
         if stamp.tzinfo is None and zone is not None:
             following = (stamp + pd.Timedelta(days=1)).tz_localize(zone)
             stamp = stamp.tz_localize(zone)
@@ -45,8 +48,8 @@ def times_of(text: Any, zone: str | None = None) -> tuple[int, int]:
             following = stamp + pd.Timedelta(days=1)
     except (ValueError, TypeError, KeyError, OverflowError) as error:
         raise InputError(
-            f"'{text}' is not a time{f' in the zone {zone!r}' if zone else ''}",
-            remedy="write it as 2026-10-01 or 2026-10-01T06:30Z",
+            f"'{text}' is not one time in the zone '{zone}'" if zone else f"'{text}' is not a time",
+            remedy="write it as 2026-10-01T06:30Z, or with another offset",
         ) from error
     first = int(utc(stamp).value)
     return first, int(utc(following).value) - 1 if day else first

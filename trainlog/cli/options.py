@@ -203,9 +203,8 @@ def lasting_change(word: str, line: Line | None = None) -> Change:
     InputError
         If the text is not of that form.
     """
-    import pandas as pd
-
     from trainlog.simulation import Change
+    from trainlog.spans import utc
 
     remedy = "write it as km=10:14,date=2026-10-15,factor=1.3"
     given: dict[str, str] = {}
@@ -221,12 +220,11 @@ def lasting_change(word: str, line: Line | None = None) -> Change:
     if km is None or km[0] is None or km[1] is None:
         raise InputError(f"change '{word}': km needs both ends", remedy=remedy)
     try:
-        when = pd.Timestamp(given["date"])
+        when = utc(given["date"])
         factor, spots = (float(given.get(name, "1")) for name in ("factor", "spots"))
-    except ValueError:
+    except (ValueError, InputError):
         raise InputError(f"change '{word}' has no such date or number", remedy=remedy) from None
-    when = when.tz_localize("UTC") if when.tz is None else when
-    return Change(km[0], km[1], int(when.as_unit("ns").value), factor, spots)
+    return Change(km[0], km[1], int(when.value), factor, spots)
 
 
 def _moment(
@@ -272,14 +270,15 @@ def moment(at: str | None, zone: str | None) -> pd.Timestamp | None:
     """
     if at is None:
         return None
-    import pandas as pd
+    from trainlog.spans import check_zone, stamp_of, utc
 
-    from trainlog.spans import utc
-
-    if zone is None or not _zoneless(at):
-        return utc(at)
+    if zone is not None:
+        check_zone(zone)
+    stamp = stamp_of(at)
+    if zone is None or stamp.tzinfo is not None:
+        return utc(stamp)
     try:
-        return utc(pd.Timestamp(at).tz_localize(zone))
+        return utc(stamp.tz_localize(zone))
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"'{at}' is not one time in the zone '{zone}'",
@@ -295,11 +294,11 @@ def zone_assumed(at: str | None, zone: str | None) -> str:
 
 
 def _zoneless(at: str) -> bool:
-    import pandas as pd
+    from trainlog.spans import stamp_of
 
     try:
-        return pd.Timestamp(at).tzinfo is None
-    except ValueError:
+        return stamp_of(at).tzinfo is None
+    except InputError:
         return False
 
 

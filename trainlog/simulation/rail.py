@@ -25,6 +25,7 @@ from trainlog.railway import Line, StepProfile
 from trainlog.railway.condition import BIN_LENGTH
 from trainlog.railway.weather import MILLIMETRE_PER_HOUR, Conditions, Weather
 from trainlog.simulation.weather import HOUR, DrawnWeather, draw_weather
+from trainlog.spans import utc
 from trainlog.units import DAY, NANOSECONDS
 
 FloatArray = NDArray[np.float64]
@@ -463,10 +464,9 @@ def _profile(logarithm: FloatArray) -> StepProfile:
 def midnight(date: int | str | pd.Timestamp) -> int:
     """The beginning of a day in UTC [ns since 1970 UTC]; a date without a zone is one in UTC."""
     try:
-        stamp = pd.Timestamp(date)
-    except ValueError:
+        stamp = utc(date)
+    except InputError:
         raise InputError(f"'{date}' is no date", remedy="give it as 2026-10-01") from None
-    stamp = stamp.tz_localize("UTC") if stamp.tz is None else stamp.tz_convert("UTC")
     return int(stamp.normalize().as_unit("ns").value)
 
 

@@ -29,6 +29,7 @@ from trainlog.formats.train import read_train
 from trainlog.railway import EffortCurve, RunningResistance, Train
 from trainlog.railway.train import Axles, Brake
 from trainlog.simulation.sensors import Sensors
+from trainlog.spans import utc
 from trainlog.units import DAY, KMH
 
 FloatArray = NDArray[np.float64]
@@ -163,10 +164,8 @@ class Fault:
             raise InputError(f"fault '{words}' needs a train, one fault and from", remedy=remedy)
         kind = known[faults[0]]
         try:
-            stamp = pd.Timestamp(given["from"])
-            stamp = stamp.tz_localize("UTC") if stamp.tz is None else stamp.tz_convert("UTC")
-            start = int(stamp.as_unit("ns").value)
-        except ValueError:
+            start = int(utc(given["from"]).value)
+        except InputError:
             raise InputError(
                 f"fault '{words}': '{given['from']}' is no date", remedy=remedy
             ) from None
