@@ -36,7 +36,14 @@ from analysis.fleet.analyses import ANALYSES, FleetAnalysis
 from analysis.fleet.codes import code_of
 from analysis.fleet.maps import maps_folder, update_maps
 from analysis.fleet.table import problems_table
-from analysis.fleet.update import FleetUpdate, UpdateOptions, fleet_status, update_fleet
+from analysis.fleet.update import (
+    FleetUpdate,
+    Problem,
+    UpdateOptions,
+    fleet_status,
+    update_fleet,
+)
+from analysis.tables import records
 from trainlog import version
 from trainlog.catalogue import Catalogue, open_catalogue
 from trainlog.cli import main as cli
@@ -306,6 +313,35 @@ def test_the_command_states_what_it_did(place: Path, capsys: pytest.CaptureFixtu
     assert cli.run(["fleet", "status", *known]) == 0
     (state,) = json.loads(capsys.readouterr().out)["analyses"]
     assert (state["pending"], state["done"]) == (0, counts["done"])
+
+
+def test_trips_whose_logs_are_gone_are_counted_apart(
+    place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, *_ = sorted((tmp_path / "logs").rglob("*.mcap"))
+    first.unlink()
+    with open_catalogue(place) as catalogue:
+        catalogue.refresh()
+        assert fleet_status(catalogue, ["checks"]).gone == catalogue.gone() == 1
+    known = ["--catalogue", str(place), "--analysis", "checks"]
+    assert cli.run(["fleet", "status", *known]) == 0
+    assert "1 trip: its log is gone" in capsys.readouterr().out
+    assert cli.run(["fleet", "status", *known, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["gone"] == 1
+    assert cli.run(["fleet", "update", "--workers", "0", *known]) == 0
+    out = capsys.readouterr().out
+    assert f"{TRIPS - 1} trips to compute; 1 trip: its log is gone" in out
+    assert cli.run(["fleet", "update", "--workers", "0", *known, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["gone"] == 1
+
+
+def test_a_trip_without_a_result_is_listed_by_its_name_with_that_of_its_file() -> None:
+    about = ("resistance", "refused", "trip 'flirt-01' is short")
+    named = Problem("key", "/logs/trunc.mcap", *about, "flirt-01")
+    shown = records(problems_table([named]))
+    assert shown[0]["trip"] == "flirt-01 (trunc.mcap)"
+    alike = replace(named, path="/logs/flirt-01.mcap")
+    assert records(problems_table([alike]))[0]["trip"] == "flirt-01"
 
 
 # ---------------------------------------------------------------------------------------- maps

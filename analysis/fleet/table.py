@@ -79,7 +79,11 @@ def form_of_reason(reason: str) -> str:
 
 
 def _trip_of(problem: Problem) -> str:
-    return problem.name or Path(problem.path).stem or problem.key[:12]
+    """The trip by its name, with that of its file where it is another."""
+    path = Path(problem.path)
+    if problem.name and problem.path and path.stem != problem.name:
+        return f"{problem.name} ({path.name})"
+    return problem.name or path.stem or problem.key[:12]
 
 
 def _analyses_of(group: Sequence[Problem]) -> str:

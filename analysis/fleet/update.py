@@ -112,6 +112,8 @@ class FleetUpdate:
         The first of them.
     unread : int
         Trips whose logs no worker could read.
+    gone : int
+        Trips whose logs have all vanished: nothing more can be computed of them.
     engine : str
     workers : int
     seconds, worker_seconds : float [s]
@@ -129,6 +131,7 @@ class FleetUpdate:
     trips: int = 0
     problems: list[Problem] = field(default_factory=list)
     unread: int = 0
+    gone: int = 0
     engine: str = ""
     workers: int = 0
     seconds: float = 0.0
@@ -159,12 +162,14 @@ class FleetUpdate:
     def sentence(self) -> str:
         """The update in one sentence."""
         if not self.trips and not self.unread:
-            return "nothing new"
+            return f"nothing new; {gone_words(self.gone)}" if self.gone else "nothing new"
         words = f"{counted(self.trips, 'trip')} computed in {self.seconds:.1f} s"
         if self.workers:
             words += f" by {self.engine}, {counted(self.workers, 'worker')}"
         if self.unread:
             words += f"; the logs of {counted(self.unread, 'trip')} could not be read"
+        if self.gone:
+            words += f"; {gone_words(self.gone)}"
         if self.maps is not None and self.maps.trips:
             words += f"; {counted(len(self.maps.edges), 'map')} brought up to date"
         return words
@@ -179,6 +184,7 @@ class FleetUpdate:
         return {
             "trips": self.trips,
             "unread": self.unread,
+            "gone": self.gone,
             "engine": self.engine,
             "workers": self.workers,
             "seconds_s": self.seconds,
@@ -321,6 +327,7 @@ class _Asked(NamedTuple):
     key: str
     sha256: str
     path: str
+    name: str | None
 
 
 class _Update:
@@ -358,6 +365,7 @@ class _Update:
             counts.pending = known.pop("pending")
             counts.known = sum(known.values())
             waiting.append(counts.pending)
+        self.found.gone = self.catalogue.gone(self.options.where)
         # Mostly the same trips wait for all: of more than one analysis this is a lower bound.
         self.total = max(waiting, default=0)
 
@@ -407,7 +415,7 @@ class _Update:
             asked = [n for n, head in enumerate(heads) if head is not None and head.key == key]
             first = heads[asked[0]]
             assert first is not None
-            yield Job(key, first.sha256, first.path, tuple(asked))
+            yield Job(key, first.sha256, first.path, tuple(asked), first.name or "")
             for number in asked:
                 heads[number] = next(waiting[number], None)
 
@@ -433,7 +441,7 @@ class _Update:
         from trainlog.catalogue import ResultOutcome
 
         self._check_code(result)
-        paths = {job.key: job.path for job in batch.jobs}
+        jobs = {job.key: job for job in batch.jobs}
         for number, analysis in enumerate(self.analyses):
             given: list[Outcome] = result.outcomes[number]
             if not given:
@@ -448,11 +456,12 @@ class _Update:
                 setattr(counts, each.state, getattr(counts, each.state) + 1)
                 counts.pending -= 1
                 if each.state != "done":
-                    reason, path = each.reason, paths[each.key]
-                    self._add(Problem(each.key, path, analysis.name, each.state, reason))
+                    job, why = jobs[each.key], (each.state, each.reason)
+                    self._add(Problem(each.key, job.path, analysis.name, *why, job.name))
         for missing in result.unread:
             self.found.unread += 1
-            self._add(Problem(missing.key, missing.path, "", "unread", missing.reason))
+            name = jobs[missing.key].name
+            self._add(Problem(missing.key, missing.path, "", "unread", missing.reason, name))
         self.found.trips += len(batch.jobs) - len(result.unread)
         self.found.worker_seconds += result.seconds
         if result.ended:
@@ -506,6 +515,19 @@ def _size(path: str) -> int:
         return 0
 
 
+def gone_words(number: int) -> str:
+    """That the logs of so many trips have vanished, and what to do.
+
+    Examples
+    --------
+    >>> gone_words(2)
+    "2 trips: their logs are gone ('trainlog catalogue refresh FOLDER' finds those that moved)"
+    """
+    whose = "its log is" if number == 1 else "their logs are"
+    moved = "'trainlog catalogue refresh FOLDER' finds those that moved"
+    return f"{counted(number, 'trip')}: {whose} gone ({moved})"
+
+
 @dataclass(frozen=True, repr=False)
 class FleetStatus:
     """What of a catalogue is computed by this code.
@@ -518,18 +540,22 @@ class FleetStatus:
         The first of those that were refused, or failed.
     results : Path
         Folder of the tables.
+    gone : int
+        Trips whose logs have all vanished; they are not among those pending.
     """
 
     analyses: dict[str, dict[str, int]]
     problems: tuple[Problem, ...]
     results: Path
+    gone: int = 0
 
     def __repr__(self) -> str:
         rows = {
             name: ", ".join(f"{number:,} {state}" for state, number in each.items() if number)
             for name, each in self.analyses.items()
         }
-        return as_text("State of a fleet", rows)
+        words = f": {gone_words(self.gone)}" if self.gone else ""
+        return as_text(f"State of a fleet{words}", rows)
 
     @property
     def pending(self) -> int:
@@ -541,6 +567,7 @@ class FleetStatus:
         return {
             "analyses": [{"analysis": name, **each} for name, each in self.analyses.items()],
             "problems": [asdict(each) for each in self.problems],
+            "gone": self.gone,
             "results": str(self.results),
         }
 
@@ -584,4 +611,5 @@ def fleet_status(
             Problem(key, path or "", analysis.name, state, reason, name or "")
             for key, name, path, state, reason in listed.to_numpy().tolist()
         ]
-    return FleetStatus(found, tuple(problems), catalogue.results_folder)
+    gone = catalogue.gone(where)
+    return FleetStatus(found, tuple(problems), catalogue.results_folder, gone)

@@ -47,12 +47,15 @@ class Job(NamedTuple):
         Of the trip in the catalogue, and of its log.
     analyses : tuple of int
         Numbers of the analyses that are asked for, among those of the batch.
+    name : str
+        Of the trip; empty where it states none.
     """
 
     key: str
     sha256: str
     path: str
     analyses: tuple[int, ...]
+    name: str = ""
 
 
 @dataclass(frozen=True)

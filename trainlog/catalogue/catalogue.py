@@ -398,7 +398,7 @@ class Catalogue:
         Returns
         -------
         DataFrame
-            With the columns ``key``, ``sha256`` and ``path``.
+            With the columns ``key``, ``sha256``, ``path`` and ``name``.
         """
         condition = condition_of(where)
         return stored.pending(self._database, analysis, code, parameters, condition, page)
@@ -417,6 +417,18 @@ class Catalogue:
         """
         condition = condition_of(where)
         return stored.standing(self._database, analysis, code, parameters, condition)
+
+    def gone(self, where: str | None = None) -> int:
+        """How many trips that count have no log any more: all of their files have vanished.
+
+        Nothing more can be computed of them; what was computed stays.
+
+        Parameters
+        ----------
+        where : str, optional
+            Only of the trips that this expression chooses.
+        """
+        return stored.gone(self._database, condition_of(where))
 
     def problems(
         self,

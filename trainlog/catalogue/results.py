@@ -153,13 +153,14 @@ def pending(
     )
     with database.reading() as connection:
         number = computation_id(connection, analysis, code, parameters)
-        asked = sa.select(trips.c.key, trips.c.sha256, path.label("path")).where(
+        columns = (trips.c.key, trips.c.sha256, path.label("path"), trips.c.name)
+        asked = sa.select(*columns).where(
             *_unmade(number), *([] if condition is None else [condition])
         )
         if page is not None:
             asked = asked.where(trips.c.key > page[0]).limit(page[1])
         rows = connection.execute(asked.order_by(trips.c.key)).all()
-    return pd.DataFrame(columns_of(rows, ["key", "sha256", "path"]), dtype=object)
+    return pd.DataFrame(columns_of(rows, ["key", "sha256", "path", "name"]), dtype=object)
 
 
 def _unmade(computation: int | None) -> list[sa.ColumnElement[bool]]:
@@ -167,8 +168,21 @@ def _unmade(computation: int | None) -> list[sa.ColumnElement[bool]]:
     made = sa.exists().where(
         results.c.computation == (computation or -1), results.c.trip == trips.c.id
     )
-    there = sa.exists().where(files.c.trip == trips.c.id, files.c.state == "present")
-    return [trips.c.standing == "counts", ~made, there]
+    return [trips.c.standing == "counts", ~made, _there()]
+
+
+def _there() -> sa.ColumnElement[bool]:
+    """Whether a log of a trip is present."""
+    return sa.exists().where(files.c.trip == trips.c.id, files.c.state == "present")
+
+
+def gone(database: Database, condition: sa.ColumnElement[bool] | None) -> int:
+    """How many trips that count have no log any more; see `Catalogue.gone`."""
+    also = [] if condition is None else [condition]
+    asked = sa.select(sa.func.count()).select_from(trips)
+    with database.reading() as connection:
+        found = connection.execute(asked.where(trips.c.standing == "counts", ~_there(), *also))
+        return int(found.scalar_one())
 
 
 def standing(

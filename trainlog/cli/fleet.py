@@ -84,7 +84,7 @@ def fleet_update(
     Example: trainlog fleet update --workers 2
     """
     from analysis.fleet.table import problems_table, update_table
-    from analysis.fleet.update import FIRST, UpdateOptions, fleet_status, update_fleet
+    from analysis.fleet.update import FIRST, UpdateOptions, fleet_status, gone_words, update_fleet
     from trainlog.catalogue import open_catalogue
 
     options = UpdateOptions(workers, scheduler, mpi, batch=batch, where=trips, retry=retry)
@@ -96,9 +96,10 @@ def fleet_update(
         seen.add(problem.key)
 
     with open_catalogue(catalogue, create=False) as opened:
-        pending = fleet_status(opened, analyses, where=trips, most=0).pending
-        if pending and not current().as_json:
-            words = f"{counted(pending, 'trip')} to compute; {FIRST}"
+        before = fleet_status(opened, analyses, where=trips, most=0)
+        if before.pending and not current().as_json:
+            gone = f"; {gone_words(before.gone)}" if before.gone else ""
+            words = f"{counted(before.pending, 'trip')} to compute{gone}; {FIRST}"
             console.print(words, highlight=False, soft_wrap=True)
         current().finished = lambda: "each batch that was finished is kept; update again"
         found = update_fleet(opened, analyses, options, report)
@@ -130,7 +131,7 @@ def fleet_status(
     Example: trainlog fleet status --problems
     """
     from analysis.fleet.table import problems_table, status_table
-    from analysis.fleet.update import fleet_status
+    from analysis.fleet.update import fleet_status, gone_words
     from trainlog.catalogue import open_catalogue
 
     with open_catalogue(catalogue, create=False) as opened:
@@ -138,5 +139,7 @@ def fleet_status(
     if state(found.details()):
         return
     console.print(status_table(found))
+    if found.gone:
+        console.print(gone_words(found.gone), highlight=False, soft_wrap=True)
     if problems and found.problems:
         console.print(problems_table(found.problems, most=len(found.problems)))
