@@ -20,9 +20,14 @@ from command import run
 from test_cli_help import commands
 
 import trainlog
+from analysis.fleet.trips import fleet_trips
 from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue
 from trainlog.catalogue.schema import metadata
+from trainlog.cli import main as cli
 from trainlog.errors import InputError
+from trainlog.mcap import DamageWarning, account_of
+from trainlog.mcap.records import Source
+from trainlog.mcap.scan import contents_of
 
 SAMPLES = Path("sample_logs")
 
@@ -338,6 +343,17 @@ def test_many_files_are_read_by_several_processes_with_the_same_result(
     assert held[0] == held[1]
 
 
+def test_a_path_that_does_not_exist_makes_no_catalogue(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    where = ["--catalogue", str(tmp_path / "fleet")]
+    assert cli.run(["catalogue", "add", str(tmp_path / "nowhere"), *where]) == 2
+    assert "does not exist" in capsys.readouterr().err
+    assert not (tmp_path / "fleet").exists()
+    assert cli.run(["catalogue", "list", *where]) == 2
+    assert "holds no catalogue" in capsys.readouterr().err
+
+
 def test_what_is_no_catalogue_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no catalogue"):
         open_catalogue(tmp_path / "none", create=False)
@@ -426,3 +442,32 @@ def test_commands_take_the_trips_of_an_expression(
     status, _, said = ran("check", "--trips", "all")
     assert status == 2
     assert "vanished: trip-01" in said
+
+
+def test_of_equal_recordings_the_one_without_damage_counts_and_of_copies_the_first(
+    where: Callable[[], Catalogue], tmp_path: Path
+) -> None:
+    intact = tmp_path / "named-last.mcap"
+    shutil.copy(SAMPLES / "nonstop.mcap", intact)
+    with Source(intact) as source:
+        place = contents_of(source).chunks[1].offset - 20
+    data = bytearray(intact.read_bytes())
+    # A message index, which nothing reads that goes by the summary: all messages are readable.
+    data[place] ^= 0x40
+    (tmp_path / "damaged.mcap").write_bytes(data)
+    assert not account_of(tmp_path / "damaged.mcap").whole
+    with pytest.warns(DamageWarning):
+        assert trainlog.read(tmp_path / "damaged.mcap") == trainlog.read(intact)
+    (recorded,) = fleet_trips(tmp_path / "damaged.mcap")
+    assert "fails the checksum" in recorded.damage
+    catalogue = where()
+    (alone,) = catalogue.add(tmp_path / "damaged.mcap").outcomes
+    assert "fails the checksum" in alone.damage
+    assert catalogue.query()["quality"].tolist() == ["damaged"]
+    catalogue.add(intact)
+    assert catalogue.query()["quality"].tolist() == ["whole"]
+    assert catalogue.uncounted()["path"].tolist() == [str(tmp_path / "damaged.mcap")]
+    shutil.copy(intact, tmp_path / "a-copy.mcap")
+    catalogue.add(tmp_path / "a-copy.mcap")
+    assert catalogue.query()["path"].tolist() == [str(intact)]
+    assert catalogue.pending("stops", "1")["path"].tolist() == [str(intact)]

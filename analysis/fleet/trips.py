@@ -31,8 +31,10 @@ from analysis.passports import passport
 from trainlog.errors import LogError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.identity import TripIdentity, identity_of
-from trainlog.mcap import DamageWarning, read_log, stream_log
+from trainlog.mcap import DamageWarning, account_of, read_log, stream_log
 from trainlog.mcap.reader import rows_of_log
+from trainlog.mcap.records import Source
+from trainlog.mcap.scan import checksum_holds, contents_of
 from trainlog.railway.line import Line
 from trainlog.railway.passport import Passport
 from trainlog.railway.train import Train
@@ -208,6 +210,10 @@ def _read(path: Path, span: tuple[int, int] | None) -> tuple[Trip, str]:
             damage = each.message.account.sentence
         else:
             warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+    if span is None and not damage:
+        with Source(path) as source:
+            if not checksum_holds(source, contents_of(source)):
+                damage = account_of(path).sentence
     return trip, damage
 
 

@@ -43,12 +43,10 @@ def uncounted(database: Database) -> pd.DataFrame:
     state = sa.select(files.c.path, files.c.state, files.c.reason).where(
         files.c.state.in_(("vanished", "refused"))
     )
-    first = (
-        sa.select(files.c.trip, sa.func.min(files.c.path).label("path"))
-        .where(files.c.state == "present")
-        .group_by(files.c.trip)
-        .subquery()
+    earliest = (
+        sa.select(sa.func.min(files.c.id)).where(files.c.state == "present").group_by(files.c.trip)
     )
+    first = sa.select(files.c.trip, files.c.path).where(files.c.id.in_(earliest)).subquery()
     copies = sa.select(files.c.path, first.c.path).where(
         files.c.trip == first.c.trip, files.c.state == "present", files.c.path != first.c.path
     )

@@ -16,7 +16,7 @@ from trainlog.catalogue.database import Database, columns_of
 from trainlog.catalogue.days import times_of
 from trainlog.catalogue.schema import (
     TRIP_COLUMNS,
-    files,
+    log_of_trip,
     on_line,
     trip_edges,
     trips,
@@ -75,12 +75,7 @@ def query(database: Database, limits: Limits, columns: Sequence[str] | None) -> 
             raise InputError(
                 f"'{name}' is no column of trips", remedy=f"known: {', '.join(COLUMNS)}, path"
             )
-    path = (
-        sa.select(sa.func.min(files.c.path))
-        .where(files.c.trip == trips.c.id, files.c.state == "present")
-        .scalar_subquery()
-        .label("path")
-    )
+    path = log_of_trip()
     asked = sa.select(*(path if name == "path" else trips.c[name] for name in names))
     asked = asked.where(trips.c.standing == "counts", *limits.conditions())
     with database.reading() as connection:

@@ -21,7 +21,7 @@ from trainlog.identity import COLUMNS, TripIdentity, identity_of
 from trainlog.mcap.index import Contents, MisplacedError
 from trainlog.mcap.reader import bare_trip, check_readable
 from trainlog.mcap.records import Source, in_file
-from trainlog.mcap.scan import contents_used
+from trainlog.mcap.scan import checksum_holds, contents_used, scanned
 from trainlog.mcap.selection import position_span
 from trainlog.mcap.tables import frames_in
 from trainlog.railway.kilometres import in_km
@@ -114,6 +114,9 @@ def read_file(path: str | Path) -> FileEntry:
 def read_entry(path: str | Path) -> LogEntry:
     """What the catalogue keeps of a log: from its summary, and of the samples one column.
 
+    Of a log whose checksum over all records does not hold, every record is read: what is lost is
+    known then.
+
     Raises
     ------
     LogError
@@ -129,6 +132,9 @@ def read_entry(path: str | Path) -> LogEntry:
     """
     with Source(path) as source, in_file(path):
         contents, (trip, span) = contents_used(source, lambda found: _read(source, found))
+        if not checksum_holds(source, contents):
+            contents = scanned(source)
+            trip, span = _read(source, contents)
         check_readable(contents.account)
     return _entry(trip, span, contents)
 

@@ -285,12 +285,16 @@ _ASKED = (
     trips.c.end,
     trips.c.samples,
     trips.c.messages,
+    trips.c.quality,
     trips.c.source,
     trips.c.blocks,
     trips.c.standing,
     trips.c.same_as,
     trips.c.share,
 )
+
+_QUALITIES = ("whole", "unclosed", "damaged")
+"""The better one first."""
 
 _Row = sa.RowMapping
 
@@ -299,8 +303,8 @@ def settle(connection: sa.Connection, touched: set[int]) -> None:
     """Decide which recording of each drive counts, of all drives that these trips are of.
 
     The rule is that of `trainlog.identity.same_drives`: the fullest. Of recordings that are equally
-    full one whose file is present counts, then that of the most messages. What stood before under
-    the name of another recording of the same drive is an older version of it and does not count.
+    full one whose file is present counts, then that of the most messages, then one that is not
+    damaged. What stood before under the name of another recording of the same drive is an older version of it and does not count.
     """
     if not touched:
         return
@@ -313,7 +317,12 @@ def settle(connection: sa.Connection, touched: set[int]) -> None:
         Known(
             row["name"],
             _identity(row),
-            ("present" not in states[row["id"]], -row["messages"], row["sha256"]),
+            (
+                "present" not in states[row["id"]],
+                -row["messages"],
+                _QUALITIES.index(row["quality"]),
+                row["sha256"],
+            ),
         )
         for row in rows
     ]

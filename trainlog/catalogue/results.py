@@ -19,7 +19,14 @@ import sqlalchemy as sa
 
 from trainlog.catalogue.database import columns_of
 from trainlog.catalogue.registration import parts
-from trainlog.catalogue.schema import computations, files, result_files, results, trips
+from trainlog.catalogue.schema import (
+    computations,
+    files,
+    log_of_trip,
+    result_files,
+    results,
+    trips,
+)
 from trainlog.errors import InputError
 from trainlog.formats.files import made_folder, sha256 as digest, write_bytes
 
@@ -146,14 +153,9 @@ def pending(
 
     A `page` is the key behind which it begins, and how many trips it has at most.
     """
-    path = (
-        sa.select(sa.func.min(files.c.path))
-        .where(files.c.trip == trips.c.id, files.c.state == "present")
-        .scalar_subquery()
-    )
     with database.reading() as connection:
         number = computation_id(connection, analysis, code, parameters)
-        columns = (trips.c.key, trips.c.sha256, path.label("path"), trips.c.name)
+        columns = (trips.c.key, trips.c.sha256, log_of_trip(), trips.c.name)
         asked = sa.select(*columns).where(
             *_unmade(number), *([] if condition is None else [condition])
         )
@@ -222,12 +224,7 @@ def problems(
     most: int,
 ) -> pd.DataFrame:
     """Trips that were refused or failed, with the reasons, in the order of key."""
-    path = (
-        sa.select(sa.func.min(files.c.path))
-        .where(files.c.trip == trips.c.id, files.c.state == "present")
-        .scalar_subquery()
-    )
-    columns = (trips.c.key, trips.c.name, path.label("path"), results.c.state, results.c.reason)
+    columns = (trips.c.key, trips.c.name, log_of_trip(), results.c.state, results.c.reason)
     with database.reading() as connection:
         number = computation_id(connection, analysis, code, parameters)
         asked = (

@@ -183,6 +183,12 @@ results = sa.Table(
 """One row a log, analysis, code and parameters: ``"done"``, ``"refused"`` or ``"failed"``."""
 
 
+def log_of_trip() -> Any:
+    """The path of the log of a trip, of several copies that of the first that was registered."""
+    asked = sa.select(files.c.path).where(files.c.trip == trips.c.id, files.c.state == "present")
+    return asked.order_by(files.c.id).limit(1).correlate(trips).scalar_subquery().label("path")
+
+
 def on_line(
     condition: sa.ColumnElement[bool], over: sa.ColumnElement[bool], few: bool = False
 ) -> Any:

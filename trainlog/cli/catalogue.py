@@ -85,7 +85,9 @@ def catalogue_add(
     Example: trainlog catalogue add /data/2026 --catalogue postgresql://fleet@server/trains
     """
     from trainlog.catalogue import open_catalogue
+    from trainlog.catalogue.adding import logs_below
 
+    logs_below(paths)  # a path that does not exist is named before a catalogue is made
     done = Counter[str]()
 
     def report(outcome: FileOutcome, number: int, total: int) -> None:

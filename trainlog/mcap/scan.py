@@ -103,6 +103,15 @@ def contents_used(source: Source, use: Callable[[Contents], _T]) -> tuple[Conten
         return contents, use(contents)
 
 
+def checksum_holds(source: Source, contents: Contents) -> bool:
+    """Whether the records of a file hold their checksum, where only its summary was gone by.
+
+    It is so of a file that states none, and of one whose records were gone through.
+    """
+    end, expected = contents.data_section or (0, 0)
+    return not (contents.indexed and expected) or checksum_of(source, 0, end) == expected
+
+
 def check_is_mcap(source: Source) -> None:
     """Raise a LogError if the file neither begins nor ends as an MCAP file, nor holds a chunk."""
     start = source.read(0, LOOKED_AT)
