@@ -67,11 +67,11 @@ def stamp_of(time: Any) -> pd.Timestamp:
             stamp = pd.Timestamp(time)
         if pd.isna(stamp):
             raise ValueError("no time")
-        return stamp
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"'{time}' is not a time", remedy="write it as 2026-10-01 or 2026-10-01T06:30Z"
         ) from error
+    return stamp
 
 
 def check_zone(name: str) -> None:

@@ -304,7 +304,8 @@ def settle(connection: sa.Connection, touched: set[int]) -> None:
 
     The rule is that of `trainlog.identity.same_drives`: the fullest. Of recordings that are equally
     full one whose file is present counts, then that of the most messages, then one that is not
-    damaged. What stood before under the name of another recording of the same drive is an older version of it and does not count.
+    damaged. What stood before under the name of another recording of the same drive is an older
+    version of it and does not count.
     """
     if not touched:
         return
