@@ -19,6 +19,7 @@ from analysis.fleet.plot import draw_findings
 from analysis.fleet.resistance import KindResistance, TrainResistance, fleet_resistance
 from analysis.fleet.trains import FleetTrains, fleet_trains, trains_in
 from analysis.fleet.trains_table import trains_data, trains_table
+from analysis.reports.fleet_attention import FleetFacts, attention_parts
 from analysis.tables import records
 from trainlog.errors import InputError, NotIdentifiableError
 
@@ -281,6 +282,23 @@ def test_a_gross_fault_of_one_of_two_trains_does_not_hide_itself_in_the_noise(
         # The fault does not make the noise by which it is judged.
         if np.isfinite(each.change):
             assert each.change < 1.25 * limits[each.train, each.channel] + 1e-9
+
+
+def test_a_step_that_is_no_finding_is_stated() -> None:
+    fault = Fault("effort gain", 0.1, 1, 4)
+    rows = drawn_fleet(pool("kiss"), 37, trains=2, trips=7, faults=(fault,))
+    found = fleet_trains(rows)
+    assert found.unlike.findings == ()
+    step = next(each for each in found.unlike.steps if each.channel == "effort gain")
+    assert (step.train, step.trips) == ("kiss-02", 3)
+    assert step.size == pytest.approx(0.1, abs=0.03)
+    assert f"kiss-02: {step}, since" in str(trains_table(found).renderables[2].caption)
+    # The checks of recordings state it, too, where trains are not compared.
+    checks = rows.assign(
+        speed_scale=1.0 + 0.02 * (rows["start"] >= step.since), damage="", frozen=""
+    )
+    (table,) = attention_parts(FleetFacts(rows, "no curve", {}, checks))
+    assert "step of +2 %" in " ".join(row["what"] for row in records(table))
 
 
 def test_table_and_picture_state_one_band_above_zero() -> None:

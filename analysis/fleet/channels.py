@@ -70,6 +70,9 @@ by the change, if noise alone would show such a change with this probability."""
 FEWEST_AT_LEVEL = 3
 """A level holds for at least so many trips."""
 
+RAW_STEP = 5.0
+"""A step of so many of the trips' own deviations is stated, whether or not it is a finding."""
+
 OUTLYING = 4.0
 """Trips further from their neighbours than so many deviations are drawn in to that distance while
 changes of the level are sought."""
@@ -311,17 +314,55 @@ def _parting(value: FloatArray, known: FloatArray) -> int:
     n = value.size
     if n < 2 * FEWEST_AT_LEVEL:
         return 0
+    # Values that are all alike show no smaller noise than each is known with.
+    at, t, _ = _parted(value, float(np.median(known)) / np.sqrt(n))
+    chance = 2.0 * (n - 2 * FEWEST_AT_LEVEL + 1) * float(beyond(np.array([t]), n - 2.0)[0])
+    return at if chance < LEVEL_CHANGE else 0
+
+
+def _parted(value: FloatArray, least: float) -> tuple[int, float, float]:
+    """Where values part best in two levels, Student's t of these, deviation (`least`) around."""
+    n = value.size
     before = np.arange(1, n)
+    value = value - np.median(value)
     sums, squares = np.cumsum(value), np.cumsum(value**2)
     one, other = sums[:-1] / before, (sums[-1] - sums[:-1]) / (n - before)
     rest = squares[-1] - before * one**2 - (n - before) * other**2
-    # Values that are all alike show no smaller noise than each is known with.
-    variance = np.maximum(rest / (n - 2), np.median(known) ** 2 / n)
-    t = np.abs(other - one) / np.sqrt(variance * (1.0 / before + 1.0 / (n - before)))
+    deviation = np.sqrt(np.maximum(rest / (n - 2), least**2))
+    t = np.abs(other - one) / (deviation * np.sqrt(1.0 / before + 1.0 / (n - before)))
     t[: FEWEST_AT_LEVEL - 1] = t[n - FEWEST_AT_LEVEL :] = 0.0
     at = int(np.argmax(t))
-    chance = 2.0 * (n - 2 * FEWEST_AT_LEVEL + 1) * float(beyond(t[at : at + 1], n - 2.0)[0])
-    return at + 1 if chance < LEVEL_CHANGE else 0
+    return at + 1, float(t[at]), float(deviation[at])
+
+
+def raw_step(value: FloatArray, tolerance: float) -> tuple[int, float, float] | None:
+    """The step of a train's trips that is seen without any comparison; None where there is none.
+
+    Parameters
+    ----------
+    value : (k,) array
+        In order of start, without NaN.
+    tolerance : float
+        Steps that are smaller do not count; the trips' deviations are not taken for smaller than a
+        tenth of it.
+
+    Returns
+    -------
+    tuple or None
+        First trip after it, its size, and this over the trips' deviations before and after.
+
+    Examples
+    --------
+    >>> raw_step(np.array([0.1, -0.1, 0.0, 0.1, 2.0, 2.1, 1.9]), 0.2)[0]
+    4
+    """
+    if value.size < 2 * FEWEST_AT_LEVEL:
+        return None
+    at, _, deviation = _parted(_without_outliers(value), 0.1 * tolerance)
+    size = float(np.median(value[at:]) - np.median(value[:at]))
+    if abs(size) < max(tolerance, RAW_STEP * deviation):
+        return None
+    return at, size, abs(size) / deviation
 
 
 TAILS = np.array([2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 20.0, 60.0])

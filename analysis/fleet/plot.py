@@ -6,6 +6,7 @@ from pathlib import Path
 from textwrap import fill
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from numpy.typing import NDArray
@@ -19,8 +20,11 @@ from analysis.plotting import (
     GREEN,
     GREY,
     INK,
+    ORANGE,
     PALE,
+    PURPLE,
     RED,
+    SKY,
     dress,
     headline,
     legend,
@@ -126,6 +130,7 @@ def draw_drift(kind: str, found: FleetTrains, path: str | Path) -> None:
     figure = new_figure(10.0, 2.3 * len(channels) + 0.6)
     panels = np.atleast_1d(figure.subplots(len(channels), 1, sharex=True))
     findings = [each for each in found.unlike.findings if each.kind == kind]
+    colours = _colours(trips["train"], {each.train for each in findings})
     thinned = 1
     for axes, name in zip(panels, channels, strict=True):
         series = found.unlike.series[kind][name]
@@ -138,11 +143,15 @@ def draw_drift(kind: str, found: FleetTrains, path: str | Path) -> None:
         axes.plot(start[::step], own[::step], ".", color=GREY, ms=2.0, alpha=0.5)
         for train in np.unique(names).tolist():
             mine = names == train
-            at = np.arange(0, int(mine.sum()), -(-int(mine.sum()) // MOST_LEVELS))
-            level = np.array([np.median(own[mine][max(k - 4, 0) : k + 5]) for k in at])
-            other = any(each.train == train for each in findings)
-            colour, width = (RED, 1.1) if other else (BLUE, 0.6)
-            axes.plot(start[mine].iloc[at], level, color=colour, lw=width)
+            since = _instants(
+                pd.Series([e.since for e in findings if e.train == train], dtype=start.dtype)
+            )
+            colour, width = colours.get(train, BLUE), 1.4 if since.size else 0.9
+            # A median over trips on both sides of a step would make a slope of it.
+            part = np.searchsorted(np.sort(since), _instants(start[mine]), "right")
+            for each in np.unique(part).tolist():
+                when, line = _levels(start[mine][part == each], own[mine][part == each])
+                axes.plot(when, line, color=colour, lw=width)
         low, high = np.quantile(own, (0.005, 0.995))
         margin = 0.15 * (high - low)
         axes.set_ylim(low - margin, high + margin)
@@ -159,13 +168,34 @@ def draw_drift(kind: str, found: FleetTrains, path: str | Path) -> None:
                 va="top",
                 ha="right",
             )
+    for train, colour in colours.items():
+        panels[0].plot([], [], color=colour, lw=1.4, label=train)
+    if len(colours) < trips["train"].nunique():
+        panels[0].plot([], [], color=BLUE, lw=0.9, label="another train")
+    panels[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=7, frameon=False)
     locator = AutoDateLocator(minticks=4, maxticks=9)  # type: ignore[no-untyped-call]
     panels[-1].xaxis.set_major_locator(locator)
     panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
     what = "against the other trains" if len(np.unique(trips["train"])) > 1 else "over time"
     drawn = "each trip" if thinned == 1 else f"one trip of {thinned}"
-    headline(figure, f"Kind {kind}, {what}: {drawn} (grey), median of nine trips of a train (blue)")
+    headline(figure, f"Kind {kind}, {what}: {drawn} (grey), median of nine trips of a train (line)")
     write_figure(figure, path)
+
+
+def _colours(train: pd.Series, unlike: set[str]) -> dict[str, str]:
+    """Colours of the trains that are named: those with a finding first, then the others."""
+    every = sorted(set(train.astype(str)), key=lambda each: (each not in unlike, each))
+    return dict(zip(every, (RED, SKY, GREEN, PURPLE, ORANGE, INK), strict=False))
+
+
+def _instants(start: pd.Series) -> NDArray[np.datetime64]:
+    return start.dt.tz_convert("UTC").dt.tz_localize(None).to_numpy("M8[ns]")
+
+
+def _levels(start: pd.Series, own: FloatArray) -> tuple[pd.Series, FloatArray]:
+    """Running median of nine trips at some of them."""
+    at = np.arange(0, own.size, -(-own.size // MOST_LEVELS))
+    return start.iloc[at], np.array([np.median(own[max(k - 4, 0) : k + 5]) for k in at])
 
 
 def draw_findings(found: FleetTrains, path: str | Path) -> None:

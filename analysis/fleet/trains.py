@@ -91,6 +91,7 @@ class FleetTrains:
             self.unlike,
             findings=self.of(train),
             limits=tuple(each for each in self.unlike.limits if each.train == train),
+            steps=tuple(each for each in self.unlike.steps if each.train == train),
             train_months=sum(
                 months_of(rows["start"][rows["train"] == train])
                 for rows in self.trips.values()

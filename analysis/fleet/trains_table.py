@@ -109,6 +109,8 @@ def findings_table(found: FleetTrains) -> WordTable:
     )
     if not unlike.findings:
         table.caption += " None raised one; what would not be seen is listed by kind."
+    for step in unlike.steps:
+        table.caption += f"\n{step.train}: {step}, since {step.since:%Y-%m-%d %H:%M}"
     return table
 
 
@@ -187,6 +189,18 @@ def trains_data(found: FleetTrains) -> dict[str, Any]:
                 "reason": each.reason,
             }
             for each in found.unlike.limits
+        ],
+        "steps": [
+            {
+                "train": each.train,
+                "channel": each.channel,
+                "unit": each.unit,
+                "size": each.size,
+                "deviations": each.deviations,
+                "since": each.since.isoformat(),
+                "trips": each.trips,
+            }
+            for each in found.unlike.steps
         ],
         "drift": [_drift_data(each) for each in found.drift],
     }

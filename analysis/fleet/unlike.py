@@ -34,6 +34,7 @@ from analysis.fleet.channels import (
     Series,
     beyond,
     channel_table,
+    raw_step,
     series_of,
 )
 from analysis.fleet.naming import Explanation, Shift, explained
@@ -148,6 +149,38 @@ class Limit:
     reason: str = ""
 
 
+@dataclass(frozen=True)
+class Step:
+    """A step that a train's trips show, but for which no finding accounts.
+
+    Attributes
+    ----------
+    train, channel, unit : str
+    size : float
+    deviations : float
+        Size over the deviations of the trips before and after.
+    since : Timestamp
+        Start of the first trip after it.
+    trips : int
+        After it.
+    """
+
+    train: str
+    channel: str
+    unit: str
+    size: float
+    deviations: float
+    since: pd.Timestamp
+    trips: int
+
+    def __str__(self) -> str:
+        factor, unit = {"N": (1e-3, "kN"), "s": (1.0, "s")}.get(self.unit, (100.0, "%"))
+        return (
+            f"{self.channel}: step of {factor * self.size:+.2g} {unit}, {self.deviations:.0f} times"
+            " the trips' own deviation; no finding"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class UnlikeTrains:
     """What was looked for among trains, and found.
@@ -162,6 +195,8 @@ class UnlikeTrains:
         Stated probability of an alarm on a healthy train within a month, at most.
     train_months : float
         Months of trains that were looked at.
+    steps : tuple of Step
+        That are seen in the trips without any comparison, and are no finding.
     """
 
     findings: tuple[Finding, ...]
@@ -169,6 +204,7 @@ class UnlikeTrains:
     rate: float
     train_months: float
     series: dict[str, dict[str, Series]] = field(default_factory=dict)
+    steps: tuple[Step, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,6 +240,7 @@ def unlike_trains(
     """
     findings: list[Finding] = []
     limits: list[Limit] = []
+    steps: list[Step] = []
     every: dict[str, dict[str, Series]] = {}
     months = 0.0
     for kind, trips in kinds:
@@ -218,9 +255,11 @@ def unlike_trains(
         for train, rows in trips.groupby("train", sort=True):
             months += months_of(rows["start"])
             watch = _Watch(str(train), kind, trips, found, rate)
-            findings += watch.findings()
+            mine = watch.findings()
+            findings += mine
+            steps += watch.steps(mine)
             limits += watch.limits(shown)
-    return UnlikeTrains(tuple(findings), tuple(limits), rate, months, every)
+    return UnlikeTrains(tuple(findings), tuple(limits), rate, months, every, tuple(steps))
 
 
 def months_of(start: pd.Series) -> float:
@@ -394,6 +433,24 @@ class _Watch:
             return None
         past, past_variance = _level(one.own[before][-BEFORE:], one.std[before][-BEFORE:], tail)
         return Shift(one.series.channel, value - past, variance + past_variance)
+
+    def steps(self, findings: list[Finding]) -> list[Step]:
+        """Steps that the trips show and no finding explains."""
+        own = self.trips["start"][self.mine]
+        known = [int((own < each.since).sum()) for each in findings]
+        found = []
+        for name, one in self.watched.items():
+            seen = None if name == "power" else raw_step(one.own, one.series.channel.tolerance)
+            if seen is None:
+                continue
+            at, size, deviations = seen
+            since = self.trips["start"].iloc[int(one.place[at])]
+            place = int((own < since).sum())
+            if any(abs(place - each) <= FEWEST_BEFORE for each in known):
+                continue
+            unit, after = one.series.channel.unit, one.own.size - at
+            found.append(Step(self.train, name, unit, size, deviations, since, after))
+        return found
 
     def limits(self, shown: dict[str, int]) -> list[Limit]:
         """What would not be seen on this train; `shown` are the trips of the kind by channel."""

@@ -466,6 +466,8 @@ def _quality(fleet: _Fleet) -> list[Part]:
     for what, chosen in _doubts(rows):
         trains = rows["train"][chosen].value_counts()
         most = ", ".join(f"{name} ({count:,})" for name, count in trains.head(4).items())
+        if what == SPEED_OFF:
+            most = _sizes(100.0 * (rows["speed_scale"][chosen] - 1.0), rows["train"][chosen])
         table.add_cells(what, int(chosen.sum()), len(trains), most)
     numbers = new_table(
         "Figures of all recordings", "figure", "median", "95 % of the trips are below", "largest",
@@ -490,6 +492,24 @@ _FIGURES = (
 )
 
 
+LEAST_SPEED_OFF = 0.002
+"""A recorded speed that is off by a smaller share is no doubt: wheels wear by as much."""
+
+SPEED_OFF = f"recorded speed off by more than its band and {100.0 * LEAST_SPEED_OFF:g} %"
+
+
+def _sizes(percent: pd.Series, train: pd.Series) -> str:
+    """By how much the speeds of trains are off: of those with most trips median and largest."""
+    words = []
+    for name in train.value_counts().head(4).index:
+        own = percent[train == name]
+        largest = float(own[own.abs().idxmax()])
+        words.append(
+            f"{name} ({len(own):,}; median {float(own.median()):+.2f} %, largest {largest:+.2f} %)"
+        )
+    return ", ".join(words)
+
+
 def _doubts(rows: pd.DataFrame) -> Iterator[tuple[str, NDArray[np.bool_]]]:
     """Each doubt with the trips that have it."""
     yield from _doubt("damaged log", rows["damage"] != "")
@@ -500,8 +520,9 @@ def _doubts(rows: pd.DataFrame) -> Iterator[tuple[str, NDArray[np.bool_]]]:
         names = sorted({name for each in listed for name in each if name})
         for name in names:
             yield from _doubt(words.format(name), listed.map(lambda each, name=name: name in each))
-    off = (rows["speed_scale"] - 1.0).abs() > 1.96 * rows["speed_scale_std"]
-    yield from _doubt("recorded speed off by more than its band", off)
+    size = (rows["speed_scale"] - 1.0).abs()
+    off = (size > 1.96 * rows["speed_scale_std"]) & (size > LEAST_SPEED_OFF)
+    yield from _doubt(SPEED_OFF, off)
     yield from _doubt("not all could be checked", rows["doubts"] != "")
 
 

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from analysis.fleet.channels import CHANNELS, raw_step
 from analysis.fleet.trains import FleetTrains
+from analysis.fleet.unlike import Step
 from analysis.reports.page import Part, Warned
 from analysis.tables import NUMBER, Column, new_table
 from trainlog.display import counted
@@ -68,12 +70,14 @@ class FleetFacts:
 
 def attention_parts(facts: FleetFacts) -> list[Part]:
     """What asks for attention, what is most urgent first, each with what to do."""
-    rows = [*_findings(facts), *_results(facts), *_recordings(facts)]
+    rows = [*_findings(facts), *_steps(facts), *_results(facts), *_recordings(facts)]
     # Where little can be compared, no finding is no all-clear.
     few = "" if isinstance(facts.trains, str) else facts.trains.too_few
     warned: list[Part] = [Warned(few)] if few else []
     if not rows:
-        words = "every analysis has results of every train, no train has a finding, no log is"
+        words = (
+            "every analysis has results of every train, no train has a finding or a step, no log is"
+        )
         return [f"Nothing: {words} damaged.", *warned]
     more = len(rows) - MOST_ROWS
     table = new_table(
@@ -104,6 +108,28 @@ def _findings(facts: FleetFacts) -> Iterator[Row]:
             each.train, str(each.explanation), f"{each.since:%Y-%m-%d %H:%M}", int(since.sum()),
             "; or ".join(dict.fromkeys(todo)) or UNKNOWN,
         )  # fmt: skip
+
+
+def _steps(facts: FleetFacts) -> Iterator[Row]:
+    """Steps that are no finding, also of recordings that no train was compared by."""
+    unlike = None if isinstance(facts.trains, str) else facts.trains.unlike
+    steps = list(unlike.steps) if unlike else []
+    stated = {each.train for each in steps if each.channel == SPEED.name}
+    if unlike is not None:
+        stated |= {each.train for each in unlike.findings if each.channel == SPEED.name}
+    if "speed_scale" in facts.checks and "start" in facts.checks:
+        known = facts.checks[np.isfinite(facts.checks["speed_scale"].to_numpy(np.float64))]
+        for train, rows in known.sort_values("start").groupby("train"):
+            seen = raw_step(np.log(rows["speed_scale"].to_numpy(np.float64)), SPEED.tolerance)
+            if seen is not None and train not in stated:
+                at, size, deviations = seen
+                since, after = pd.Timestamp(rows["start"].iloc[at]), len(rows) - at
+                steps.append(Step(str(train), SPEED.name, "1", size, deviations, since, after))
+    for each in steps:
+        yield each.train, str(each), f"{each.since:%Y-%m-%d %H:%M}", each.trips, UNKNOWN
+
+
+SPEED = next(each for each in CHANNELS if each.name == "speed scale")
 
 
 def _results(facts: FleetFacts) -> Iterator[Row]:
