@@ -189,7 +189,7 @@ def _colours(train: pd.Series, unlike: set[str]) -> dict[str, str]:
 
 
 def _instants(start: pd.Series) -> NDArray[np.datetime64]:
-    return start.dt.tz_convert("UTC").dt.tz_localize(None).to_numpy("M8[ns]")
+    return np.asarray(start.dt.tz_convert("UTC").dt.tz_localize(None), dtype="M8[ns]")
 
 
 def _levels(start: pd.Series, own: FloatArray) -> tuple[pd.Series, FloatArray]:
