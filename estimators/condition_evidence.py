@@ -98,13 +98,3 @@ class EvidenceRows:
             known.used_trips[kept][by_row],
             np.lexsort((bin_, day)),
         )
-
-    def shared_with(self, other: EvidenceRows) -> tuple[IntArray, IntArray]:
-        """Rows that both have: their numbers here, and there."""
-        if not other.day.size or not self.day.size:
-            return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-        base = min(int(self.day.min()), int(other.day.min()))
-        span = max(int(self.day.max()), int(other.day.max())) - base + 1
-        own, given = (each.bin * span + each.day - base for each in (self, other))
-        _, here, there = np.intersect1d(own, given, assume_unique=True, return_indices=True)
-        return here.astype(np.int64), there.astype(np.int64)

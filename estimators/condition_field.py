@@ -43,9 +43,6 @@ ASTRAY = POSITION_STD * float(np.sqrt(2.0 / np.pi))
 ROUNDS = 10
 """Of the messages between the chains of places and days, and of the parameters."""
 
-MORE_ROUNDS = 3
-"""Of the same, where the evidence of a day is added to what was found before."""
-
 PASSES = 3
 """Changes that a place may have had, at most."""
 
@@ -54,28 +51,6 @@ BEGUN = 2.0
 
 DOUBT = 0.06
 """Probability that the onsets of a single day in a bin are not of what lasts, at least."""
-
-
-@dataclass(frozen=True, eq=False)
-class GoingOn:
-    """What the rounds need to go on with more evidence.
-
-    Attributes
-    ----------
-    rounds : int
-        So far.
-    switch : (3, 3) array
-        Transitions between the classes along the line.
-    message : (r,) array
-        Log odds of a spot in each row, from its neighbours along the line.
-    cavity : (n, k) array
-        Distribution of each bin's level from all other bins.
-    """
-
-    rounds: int
-    switch: FloatArray
-    message: FloatArray
-    cavity: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +73,6 @@ class FieldPosterior:
         Of a lasting spot of each level at the last evidence of the rows' bins.
     cut : (r,) array
         Log likelihood ratio of another lasting level from the row on.
-    going_on : GoingOn
     changes : tuple of FieldChange
     """
 
@@ -111,7 +85,6 @@ class FieldPosterior:
     long: FloatArray
     state: FloatArray
     cut: FloatArray
-    going_on: GoingOn
     changes: tuple[FieldChange, ...] = ()
 
 
@@ -144,36 +117,6 @@ def solve(known: FieldEvidence, assumed: FieldParameters) -> FieldPosterior:
     return replace(found, changes=tuple(changes))
 
 
-def solve_on(
-    known: FieldEvidence, assumed: FieldParameters, begun: FieldPosterior
-) -> FieldPosterior:
-    """As `solve`, from what was found before a little more evidence came.
-
-    Parameters and messages go on from there and need a few rounds only. Changes are looked for
-    anew, since one that the earlier evidence showed may not be one by all of it; the levels before
-    and after them are not stated.
-
-    Parameters
-    ----------
-    known : FieldEvidence
-        All of it.
-    assumed : FieldParameters
-    begun : FieldPosterior
-        Of the evidence without the latest.
-    """
-    found, changes = _settled(known, assumed, MORE_ROUNDS, begun), list[FieldChange]()
-    for _ in range(PASSES):
-        new = changes_of(found.rows, found.cut, known.bin_length)
-        if not new:
-            break
-        for change in new:
-            bins = np.arange(change.first, change.last + 1)
-            known = known.between(bins, change.day, np.iinfo(np.int64).max)
-        found = _settled(known, assumed, MORE_ROUNDS, found)
-        changes += new
-    return replace(found, changes=tuple(changes))
-
-
 def _described(change: FieldChange, before: FieldPosterior, after: FieldPosterior) -> FieldChange:
     """With the levels before and after."""
     place = slice(change.first, change.last + 1)
@@ -188,12 +131,7 @@ def _described(change: FieldChange, before: FieldPosterior, after: FieldPosterio
     )
 
 
-def _settled(
-    known: FieldEvidence,
-    assumed: FieldParameters,
-    rounds: int,
-    begun: FieldPosterior | None = None,
-) -> FieldPosterior:
+def _settled(known: FieldEvidence, assumed: FieldParameters, rounds: int) -> FieldPosterior:
     """Messages and parameters after so many rounds, with one lasting level a bin."""
     rows = EvidenceRows.of(known)
     # Sparse also because the linear algebra's threads cost more than they bring here.
@@ -219,14 +157,7 @@ def _settled(
     deviations: dict[str, tuple[float, str]] = {}
     cavity: FloatArray | None = None
     before: FloatArray | None = None
-    placing, past = np.zeros(known.bins), 0
-    if begun is not None:
-        now, switch, past = begun.parameters, begun.going_on.switch, begun.going_on.rounds
-        cavity, before = begun.going_on.cavity, begun.probability
-        placing = placing_variance(before, LEVELS, known.bin_length)
-        here, there = rows.shared_with(begun.rows)
-        message[here], present[here] = begun.going_on.message[there], begun.present[there]
-        long[here] = begun.long[there]
+    placing = np.zeros(known.bins)
     own = np.searchsorted(rows.bins, rows.bin)
     for turn in range(rounds):
         grid = FINE if turn == rounds - 1 else grid_for(now, known.bin_length)
@@ -274,15 +205,14 @@ def _settled(
         )  # fmt: skip
         # The mean of the rounds, since messages may go back and forth; but for the first, in which
         # no bin knows of its neighbours yet.
-        part = min(turn, 1) / (turn + 1.0) if past == 0 else 1.0 / (turn + 2.0)
-        message += part * (fresh - message)
+        message += (fresh - message) / (turn + 1.0) * min(turn, 1)
         met = (present - long) * (posterior[rows.bin] * number).sum(axis=1)
         expected = Expected(grid, posterior, present, held, turnover, met)
         switch = moves + CHANGES_OF_CLASS[:, None] * likely
         switch /= switch.sum(axis=1, keepdims=True)
         new, origin = improved(now, assumed, known, rows, used, expected)
         trial = now
-        for name in NEWTON[(past + turn) % len(NEWTON)]:
+        for name in NEWTON[turn % len(NEWTON)]:
             new[name], deviations[name] = newton_step(
                 name, likelihood, flat, trial, assumed, switch, known.bin_length, grid
             )
@@ -295,11 +225,7 @@ def _settled(
             # Expectation and maximisation go a small part of the way where much is not seen.
             new["met"] *= min(max(new["met"] / now.met, 0.3), 3.0)
         now = replace(now, **new)
-    assert cavity is not None
-    going_on = GoingOn(past + rounds, switch, message, cavity)
-    return FieldPosterior(
-        now, origin, posterior, slippery, rows, present, long, state, cut, going_on
-    )
+    return FieldPosterior(now, origin, posterior, slippery, rows, present, long, state, cut)
 
 
 def _near(

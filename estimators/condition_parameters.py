@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
+from scipy.special import log_ndtr
 
 from estimators.condition_evidence import EvidenceRows, FieldEvidence
 from estimators.condition_levels import COARSE, FINE, STEP, LevelGrid, level_kernel, normal_on_grid
@@ -261,7 +262,7 @@ def improved(
     alike = known.bin_length / now.spot_length
     normal("spot_mean", "spot_std", float(present.sum()) * alike, onset[:, 1], present)
     new["trip_std"], origin["trip_std"] = _trip_std(
-        assumed, onset, present, expected, rows, seen, known.bin_length
+        assumed, onset, present, expected, rows, seen, known, used
     )
     share = normal_on_grid(new["spot_mean"], new["spot_std"], levels)
     share = np.cumsum(share) - 0.5 * share
@@ -296,12 +297,17 @@ def _trip_std(
     expected: Expected,
     rows: EvidenceRows,
     seen: BoolArray,
-    bin_length: float,
+    known: FieldEvidence,
+    used: csr_array,
 ) -> tuple[float, tuple[float, str]]:
-    """Spread from trip to trip, where the place is known well and no spot was met."""
+    """Spread from trip to trip, where the place is known well and no spot was met.
+
+    What trips used without slip counts, too: without it the levels, which it raises the more the
+    wider the spread is, lie above the onsets, which widens the spread further.
+    """
     count, mean, scatter, variance = onset.T
     place, levels = rows.bin[seen], expected.grid.levels
-    variance = variance + placing_variance(expected.posterior, levels, bin_length)[place]
+    variance = variance + placing_variance(expected.posterior, levels, known.bin_length)[place]
     posterior = expected.posterior[place]
     first = posterior @ levels
     second = posterior @ levels**2 - first**2
@@ -317,8 +323,22 @@ def _trip_std(
         )
         @ weight
     )
+    above, trips = _above_used(used, known.log_levels, expected.posterior, levels)
+    value += log_ndtr(above / tried[:, None]) @ trips
     few = WITNESSED["trip_std"]
     value -= 0.5 * few * (2.0 * np.log(tried) + assumed.trip_std**2 / tried**2)
     best = float(tried[np.argmax(value)])
     total = float(weight.sum())
     return best, (best / float(np.sqrt(2.0 * (total + few))), source_of(total, few))
+
+
+def _above_used(
+    used: csr_array, log_levels: FloatArray, posterior: FloatArray, levels: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """How far levels lie above what was used without slip, and of how many trips each is expected."""
+    trips = np.asarray(used.T @ posterior)
+    cell = np.rint((levels - log_levels[:, None]) / (0.5 * STEP)).astype(np.int64)
+    lowest = int(cell.min())
+    count = np.bincount((cell - lowest).ravel(), trips.ravel())
+    held = np.flatnonzero(count)
+    return (held + lowest) * 0.5 * STEP, count[held]

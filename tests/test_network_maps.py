@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,10 +12,13 @@ import pytest
 from typer.testing import CliRunner
 
 import trainlog
+from analysis.adhesion.evidence import Evidence
 from analysis.adhesion.updating import update_map
+from analysis.network.edges import EdgeOfLine
 from analysis.network.map_scores import score_network, score_network_on
 from analysis.network.map_table import network_rows
 from analysis.network.maps import (
+    LogOnEdges,
     NetworkMap,
     edge_map_path,
     forecasts_of_network,
@@ -25,7 +29,7 @@ from analysis.network.maps import (
 from analysis.reports.fleet_condition import condition_parts
 from analysis.tables import WordTable, records
 from trainlog.cli.main import app
-from trainlog.errors import InputError
+from trainlog.errors import InputError, LogError
 from trainlog.formats.files import sha256_of
 from trainlog.formats.line import line_to_bytes, read_line
 from trainlog.formats.samples import sample
@@ -190,6 +194,30 @@ def test_maps_are_scored_on_later_trips_edge_by_edge(maps: Path, logs: Path) -> 
     assert any("has no map" in words for words in partial.limits)
     with pytest.raises(InputError, match="no later trip on an edge with a map"):
         score_network_on(found, every)
+
+
+def test_a_trip_refused_on_one_edge_is_scored_on_the_others(
+    maps: Path, logs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = network_map(maps)
+    early = found.known_before(pd.Timestamp("2024-10-08T00:00Z"))
+    every = sorted(logs.glob("*.mcap"))
+    first = LogOnEdges(every[-1], found.network).edges[0].name
+    whole, edges = score_network_on(early, every)
+    evidence_on = LogOnEdges.evidence_on
+
+    def refusing(given: LogOnEdges, edge: EdgeOfLine, *rest: Any) -> Evidence:
+        if edge.name == first:
+            raise LogError(f"trip '{given.trip.name}' was not recorded on edge '{edge.name}'")
+        return evidence_on(given, edge, *rest)
+
+    monkeypatch.setattr(LogOnEdges, "evidence_on", refusing)
+    partial, rest = score_network_on(early, every)
+    assert set(rest) == set(edges) - {first}
+    for name, score in rest.items():
+        assert score.layers["all"].details() == edges[name].layers["all"].details()
+    assert len(partial.refused) == len(every) > len(whole.refused)
+    assert all(words.startswith(f"edge '{first}': ") for words in partial.refused)
 
 
 def test_commands_take_a_folder_of_maps(maps: Path, tmp_path: Path) -> None:

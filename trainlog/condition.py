@@ -18,7 +18,7 @@ from pandas import Timestamp
 from estimators.condition import Prior, common_std, onset_std
 from estimators.condition_changes import FieldChange
 from estimators.condition_evidence import FieldEvidence
-from estimators.condition_field import DOUBT, FieldPosterior, solve, solve_on
+from estimators.condition_field import DOUBT, FieldPosterior, solve
 from estimators.condition_levels import LEVELS, SPOT_CELLS
 from estimators.condition_parameters import POSITION_STD, FieldParameters
 from estimators.condition_passes import OFTEN, blurred
@@ -212,61 +212,9 @@ def assumed_parameters(track: TrackConditionMap, name: str) -> FieldParameters:
     )
 
 
-EARLY = 5
-"""Days of evidence, in the first of which estimates are made anew: they change much then."""
-
-
-class DailyEstimates:
-    """The estimates of a layer as its evidence grew, a day at a time.
-
-    Each goes on from the one before, which takes a fraction of the work that `estimated` takes for
-    all evidence anew, and comes close to the same.
-
-    Parameters
-    ----------
-    track : TrackConditionMap
-    layer : str
-
-    Examples
-    --------
-    >>> import trainlog
-    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
-    >>> days = DailyEstimates(track, "wet")
-    >>> days.before(20_003) is None, days.before(20_004).observed.any()
-    (True, np.True_)
-    """
-
-    def __init__(self, track: TrackConditionMap, layer: str) -> None:
-        self.track, self.layer = track, layer
-        self._known = track.layer(layer).evidence
-        self._last: tuple[int, FieldPosterior] | None = None
-
-    def before(self, day: int) -> ConditionLayer | None:
-        """The layer as it was before a day [since 1970-01-01 UTC]; None: no evidence until then."""
-        known = self._known.between(-1, day - 1)
-        if not known.days.size:
-            return None
-        plain, assumed = _plain(self.track, known), assumed_parameters(self.track, self.layer)
-        early = known.days.size <= EARLY
-        if self._last is not None and self._last[0] <= day and not early:
-            found = solve_on(plain, assumed, self._last[1])
-        else:
-            found = solve(plain, assumed)
-        self._last = day, found
-        return _published(self.track, self.layer, known, found)
-
-
 def _estimated(track: TrackConditionMap, name: str) -> ConditionLayer:
-    known = track.layers[name].evidence
+    prior, known = prior_of(track, name), track.layers[name].evidence
     found = solve(_plain(track, known), assumed_parameters(track, name))
-    return _published(track, name, known, found)
-
-
-def _published(
-    track: TrackConditionMap, name: str, known: DailyEvidence, found: FieldPosterior
-) -> ConditionLayer:
-    """The layer of what was found, with the errors that the model leaves out."""
-    prior = prior_of(track, name)
     weight = known.by_bin("weight")
     slope = np.gradient(found.probability @ LEVELS) if known.bins > 1 else np.zeros(known.bins)
     std = np.sqrt(

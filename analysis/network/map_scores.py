@@ -89,7 +89,8 @@ def score_network_on(
 ) -> tuple[Score, dict[str, Score]]:
     """Score the maps of a network on later trips, each edge that a trip ran over by its own map.
 
-    Trips of days of which an edge's map holds evidence are left out there.
+    Trips of days of which an edge's map holds evidence are left out there. A trip that cannot be
+    used on one edge is refused there alone.
 
     Parameters
     ----------
@@ -123,17 +124,23 @@ def score_network_on(
                 continue
             digests.add(digest)
             given = LogOnEdges(path, maps.network)
-            for edge in given.edges:
-                track = maps.maps.get(edge.name)
-                if track is None:
-                    without[edge.name] = without.get(edge.name, 0) + 1
-                    continue
-                piece = given.evidence_on(edge, track, layer, weather, digest)
-                pieces.setdefault(edge.name, []).append(piece)
+            edges = given.edges
             if layer is not None:
                 stated[digest] = given.trip.metadata.get("weather", "")
         except TrainlogError as error:
-            refused.append(str(type(error)(error.problem, file=path, remedy=error.remedy)))
+            refused.append(_refusal(error, path))
+            continue
+        for edge in edges:
+            track = maps.maps.get(edge.name)
+            if track is None:
+                without[edge.name] = without.get(edge.name, 0) + 1
+                continue
+            try:
+                piece = given.evidence_on(edge, track, layer, weather, digest)
+            except TrainlogError as error:
+                refused.append(f"edge '{edge.name}': {_refusal(error, path)}")
+            else:
+                pieces.setdefault(edge.name, []).append(piece)
     limits = [
         f"edge '{name}' has no map: {counted(count, 'trip')} not scored there"
         for name, count in sorted(without.items())
@@ -153,6 +160,10 @@ def score_network_on(
             remedy="give logs of trips of days that the maps do not hold",
         )
     return _whole(maps, "the maps", found, limits, refused), found
+
+
+def _refusal(error: TrainlogError, path: Path) -> str:
+    return str(type(error)(error.problem, file=path, remedy=error.remedy))
 
 
 def _whole(

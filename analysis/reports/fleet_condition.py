@@ -83,7 +83,7 @@ def condition_parts(
         rows = bins[bins["layer"] == layer]
         if network is not None and rows["expected"].notna().any():
             parts.append(_drawn(network, layer, rows, span))
-    return [*parts, _observed(bins), *(_lowest(bins, layer) for layer in layers)]
+    return [*parts, _observed(bins), *(part for layer in layers for part in _lowest(bins, layer))]
 
 
 def _drawn(network: Network, layer: str, rows: pd.DataFrame, span: tuple[float, float]) -> Part:
@@ -126,8 +126,8 @@ def _observed(bins: pd.DataFrame) -> WordTable:
     return table
 
 
-def _lowest(bins: pd.DataFrame, layer: str) -> WordTable:
-    """The places with the least expected adhesion, each once."""
+def _lowest(bins: pd.DataFrame, layer: str) -> list[Part]:
+    """The places with the least expected adhesion, each once, and how many are not listed."""
     table = new_table(
         f"Lowest expected, condition of the rail: {layer}", "edge",
         Column("chainage on the edge", POSITION, "position"),
@@ -136,14 +136,19 @@ def _lowest(bins: pd.DataFrame, layer: str) -> WordTable:
     )  # fmt: skip
     rows = bins[(bins["layer"] == layer) & bins["expected"].notna()].sort_values("expected")
     taken: list[tuple[str, float]] = []
+    band = "{expected_low:.3f} to {expected_high:.3f}"
     for row in rows.to_dict("records"):
         middle = 0.5 * (row["start_m"] + row["end_m"])
         near = (edge == row["edge"] and abs(middle - place) < APART for edge, place in taken)
         if any(near):
             continue
         taken.append((row["edge"], middle))
-        band = f"{row['expected_low']:.3f} to {row['expected_high']:.3f}"
-        table.add_cells(row["edge"], middle, row["expected"], band, float(row["events"]))
-        if len(taken) == MOST_PLACES:
-            break
-    return table
+        if len(taken) <= MOST_PLACES:
+            table.add_cells(
+                row["edge"], middle, row["expected"], band.format_map(row), float(row["events"])
+            )
+    more = len(taken) - MOST_PLACES
+    if more <= 0:
+        return [table]
+    return [table, f"{counted(more, 'more place')}, each {APART:.0f} m or more from the others, not"
+                   " listed: less low than these."]  # fmt: skip

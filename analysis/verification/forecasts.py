@@ -12,7 +12,7 @@ from scipy.special import ndtr
 from analysis.adhesion.condition_table import last_evidence
 from analysis.verification.references import GRID, climatology
 from analysis.verification.verify import Forecaster
-from trainlog.condition import DailyEstimates, estimated, known_before
+from trainlog.condition import estimated, known_before
 from trainlog.errors import InputError
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import day_of
@@ -128,18 +128,14 @@ def map_forecast(track: TrackConditionMap) -> Forecaster:
 def rolling_forecast(track: TrackConditionMap) -> Forecaster:
     """What the map would have expected of each day from the evidence of the days before alone.
 
-    Days are best asked for in their order: each estimate goes on from the one before
-    (`trainlog.condition.DailyEstimates`).
+    Each day's estimate is that of `before`, in whatever order days are asked for.
     """
     made: dict[tuple[str, int], ConditionLayer | None] = {}
-    days: dict[str, DailyEstimates] = {}
 
     def expected(layer: str, time: pd.Timestamp) -> AdhesionEstimate | None:
         day = day_of(time)
         if (layer, day) not in made:
-            if layer not in days:
-                days[layer] = DailyEstimates(track, layer)
-            made[layer, day] = days[layer].before(day)
+            made[layer, day] = before(track, day, layer)
         known = made[layer, day]
         return None if known is None else known.expected(time)
 
