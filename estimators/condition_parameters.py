@@ -335,10 +335,10 @@ def _trip_std(
 def _above_used(
     used: csr_array, log_levels: FloatArray, posterior: FloatArray, levels: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """How far levels lie above what was used without slip, and of how many trips each is expected."""
+    """How far levels lie above what was used without slip, and for how many expected trips."""
     trips = np.asarray(used.T @ posterior)
     cell = np.rint((levels - log_levels[:, None]) / (0.5 * STEP)).astype(np.int64)
     lowest = int(cell.min())
-    count = np.bincount((cell - lowest).ravel(), trips.ravel())
+    count = np.bincount((cell - lowest).ravel(), trips.ravel()).astype(np.float64)
     held = np.flatnonzero(count)
     return (held + lowest) * 0.5 * STEP, count[held]

@@ -24,6 +24,7 @@ from analysis.fleet.unlike import Finding, UnlikeTrains
 from analysis.fleet.update import UpdateOptions, update_fleet
 from analysis.reports.fleet import FleetReportOptions, energy_sources, fleet_page
 from analysis.reports.fleet_attention import FleetFacts, attention_parts
+from analysis.reports.fleet_condition import lowest_places
 from analysis.reports.page import Page, Section
 from analysis.tables import WordTable, records
 from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue
@@ -216,3 +217,17 @@ def test_the_command_writes_one_page_that_asks_for_nothing(
     assert (status, complaint.count("\n")) == (2, 1)
     assert "no trip is chosen" in complaint
     assert not (tmp_path / "a.html").exists()
+
+
+def test_the_report_counts_low_places_that_it_does_not_list() -> None:
+    start = 1000.0 * np.arange(13)
+    bins = pd.DataFrame(
+        {"edge": "east", "layer": "wet", "start_m": start, "end_m": start + 25.0, "events": 1.0,
+         "expected": 0.1 + start / 1e5, "expected_low": 0.05, "expected_high": 0.2}
+    )  # fmt: skip
+    table, more = lowest_places(bins, "wet")
+    assert isinstance(table, WordTable)
+    assert table.data is not None
+    assert len(table.data) == 10
+    assert str(more).startswith("3 more places")
+    assert len(lowest_places(bins[:10], "wet")) == 1

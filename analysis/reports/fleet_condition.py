@@ -83,7 +83,11 @@ def condition_parts(
         rows = bins[bins["layer"] == layer]
         if network is not None and rows["expected"].notna().any():
             parts.append(_drawn(network, layer, rows, span))
-    return [*parts, _observed(bins), *(part for layer in layers for part in _lowest(bins, layer))]
+    return [
+        *parts,
+        _observed(bins),
+        *(part for layer in layers for part in lowest_places(bins, layer)),
+    ]
 
 
 def _drawn(network: Network, layer: str, rows: pd.DataFrame, span: tuple[float, float]) -> Part:
@@ -126,7 +130,7 @@ def _observed(bins: pd.DataFrame) -> WordTable:
     return table
 
 
-def _lowest(bins: pd.DataFrame, layer: str) -> list[Part]:
+def lowest_places(bins: pd.DataFrame, layer: str) -> list[Part]:
     """The places with the least expected adhesion, each once, and how many are not listed."""
     table = new_table(
         f"Lowest expected, condition of the rail: {layer}", "edge",
@@ -150,5 +154,5 @@ def _lowest(bins: pd.DataFrame, layer: str) -> list[Part]:
     more = len(taken) - MOST_PLACES
     if more <= 0:
         return [table]
-    return [table, f"{counted(more, 'more place')}, each {APART:.0f} m or more from the others, not"
-                   " listed: less low than these."]  # fmt: skip
+    return [table, f"{counted(more, 'more place')}, each {APART:.0f} m or more from all others, not"
+                   " listed: no lower than these."]  # fmt: skip
