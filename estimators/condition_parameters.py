@@ -341,4 +341,4 @@ def _above_used(
     lowest = int(cell.min())
     count = np.bincount((cell - lowest).ravel(), trips.ravel()).astype(np.float64)
     held = np.flatnonzero(count)
-    return (held + lowest) * 0.5 * STEP, count[held]
+    return np.asarray(0.5 * STEP * (held + lowest), dtype=np.float64), count[held]
