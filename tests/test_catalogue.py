@@ -25,6 +25,7 @@ from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue
 from trainlog.catalogue.schema import metadata
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
+from trainlog.formats.files import logs_of
 from trainlog.mcap import DamageWarning, account_of
 from trainlog.mcap.records import Source
 from trainlog.mcap.scan import contents_of
@@ -469,3 +470,27 @@ def test_of_equal_recordings_the_one_without_damage_counts_and_of_copies_the_fir
     catalogue.add(tmp_path / "a-copy.mcap")
     assert catalogue.query()["path"].tolist() == [str(intact)]
     assert catalogue.pending("stops", "1")["path"].tolist() == [str(intact)]
+
+
+def test_unknown_labels_and_values_of_passports_are_named(
+    where: Callable[[], Catalogue], logs: Path
+) -> None:
+    catalogue = where()
+    catalogue.add(logs)
+    known = sorted(catalogue.query()["labels"].iloc[0])
+    (why,) = catalogue.unmatched("label('nothing') = 'x'")
+    assert "no trip has a label 'nothing'" in why
+    assert known[0] in why
+    assert catalogue.unmatched(f"label('{known[0]}') = 'x'") == []
+    (why,) = catalogue.unmatched("passport('nothing') > 1")
+    assert "trainlog catalogue sql" in why
+
+
+def test_logs_below_a_folder_without_logs_are_found(tmp_path: Path) -> None:
+    (tmp_path / "flirt-01").mkdir()
+    (tmp_path / ".hidden").mkdir()
+    for name in ("flirt-01", ".hidden"):
+        shutil.copy(SAMPLES / "nonstop.mcap", tmp_path / name)
+    assert logs_of(tmp_path) == [tmp_path / "flirt-01" / "nonstop.mcap"]
+    shutil.copy(SAMPLES / "stopping.mcap", tmp_path)
+    assert logs_of(tmp_path) == [tmp_path / "stopping.mcap"]

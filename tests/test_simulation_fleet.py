@@ -339,3 +339,10 @@ def test_a_year_with_few_trips_a_day_meets_winter_and_wear(network: Network) -> 
     scenarios = [drawn.scenario(number) for number in range(0, 40, 6)]
     temperatures = [each.temperature for each in scenarios]
     assert np.ptp(temperatures) > 8.0
+
+
+def test_a_fault_that_takes_effect_in_no_trip_is_refused() -> None:
+    network = draw_network(seed=1, lines=3)
+    fault = Fault.of("train=flirt-01,dragging-brake=2kN,from=2027-10-02")
+    with pytest.raises(InputError, match="takes effect in no trip"):
+        draw_fleet(network, trains=3, days=2, trips=12, faults=[fault], start="2026-10-01")

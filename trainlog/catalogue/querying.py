@@ -116,7 +116,7 @@ def unmatched(
     database: Database, where: str | None, train: str | None, line: str | None
 ) -> list[str]:
     """Names that are asked for and that no trip has; see `Catalogue.unmatched`."""
-    from trainlog.catalogue.where import texts_asked
+    from trainlog.catalogue.where import keys_asked, texts_asked
 
     asked = [] if where is None else texts_asked(where)
     asked += [(n, v) for n, v in (("train", train), ("line", line)) if v is not None]
@@ -131,7 +131,23 @@ def unmatched(
         more = f" and {len(values) - 8} more" if len(values) > 8 else ""
         known = f" known: {', '.join(values[:8])}{more}" if values else " none states any"
         found.append(f"no trip has the {column} '{value}';{meant}{known}")
+    for column, key in dict.fromkeys([] if where is None else keys_asked(where)):
+        keys = _keys(database, column)
+        if key in keys:
+            continue
+        what = "label" if column == "labels" else "value in its passport named"
+        known = f"known: {', '.join(keys)}" if keys else "none states any"
+        estimated = "; what the analysis passport estimated is asked by 'trainlog catalogue sql'"
+        also = estimated if column == "passport" else ""
+        found.append(f"no trip has a {what} '{key}'; {known}{also}")
     return found
+
+
+def _keys(database: Database, column: str) -> list[str]:
+    """Keys that a column of JSON has, of the trips that count."""
+    asked = sa.select(trips.c[column]).where(trips.c.standing == "counts")
+    with database.reading() as connection:
+        return sorted({key for each in connection.execute(asked).scalars() for key in each or ()})
 
 
 def _values(database: Database, column: str) -> list[str]:

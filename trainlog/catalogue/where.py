@@ -128,6 +128,24 @@ def texts_asked(text: str) -> list[tuple[str, str]]:
     return found
 
 
+def keys_asked(text: str) -> list[tuple[str, str]]:
+    """The columns and keys that an expression asks by ``label('x')`` and ``passport('x')``.
+
+    Examples
+    --------
+    >>> keys_asked("label('season') = 'summer' and passport('mass') > 2")
+    [('labels', 'season'), ('passport', 'mass')]
+    """
+    columns = {"label": "labels", "passport": "passport"}
+    (parsed,) = sqlglot.parse(f"({text})")
+    found = []
+    for node in parsed.find_all(exp.Anonymous, bfs=False) if parsed is not None else ():
+        name = str(node.this).lower()
+        if name in columns and node.expressions:
+            found.append((columns[name], str(node.expressions[0].this)))
+    return found
+
+
 class _Compiler:
     """Builds the condition of one expression."""
 

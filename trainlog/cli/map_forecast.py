@@ -58,8 +58,8 @@ def map_forecast(
     if condition.is_dir():
         _forecast_network(condition, output, moment(at, zone), hours, layer)
         return
-    destination(output, ".csv")
     track = read_map(condition)
+    destination(output, ".csv")
     time = moment(at, zone) or first_free(track)
     forecast = forecast_of(track, time, layer=layer, hours=hours)
     write_forecast(forecast, output)

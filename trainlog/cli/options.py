@@ -40,7 +40,11 @@ class TakesSummaries:
     """Marks logs of a command that takes summaries of fits, too: stored ones stand for the logs."""
 
 
-Logs = Annotated[list[Path], typer.Argument(help="Logs (.mcap), or folders of logs."), ChosenTrips]
+Logs = Annotated[
+    list[Path],
+    typer.Argument(help="Logs (.mcap), or folders of logs; of one without, those below it."),
+    ChosenTrips,
+]
 CatalogueOption = Annotated[
     str | None,
     typer.Option(
@@ -390,7 +394,7 @@ def line_and_train(line: Path | None, train: Path | None) -> tuple[Line, Train]:
 
 
 def logs_in(paths: list[Path]) -> list[Path]:
-    """The logs named, and those in the folders named, in order of name."""
+    """The logs named, and those in the folders named, or else below them, in order of name."""
     return [log for path in paths for log in logs_of(path)]
 
 

@@ -218,12 +218,19 @@ def read_bytes(path: str | Path) -> bytes:
 def logs_of(path: Path) -> list[Path]:
     """The logs of a folder in order of name; a file stands for itself.
 
+    Where the folder itself holds none, those in the folders below it, however deep, are found.
+
     Raises
     ------
     InputError
         If the folder holds no log.
     """
     found = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+    if not found:
+        below = (log for log in path.rglob("*.mcap") if log.is_file())
+        found = sorted(
+            log for log in below if not any(s.startswith(".") for s in log.relative_to(path).parts)
+        )
     if not found:
         raise InputError(
             "the folder holds no logs (*.mcap)",

@@ -517,7 +517,8 @@ def draw_fleet(
     Raises
     ------
     InputError
-        If there are too many trips for the days, no route, or a fault is that of no train.
+        If there are too many trips for the days, no route, or a fault is that of no train, or
+        takes effect in no trip.
 
     Examples
     --------
@@ -542,7 +543,17 @@ def draw_fleet(
         )
     vehicles = draw_trains(trains, seed, faults)
     rosters = _rosters(network, seed)
-    return Fleet(network, vehicles, rosters, midnight(start), days, count, seed)
+    fleet = Fleet(network, vehicles, rosters, midnight(start), days, count, seed)
+    for place, vehicle in enumerate(vehicles):
+        last = fleet.departure(place + (count - 1 - place) // trains * trains)
+        for fault in vehicle.faults:
+            if place >= count or fault.start > last:
+                raise InputError(
+                    f"fault '{fault.words}' takes effect in no trip: the train's last one is"
+                    f" {'none' if place >= count else pd.Timestamp(last, tz='UTC').date()}",
+                    remedy="give an earlier day, or more days or trips",
+                )
+    return fleet
 
 
 def _rosters(network: Network, seed: int) -> tuple[Roster, ...]:
