@@ -517,8 +517,8 @@ def draw_fleet(
     Raises
     ------
     InputError
-        If there are too many trips for the days, no route, or a fault is that of no train, or
-        takes effect in no trip.
+        If there are too many trips for the days, no route, or a fault is that of no train or
+        begins after the last day.
 
     Examples
     --------
@@ -544,15 +544,13 @@ def draw_fleet(
     vehicles = draw_trains(trains, seed, faults)
     rosters = _rosters(network, seed)
     fleet = Fleet(network, vehicles, rosters, midnight(start), days, count, seed)
-    for place, vehicle in enumerate(vehicles):
-        last = fleet.departure(place + (count - 1 - place) // trains * trains)
-        for fault in vehicle.faults:
-            if place >= count or fault.start > last:
-                raise InputError(
-                    f"fault '{fault.words}' takes effect in no trip: the train's last one is"
-                    f" {'none' if place >= count else pd.Timestamp(last, tz='UTC').date()}",
-                    remedy="give an earlier day, or more days or trips",
-                )
+    end = pd.Timestamp(fleet.start + (days - 1) * DAY, tz="UTC")
+    for fault in (each for vehicle in vehicles for each in vehicle.faults):
+        if fault.start >= fleet.start + days * DAY:
+            raise InputError(
+                f"fault '{fault.words}' takes effect in no trip: the last day is {end:%Y-%m-%d}",
+                remedy="give an earlier day, or more days",
+            )
     return fleet
 
 
