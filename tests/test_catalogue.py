@@ -494,3 +494,17 @@ def test_logs_below_a_folder_without_logs_are_found(tmp_path: Path) -> None:
     assert logs_of(tmp_path) == [tmp_path / "flirt-01" / "nonstop.mcap"]
     shutil.copy(SAMPLES / "stopping.mcap", tmp_path)
     assert logs_of(tmp_path) == [tmp_path / "stopping.mcap"]
+
+
+def test_statements_of_one_reading_see_one_state(
+    where: Callable[[], Catalogue], logs: Path
+) -> None:
+    catalogue, other = where(), where()
+    catalogue.add(logs / "nonstop.mcap")
+    count = sa.select(sa.func.count()).select_from(metadata.tables["trips"])
+    with catalogue._database.reading() as connection:
+        before = connection.execute(count).scalar_one()
+        other.add(logs / "deep")
+        assert connection.execute(count).scalar_one() == before == 1
+    with catalogue._database.reading() as connection:
+        assert connection.execute(count).scalar_one() == len(catalogue) > before

@@ -6,14 +6,16 @@ import csv
 import io
 import json
 from collections.abc import Iterator
+from pathlib import Path
 
 import pandas as pd
 import pyarrow as pa
 import pytest
+import sqlglot
 from command import run
 from synthetic_trips import synthetic_entry
 
-from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue
+from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue, sql
 from trainlog.errors import InputError
 
 TRIPS = 60
@@ -131,12 +133,119 @@ def test_a_file_of_results_that_is_missing_is_stated(catalogue: Catalogue) -> No
     (path, *_) = sorted(folder.glob("*.parquet"))
     hidden = [each.rename(each.with_suffix(".away")) for each in folder.glob("*.parquet")]
     try:
-        with pytest.raises(InputError, match="a file of results cannot be read"):
+        with pytest.raises(InputError, match="a file of results is missing"):
             catalogue.sql('select * from "top speed"')
     finally:
         for each in hidden:
             each.rename(each.with_suffix(".parquet"))
     assert path.is_file()
+
+
+SAME = [
+    "select count(distinct e) from edges e",
+    "select count(*) from trips natural join edges",
+    "select count(*) from trips natural join files",
+    "select columns('.*') from trips",
+    "select to_json(t) from trips t",
+    "select t.to_json() from trips t",
+    "select list(T) from trips t",
+    "select unnest(t) from trips t",
+    "select json_group_array(e) from edges e",
+    "select struct_extract(e, 'edge') from edges e",
+    "select e['edge'] from edges e",
+    "select (e).edge from edges e",
+    "select {'row': e} from edges e where km_to > 20",
+    "select count(edges) from edges group by edge",
+    "select e from edges as e order by e",
+    "select count(*) from (from edges select distinct edges)",
+    "select list(s) from (select train, line from trips) s",
+    "select count(distinct s) from (from edges) s",
+    "with e as (select distinct edges from edges) select count(*) from e",
+    "select b from trips as t(a, b)",
+    "select train from trips as t(line, train)",
+    "select count(*) from (pivot trips on train using count(*))",
+    "select count(*) from (unpivot (from edges) on km_from, km_to)",
+    "select column_name from (summarize edges)",
+    "select count(*) from trips t where exists (from edges e where e.key = t.key)",
+    "select count(trips.*) from trips",
+    "select count(*) as trips from trips",
+    "select train, count(*) as trips from trips group by train order by trips, train",
+    'select "top speed" from "top speed"',
+    'select t.train, avg(value) from "top speed" join trips t using (key) group by all order by 1',
+    "select e.edge, t.line from edges e join trips t using (key) order by all",
+    "select (select max(km_to) from edges e where e.key = t.key) as far, name from trips t",
+    "select key from trips union by name select edge from edges order by all",
+    "select distinct on (train) train, KM_TO from trips order by train, km_to",
+    "select count(*) from trips positional join edges",
+    "select count(columns('d.*')) from trips",
+]
+
+
+def test_a_statement_finds_the_same_where_only_columns_that_it_names_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with open_catalogue(tmp_path) as catalogue:
+        catalogue.register(ENTRIES[:20])
+        part = catalogue.pending("top speed", "1").iloc[:15]
+        table = pa.table({"key": part["key"].tolist(), "value": [float(n) for n in range(15)]})
+        done = [ResultOutcome(row.key, row.sha256, rows=1) for row in part.itertuples()]
+        catalogue.record("top speed", "1", {}, done, table)
+        found = {statement: catalogue.sql(statement) for statement in SAME}
+        monkeypatch.setattr(sql, "_columns_in", lambda parsed: None)
+        for statement, frame in found.items():
+            assert len(frame), statement
+            pd.testing.assert_frame_equal(frame, catalogue.sql(statement), obj=statement)
+
+
+def test_rows_of_a_table_have_all_its_columns(catalogue: Catalogue) -> None:
+    edges = sum(len(each) for each in judged()["edges"])
+    assert catalogue.sql("select count(distinct e) as n from edges e")["n"][0] == edges
+    columns = set(catalogue.query().columns) - {"path"}
+    assert set(catalogue.sql("select columns('.*') from trips")) == columns
+    (row, *_) = catalogue.sql("select to_json(t) as row from trips t")["row"]
+    assert set(json.loads(row)) == columns
+    parsed = sqlglot.parse_one("select train from trips", read="duckdb")
+    assert isinstance(parsed, sqlglot.exp.Query)
+    assert sql._columns_in(parsed) == frozenset({"train"})
+
+
+@pytest.mark.parametrize("kept", [0, 0.5, -1])
+def test_a_file_of_results_that_is_damaged_is_stated_and_computed_anew(
+    tmp_path: Path, kept: float
+) -> None:
+    with open_catalogue(tmp_path) as catalogue:
+        catalogue.register(ENTRIES[:4])
+        for half in (0, 2):
+            part = catalogue.pending("top speed", "1").iloc[:2]
+            table = pa.table({"key": part["key"].tolist(), "value": [half + 1.0] * 2})
+            done = [ResultOutcome(row.key, row.sha256, rows=1) for row in part.itertuples()]
+            catalogue.record("top speed", "1", {}, done, table)
+        whole = catalogue.sql('select * from "top speed" order by key')
+        (path, _) = sorted((catalogue.results_folder / "top speed").iterdir())
+        data = path.read_bytes()
+        path.write_bytes(data[: int(kept * len(data)) if kept >= 0 else -1])
+        for ask in (
+            lambda: catalogue.sql('select sum(value) from "top speed"'),
+            lambda: catalogue.sql('select max(valu) from "top speed" natural join trips'),
+            catalogue.tables,
+            lambda: catalogue.results("top speed"),
+            lambda: catalogue.compact("top speed"),
+        ):
+            with pytest.raises(InputError, match="a file of results is damaged") as refused:
+                ask()
+            assert str(refused.value.file) == str(path)
+            assert "trainlog fleet update --retry" in str(refused.value.remedy)
+        assert catalogue.sql("select count(*) as n from trips")["n"][0] == 4
+        assert catalogue.forget("top speed", "1") == 2
+        todo = catalogue.pending("top speed", "1")
+        again = whole[whole["key"].isin(todo["key"])]
+        assert len(again) == 2
+        done = [ResultOutcome(row.key, row.sha256, rows=1) for row in todo.itertuples()]
+        table = pa.Table.from_pandas(again, preserve_index=False).replace_schema_metadata(None)
+        assert catalogue.record("top speed", "1", {}, done, table) == 2
+        found = catalogue.sql('select * from "top speed" order by key')
+        pd.testing.assert_frame_equal(found, whole)
+        assert catalogue.forget("top speed", "1") == 0
 
 
 def test_overviews_sum_the_trips_by_what_is_asked(catalogue: Catalogue) -> None:

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
@@ -19,8 +20,10 @@ from failing_analyses import DEADLY
 from fleet_trips import TRIPS
 from killed_fleet import contents, descendants, recorded
 
-from analysis.fleet.engine import MPI, PROFILED, Dask
+from analysis.fleet import engine
+from analysis.fleet.engine import MPI, PROFILED, Dask, Engine
 from analysis.fleet.update import UpdateOptions, update_fleet
+from analysis.fleet.work import Batch
 from trainlog.catalogue import open_catalogue
 from trainlog.errors import InputError, MissingExtraError
 
@@ -80,8 +83,8 @@ def when_ready(address: str, patience: float = 60.0) -> None:
     until = time.monotonic() + patience
     while time.monotonic() < until:
         try:
-            with Dask(address) as engine:
-                if engine.workers == 2:
+            with Dask(address) as dask:
+                if dask.workers == 2:
                     return
         except InputError:
             time.sleep(0.2)
@@ -188,6 +191,35 @@ def test_a_scheduler_that_does_not_answer_is_named() -> None:
     address = f"tcp://127.0.0.1:{free_port()}"
     with pytest.raises(InputError, match=f"no Dask scheduler answers at {address}"):
         Dask(address)
+
+
+def test_workers_of_dask_that_were_missing_a_moment_do_not_end_an_update(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pytest.importorskip("distributed")
+
+    class Client:
+        """Of a scheduler without workers."""
+
+        status = "running"
+
+        def scheduler_info(self, n_workers: int) -> dict[str, object]:
+            return {"workers": {}}
+
+    with ThreadPoolExecutor(1) as executor:
+        dask = Dask.__new__(Dask)
+        Engine.__init__(dask, executor, 1)
+        vars(dask).update(_client=Client(), _since=0.0)
+        now = [1e3]
+        monkeypatch.setattr(engine.time, "monotonic", lambda: now[0])
+        dask.check()
+        # They are back, and finish a batch.
+        engine.run(dask, iter([Batch((), ())]), lambda batch, result: None)
+        now[0] += 10 * engine.WITHOUT_WORKERS
+        dask.check()
+        now[0] += 1.1 * engine.WITHOUT_WORKERS
+        with pytest.raises(InputError, match="has no workers any more"):
+            dask.check()
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])

@@ -98,6 +98,9 @@ class Engine:
             remedy="what was finished is kept: start the executor and update again",
         )
 
+    def note_result(self) -> None:
+        """A batch came back: there are workers."""
+
     def check(self) -> None:
         """Refuse to wait for workers that do not come back.
 
@@ -335,6 +338,10 @@ class Dask(Engine):
     def renew(self) -> None:
         """Nothing: the scheduler goes on with the other workers."""
 
+    def note_result(self) -> None:
+        """A batch came back: there are workers, and those that were missing were replaced."""
+        self._since = 0.0
+
     def check(self) -> None:
         """Refuse to go on without the scheduler, or when it has had no workers for long.
 
@@ -504,6 +511,7 @@ def _finish(
         attempt = running.pop(future)
         error = futures.CancelledError() if future.cancelled() else future.exception()
         if error is None:
+            engine.note_result()
             finished(attempt.batch, future.result())
         elif engine.lost_worker(error):
             lost.append((attempt, error))
@@ -524,6 +532,7 @@ def _one_by_one(
         for attempt in range(RAN_ALONE):
             try:
                 result = engine.alone(single)
+                engine.note_result()
                 break
             except BaseException as found:
                 if not engine.lost_worker(found):

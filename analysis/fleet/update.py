@@ -216,7 +216,8 @@ class UpdateOptions:
     where : str, optional
         Only trips that this expression chooses; see `Catalogue.query`.
     retry : bool
-        Compute trips that were refused, or failed, again.
+        Compute trips again that were refused, or failed, or whose file of results is missing or
+        damaged.
     merge : bool
         Put the files of results together at the end, and bring the maps up to date.
 

@@ -462,7 +462,8 @@ class Catalogue:
     ) -> int:
         """Make trips pending again that an analysis refused or failed at; how many.
 
-        Parameters are those of `pending`, and the states that are forgotten.
+        And all trips whose file of results is missing or damaged. Parameters are those of
+        `pending`, and the states that are forgotten.
         """
         condition = condition_of(where)
         return stored.forget(self._database, analysis, code, parameters, condition, states)

@@ -159,9 +159,12 @@ class Database:
 
     @contextmanager
     def reading(self) -> Iterator[sa.Connection]:
-        """A connection that sees one state of the database."""
-        with self._reached(), self.engine.connect() as connection, connection.begin():
-            yield connection
+        """A connection that sees one state of the database, that of its first statement."""
+        with self._reached(), self.engine.connect() as connection:
+            if self.is_server:
+                connection.execution_options(isolation_level="REPEATABLE READ")
+            with connection.begin():
+                yield connection
 
     @contextmanager
     def writing(self) -> Iterator[sa.Connection]:

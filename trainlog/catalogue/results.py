@@ -249,16 +249,49 @@ def forget(
     condition: sa.ColumnElement[bool] | None,
     states: Sequence[ResultState],
 ) -> int:
-    """Delete the rows of trips in some states, so that they are pending again; how many."""
+    """Make trips pending again, see `Catalogue.forget`; how many."""
+    folder = database.results / analysis
     chosen = sa.select(trips.c.id).where(*([] if condition is None else [condition]))
+    with database.reading() as connection:
+        number = computation_id(connection, analysis, code, parameters) or -1
+        asked = sa.select(result_files.c.name).where(result_files.c.computation == number)
+        names = connection.execute(asked).scalars().all()
+    lost = [name for name in names if not is_readable(folder / name)]
     with database.writing() as connection:
-        number = computation_id(connection, analysis, code, parameters)
-        gone = sa.delete(results).where(
-            results.c.computation == (number or -1),
-            results.c.state.in_(states),
-            results.c.trip.in_(chosen),
+        held = sa.select(result_files.c.id).where(
+            result_files.c.computation == number, result_files.c.name.in_(lost)
         )
-        return int(connection.execute(gone).rowcount)
+        gone = sa.delete(results).where(
+            results.c.computation == number,
+            results.c.file.in_(held) | (results.c.state.in_(states) & results.c.trip.in_(chosen)),
+        )
+        count = int(connection.execute(gone).rowcount)
+        connection.execute(sa.delete(result_files).where(result_files.c.id.in_(held)))
+        for name in lost:  # of the same content as what is computed anew, perhaps
+            (folder / name).unlink(missing_ok=True)
+        return count
+
+
+def is_readable(path: Path) -> bool:
+    """Whether a file of results is there, and whole."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        pq.read_table(path, partitioning=None, page_checksum_verification=True)
+    except (OSError, pa.ArrowInvalid):
+        return False
+    return True
+
+
+def unreadable(path: str | Path) -> InputError:
+    """That a file of results is missing, or damaged."""
+    problem = "is damaged" if Path(path).is_file() else "is missing"
+    return InputError(
+        f"a file of results {problem}",
+        file=path,
+        remedy="'trainlog fleet update --retry' computes its trips anew",
+    )
 
 
 def record(
@@ -410,11 +443,7 @@ def merged(
         except FileNotFoundError as error:
             # Another process merged small files meanwhile: what it made is named now.
             if attempt + 1 == attempts:
-                raise InputError(
-                    "a file of results is missing",
-                    file=error.filename or database.results,
-                    remedy="run the analysis again after 'trainlog catalogue check'",
-                ) from error
+                raise unreadable(error.filename or database.results) from error
     raise AssertionError
 
 
@@ -616,7 +645,13 @@ def _table_of(folder: Path, rows: pd.DataFrame) -> pa.Table:
 
     pieces = []
     for name, group in rows.groupby("name", sort=True):
-        table = pq.read_table(folder / str(name), partitioning=None)
+        path = folder / str(name)
+        try:
+            table = pq.read_table(path, partitioning=None, page_checksum_verification=True)
+        except FileNotFoundError:
+            raise
+        except (OSError, pa.ArrowInvalid) as error:
+            raise unreadable(path) from error
         pieces.append(
             table.filter(pc.is_in(table[KEY], value_set=pa.array(group[KEY].tolist(), pa.string())))
         )

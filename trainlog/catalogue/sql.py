@@ -11,13 +11,20 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 import sqlalchemy as sa
 
 from trainlog.catalogue.database import columns_of
-from trainlog.catalogue.results import KEY, analyses_recorded, recorded
+from trainlog.catalogue.results import (
+    KEY,
+    analyses_recorded,
+    is_readable,
+    recorded,
+    unreadable,
+)
 from trainlog.catalogue.schema import TRIP_COLUMNS, files, trip_edges, trips
 from trainlog.errors import InputError
 from trainlog.extras import require
@@ -25,6 +32,7 @@ from trainlog.extras import require
 if TYPE_CHECKING:
     import duckdb
     import pyarrow as pa
+    from sqlglot import exp
 
     from trainlog.catalogue.database import Database
 
@@ -65,14 +73,11 @@ def asked(database: Database, statement: str) -> pd.DataFrame:
         try:
             with _connection(database, analyses, named) as connection:
                 return connection.execute(statement).df()
-        except duckdb.IOException as error:
-            if attempt + 1 == _ATTEMPTS:
-                raise InputError(
-                    f"a file of results cannot be read: {_first_line(error)}",
-                    file=database.place,
-                    remedy="run the analysis again after 'trainlog catalogue refresh'",
-                ) from error
         except duckdb.Error as error:
+            if isinstance(error, duckdb.IOException) and attempt + 1 < _ATTEMPTS:
+                # Another process put files of results together meanwhile, perhaps.
+                continue
+            _check_files(database, analyses, named.tables, error)
             every = _Named(named.tables)
             with _connection(database, analyses, every, empty=True) as connection:
                 columns = _columns(connection, named.tables)
@@ -83,15 +88,35 @@ def asked(database: Database, statement: str) -> pd.DataFrame:
 def tables(database: Database) -> pd.DataFrame:
     """Tables and columns that a statement can name; see `Catalogue.tables`."""
     require("duckdb")
+    import duckdb
+
     analyses = _analyses(database)
     known = [*_TABLES, *analyses]
-    with _connection(database, analyses, _Named(known), empty=True) as connection:
-        found = [
-            (table, name, kind)
-            for table, columns in _columns(connection, known).items()
-            for name, kind in columns.items()
-        ]
+    try:
+        with _connection(database, analyses, _Named(known), empty=True) as connection:
+            every = _columns(connection, known)
+    except duckdb.Error as error:
+        _check_files(database, analyses, known, error)
+        raise
+    found = [
+        (table, name, kind) for table, columns in every.items() for name, kind in columns.items()
+    ]
     return pd.DataFrame(found, columns=["table", "column", "type"])
+
+
+def _check_files(
+    database: Database, analyses: dict[str, str], tables: list[str], error: duckdb.Error
+) -> None:
+    """Refuse files of results that are missing or damaged, where an error may come from them."""
+    import duckdb
+
+    if isinstance(error, duckdb.ParserException | duckdb.BinderException | duckdb.CatalogException):
+        return
+    for name in tables:
+        if name in analyses:
+            for path in _results_of(database, analyses[name]).paths:
+                if not is_readable(Path(path)):
+                    raise unreadable(path) from error
 
 
 def _analyses(database: Database) -> dict[str, str]:
@@ -132,11 +157,39 @@ def _named_in(statement: str, known: list[str], place: str) -> _Named:
                 remedy=f"tables of {place}: {', '.join(known)}",
             )
         found.append(folded[name])
-    tables = list(dict.fromkeys(found))
-    if any(not isinstance(each.parent, exp.Count) for each in parsed[0].find_all(exp.Star)):
-        return _Named(tables)
-    words = (each.this.casefold() for each in parsed[0].find_all(exp.Identifier))
-    return _Named(tables, frozenset(words))
+    return _Named(list(dict.fromkeys(found)), _columns_in(parsed[0]))
+
+
+def _columns_in(parsed: exp.Query) -> frozenset[str] | None:
+    """The words of a statement that may be columns; None if it uses columns that it does not name.
+
+    As ``*``, ``columns(...)``, a natural join, a pivot, new names by position, or the row of a
+    table do: ``count(distinct e) from edges e``.
+    """
+    from sqlglot import exp
+
+    if parsed.find(exp.Columns, exp.Pivot, exp.Describe, exp.Summarize):
+        return None
+    if any(not isinstance(each.parent, exp.Count) for each in parsed.find_all(exp.Star)):
+        return None
+    if any(each.args.get("method") for each in parsed.find_all(exp.Join)):
+        return None
+    if any(not isinstance(each.this, exp.Identifier) for each in parsed.find_all(exp.Table)):
+        return None
+    rows, words = set(), set()
+    for table in parsed.find_all(exp.Table, exp.TableAlias):
+        if table.args.get("columns"):
+            return None
+        rows.add(table.name.casefold())
+    for each in parsed.find_all(exp.Identifier):
+        parent = each.parent
+        if isinstance(parent, exp.Table | exp.TableAlias):
+            continue
+        about = parent.args if isinstance(parent, exp.Column) else {}
+        if about.get("table") is each and not about.get("db"):
+            continue
+        words.add(each.this.casefold())
+    return None if rows & words else frozenset(words)
 
 
 @contextmanager

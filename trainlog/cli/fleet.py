@@ -68,7 +68,12 @@ def fleet_update(
         int, typer.Option(min=1, help="Most trips that a worker is given at once.")
     ] = 16,
     retry: Annotated[
-        bool, typer.Option("--retry", help="Compute trips that were refused, or failed, again.")
+        bool,
+        typer.Option(
+            "--retry",
+            help="Compute trips again that were refused, or failed, or whose file of results is"
+            " damaged.",
+        ),
     ] = False,
 ) -> None:
     """Compute what is new in the catalogue, or was made by other code; nothing else.
