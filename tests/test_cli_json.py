@@ -250,7 +250,7 @@ PURE = {
     *("maximum", "maximum_std", "points", "optimal_slip", "probability", "share_of_power", "bins"),
     *("share_of_adhesion", "over_weight_std", "speed", "optimal_band"),
     *("coasting", "covered", "slips", "factor", "factor_std", "false_alarms", "judged_trips"),
-    *("explained", "gaps", "axles", "trips", "kept"),
+    *("explained", "gaps", "axles", "trips", "kept", "gone"),
     *("trips", "repairs", "samples", "count", "same", "back", "removed"),
     *("against_kind", "against_kind_std", "band_ratio", "beyond", "done", "failed", "known"),
     *("moved_in_all", "pending", "refused", "rounding", "rows", "unread", "verdicts_in_all"),

@@ -367,7 +367,7 @@ class TestRefusals:
 
     def test_a_map_of_unknown_making(self) -> None:
         foreign = replace(empty_map(LINE), settings={})
-        with pytest.raises(InputError, match="lacks the setting 'trip_std'; begin a new map"):
+        with pytest.raises(InputError, match="lacks the setting 'prior_dry'; begin a new map"):
             update(foreign, [piece(1)])
 
 

@@ -55,7 +55,7 @@ def stamp_of(time: Any) -> pd.Timestamp:
     4
     >>> stamp_of("04.10.2026")
     Traceback (most recent call last):
-    trainlog.errors.InputError: '04.10.2026' is not a time (write it as 2026-10-01 or 2026-10-01...
+    trainlog.errors.InputError: '04.10.2026' is not a time; write it as 2026-10-01 ...
     """
     try:
         if isinstance(time, str):
@@ -87,7 +87,7 @@ def check_zone(name: str) -> None:
     >>> check_zone("Europe/Zurich")
     >>> check_zone("Europe/Zuerich")
     Traceback (most recent call last):
-    trainlog.errors.InputError: 'Europe/Zuerich' is no time zone (did you mean 'Europe/Zurich'?)
+    trainlog.errors.InputError: 'Europe/Zuerich' is no time zone; did you mean 'Europe/Zurich' ...
     """
     try:
         pd.Timestamp(0, tz=name)

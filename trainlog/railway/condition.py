@@ -625,8 +625,8 @@ class TrackConditionMap:
         >>> from trainlog.formats.condition import read_map
         >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
         >>> seen = track.centres[track.layer("wet").observed][:2]
-        >>> track.lower_bound("wet", seen).round(3).tolist()
-        [0.125, 0.124]
+        >>> track.lower_bound("wet", seen).round(4).tolist()
+        [0.1254, 0.1245]
         >>> bool(np.all(track.lower_bound("wet", seen, risk=0.5) > track.lower_bound("wet", seen)))
         True
         """
