@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.adhesion.condition_map import own_line
 from analysis.adhesion.slip import TOPICS, slip
@@ -17,14 +16,13 @@ from analysis.resistance.logs import fit_log
 from analysis.resistance.recording import LARGEST_SCALE, speed_scale
 from estimators.motion import smooth_motion
 from trainlog import __version__
+from trainlog.arrays import FloatArray, robust_std
 from trainlog.errors import LogError, TrainlogError
 from trainlog.formats.files import write_bytes
 from trainlog.mcap import LogWriter
 from trainlog.mcap.reader import stretches
 from trainlog.topics import ESTIMATED_STATE, TRAIN_AXLES
 from trainlog.trip import Trip, frame_of, seconds
-
-FloatArray = NDArray[np.float64]
 
 CHAINAGE_STD = 3.0
 """Standard deviation of a recorded chainage [m]: odometry that is corrected at balises."""
@@ -328,5 +326,5 @@ def _noise(speed: FloatArray) -> float:
     """Standard deviation of white noise on a smooth speed [m/s], from its second differences."""
     second = np.diff(speed, 2)
     second = second[np.isfinite(second)]
-    spread = 1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0) if second.size else 0.0
+    spread = robust_std(second) / np.sqrt(6.0) if second.size else 0.0
     return max(spread, 0.01)

@@ -29,7 +29,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from analysis.given import Given, trip_of
@@ -44,6 +43,7 @@ from analysis.resistance.recording import (
 )
 from analysis.resistance.regression import BRAKE_SCALE_STD, CLUSTER, DRAG_STD
 from analysis.resistance.windows import Windows, build_windows, effort_impulse, window_width
+from trainlog.arrays import FloatArray, robust_std
 from trainlog.display import counted
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.attached import (
@@ -61,8 +61,6 @@ from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, seconds
 from trainlog.units import GRAVITY, KMH
-
-FloatArray = NDArray[np.float64]
 
 TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion")
 """What is read of a log."""
@@ -465,7 +463,7 @@ class _Motion:
             rows = self._whitened(used, impulse[kept, 1], momentum[kept], change[kept])
             found, covariance, _ = self._solved(rows, used.start)
             residual = rows[:, -1] - rows[:, :-1] @ found
-            spread = 1.4826 * float(np.median(np.abs(residual)))
+            spread = robust_std(residual)
             far = np.abs(residual) > OUTLIER * max(spread, 1e-9)
             if not far.any():
                 break
@@ -679,7 +677,7 @@ def _noise_of(time: FloatArray, speed: FloatArray) -> Quantity:
 
 def _spread(values: FloatArray) -> float:
     """Standard deviation by the median; of values that are mostly alike by all of them."""
-    spread = 1.4826 * float(np.median(np.abs(values)))
+    spread = robust_std(values)
     return spread if spread > 0.0 else float(np.sqrt(np.mean(np.minimum(values**2, 1.0))))
 
 
@@ -754,7 +752,7 @@ def ratio_of_speeds(speed: FloatArray, reference: FloatArray) -> tuple[float, fl
     for _ in range(3):
         apart = speed - ratio * reference
         middle = float(np.median(apart))
-        size = 1.4826 * float(np.median(np.abs(apart - middle)))
+        size = robust_std(apart - middle)
         near = np.abs(apart - middle) <= OUTLIER * np.hypot(size, np.hypot(coarse[0], coarse[1]))
         ratio = float(np.sum(speed[near]) / np.sum(reference[near]))
     v, u = speed[near], reference[near]

@@ -11,13 +11,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray
 from trainlog.formats.attached import train_of
 from trainlog.railway import RunningResistance, StepProfile, TrackConditionMap
 from trainlog.trip import SCENARIO_ATTACHMENT, Trip
-
-FloatArray = NDArray[np.float64]
 
 SLOWEST = 5.0
 """Drag curves are compared from this speed [m/s] up."""

@@ -16,14 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from estimators.interface import CALIBRATED, Estimator
 from estimators.linear_gaussian import LinearGaussian, random_walk_slope
 from estimators.slip import samples_of
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
-
-FloatArray = NDArray[np.float64]
 
 NO_SPEED_STD = 100.0
 """Standard deviation of a wheel speed [m/s] that was not measured at first."""

@@ -28,14 +28,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.sparse import csc_array, csr_array, diags_array, vstack
 from scipy.sparse.linalg import SuperLU, splu
 
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import InputError
-
-FloatArray = NDArray[np.float64]
 
 KNOTS = 50.0
 """Distance between the knots of the height [m]."""
@@ -103,7 +101,7 @@ class HeightProfile:
     position: FloatArray
     gradient: FloatArray
     gradient_std: FloatArray
-    known: NDArray[np.bool_]
+    known: BoolArray
     knots: FloatArray
     height: FloatArray
     sigma: float

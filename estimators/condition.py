@@ -9,10 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dptsv, dpttrf
 
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,13 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from estimators.condition_evidence import EvidenceRows
-
-FloatArray = NDArray[np.float64]
-
+from trainlog.arrays import FloatArray
 
 CHANGE_RATE = 1e-3
 """Changes of the lasting condition that are expected on a kilometre a day."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.special import log_ndtr
 
@@ -33,9 +32,7 @@ from estimators.condition_parameters import (
     switches_of,
 )
 from estimators.condition_passes import beside, emissions, over_days
-
-FloatArray = NDArray[np.float64]
-
+from trainlog.arrays import FloatArray
 
 ASTRAY = POSITION_STD * float(np.sqrt(2.0 / np.pi))
 """Share of onsets that were in a neighbour of their bin, times the length of a bin [m]."""

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from trainlog.arrays import FloatArray, IntArray
 
 STEP = 0.025
 """Of the grid of log adhesion."""

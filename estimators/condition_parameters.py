@@ -9,17 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.special import log_ndtr
 
 from estimators.condition_evidence import EvidenceRows, FieldEvidence
 from estimators.condition_levels import COARSE, FINE, STEP, LevelGrid, level_kernel, normal_on_grid
 from estimators.condition_passes import OFTEN, WIDE, along_line, diagonals_of
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from trainlog.arrays import BoolArray, FloatArray
 
 SMOOTH = 0.9
 """Steps of the coarse grid by which the level scatters from bin to bin, for it to be used."""

@@ -14,11 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 
 FAST = {"reassoc", "contract", "nsz"}
 """Freedom of the compiler to add up in another order, so that sums are vectorised."""
@@ -53,13 +50,13 @@ def _banded(diagonals: FloatArray, half: int, given: FloatArray, out: FloatArray
 @njit(cache=True, error_model="numpy", fastmath=FAST)  # type: ignore[untyped-decorator]
 def along_line(
     likelihood: FloatArray,
-    flat: NDArray[np.bool_],
+    flat: BoolArray,
     share: FloatArray,
     start: FloatArray,
     half: IntArray,
     diagonals: FloatArray,
     switch: FloatArray,
-    fresh: NDArray[np.bool_],
+    fresh: BoolArray,
     likelihood_only: bool,
 ) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Forward-backward over bins of several classes on a grid.

@@ -22,9 +22,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import FloatArray
 
 PRIOR_MEAN = (np.log(0.15), np.log(1.5), 0.3)
 """Of the states: log maximum, log slip speed [m/s] of the maximum, logit of C - 1."""

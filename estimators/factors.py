@@ -20,7 +20,7 @@ from functools import cache
 import numpy as np
 from numba import njit
 
-from estimators.interface import FloatArray
+from trainlog.arrays import FloatArray
 
 
 @njit(inline="always")  # type: ignore[untyped-decorator]

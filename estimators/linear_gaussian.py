@@ -25,7 +25,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class LinearGaussian:
     transition: FloatArray
     process_noise: FloatArray
     observation: FloatArray
-    step: NDArray[np.int64] | None = None
+    step: IntArray | None = None
     shift: FloatArray | None = None
     gate: FloatArray | None = None
 
@@ -240,7 +240,7 @@ def _turn(matrix: FloatArray, inner: FloatArray, half: FloatArray, transposed: b
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _forward(
     transition: FloatArray,
-    step: NDArray[np.int64],
+    step: IntArray,
     noise: FloatArray,
     shift: FloatArray,
     observation: FloatArray,
@@ -307,7 +307,7 @@ def _forward(
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _backward(
     transition: FloatArray,
-    step: NDArray[np.int64],
+    step: IntArray,
     observation: FloatArray,
     used: FloatArray,
     innovations: FloatArray,

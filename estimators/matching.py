@@ -14,10 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from trainlog.arrays import FloatArray, IntArray
 
 REWARD = 2.5
 """What a fix in the chain is worth, in units of log-likelihood: 2.2 standard deviations."""

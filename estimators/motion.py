@@ -14,12 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from estimators.linear_gaussian import LinearGaussian
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
-
-FloatArray = NDArray[np.float64]
 
 ACCELERATION_STD = 0.4
 """Standard deviation of a train's acceleration over a trip [m/s²]: stops at 0.5 to 1 m/s²,

@@ -16,13 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from numpy.typing import NDArray
 
 from estimators.interface import Estimator
 from estimators.motion import WHEEL_ERROR_STD
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
-
-FloatArray = NDArray[np.float64]
 
 ACCELEROMETER_BIAS_STD = 0.03
 """Standard deviation of an accelerometer's constant error [m/s²]."""

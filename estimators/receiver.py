@@ -21,9 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from trainlog.arrays import FloatArray, IntArray, robust_std
 
 BLOCK = 1.0
 """Samples within this time [s] are one value of a series: receivers filter over a second."""
@@ -36,9 +34,6 @@ TIMES = np.array([2.0, 5.0, 10.0, 20.0, 40.0, 80.0, 160.0, 320.0])
 
 WINSOR = 4.5
 """Differences beyond this many of their median sizes count as this many."""
-
-MEDIAN_TO_STD = 1.4826
-"""Standard deviation of normal noise over the median of its size."""
 
 LEAST_SHARE, ENOUGH = 0.1, 30.0
 """Part of the largest structure function that adds to the uncertainty of each, and the number of
@@ -186,7 +181,7 @@ def mean_square(values: FloatArray) -> float:
     if not values.size:
         return 0.0
     size = np.abs(values)
-    usual = MEDIAN_TO_STD * float(np.median(size))
+    usual = robust_std(size)
     bound = WINSOR * usual if usual > 0.0 else np.inf
     return float(np.mean(np.minimum(size, bound) ** 2))
 
@@ -441,7 +436,7 @@ def _delay_in(
     inverse = np.eye(3)
     for _ in range(REWEIGHTED):
         residual = values - terms @ factors
-        std = max(MEDIAN_TO_STD * float(np.median(np.abs(residual))), 1e-6)
+        std = max(robust_std(residual), 1e-6)
         weight = np.maximum(1.0 - (residual / (OUTLIER * std)) ** 2, 0.0) ** 2
         prior[2, 2] = (std / CREEP_STD) ** 2
         weighted = terms * weight[:, None]

@@ -33,10 +33,9 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from estimators.factors import recursion, transform
-from estimators.interface import CALIBRATED, Estimator, FloatArray
+from estimators.interface import CALIBRATED, Estimator
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import InputError
-
-BoolArray = NDArray[np.bool_]
 
 WELL_CONDITIONED = 300.0
 """Condition number up to which a result counts as valid: beyond it noise of the regressors, which
@@ -446,7 +445,7 @@ def record_with_resets(
     return np.concatenate(estimates), np.concatenate(covariances)
 
 
-def _changes(values: NDArray[np.float64], count: Callable[[Any], NDArray[Any]]) -> BoolArray:
+def _changes(values: FloatArray, count: Callable[[Any], NDArray[Any]]) -> BoolArray:
     """Where `count` of a known value differs from that of the last known one before."""
     known = np.flatnonzero(np.isfinite(values))
     changed = np.zeros(values.size, dtype=np.bool_)

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
@@ -27,10 +26,7 @@ from estimators.matching import (
     STEP_PENALTY,
     TURN_SHARE,
 )
-
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 
 LOOK_BACK = 40
 """Fixes with candidates that may be left out between two of the chain."""

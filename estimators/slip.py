@@ -16,14 +16,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from estimators.interface import Estimator
 from estimators.linear_gaussian import LinearGaussian, random_walk_slope
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import InputError
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 SLOPE_RATE = 0.005
 """How fast what is not known of the efforts, over mass, may wander [m/s² per s^0.5], where the

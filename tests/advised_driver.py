@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from trainlog.railway import Configuration, Line, Train
+from trainlog.units import KMH
 
-KMH = 3.6
 STEP = 0.25
 """Of the integration [s]."""
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray
 from trainlog.formats.line import line_to_bytes
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.topics import ESTIMATED_STATE, GNSS_MOTION
 from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of
-
-Array = NDArray[np.float64]
 
 RATIO = 0.93
 """Mass over inertia of the train that is driven here."""
@@ -38,7 +36,7 @@ HILLY = line_of_gradients(
 )
 
 
-def coasting_down(time: Array, start: float, curve: tuple[float, float, float]) -> Array:
+def coasting_down(time: FloatArray, start: float, curve: tuple[float, float, float]) -> FloatArray:
     """Speed [m/s] after coasting for `time` [s] on level track, in closed form.
 
     dv/dt = -(c0 + c1 v + c2 v²), for all three signs of c1² - 4 c0 c2.
@@ -65,7 +63,7 @@ def driven(
     *,
     start: float = 0.0,
     speed: float = 10.0,
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Time, position, speed and effort over inertia of a drive, every `STEP`.
 
     Parameters
@@ -97,9 +95,9 @@ def driven(
 
 
 def recorded(
-    time: Array,
-    position: Array,
-    speed: Array,
+    time: FloatArray,
+    position: FloatArray,
+    speed: FloatArray,
     *,
     line: Line | None = None,
     every: int = 2,

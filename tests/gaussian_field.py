@@ -19,8 +19,7 @@ from scipy.linalg.lapack import dptsv, dpttrf
 from scipy.special import log_ndtr
 
 from estimators.condition import Prior
-
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import FloatArray
 
 ITERATIONS = 50
 TOLERANCE = 1e-10

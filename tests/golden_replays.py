@@ -12,7 +12,7 @@ from dataclasses import astuple, dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 import trainlog
 from analysis.adhesion.condition_map import empty_map, update
@@ -28,12 +28,12 @@ from estimators.interface import EstimatorResult
 from estimators.odometry import OdometryFilter
 from estimators.rls import RecursiveLeastSquares, edges_crossed, record_with_resets
 from estimators.slip import SlipDetector
+from trainlog.arrays import FloatArray
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.samples import folder
 from trainlog.trip import Trip, seconds
 
 Figures = Mapping[str, ArrayLike]
-Array = NDArray[np.float64]
 
 LOGS = ("nonstop", "stopping")
 
@@ -115,7 +115,7 @@ def odometry(trip: Trip) -> Figures:
     } | reported(course[-1])
 
 
-def wheels(trip: Trip) -> tuple[Array, Array, Array]:
+def wheels(trip: Trip) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Time, wheel speeds and wheel efforts of the powered axles."""
     axles = trip["/train/axles"]
     speed, effort = (axles.filter(regex=name).to_numpy() for name in ("_speed_", "_effort_"))

@@ -8,9 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.resistance.recording import Recording
+from trainlog.arrays import FloatArray
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
 from trainlog.railway import (
@@ -27,8 +27,6 @@ from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "identification"))
 
 from monte_carlo import with_exact_efforts as with_exact_efforts
-
-Array = NDArray[np.float64]
 
 RESISTANCE = RunningResistance(2400.0, 60.0, 12.0)
 
@@ -55,19 +53,19 @@ LINE = Line(
 )
 
 
-def varied_speed(time: Array) -> Array:
+def varied_speed(time: FloatArray) -> FloatArray:
     """A start, then speeds that go up and down between 5 and 33 m/s."""
     waves = 19.0 + 9.0 * np.sin(time / 45.0) + 5.0 * np.sin(time / 17.0)
     return np.asarray(waves * np.sin(0.5 * np.pi * np.clip(time / 60.0, 0.0, 1.0)))
 
 
-def constant_speed(time: Array) -> Array:
+def constant_speed(time: FloatArray) -> FloatArray:
     """Nothing but 30 m/s."""
     return np.full(time.size, 30.0)
 
 
 def recording(
-    speed_of: Callable[[Array], Array] = varied_speed,
+    speed_of: Callable[[FloatArray], FloatArray] = varied_speed,
     *,
     mass: float = 130e3,
     resistance: RunningResistance = RESISTANCE,
@@ -100,7 +98,7 @@ def recording(
 
 
 def trip(
-    speed_of: Callable[[Array], Array] = varied_speed,
+    speed_of: Callable[[FloatArray], FloatArray] = varied_speed,
     *,
     name: str = "made",
     mass: float = 130e3,

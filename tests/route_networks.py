@@ -13,16 +13,15 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from trainlog.arrays import ComplexArray, FloatArray
 from trainlog.ingest import Profile
 from trainlog.railway.geometry import from_plane, to_plane
 from trainlog.railway.line import Geometry, Line, Station, StepProfile
 from trainlog.railway.network import Edge, Network, Node, Route
 
 ORIGIN = (47.4, 9.2)
-Points = NDArray[np.complex128]
-FloatArray = NDArray[np.float64]
+Points = ComplexArray
 
 
 def bezier(*corners: complex, count: int = 400) -> Points:

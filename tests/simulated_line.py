@@ -18,8 +18,7 @@ from trainlog.railway import (
     Trajectory,
     Tunnel,
 )
-
-KMH = 3.6
+from trainlog.units import KMH
 
 
 def steps(*pairs: tuple[float, float]) -> StepProfile:

@@ -7,16 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.adhesion.slip import SlipAnalysis, slip
 from estimators.slip import SlipDetector
+from trainlog.arrays import FloatArray
 from trainlog.simulation import Scenario, drive, recorded
 from trainlog.simulation.recording import Run
 from trainlog.spans import runs_of
 from trainlog.trip import Trip
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,11 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray
 from trainlog.railway.adhesion import DRY, CreepCurve
-
-FloatArray = NDArray[np.float64]
 
 AXLES = 4
 ROTATING_MASS = 2_000.0

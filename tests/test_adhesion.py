@@ -9,17 +9,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
-from numpy.typing import NDArray
 from slipping_axles import AXLE_LOAD, AXLES, INERTIA, ROTATING_MASS, Run, run
 
 from analysis.adhesion.events import onset
 from estimators.adhesion import AdhesionObserver, smoothed_force
 from estimators.linear_gaussian import LinearGaussian, random_walk_slope
 from estimators.slip import SlipDetector, impulse, train_speed
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway.adhesion import DRY, WET, CreepCurve
-
-FloatArray = NDArray[np.float64]
 
 CREEP = Path(__file__).parents[2] / "shared" / "data" / "creep" / "eurosprinter_creep_curves.csv"
 FORCE_RATE = 0.12 * AXLE_LOAD

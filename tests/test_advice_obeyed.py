@@ -19,8 +19,8 @@ from analysis.trajectory.advice import journey_advice, limits_of, write_journey_
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
 from trainlog.railway import Configuration, Line, RunningResistance, Train
+from trainlog.units import KMH
 
-KMH = 3.6
 ALLOWED = 0.5 / KMH
 """Speed over the limit that is counted as none [m/s]."""
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from numpy.typing import NDArray
 from simulated_line import flirt, hilly_line, level_line
 from slip_truth import Seen, seen
 
 from analysis.adhesion.slip import slip
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.train import read_train, train_from_bytes, train_to_bytes, write_train
 from trainlog.railway import Axles, Train
@@ -22,8 +22,6 @@ from trainlog.simulation import draw_scenarios
 from trainlog.simulation.plant import Plant
 from trainlog.trip import TRAIN_ATTACHMENT
 from trainlog.units import GRAVITY
-
-FloatArray = NDArray[np.float64]
 
 GEOMETRY = AxleGeometry(2.6, 9.5, 0.6, 1.0, 1.6)
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from numpy.typing import NDArray
 from simulated_line import level_line
 
 from analysis.adhesion.condition_map import LEVELS, empty_map
@@ -15,8 +14,6 @@ from analysis.verification.forecasts import before, rolling_forecast
 from trainlog.condition import estimated
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
-
-FloatArray = NDArray[np.float64]
 
 LINE = level_line(2_500.0)
 BINS = 100

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from test_adhesion import AXLE_LOAD, FORCE_RATE, ROTATING_MASS, climb
 
 from estimators.adhesion import smoothed_force
 from estimators.creep_curve import FEWEST, estimate_creep_curve
+from trainlog.arrays import FloatArray
 
-Array = NDArray[np.float64]
 
-
-def polach(slip: Array, friction: float, floor: float, decay: float) -> Array:
+def polach(slip: FloatArray, friction: float, floor: float, decay: float) -> FloatArray:
     """Adhesion by Polach (2005), Wear 258, eqs. (1)-(5): friction falls with the slip speed."""
     falling = friction * ((1.0 - floor) * np.exp(-decay * slip) + floor)
     strain = 1.0 * slip / falling

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from numpy.typing import NDArray
 
 from estimators.adhesion import AdhesionObserver
 from estimators.interface import (
@@ -22,6 +21,7 @@ from estimators.interface import (
 from estimators.odometry import OdometryFilter
 from estimators.rls import RecursiveLeastSquares
 from estimators.slip import SlipDetector
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 
 
@@ -105,7 +105,7 @@ CASES = {
 """Every estimator stands here once."""
 
 
-def same(one: NDArray[np.float64], other: NDArray[np.float64]) -> None:
+def same(one: FloatArray, other: FloatArray) -> None:
     np.testing.assert_array_equal(one, other)
 
 

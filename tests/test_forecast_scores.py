@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, strategies as st
-from numpy.typing import NDArray
 from scipy import stats
 from simulated_line import level_line
 
@@ -25,11 +24,10 @@ from analysis.verification.scores import (
     used_score,
 )
 from analysis.verification.verify import Forecaster, Verification, slip_probability, verify
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway.condition import AdhesionEstimate
 from trainlog.railway.evidence import DailyEvidence
-
-FloatArray = NDArray[np.float64]
 
 BINS = 200
 TRACK = empty_map(level_line(25.0 * BINS))

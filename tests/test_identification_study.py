@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from analysis.resistance import TripFit, fit_trip
 from analysis.resistance.regression import powers
+from trainlog.arrays import FloatArray
 from trainlog.errors import NotIdentifiableError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "identification"))
@@ -25,8 +25,6 @@ from bound import information
 from monte_carlo import CONSTANT, PERFECT, Study, draw, trip_of
 from study import ASKED, SPEEDS, beta_of, common, covered, error, grouped, processes, run
 
-Array = NDArray[np.float64]
-
 STUDIES = {"pieces of 100 to 200 m": Study(), "pieces of 0.3 to 2 km": LONG}
 
 
@@ -34,7 +32,7 @@ def fitted(study: Study, seed: int) -> TripFit:
     return fit_trip(trip_of(draw(study, seed), study, seed), ASKED)
 
 
-def size(covariance: Array, study: Study) -> float:
+def size(covariance: FloatArray, study: Study) -> float:
     """Expected error of the curve, root mean square of the relative one."""
     basis = powers(SPEEDS) / study.resistance(SPEEDS)[:, None]
     return float(np.sqrt(np.mean(np.einsum("ki,ij,kj->k", basis, covariance, basis))))

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings, strategies as st
-from numpy.typing import NDArray
 
 from estimators.linear_gaussian import LinearGaussian, random_walk_slope
+from trainlog.arrays import FloatArray
 
-Array = NDArray[np.float64]
 
-
-def drawn(seed: int, count: int = 40, rank: int = 3, channels: int = 2) -> tuple[Array, ...]:
+def drawn(seed: int, count: int = 40, rank: int = 3, channels: int = 2) -> tuple[FloatArray, ...]:
     """A stable model with steps of its own, known inputs, measurements, some missing."""
     rng = np.random.default_rng(seed)
     transition = np.eye(rank) + 0.2 * rng.standard_normal((count, rank, rank))
@@ -29,8 +27,8 @@ def drawn(seed: int, count: int = 40, rank: int = 3, channels: int = 2) -> tuple
 
 
 def by_filterpy(
-    drawn: tuple[Array, ...], mean: Array, covariance: Array
-) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    drawn: tuple[FloatArray, ...], mean: FloatArray, covariance: FloatArray
+) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
     """Filtered and smoothed means and covariances of the same model."""
     transition, noise, observation, shift, measured, variances = drawn
     peer = KalmanFilter(dim_x=mean.size, dim_z=1)

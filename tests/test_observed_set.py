@@ -7,26 +7,24 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from numpy.typing import NDArray
 
 from analysis.resistance import combine, parameter_set, summarised
 from analysis.resistance.observed import choose
 from tests.test_resistance_together import drawn
+from trainlog.arrays import FloatArray
 from trainlog.formats.parameters import parameters_from_bytes, parameters_to_bytes
-
-Array = NDArray[np.float64]
 
 DIRECTIONS = np.random.default_rng(99).standard_normal((400, 4))
 
 
-def features(count: int, seed: int) -> Array:
+def features(count: int, seed: int) -> FloatArray:
     """Trips that differ by some per cent in four correlated features."""
     generator = np.random.default_rng(seed)
     mixing = np.array([[1.0, 0.8, 0.0, 0.0], [0.0, 1.0, 0.5, 0.0], [0, 0, 1.0, 0.3], [0, 0, 0, 1]])
     return np.asarray(1.0 + 0.05 * generator.standard_normal((count, 4)) @ mixing)
 
 
-def bounded(trips: Array, chosen: Array) -> Array:
+def bounded(trips: FloatArray, chosen: FloatArray) -> FloatArray:
     """Share of the trips that the worst of the chosen bounds, in each direction."""
     worst = (chosen @ DIRECTIONS.T).max(axis=0)
     return np.asarray(np.mean(trips @ DIRECTIONS.T <= worst, axis=0))

@@ -6,24 +6,22 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from estimators.odometry import OdometryFilter, OdometryResult
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 @dataclass
 class Run:
     """A run between two stations and what was measured of it, 10 Hz."""
 
-    time: Array
-    position: Array
-    speed: Array
-    measured: dict[str, Array]
+    time: FloatArray
+    position: FloatArray
+    speed: FloatArray
+    measured: dict[str, FloatArray]
 
-    def located(self, estimator: OdometryFilter, **changes: Array) -> list[OdometryResult]:
+    def located(self, estimator: OdometryFilter, **changes: FloatArray) -> list[OdometryResult]:
         """What the filter gives after each sample, with some of the measurements changed."""
         columns = [{**self.measured, **changes}[name] for name in self.measured]
         return [estimator.update(*row) for row in zip(self.time, *columns, strict=True)]

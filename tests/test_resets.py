@@ -5,19 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from numpy.typing import NDArray
 
 from estimators.rls import RecursiveLeastSquares, edges_crossed, periods_elapsed, record_with_resets
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
-
-Array = NDArray[np.float64]
 
 EDGES = np.array([0.0, 400.0, 1_000.0, 1_003.0])
 PRIOR = np.array([100.0, 0.1, 0.01])
 DAVIS = np.array([0.039, 0.000675])
 
 
-def trip(slopes: Array, period: float = 0.5) -> tuple[Array, Array, Array]:
+def trip(slopes: FloatArray, period: float = 0.5) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Positions, regressors and resistance plus slope of a train that speeds up and down."""
     time = np.arange(0.0, 120.0, period)
     speed = 20.0 + 15.0 * np.sin(time / 15.0)

@@ -6,18 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from resistance_trips import changed, constant_speed, trip
 
 from analysis.resistance import TripRefusedError, fit_trip
 from analysis.resistance.recording import REASONS
 from analysis.resistance.regression import Residuals, diagnosed
+from trainlog.arrays import FloatArray
 from trainlog.trip import Trip
 
-Array = NDArray[np.float64]
 
-
-def residuals(value: Array, speed: Array | None = None) -> Residuals:
+def residuals(value: FloatArray, speed: FloatArray | None = None) -> Residuals:
     time = np.arange(value.size, dtype=np.float64)
     return Residuals(time, 20.0 * time, np.sin(time) if speed is None else speed, value)
 

@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import example, given, settings, strategies as st
-from numpy.typing import NDArray
 from resistance_trips import (
     LINE,
     RESISTANCE,
@@ -42,8 +41,6 @@ from trainlog.railway.adhesion import polach_curve
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.topics import GNSS_MOTION, TRAIN_AXLES
 from trainlog.trip import Trip, frame_of, seconds
-
-Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from numpy.typing import NDArray
 from resistance_trips import LINE, recording, trip
 from test_resistance_together import SPEED, TRUE, covariance_of, fit_of
 from test_resistance_windows import NOISE, dense, drawn_errors, rough
@@ -22,8 +21,6 @@ from trainlog.formats.line import line_to_bytes
 from trainlog.formats.summaries import SURVEY, read_summaries, surveys_of, write_summaries
 from trainlog.railway import StepProfile, Survey
 from trainlog.trip import LINE_ATTACHMENT
-
-Array = NDArray[np.float64]
 
 
 def test_what_the_survey_brings_in_is_what_its_errors_do() -> None:

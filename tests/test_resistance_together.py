@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
-from numpy.typing import NDArray
 from resistance_trips import RESISTANCE, TRAIN, changed, constant_speed, trip
 from rich.console import Console
 
@@ -30,6 +29,7 @@ from analysis.resistance.plot import draw_each_refused, draw_fits, draw_refused,
 from analysis.resistance.recording import SpeedScale, Timeline
 from analysis.resistance.regression import Residuals, powers
 from analysis.resistance.windows import WindowPoints
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.line import read_line
 from trainlog.formats.parameters import read_parameters, write_parameters
@@ -39,8 +39,6 @@ from trainlog.mcap import write_log
 from trainlog.railway import Passport, Quantity, RunningResistance
 from trainlog.simulation import draw_scenarios, simulate
 
-Array = NDArray[np.float64]
-
 SPEED = np.linspace(5.0, 35.0, 61)
 TRUE = np.array([RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2])
 NODES = powers(np.linspace(5.0, 35.0, 3))
@@ -48,13 +46,13 @@ NODES = powers(np.linspace(5.0, 35.0, 3))
 
 def fit_of(
     name: str,
-    beta: Array,
-    covariance: Array,
+    beta: FloatArray,
+    covariance: FloatArray,
     *,
     mass: float = 130e3,
     train: str = "unit",
     gradients: str = "",
-    survey: Array | None = None,
+    survey: FloatArray | None = None,
 ) -> TripFit:
     """A trip's fit without a trip."""
     full = np.zeros((4, 4))
@@ -92,7 +90,7 @@ def fit_of(
     )
 
 
-def covariance_of(curve_std: tuple[float, float, float]) -> Array:
+def covariance_of(curve_std: tuple[float, float, float]) -> FloatArray:
     """Covariance of r0, r1, r2 from independent errors [N] of the curve at three speeds."""
     back = np.linalg.inv(NODES)
     return np.asarray(back @ np.diag(np.square(curve_std)) @ back.T)
@@ -100,7 +98,7 @@ def covariance_of(curve_std: tuple[float, float, float]) -> Array:
 
 def drawn(
     count: int, spread: float, curve_std: tuple[float, float, float], seed: int
-) -> tuple[list[TripFit], Array]:
+) -> tuple[list[TripFit], FloatArray]:
     """Fits of trips whose curves differ by `spread`, and their true coefficients."""
     generator = np.random.default_rng(seed)
     covariance = covariance_of(curve_std)
@@ -113,11 +111,11 @@ def drawn(
     return fits, true
 
 
-def relative(beta: Array, true: Array) -> float:
+def relative(beta: FloatArray, true: FloatArray) -> float:
     return float(np.sqrt(np.mean((powers(SPEED) @ beta / (powers(SPEED) @ true) - 1.0) ** 2)))
 
 
-def beta_of(resistance: RunningResistance) -> Array:
+def beta_of(resistance: RunningResistance) -> FloatArray:
     return np.array([resistance.r0, resistance.r1, resistance.r2])
 
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from numpy.typing import NDArray
 from resistance_trips import RESISTANCE, constant_speed, recording
 
 from analysis.resistance.noise import FLOOR, Likelihood, NoiseModel, NoiseParts, estimate_noise
@@ -19,10 +18,9 @@ from analysis.resistance.regression import (
     regress,
 )
 from analysis.resistance.windows import Windows, build_windows
+from trainlog.arrays import FloatArray
 from trainlog.railway import RunningResistance
 from trainlog.units import GRAVITY
-
-Array = NDArray[np.float64]
 
 NOISE = NoiseModel(speed=0.01, gradient=4e-4, position=8.0, effort=0.01)
 
@@ -98,7 +96,7 @@ def test_uneven_sampling_gives_the_same_regression() -> None:
     np.testing.assert_allclose(windows.x @ theta, windows.y, atol=3e-4)
 
 
-def dense(windows: Windows, noise: NoiseModel, mass: float = 130e3) -> Array:
+def dense(windows: Windows, noise: NoiseModel, mass: float = 130e3) -> FloatArray:
     """Covariance of the windows, cause by cause, as a full matrix."""
     gradient = GRAVITY * noise.gradient * windows.sections.toarray()
     position = noise.position * windows.edges.toarray()
@@ -132,7 +130,7 @@ def test_covariance_is_that_of_generalised_least_squares() -> None:
     covariance = np.linalg.inv(precision) / np.outer(size, size)
     theta = np.array([1.0, *found.beta[:3], 0.0, 0.0]) / found.beta[3]
 
-    def physical(at: Array) -> Array:
+    def physical(at: FloatArray) -> FloatArray:
         return np.array([*at[1:4], 1.0]) / at[0]
 
     steps = 1e-5 * np.diag(np.abs(theta) + 1e-12)
@@ -186,7 +184,7 @@ def test_whitening_looks_backwards_only() -> None:
     np.testing.assert_array_equal(parts.whiten(NOISE, columns)[:30], first)
 
 
-def drawn_errors(windows: Windows, noise: NoiseModel, seed: int, mass: float = 130e3) -> Array:
+def drawn_errors(windows: Windows, noise: NoiseModel, seed: int, mass: float = 130e3) -> FloatArray:
     """Errors of the windows, drawn cause by cause; the windows are one stretch."""
     draw = np.random.default_rng(seed).standard_normal
     errors = GRAVITY * noise.gradient * (windows.sections @ draw(windows.sections.shape[1]))

@@ -11,18 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from numpy.typing import NDArray
 
 from estimators.rls import RecursiveLeastSquares, RlsResult
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
-
-Array = NDArray[np.float64]
 
 PRIOR = np.array([100.0, 0.1, 0.01])
 TRUE = np.array([2.09, 0.039, 0.000675])
 
 
-def davis_samples(count: int, seed: int, noise: float = 0.05) -> tuple[Array, Array]:
+def davis_samples(count: int, seed: int, noise: float = 0.05) -> tuple[FloatArray, FloatArray]:
     rng = np.random.default_rng(seed)
     speed = rng.uniform(0.0, 80.0, count)
     rows = np.column_stack([np.ones(count), speed, speed**2])
@@ -30,8 +28,8 @@ def davis_samples(count: int, seed: int, noise: float = 0.05) -> tuple[Array, Ar
 
 
 def batch(
-    rows: Array, values: Array, variance: Array, weights: Array | None = None
-) -> tuple[Array, Array]:
+    rows: FloatArray, values: FloatArray, variance: FloatArray, weights: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Weighted least squares with the prior, by the normal equations."""
     inverse = np.diag(1.0 / PRIOR**2)
     weight = 1.0 / variance if weights is None else weights / variance
@@ -39,7 +37,9 @@ def batch(
     return covariance @ (rows.T @ (weight * values)), covariance
 
 
-def assert_same(result: RlsResult, estimate: Array, covariance: Array, rtol: float = 1e-6) -> None:
+def assert_same(
+    result: RlsResult, estimate: FloatArray, covariance: FloatArray, rtol: float = 1e-6
+) -> None:
     scale = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(result.estimate / scale, estimate / scale, rtol=rtol, atol=rtol)
     np.testing.assert_allclose(
@@ -282,7 +282,7 @@ TWO_SPEEDS = np.repeat([20.0, 40.0], 5_000)
     ids=["constant", "constant, measured", "two speeds", "two, measured", "speeding up", "varied"],
 )
 def test_a_trip_is_valid_where_its_speed_varies(
-    speed: Array, valid: bool, settings: dict[str, object]
+    speed: FloatArray, valid: bool, settings: dict[str, object]
 ) -> None:
     rows = np.column_stack([np.ones(speed.size), speed, speed**2])
     estimator = RecursiveLeastSquares(PRIOR, **settings)  # type: ignore[arg-type]

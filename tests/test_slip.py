@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from numpy.typing import NDArray
 from simulated_line import flirt, hilly_line, level_line
 from slip_truth import Fine, Score, Seen, onset_errors, seen, slip_power
 
@@ -19,6 +18,7 @@ from analysis.adhesion.events import adhesion_noise
 from analysis.adhesion.evidence import evidence_of
 from analysis.adhesion.slip import SlipAnalysis, slip, wheel_noise
 from analysis.estimates import estimate_log
+from trainlog.arrays import FloatArray
 from trainlog.errors import LogError
 from trainlog.formats.attached import line_of
 from trainlog.formats.line import line_to_bytes
@@ -32,8 +32,6 @@ from trainlog.simulation.sensors import Sensors
 from trainlog.spans import runs_of
 from trainlog.topics import TOPICS, TRAIN_AXLES, TRAIN_CONTROLS, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, column_field, frame_of
-
-FloatArray = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

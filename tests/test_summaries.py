@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
-from numpy.typing import NDArray
 from resistance_trips import constant_speed, trip
 
 from analysis.resistance import combine, summarised
 from analysis.resistance.combination import random_effects
 from analysis.resistance.logs import fit
 from tests.test_resistance_together import drawn
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.parameters import parameters_to_bytes
 from trainlog.formats.summaries import (
@@ -26,8 +26,6 @@ from trainlog.formats.summaries import (
     write_summaries,
 )
 from trainlog.mcap import write_log
-
-Array = NDArray[np.float64]
 
 
 def rows(count: int = 6, seed: int = 1) -> pd.DataFrame:
@@ -155,7 +153,7 @@ def test_variance_between_trips_maximises_the_restricted_likelihood() -> None:
     values = 1.0 + 0.07 * generator.standard_normal((40, 3)) + noise
     expected, trust = 0.0025 * np.eye(3), 2.0
 
-    def likelihood(between: Array) -> float:
+    def likelihood(between: FloatArray) -> float:
         total = variances + between
         weight = np.linalg.inv(total)
         information = weight.sum(axis=0)

@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from analysis import OptimiserOptions, TrajectoryProblem, optimise
@@ -17,6 +16,7 @@ from analysis.resistance.coast_down import coast_down
 from analysis.resistance.fit import fit_trip
 from analysis.resistance.recording import TripRefusedError, track_slope
 from analysis.trajectory.audit import audit
+from trainlog.arrays import FloatArray
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.attached import TRAIN_ATTACHMENT
 from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line
@@ -38,8 +38,6 @@ from trainlog.simulation import draw_scenarios, drive, recorded
 from trainlog.simulation.dynamics import held_back
 from trainlog.simulation.plant import Plant
 from trainlog.units import GRAVITY
-
-FloatArray = NDArray[np.float64]
 
 WIL, FLIRT = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
 

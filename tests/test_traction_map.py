@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 from gaussian_field import solve_field
 from hypothesis import given, settings, strategies as st
-from numpy.typing import NDArray
 from rich.console import Console
 from scipy.optimize import minimize
 from scipy.stats import norm
@@ -31,6 +30,7 @@ from analysis.adhesion.evidence import Evidence, evidence, evidence_of
 from analysis.adhesion.map_plot import draw_map
 from analysis.adhesion.slip import SlipAnalysis, slip
 from estimators.condition import Prior
+from trainlog.arrays import FloatArray
 from trainlog.condition import prior_of
 from trainlog.errors import InputError, LogError
 from trainlog.formats.condition import map_from_bytes, map_to_bytes
@@ -39,8 +39,6 @@ from trainlog.railway import TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
-
-FloatArray = NDArray[np.float64]
 
 LINE = level_line(2_000.0)
 BINS, BIN = 80, 25.0

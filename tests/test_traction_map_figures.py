@@ -6,18 +6,16 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from analysis.adhesion.condition_map import empty_map, update
 from analysis.adhesion.evidence import evidence
 from analysis.truth import Truth, true_adhesion, truth_of
+from trainlog.arrays import FloatArray
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.railway import TrackConditionMap
 from trainlog.simulation import draw_scenarios, simulate
-
-FloatArray = NDArray[np.float64]
 
 
 @cache

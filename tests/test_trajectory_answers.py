@@ -10,8 +10,7 @@ from trajectory_cases import FLIRT, KMH, VIRM6, drawn, hilly_line, level_line, o
 
 from analysis.trajectory.phases import Phase, phases_by_switching, phases_of
 from trainlog.railway import RunningResistance, Train, Trajectory
-
-KWH = 3.6e6
+from trainlog.units import JOULES_PER_KWH
 
 
 @pytest.fixture(scope="module")
@@ -59,9 +58,9 @@ def test_published_pseudospectral_solution() -> None:
         line, train, observed(train, 1.0),
         running_time=1541.0, initial_speed=1.0, final_speed=1.0, objective="line",
     )  # fmt: skip
-    energy = found.certificate["energy"] / KWH
+    energy = found.certificate["energy"] / JOULES_PER_KWH
     assert abs(energy / 440.141 - 1.0) <= 2e-4
-    assert found.certificate["lower_bound"] / KWH <= 440.141
+    assert found.certificate["lower_bound"] / JOULES_PER_KWH <= 440.141
 
 
 def test_cruising_speed_and_braking_speed_are_those_of_optimal_control(

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from trajectory_cases import (
     FLIRT,
@@ -24,6 +23,7 @@ from trajectory_cases import (
 
 from analysis.trajectory.audit import Audit, audit
 from analysis.trajectory.problem import TrajectoryProblem
+from trainlog.arrays import FloatArray
 from trainlog.errors import TrainlogError
 from trainlog.railway import (
     Configuration,
@@ -105,9 +105,7 @@ def test_audit_agrees_with_an_integrator_in_time(hilly: Trajectory) -> None:
     line, row = hilly_line(), 2
     configuration = hilly.configurations[row]
 
-    def motion(
-        _t: float, state: NDArray[np.float64], cell: int, low: float, high: float
-    ) -> list[float]:
+    def motion(_t: float, state: FloatArray, cell: int, low: float, high: float) -> list[float]:
         position, speed = state
         inside = np.array([np.clip(position, low, high)])
         effort = hilly.tractive_effort_at(inside) - hilly.braking_effort[row, cell]
@@ -121,7 +119,7 @@ def test_audit_agrees_with_an_integrator_in_time(hilly: Trajectory) -> None:
     for k in range(hilly.positions.size - 5):
         start, end = hilly.positions[k], hilly.positions[k + 1]
 
-        def at_end(_t: float, state: NDArray[np.float64], *_: float, goal: float = end) -> float:
+        def at_end(_t: float, state: FloatArray, *_: float, goal: float = end) -> float:
             return float(state[0] - goal)
 
         at_end.terminal = True  # type: ignore[attr-defined]

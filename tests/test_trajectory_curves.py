@@ -7,7 +7,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, optimised
 
 from analysis.trajectory.audit import audit
@@ -16,6 +15,7 @@ from analysis.trajectory.discretisation import discretise
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.rollout import paced_run
+from trainlog.arrays import FloatArray
 from trainlog.railway import Configuration, EffortCurve, Train, Trajectory
 
 LINES = {"level": level_line(12_000.0, (0, 140), (5_000, 90), (9_000, 120)), "hilly": hilly_line()}
@@ -50,7 +50,7 @@ def found(train: str, line: str, count: int = 2) -> Trajectory:
     return optimised(LINES[line], TRAINS[train], configurations, reserve=0.1, cells=150)
 
 
-def within(train: Train, trajectory: Trajectory) -> NDArray[np.float64]:
+def within(train: Train, trajectory: Trajectory) -> FloatArray:
     """Largest traction over what each configuration's own curve gives, at both ends of cells."""
     ends = [
         (trajectory.tractive_effort + half * trajectory.tractive_effort_fall, nodes)

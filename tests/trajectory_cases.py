@@ -30,8 +30,7 @@ from trainlog.railway import (
 )
 from trainlog.railway.condition import BIN_LENGTH, ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
-
-KMH = 3.6
+from trainlog.units import KMH
 
 VIRM6 = replace(TRAIN, efficiency_traction=0.875, efficiency_regeneration=0.7)
 

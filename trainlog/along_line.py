@@ -15,17 +15,17 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import isotonic_regression
 
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.railway.trajectory import Trajectory
 from trainlog.topics import ESTIMATED_STATE, GNSS_FIX, GNSS_MOTION, TRAIN_STATE
 from trainlog.trip import Trip
 from trainlog.units import EARTH_RADIUS, NANOSECONDS
 
-FloatArray = NDArray[np.float64]
-Nanoseconds = NDArray[np.int64]
+Nanoseconds = IntArray
 
 POSITION_SOURCES: tuple[tuple[str, ...], ...] = (
     (ESTIMATED_STATE.name, "position"),
@@ -99,7 +99,7 @@ class TimeDistance:
         """When each position [m] is left [s since the start]; NaN where the train never was."""
         return self._passed(position, "right")
 
-    def in_gap(self, position: ArrayLike) -> NDArray[np.bool_]:
+    def in_gap(self, position: ArrayLike) -> BoolArray:
         """Whether each position [m] was passed where none was recorded for `LONGEST_GAP`."""
         s = np.asarray(position, dtype=np.float64)
         long = (np.diff(self.seconds) > LONGEST_GAP) & (np.diff(self.position) > GAP_DISTANCE)

@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pandas import Timestamp
 
 from estimators.condition import Prior, common_std, onset_std
@@ -22,6 +21,7 @@ from estimators.condition_field import DOUBT, FieldPosterior, solve
 from estimators.condition_levels import LEVELS, SPOT_CELLS
 from estimators.condition_parameters import POSITION_STD, FieldParameters
 from estimators.condition_passes import OFTEN, blurred
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.railway.condition import (
@@ -34,8 +34,6 @@ from trainlog.railway.condition import (
     band_of,
 )
 from trainlog.railway.evidence import DailyEvidence, day_of
-
-FloatArray = NDArray[np.float64]
 
 UNITS = {
     "length": "m",
@@ -348,7 +346,7 @@ def _spots(track: TrackConditionMap, found: FieldPosterior) -> tuple[PassingSpot
     return tuple(sorted(made, key=lambda spot: (spot.start, spot.first)))
 
 
-def _spot(track: TrackConditionMap, found: FieldPosterior, group: NDArray[np.int64]) -> PassingSpot:
+def _spot(track: TrackConditionMap, found: FieldPosterior, group: IntArray) -> PassingSpot:
     rows, parameters = found.rows, found.parameters
     bins = np.unique(rows.bin[group])
     place = np.searchsorted(rows.bins, bins)

@@ -9,7 +9,9 @@ from html import escape
 from zoneinfo import ZoneInfo
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from trainlog.arrays import BoolArray, FloatArray
 
 WIDTH, HEIGHT = 480, 110
 """Of a picture [px]."""
@@ -82,9 +84,7 @@ def picture(
     )
 
 
-def _points(
-    s: NDArray[np.float64], y: NDArray[np.float64], known: NDArray[np.bool_], steps: bool
-) -> list[str]:
+def _points(s: FloatArray, y: FloatArray, known: BoolArray, steps: bool) -> list[str]:
     """Points of each part of a curve that is known without a gap."""
     low, high = y[known].min(), y[known].max()
     x = WIDTH * (s - s[0]) / max(s[-1] - s[0], 1e-9)

@@ -21,15 +21,12 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from trainlog.arrays import IntArray, UintArray
 from trainlog.display import as_text
 from trainlog.errors import InputError
 from trainlog.trip import Trip
 from trainlog.units import NANOSECONDS
-
-UintArray = NDArray[np.uint64]
-IntArray = NDArray[np.int64]
 
 COLUMNS = (
     ("/train/state", "speed", 1e-6),

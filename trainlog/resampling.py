@@ -14,15 +14,13 @@ from datetime import timedelta
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError, LogError
 from trainlog.topics import Topic, column_field, topic_of_frame
 from trainlog.trip import Trip
 from trainlog.units import NANOSECONDS
 from trainlog.version import __version__
-
-FloatArray = NDArray[np.float64]
 
 Clock = pd.DatetimeIndex | pd.Timedelta | float
 """The times to resample to: as they are, or the step between them, a duration or in [s]."""
@@ -300,7 +298,7 @@ def _end(frame: pd.DataFrame) -> int:
     return int(_nanoseconds(frame)[-1]) if len(frame) else -1
 
 
-def _nanoseconds(frame: pd.DataFrame) -> NDArray[np.int64]:
+def _nanoseconds(frame: pd.DataFrame) -> IntArray:
     return pd.DatetimeIndex(frame.index).as_unit("ns").asi8
 
 
@@ -336,9 +334,7 @@ def regular_clock(start: pd.Timestamp, end: pd.Timestamp, step: float) -> pd.Dat
     return pd.DatetimeIndex(times.view("M8[ns]"), tz="UTC", name="time")
 
 
-def _on_line(
-    first: FloatArray, second: FloatArray, since: NDArray[np.int64], step: NDArray[np.int64]
-) -> FloatArray:
+def _on_line(first: FloatArray, second: FloatArray, since: IntArray, step: IntArray) -> FloatArray:
     """Values on the lines from `first` to `second`, never beyond either."""
     with np.errstate(invalid="ignore", divide="ignore"):
         part = since / step

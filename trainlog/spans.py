@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 
-Spans = NDArray[np.int64]
+Spans = IntArray
 """Spans of time, (k, 2): first and last instant of each [ns since 1970 UTC], both belonging to it;
 in order, apart from each other."""
 
@@ -20,7 +21,7 @@ ALWAYS = (int(np.iinfo(np.int64).min), int(np.iinfo(np.int64).max))
 """The limits of a time that is open at both ends."""
 
 
-def runs_of(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def runs_of(flags: BoolArray) -> list[tuple[int, int]]:
     """First and one-past-last index of each run of True.
 
     Examples
@@ -227,7 +228,7 @@ def spans_within(time: ArrayLike, position: ArrayLike, start: float, end: float)
 
 
 def spans_of_pieces(
-    pieces: Iterable[tuple[NDArray[np.int64], NDArray[np.float64]]], start: float, end: float
+    pieces: Iterable[tuple[IntArray, FloatArray]], start: float, end: float
 ) -> Spans:
     """When a position was within limits, from a recording in pieces; see `spans_within`.
 
@@ -290,7 +291,7 @@ def overlapping(spans: Spans, others: Spans) -> Spans:
     return np.column_stack((begin, np.minimum(spans[mine, 1], others[theirs, 1])))
 
 
-def in_spans(time: NDArray[np.int64], spans: Spans) -> NDArray[np.bool_]:
+def in_spans(time: IntArray, spans: Spans) -> BoolArray:
     """Whether each time [ns since 1970 UTC] is in one of the spans; (n,).
 
     Examples

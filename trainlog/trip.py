@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trainlog.arrays import FloatArray
 from trainlog.display import as_html, as_text, counted
 from trainlog.errors import LogError, NotRecordedError
 from trainlog.spans import Spans, in_spans, position_limits, spans_within, time_limits, utc
@@ -388,7 +389,7 @@ def frame_of(
     return frame
 
 
-def seconds(frame: pd.DataFrame, origin: pd.Timestamp | None = None) -> NDArray[np.float64]:
+def seconds(frame: pd.DataFrame, origin: pd.Timestamp | None = None) -> FloatArray:
     """Time of each row [s] since `origin` (default: the first row).
 
     Examples

@@ -12,8 +12,9 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 
 if TYPE_CHECKING:
@@ -179,7 +180,7 @@ def _meant(unit: str, si: str | None = None, before: str = "") -> str:
     return f"{before}did you mean '{lowered[close[0]]}'?" if close else ""
 
 
-def to_si(value: ArrayLike, unit: str, si: str) -> NDArray[np.float64]:
+def to_si(value: ArrayLike, unit: str, si: str) -> FloatArray:
     """Convert `value`, declared in `unit`, to the SI unit `si`.
 
     Conversions that are a division by an integer (km/h, per mille) are done as one, so that a

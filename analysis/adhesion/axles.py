@@ -15,6 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from analysis.passports import DELAY_STD
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import LogError, NotRecordedError
 from trainlog.railway.passport import Passport
@@ -23,9 +24,6 @@ from trainlog.resampling import interpolated
 from trainlog.topics import TRAIN_AXLES, TRAIN_CONTROLS
 from trainlog.trip import Trip, seconds
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 Value = TypeVar("Value", np.float64, np.bool_)
 
 LEAST_DELAY = 0.02

@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.tables import new_table
+from trainlog.arrays import FloatArray
 from trainlog.display import as_html, as_text, counted
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.characteristic import read_adhesion_points
@@ -34,8 +34,6 @@ from trainlog.railway.adhesion import (
     PolachCurve,
 )
 from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
 
 Family = Literal["polach", "exponentials"]
 """`PolachCurve`, or `CreepCurve`: the form of Ishikawa and Kawamura, and of Zhao et al. (2025)."""

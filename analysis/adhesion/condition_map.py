@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Group
 
 from analysis.adhesion.covariates import TOPICS as COVARIATE_TOPICS, covariates
@@ -56,8 +55,6 @@ from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.line import Line
 from trainlog.railway.weather import Weather
 from trainlog.trip import Trip
-
-FloatArray = NDArray[np.float64]
 
 SPOT_SEPARATION = 250.0
 """Two low spots count as two when they are at least this far from each other [m]."""

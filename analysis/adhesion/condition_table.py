@@ -13,6 +13,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.adhesion.line_table import line_table
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.railway.condition import (
     AdhesionEstimate,
@@ -23,8 +24,6 @@ from trainlog.railway.condition import (
 )
 from trainlog.railway.kilometres import in_km
 from trainlog.railway.line import Line
-
-FloatArray = NDArray[np.float64]
 
 BAND = (0.025, 0.975)
 """Shares below the ends of the 95 % band."""
@@ -198,7 +197,7 @@ _SECTION: dict[str, str] = {
 """Columns of a section, and how they follow from those of its bins."""
 
 
-def _merged(values: FloatArray, resolution: float) -> NDArray[np.int64]:
+def _merged(values: FloatArray, resolution: float) -> IntArray:
     """Number of the section of each value; greedy, from the start of the line."""
     number = np.zeros(values.size, dtype=np.int64)
     low = high = values[0] if values.size else np.nan
@@ -404,7 +403,7 @@ def _evidence(track: TrackConditionMap, layer: ConditionLayer) -> dict[str, obje
     }
 
 
-def _dates(day: NDArray[np.int64], known: NDArray[np.bool_]) -> NDArray[np.datetime64]:
+def _dates(day: IntArray, known: BoolArray) -> NDArray[np.datetime64]:
     days = np.where(known, day, 0).astype("datetime64[D]")
     return np.where(known, days, np.datetime64("NaT")).astype("datetime64[s]")
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray
 from trainlog.formats.attached import line_of
 from trainlog.railway.weather import Weather, sun_elevation
 from trainlog.trip import LINE_ATTACHMENT, Trip
@@ -72,7 +72,7 @@ def covariates(trip: Trip, span: tuple[int, int], weather: Weather | None = None
     return {"weather": dict(sorted(found.items()))}
 
 
-def _measured(trip: Trip, column: str) -> NDArray[np.float64]:
+def _measured(trip: Trip, column: str) -> FloatArray:
     """What the train measured of its surroundings, where it did, (n,)."""
     if "/environment" not in trip:
         return np.empty(0)

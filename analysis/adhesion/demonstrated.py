@@ -14,17 +14,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pandas import Timestamp
 from scipy.special import ndtri
 
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.condition import setting
 from trainlog.errors import InputError
 from trainlog.railway.condition import AdhesionEstimate, TrackConditionMap
 from trainlog.railway.line import StepProfile
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

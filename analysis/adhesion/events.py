@@ -12,17 +12,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.adhesion.axles import SLOW, PoweredAxles
 from estimators.slip import NOISE_MULTIPLE, SlipDetector
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.spans import runs_of
 from trainlog.topics import EVENTS, SLIP_PROTECTION, TRAIN_SLIP_PROTECTION
 from trainlog.trip import SCENARIO_ATTACHMENT, Trip
 from trainlog.units import NANOSECONDS
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 NOISE_SPAN = 0.4
 """Time over which differences of the observed adhesion are taken for noise [s]."""
@@ -367,7 +364,7 @@ def _level(
     return float(used[onset(used, noise)[0]].mean())
 
 
-def onset(adhesion: FloatArray, noise: float) -> tuple[NDArray[np.int64], bool]:
+def onset(adhesion: FloatArray, noise: float) -> tuple[IntArray, bool]:
     """Where the adhesion in use had its last maximum before the slip was largest.
 
     The record is walked backwards from its end, the instant of largest slip. The adhesion rises

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.adhesion.covariates import covariates
 from analysis.adhesion.slip import SlipAnalysis, joined_details, slip
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.condition import setting
 from trainlog.errors import InputError, LogError, NotRecordedError
 from trainlog.formats.attached import line_of
@@ -28,8 +28,6 @@ from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.weather import Weather, check_condition, stated_condition
 from trainlog.trip import Trip
 from trainlog.units import DAY
-
-FloatArray = NDArray[np.float64]
 
 FIXED_POINT = 2.0**-20
 """Weights and weighted logarithms are whole multiples of this, so that their sums are exact."""
@@ -230,7 +228,7 @@ def _by_condition(part: SlipAnalysis, layer: str | Weather) -> Iterator[tuple[st
         yield condition, part.part((start, end))
 
 
-def _span(clocks: list[NDArray[np.int64]]) -> tuple[int, int]:
+def _span(clocks: list[IntArray]) -> tuple[int, int]:
     """The first and the last of times."""
     times = np.concatenate(clocks)
     return (int(times.min()), int(times.max())) if times.size else (0, 0)
@@ -287,7 +285,7 @@ class _Sums:
         )
 
 
-def _last_day(analysis: SlipAnalysis, track: TrackConditionMap) -> NDArray[np.int64]:
+def _last_day(analysis: SlipAnalysis, track: TrackConditionMap) -> IntArray:
     """Day on which each bin was passed, counted from 1970-01-01 in UTC; -1: not passed; (bins,)."""
     day = np.full(track.bins, -1, dtype=np.int64)
     known = (analysis.position >= 0.0) & (analysis.position <= track.length)
@@ -314,9 +312,7 @@ def _highest(analysis: SlipAnalysis, track: TrackConditionMap) -> FloatArray:
     return highest
 
 
-def _censored(
-    highest: FloatArray, track: TrackConditionMap, measured: NDArray[np.bool_]
-) -> FloatArray:
+def _censored(highest: FloatArray, track: TrackConditionMap, measured: BoolArray) -> FloatArray:
     """Level that each bin without a measured onset was seen to bear, as a histogram."""
     level = np.searchsorted(track.levels, highest, side="right") - 1
     rows = np.flatnonzero((level >= 0) & ~measured)

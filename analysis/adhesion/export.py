@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.adhesion.condition_table import (
     bins_table,
@@ -23,6 +22,7 @@ from analysis.adhesion.condition_table import (
     sections_table,
     spots_table,
 )
+from trainlog.arrays import FloatArray
 from trainlog.condition import known_before
 from trainlog.errors import InputError
 from trainlog.extras import load
@@ -31,8 +31,6 @@ from trainlog.formats.ttobench_adhesion import AdhesionSections, write_adhesion
 from trainlog.railway import Line, TrackConditionMap
 from trainlog.railway.kilometres import in_km
 from trainlog.version import __version__
-
-FloatArray = NDArray[np.float64]
 
 DIGITS = 7
 """Decimals of coordinates [deg]: a centimetre."""

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.adhesion.evidence import check_line
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.railway import Line, StepProfile, TrackConditionMap
 from trainlog.units import KMH, PER_MILLE
-
-FloatArray = NDArray[np.float64]
 
 UNITS = {
     "start": "m",
@@ -121,7 +119,7 @@ def _extreme(
     return found
 
 
-def _in_tunnel(line: Line, start: FloatArray, end: FloatArray) -> NDArray[np.bool_]:
+def _in_tunnel(line: Line, start: FloatArray, end: FloatArray) -> BoolArray:
     """Whether any of each bin lies in a tunnel, (n,)."""
     inside = np.zeros(start.size, dtype=np.bool_)
     for tunnel in line.tunnels:

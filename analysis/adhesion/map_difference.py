@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 from scipy.special import ndtr, ndtri
 
@@ -22,14 +21,13 @@ from analysis.adhesion.condition_table import (
     plain_rows,
 )
 from analysis.tables import as_page, new_table
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.condition import estimated
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.line import Line
-
-FloatArray = NDArray[np.float64]
 
 RATE = 0.05
 """Share of the bins called changed that may be so by chance (false discovery rate)."""
@@ -377,9 +375,7 @@ def _other_days(evidence: DailyEvidence, first: DailyEvidence | None) -> DailyEv
     return _rows(evidence, ~np.isin(evidence.day, days), ~np.isin(evidence.used_day, days))
 
 
-def _rows(
-    evidence: DailyEvidence, onsets: NDArray[np.bool_], used: NDArray[np.bool_]
-) -> DailyEvidence:
+def _rows(evidence: DailyEvidence, onsets: BoolArray, used: BoolArray) -> DailyEvidence:
     """Some rows of evidence."""
     columns = {
         each.name: getattr(evidence, each.name)[used if each.name.startswith("used") else onsets]

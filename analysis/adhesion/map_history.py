@@ -21,12 +21,11 @@ from analysis.adhesion.condition_table import (
     probability_words,
 )
 from analysis.tables import as_page, new_table
+from trainlog.arrays import IntArray
 from trainlog.condition import estimated
 from trainlog.errors import InputError
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.line import Line
-
-FloatArray = NDArray[np.float64]
 
 MOST_DAYS = 12
 """Days that get the estimate of then, unless more are asked for."""
@@ -211,7 +210,7 @@ def map_history(
     )
 
 
-def _dates(days: NDArray[np.int64]) -> NDArray[np.datetime64]:
+def _dates(days: IntArray) -> NDArray[np.datetime64]:
     return days.astype("datetime64[D]").astype("datetime64[s]")
 
 
@@ -248,7 +247,7 @@ def _used(track: TrackConditionMap, layer: ConditionLayer, row: int) -> pd.DataF
     return rows.groupby("day", as_index=False).last()
 
 
-def _days_near(track: TrackConditionMap, layer: ConditionLayer, row: int) -> NDArray[np.int64]:
+def _days_near(track: TrackConditionMap, layer: ConditionLayer, row: int) -> IntArray:
     """Days with evidence in or near a bin."""
     reach = int(np.ceil(REACH / track.bin_length))
     known = layer.evidence
@@ -257,7 +256,7 @@ def _days_near(track: TrackConditionMap, layer: ConditionLayer, row: int) -> NDA
     return np.union1d(known.day[near], known.used_day[used]).astype(np.int64)
 
 
-def _known(track: TrackConditionMap, name: str, row: int, days: NDArray[np.int64]) -> pd.DataFrame:
+def _known(track: TrackConditionMap, name: str, row: int, days: IntArray) -> pd.DataFrame:
     """The estimate in a bin as it was known at the end of each day."""
     whole = track.layer(name).evidence
     first = int(whole.days[0]) if whole.days.size else 0

@@ -12,7 +12,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from analysis.adhesion.condition_table import (
     bin_edges,
@@ -36,6 +36,7 @@ from analysis.plotting import (
     new_figure,
     write_figure,
 )
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.condition import known_before
 from trainlog.display import counted
 from trainlog.errors import InputError
@@ -51,7 +52,6 @@ if TYPE_CHECKING:
     from analysis.adhesion.map_difference import MapDifference
     from analysis.adhesion.map_history import PlaceHistory
 
-FloatArray = NDArray[np.float64]
 
 COLOURS = {"dry": ORANGE, "wet": BLUE}
 """Of the layers; others are drawn in ink."""
@@ -216,7 +216,7 @@ def _legend(figure: Figure, axes: Sequence[Axes]) -> None:
     )
 
 
-def _shade_unobserved(axes: Axes, edges: FloatArray, observed: NDArray[np.bool_]) -> None:
+def _shade_unobserved(axes: Axes, edges: FloatArray, observed: BoolArray) -> None:
     axes.fill_between(
         edges,
         0.0,

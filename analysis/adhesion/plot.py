@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.plotting import (
     BLUE,
@@ -23,8 +22,6 @@ from trainlog.units import KMH
 
 if TYPE_CHECKING:
     from analysis.adhesion.characteristic import CharacteristicFit
-
-FloatArray = NDArray[np.float64]
 
 
 def draw_characteristic(fit: CharacteristicFit, path: str | Path) -> None:

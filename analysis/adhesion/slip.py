@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.adhesion.axles import PoweredAxles, powered_axles
 from analysis.adhesion.events import (
@@ -37,6 +36,7 @@ from estimators.slip import (
     impulse,
     train_speed,
 )
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.display import as_html, as_text, picture, span
 from trainlog.errors import LogError
 from trainlog.formats.attached import line_of, train_of
@@ -50,9 +50,6 @@ from trainlog.spans import in_spans
 from trainlog.topics import ESTIMATED_ADHESION, EVENTS, STANDSTILL
 from trainlog.trip import Trip, frame_of
 from trainlog.units import GRAVITY, KMH, NANOSECONDS
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion", "/estimates/state")
 """What is read of a log."""

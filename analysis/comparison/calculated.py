@@ -23,13 +23,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.comparison.diagnosis import Diagnosis, Evidence, diagnosed
 from analysis.comparison.prediction import Cells, explained_by, inputs_of, predicted, variants_of
 from analysis.given import Given, trip_of
 from analysis.resistance.fit import TripFit
 from analysis.resistance.observed import FitOfTrips, parameter_set
+from trainlog.arrays import FloatArray
 from trainlog.display import as_text
 from trainlog.errors import InputError
 from trainlog.formats.files import check_kind
@@ -37,8 +37,6 @@ from trainlog.formats.train import train_to_bytes
 from trainlog.railway import Line, ParameterSet, Train
 from trainlog.trip import TRAIN_ATTACHMENT
 from trainlog.units import JOULES_PER_KWH
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

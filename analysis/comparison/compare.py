@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.comparison.driven import DrivenTrip, driven_trip, planned_trip
 from analysis.comparison.energy import ForceModel, Normalised, normalised_energy
@@ -25,8 +24,6 @@ from trainlog.display import as_text, counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.railway import Line, ParameterSet, Trajectory
 from trainlog.units import clock
-
-FloatArray = NDArray[np.float64]
 
 NEARLY_ALL = 0.98
 """Of the longest trip's distance: the reference is chosen among trips that cover so much."""

@@ -15,18 +15,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 
 from analysis.comparison.energy import TRIP_SPREAD, ForceModel
 from analysis.resistance.fit import TripFit, fit_trip
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.attached import recorded_load
 from trainlog.railway import Train
 from trainlog.railway.passport import Quantity
 from trainlog.trip import Trip
-
-FloatArray = NDArray[np.float64]
 
 SURE = 0.999
 """Probability with which a difference of the curve must not be chance."""

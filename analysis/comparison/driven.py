@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import median_filter
 
 from analysis.adhesion.events import protection_onsets
@@ -23,6 +23,7 @@ from trainlog.along_line import (
     forward_chainage,
     planned_time_distance,
 )
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import line_of, passport_of, recorded_load, train_of
@@ -38,9 +39,6 @@ from trainlog.topics import (
 )
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 from trainlog.units import NANOSECONDS
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 SHORTEST_STOP = 5.0
 """A train that stands for less [s] is creeping, not stopping."""

@@ -11,13 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import uniform_filter1d
 
 from analysis.comparison.driven import DrivenTrip
+from trainlog.arrays import FloatArray
 from trainlog.railway import Line, ParameterSet, RunningResistance, Train
-
-FloatArray = NDArray[np.float64]
 
 RESISTANCE_SHARE = 0.3
 """Standard deviation of the resistance of a train's file, over its value."""

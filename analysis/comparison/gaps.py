@@ -14,16 +14,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from trainlog.along_line import GAP_DISTANCE, nanoseconds
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.spans import runs_of
 from trainlog.trip import Trip
 from trainlog.units import NANOSECONDS
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 SHORT_GAP = 2.0
 """Up to such a gap [s] a value is on the line between its neighbours."""
@@ -88,7 +85,7 @@ class Bridges:
     gaps : tuple of Gap
     """
 
-    time: NDArray[np.int64]
+    time: IntArray
     speed: FloatArray
     position: FloatArray
     gaps: tuple[Gap, ...]
@@ -178,7 +175,7 @@ def _long_gaps(time: FloatArray, known: BoolArray) -> list[tuple[int, int]]:
     ]
 
 
-def _sides(stamps: NDArray[np.int64], begin: int, end: int) -> tuple[int, int]:
+def _sides(stamps: IntArray, begin: int, end: int) -> tuple[int, int]:
     return int(stamps[max(begin - 1, 0)]), int(stamps[min(end, stamps.size - 1)])
 
 
@@ -300,7 +297,7 @@ class Silences:
                     self._watch(name, nanoseconds(piece[name]))
             yield piece
 
-    def _watch(self, name: str, stamps: NDArray[np.int64]) -> None:
+    def _watch(self, name: str, stamps: IntArray) -> None:
         before = self._last.get(name)
         whole = stamps if before is None else np.concatenate(([before], stamps))
         self._last[name] = int(stamps[-1])
@@ -322,7 +319,7 @@ class Silences:
         ]
 
 
-def time_in(gaps: Iterable[Gap], stamps: NDArray[np.int64], position: FloatArray) -> FloatArray:
+def time_in(gaps: Iterable[Gap], stamps: IntArray, position: FloatArray) -> FloatArray:
     """Time [s] in gaps until each stamp; those in which the train did not move do not count."""
     found = np.zeros(stamps.size)
     for gap in gaps:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Group
 
 from analysis.adhesion.events import protection_onsets
@@ -24,8 +23,6 @@ from trainlog.railway.train import NOMINAL
 from trainlog.topics import EVENTS, REFERENCE, TRAIN_SLIP_PROTECTION
 from trainlog.trip import Trip
 from trainlog.units import JOULES_PER_KWH
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

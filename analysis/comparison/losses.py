@@ -25,7 +25,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.comparison.causes import CAUSES as CAUSES, GAINED
 from analysis.comparison.driven import STATION_REACH, DrivenTrip, Stand
@@ -35,11 +34,8 @@ from analysis.comparison.sections import (
     counted_stands,
     running_times,
 )
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.spans import runs_of
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 CELL = 10.0
 """Length of the cells [m]."""

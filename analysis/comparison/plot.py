@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
 from analysis.comparison.compare import ComparedDirection, ComparedTrip
 from analysis.comparison.losses import CAUSES
@@ -27,8 +26,6 @@ from analysis.plotting import (
     new_figure,
 )
 from trainlog.units import JOULES_PER_KWH, KMH
-
-FloatArray = NDArray[np.float64]
 
 TRIP_COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY)
 

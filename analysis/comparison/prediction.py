@@ -8,7 +8,6 @@ from itertools import pairwise
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.comparison.diagnosis import wrong_mass
 from analysis.comparison.driven import DrivenTrip, driven_trip
@@ -24,14 +23,13 @@ from analysis.comparison.sections import sections_between
 from analysis.passports import estimated_passport, with_effort_delay
 from analysis.resistance.fit import scale_of
 from analysis.resistance.recording import recorded_head_wind
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.formats.attached import largest_load, recorded_load, train_of
 from trainlog.railway import ParameterSet, RunningResistance, Train
 from trainlog.railway.passport import Quantity
 from trainlog.spans import runs_of
 from trainlog.trip import Trip
-from trainlog.units import NANOSECONDS
-
-FloatArray = NDArray[np.float64]
+from trainlog.units import GRAVITY, NANOSECONDS
 
 STEP = 20.0
 """Length of the cells [m]."""
@@ -167,18 +165,18 @@ class Cells:
 
     nodes: FloatArray
     speed: FloatArray
-    fast: NDArray[np.bool_]
+    fast: BoolArray
     running: FloatArray
     work: FloatArray
     braking: FloatArray
     track: FloatArray
     tunnels: FloatArray
     wind: FloatArray
-    section: NDArray[np.int64]
+    section: IntArray
     edges: FloatArray
     names: tuple[str, ...]
-    unknown: NDArray[np.bool_]
-    speedless: NDArray[np.bool_]
+    unknown: BoolArray
+    speedless: BoolArray
 
     @staticmethod
     def of(inputs: Inputs) -> Cells:
@@ -219,7 +217,7 @@ class Cells:
         )
 
     @property
-    def inside_gap(self) -> NDArray[np.bool_]:
+    def inside_gap(self) -> BoolArray:
         """Nodes at which the speed is not known."""
         none = self.speedless
         return np.asarray(np.append(none, False) & np.append(False, none), dtype=np.bool_)
@@ -254,7 +252,7 @@ class Cells:
         return [each for each in found if each[1] - each[0] >= 3]
 
 
-def _unknown(trip: DrivenTrip, nodes: FloatArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _unknown(trip: DrivenTrip, nodes: FloatArray) -> tuple[BoolArray, BoolArray]:
     """Cells in which efforts or speed are not known, and those in which speed is not."""
     speedless = np.zeros(nodes.size - 1, dtype=np.bool_)
     if "unknown_speed" in trip.flags:
@@ -393,7 +391,7 @@ def _work(inputs: Inputs, cells: Cells, variant: _Variant, count: int) -> FloatA
     top = np.sqrt(np.array([cells.squared[cells.section == row].max() for row in range(count)]))
     return np.asarray(
         found
-        + variant.slope * 9.81 * variant.mass * uneven
+        + variant.slope * GRAVITY * variant.mass * uneven
         + variant.start * inertia * top
         + 2.0 * inputs.scale_std * (variant.start > 0.0) * np.abs(found)
     )
@@ -413,7 +411,7 @@ def _driven(
         step = cells.step[part]
         ran = np.cumsum(step)
         push = force[part] - variant.mass * cells.track[part] / step
-        lost = variant.slope * 9.81 * variant.mass * uneven * np.sqrt(ran) / ran
+        lost = variant.slope * GRAVITY * variant.mass * uneven * np.sqrt(ran) / ran
         first = (cells.speed[begin] + variant.start) ** 2
         wind, resistance = cells.wind[part], variant.resistance
         air = _Air(resistance.r1 + 2.0 * resistance.r2 * wind, resistance.r2 + cells.tunnels[part])
@@ -481,7 +479,7 @@ def explained_by(inputs: Inputs, cells: Cells) -> tuple[dict[str, float], float]
         mass_std = max(mass_std, FILE_MASS * inputs.mass.value)
     powers = np.stack([summed(step), summed(step * speed), summed(step * speed**2)], axis=1)
     gain_std = inputs.gain.std / inputs.gain.value
-    tilt = np.eye(count) * (GRADIENT_STD * 9.81 * inputs.mass.value * summed(step))[:, None]
+    tilt = np.eye(count) * (GRADIENT_STD * GRAVITY * inputs.mass.value * summed(step))[:, None]
     causes = {
         "running resistance": powers @ root,
         # What the motion under recorded efforts shows is the ratio of the two.

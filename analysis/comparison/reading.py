@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.comparison.gaps import SHORT_GAP, Bridges, Gap, Silences, bridged, time_in
 from analysis.given import Given, trip_of
 from trainlog.along_line import POSITION_SOURCES, nanoseconds
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import LogError
 from trainlog.mcap import read_log
 from trainlog.mcap.reader import stream_log
@@ -35,8 +35,6 @@ from trainlog.topics import (
 )
 from trainlog.trip import Trip, seconds
 from trainlog.units import NANOSECONDS
-
-FloatArray = NDArray[np.float64]
 
 SAMPLING = 0.1
 """Least time between two samples that are kept [s]; work is summed over all of them."""
@@ -215,7 +213,7 @@ class _Gathered:
         return Samples(origin, state != TRAIN_STATE.name, time, columns, sums, gaps)
 
 
-def _without(effort: FloatArray | None, stamps: NDArray[np.int64]) -> list[Gap]:
+def _without(effort: FloatArray | None, stamps: IntArray) -> list[Gap]:
     """Gaps of an effort that is recorded otherwise."""
     lacks = np.zeros(0, dtype=np.bool_) if effort is None else ~np.isfinite(effort)
     if not lacks.any() or lacks.mean() > 0.5:

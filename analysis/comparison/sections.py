@@ -6,15 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.comparison.driven import STATION_REACH, UNKNOWN_TIME, DrivenTrip, Stand, station_at
+from trainlog.arrays import FloatArray
 from trainlog.railway import Line
 from trainlog.railway.kilometres import km_words
+from trainlog.units import KMH
 
-FloatArray = NDArray[np.float64]
-
-EXCESS = 1.0 / 3.6
+EXCESS = 1.0 / KMH
 """Speed over the limit [m/s] from which it is stated: less is within what speeds are known to."""
 
 STOPPING_REACH = 50.0

@@ -23,7 +23,7 @@ from time import perf_counter
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from analysis.control.multi_motor import (
     MultiMotorLocomotive,
@@ -32,11 +32,9 @@ from analysis.control.multi_motor import (
     tracking_plan,
 )
 from analysis.control.qp import UNBOUNDED, QPSubproblem, solve
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.railway.adhesion import CreepCurve
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 ROUNDS = 8
 """Of Newton's method for the slip speeds that leave their bounds."""

@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from analysis.adhesion.events import protection_onsets
 from analysis.control import prediction as prediction
@@ -31,14 +31,13 @@ from analysis.control.route import (
     value,
 )
 from analysis.trajectory.problem import TrajectoryProblem
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway import Line, TrackConditionMap, Train, Trajectory
 from trainlog.simulation import Scenario, simulate, trajectory_scenarios
 from trainlog.simulation.drivers import AT_REST, DEPARTURE, PERIOD, Demand, Observation
 from trainlog.simulation.plant import HOLDING
 from trainlog.trip import Trip
-
-FloatArray = NDArray[np.float64]
 
 STOPPING_TOLERANCE = 0.3
 """A train that stands no more than this short of its stop has arrived [m]."""

@@ -12,12 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway.resistance import RunningResistance
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

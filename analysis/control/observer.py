@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from numpy.typing import NDArray
 
 from analysis.control.prediction import TrainEstimate
 from analysis.control.route import TrainLimits
-
-FloatArray = NDArray[np.float64]
 
 NOISE = 0.02
 """Of an acceleration between two decisions [m/s²]."""

@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
-from numpy.typing import NDArray
 
 from analysis.adhesion.events import protection_onsets
 from analysis.adhesion.slip import slip
@@ -25,13 +24,12 @@ from analysis.plotting import (
     new_figure,
     write_figure,
 )
+from trainlog.arrays import FloatArray
 from trainlog.errors import LogError
 from trainlog.formats.attached import line_of
 from trainlog.railway import Line, TrackConditionMap
 from trainlog.trip import LINE_ATTACHMENT, Trip
 from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
 
 TOPICS = ("/train/state", "/train/controls", "/reference", "/events")
 """What the picture is drawn from."""

@@ -24,7 +24,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from analysis.control.qp import speed_rows, terminal_weight, tracking_cost
 from analysis.control.route import (
@@ -42,8 +41,7 @@ from analysis.control.route import (
     rate,
     value,
 )
-
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import FloatArray
 
 TICK = 0.1
 """Step of the prediction [s]; dead times are whole numbers of it."""

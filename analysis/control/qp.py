@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import FloatArray
 
 SOFTNESS = 1e-7
 """Of the rows of a program: one over their quadratic weight."""

@@ -12,16 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from analysis.control.cooperative import Tuning
 from analysis.control.multi_motor import MultiMotorLocomotive
 from estimators.adhesion import AdhesionObserver
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway import StepProfile
 from trainlog.railway.adhesion import creep_coefficients
-
-FloatArray = NDArray[np.float64]
 
 MAXIMA = np.geomspace(0.03, 0.45, 48)
 """Maximum adhesion that is thought of."""

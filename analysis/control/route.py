@@ -16,17 +16,15 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from pandas import Timestamp
 
 from analysis.trajectory.problem import TrajectoryProblem
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway import TrackConditionMap, Trajectory
 from trainlog.railway.effort import arrays_of
 from trainlog.railway.motion import effort_at
 from trainlog.units import GRAVITY
-
-FloatArray = NDArray[np.float64]
 
 GRID = 5.0
 """Spacing of tables along a route [m]."""

@@ -15,11 +15,11 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.control.cooperative import CooperativeController, Demand, Tuning
 from analysis.control.multi_motor import MultiMotorLocomotive
 from analysis.control.rail_estimate import RailEstimate, RailEstimator
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway import Line, TrackConditionMap, Train
 from trainlog.railway.adhesion import creep_coefficients
@@ -27,7 +27,6 @@ from trainlog.simulation import Drive, DriveReading, DriveSensors, Scenario
 from trainlog.simulation.scenario import LARGEST_LOAD
 from trainlog.simulation.sensors import weighed_load
 
-FloatArray = NDArray[np.float64]
 TractionName = Literal["cooperative", "readhesion"]
 
 TUNING = Tuning(period=0.05, lag=Drive().motor_lag)

@@ -17,10 +17,7 @@ from scipy.special import stdtr
 
 from analysis.fleet.mixed import TAIL, Group, MixedEffects, mixed_effects
 from analysis.fleet.resistance import FEWEST_TRAINS, KindResistance, periods_of, positive, ways_of
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
 
 
 @dataclass(frozen=True)
@@ -303,9 +300,7 @@ def _without_outliers(value: FloatArray) -> FloatArray:
     """Values, those far from the median of their neighbours drawn in."""
     near = pd.Series(value).rolling(5, center=True, min_periods=1).median().to_numpy()
     apart = value - near
-    reach = (
-        OUTLYING * 1.4826 * float(np.median(np.abs(apart[apart != 0.0]))) if apart.any() else 0.0
-    )
+    reach = OUTLYING * robust_std(apart[apart != 0.0]) if apart.any() else 0.0
     return np.asarray(near + np.clip(apart, -reach, reach))
 
 
@@ -384,7 +379,7 @@ def _tail(deviation: FloatArray, train: IntArray) -> tuple[float, float]:
         return TAIL, 1.2
     best = (-np.inf, TAIL, 1.0)
     for tail in TAILS:
-        scale = 1.4826 * float(np.median(np.abs(apart)))
+        scale = robust_std(apart)
         for _ in range(30):
             weight = (tail + 1.0) / (tail + (apart / scale) ** 2)
             scale = float(np.sqrt(np.mean(weight * apart**2)))
@@ -420,7 +415,7 @@ def _wander(own: FloatArray, train: IntArray, days: FloatArray) -> float:
     # trains differ by: noise alone must not look like wandering.
     rate = ((medians["far"] - medians["near"]) / medians["gap"]).to_numpy()
     middle = float(np.median(rate))
-    doubt = 1.4826 * float(np.median(np.abs(rate - middle))) * np.sqrt(0.5 * np.pi / rate.size)
+    doubt = robust_std(rate - middle) * np.sqrt(0.5 * np.pi / rate.size)
     return float(max(middle - 2.0 * doubt, 0.0) / CHI_SQUARE_QUARTILE)
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.comparison.gaps import SHORT_GAP, SILENCE
 from analysis.fleet.trips import FleetTrip
@@ -21,8 +20,6 @@ from trainlog.railway.geometry import beside, track_of
 from trainlog.resampling import interpolated
 from trainlog.topics import GNSS_FIX, TRAIN_STATE
 from trainlog.trip import Trip, seconds
-
-FloatArray = NDArray[np.float64]
 
 CHANNELS = {
     "speed": ("/train/state", "speed"),

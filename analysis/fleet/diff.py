@@ -38,13 +38,12 @@ from analysis.fleet.diff_judgement import (
 )
 from analysis.fleet.diff_map import PLACES, moved_places
 from analysis.fleet.versions import Version, ensure_results, opened_version
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 
 if TYPE_CHECKING:
     from trainlog.catalogue import Catalogue
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, repr=False)
@@ -309,7 +308,7 @@ _COUNTS = {"slips"}
 """Counts that may not be known, which a column of counts cannot hold."""
 
 
-def _known(mine: Values, its: Values) -> NDArray[np.bool_]:
+def _known(mine: Values, its: Values) -> BoolArray:
     return np.asarray(np.isfinite(mine.value) | np.isfinite(its.value))
 
 
@@ -339,7 +338,7 @@ def _count_trips(
     name: str,
     keys: pd.Series,
     rows: NDArray[np.object_],
-    worst: NDArray[np.int64],
+    worst: IntArray,
     verdicts: list[pd.DataFrame],
 ) -> None:
     """Count of how many trips the worst difference is which."""

@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.formats.summaries import COVARIANCE, PARAMETERS
 from trainlog.units import DAY, KMH, NANOSECONDS
-
-FloatArray = NDArray[np.float64]
 
 SPEEDS = (40.0, 80.0, 120.0)
 """At which curves of running resistance are compared [km/h]."""
@@ -48,7 +46,7 @@ class Values:
     counted: bool = False
 
     @property
-    def stated(self) -> NDArray[np.bool_]:
+    def stated(self) -> BoolArray:
         """The rows that state a band of their own."""
         return (self.std > 0.0) & (not self.counted)
 
@@ -74,12 +72,12 @@ def by_definition(left: pd.DataFrame, right: pd.DataFrame) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _differ(one: pd.Series, other: pd.Series) -> NDArray[np.bool_]:
+def _differ(one: pd.Series, other: pd.Series) -> BoolArray:
     values = (one.to_numpy(np.float64), other.to_numpy(np.float64))
     return np.asarray(np.isfinite(values[0] - values[1]) & (values[0] != values[1]))
 
 
-def other_bytes(left: pd.DataFrame, right: pd.DataFrame) -> NDArray[np.bool_]:
+def other_bytes(left: pd.DataFrame, right: pd.DataFrame) -> BoolArray:
     """Rows whose evidence or packed columns differ in any byte."""
     found = np.zeros(len(left), dtype=np.bool_)
     for name in _BULK:

@@ -6,13 +6,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.special import stdtr
 
 from analysis.adhesion.map_difference import q_values
 from analysis.fleet.diff_estimates import Values
-
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 
 REACH = 1.96
 """Standard deviations of a band to one side."""
@@ -43,7 +41,7 @@ MEANS = (
 )  # fmt: skip
 
 
-def classes_of(mine: Values, its: Values) -> tuple[NDArray[np.int64], FloatArray]:
+def classes_of(mine: Values, its: Values) -> tuple[IntArray, FloatArray]:
     """Of each row the class of its difference, and the half width of its band."""
     a, b = mine.value, its.value
     difference = np.abs(b - a)
@@ -75,7 +73,7 @@ def moved_rows(
     mine: Values,
     its: Values,
     band: FloatArray,
-    rows: NDArray[np.bool_],
+    rows: BoolArray,
 ) -> pd.DataFrame:
     """The rows of an estimate that moved beyond its band, by how many bands."""
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -96,7 +94,7 @@ def mean_shifts(
     unit: str,
     mine: Values,
     its: Values,
-    classes: NDArray[np.int64],
+    classes: IntArray,
 ) -> pd.DataFrame:
     """The mean of a difference over all trips, over those of each train and of each place.
 

@@ -7,17 +7,15 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.adhesion.empty_map import empty_map_of
 from analysis.fleet.diff_judgement import REACH
 from analysis.fleet.maps import evidence_of_row
+from trainlog.arrays import FloatArray
 from trainlog.condition import estimated
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.spans import runs_of
-
-FloatArray = NDArray[np.float64]
 
 PLACES = ("place", "layer", "from_km", "to_km", "first", "second", "std_log", "bands")
 

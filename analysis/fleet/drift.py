@@ -23,15 +23,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from analysis.fleet.channels import Channel, Series
 from analysis.fleet.resistance import KindResistance
 from analysis.fleet.unlike import Finding, UnlikeTrains
+from trainlog.arrays import FloatArray, IntArray, robust_std
 from trainlog.display import counted
-
-FloatArray = NDArray[np.float64]
 
 MONTH = 30.4375
 """Days of a month."""
@@ -260,7 +258,7 @@ def _trend(
 
 
 def _regressed(
-    design: FloatArray, value: FloatArray, std: FloatArray, cluster: NDArray[np.int64]
+    design: FloatArray, value: FloatArray, std: FloatArray, cluster: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     """Coefficients and their cluster-robust covariance; Liang and Zeger (1986), eq. (6)."""
     weight = std**-2.0
@@ -269,7 +267,7 @@ def _regressed(
         bread = np.linalg.pinv(turned @ design)
         beta = bread @ (turned @ value)
         rest = (value - design @ beta) / std
-        size = max(1.4826 * float(np.median(np.abs(rest))), 1e-12)
+        size = max(robust_std(rest), 1e-12)
         weight = std**-2.0 * np.minimum(1.0, HUBER * size / np.maximum(np.abs(rest), 1e-12))
     scores = design * (weight * (value - design @ beta))[:, None]
     count = int(cluster.max()) + 1

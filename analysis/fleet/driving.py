@@ -7,7 +7,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.comparison.driven import STATION_REACH, DrivenTrip, Stand
 from analysis.comparison.losses import lost_time
@@ -20,12 +19,11 @@ from analysis.comparison.sections import (
 from analysis.fleet.columns import LOST
 from analysis.fleet.trips import FleetTrip
 from analysis.network.edges import Stretch, edges_of
+from trainlog.arrays import FloatArray
 from trainlog.errors import LogError
 from trainlog.formats.attached import largest_load
 from trainlog.railway.motion import timetable_run
 from trainlog.units import NANOSECONDS
-
-FloatArray = NDArray[np.float64]
 
 SHORTEST_RUN = 500.0
 """Two stops nearer to each other than this [m] are one: the train was moved up."""

@@ -31,10 +31,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 
 TAIL = 5.0
 """Degrees of freedom of the Student distributions of trains and of trips."""
@@ -106,7 +104,7 @@ class MixedEffects:
     _equations: tuple[FloatArray, FloatArray]
     _trusts: tuple[FloatArray, ...]
 
-    def left_out(self, trips: NDArray[np.bool_]) -> FloatArray:
+    def left_out(self, trips: BoolArray) -> FloatArray:
         """What the other trips make of some trips (n, d) that are left out, with their spreads."""
         model = self._model
         left, right = self._equations

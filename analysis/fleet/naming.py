@@ -15,13 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.special import gammaincc
 
 from analysis.fleet.channels import Channel
 from analysis.fleet.resistance import KindResistance
-
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import FloatArray
 
 PROBABLE = 0.05
 """Other faults at least as probable as this are stated beside the likeliest."""

@@ -31,10 +31,9 @@ from analysis.plotting import (
     new_figure,
     write_figure,
 )
+from trainlog.arrays import FloatArray
 from trainlog.display import counted
 from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
 
 MOST_NAMED = 60
 """More trains than this are not named one by one."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
 from analysis.fleet.mixed import TAIL, Group, MixedEffects, mixed_effects
@@ -29,13 +29,11 @@ from analysis.resistance.combination import (
 )
 from analysis.resistance.fit import curve_picture, curve_words
 from analysis.resistance.regression import CONFIDENCE, band_factor, curve_std
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import as_html, as_text, counted
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.railway.resistance import RunningResistance
 from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 BETWEEN_TRAINS = 0.04
 """How much trains of a kind are expected to differ from each other, over the curve."""

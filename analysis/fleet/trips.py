@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.comparison.driven import (
@@ -28,6 +27,7 @@ from analysis.comparison.driven import (
 )
 from analysis.given import Given
 from analysis.passports import passport
+from trainlog.arrays import BoolArray, IntArray
 from trainlog.errors import LogError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.identity import TripIdentity, identity_of
@@ -55,8 +55,6 @@ from trainlog.topics import (
 )
 from trainlog.trip import POSITION_TOPICS, Trip
 from trainlog.units import NANOSECONDS
-
-IntArray = NDArray[np.int64]
 
 TOPICS = tuple(
     topic.name
@@ -251,7 +249,7 @@ class _Course:
         self.samples += time.size
         self._last = int(time[-1])
 
-    def _turned(self, position: pd.Series, paused: NDArray[np.bool_]) -> list[int]:
+    def _turned(self, position: pd.Series, paused: BoolArray) -> list[int]:
         """Rows from which on the train runs the line anew."""
         values = position.to_numpy(np.float64)
         found, start = [], 0
@@ -273,7 +271,7 @@ class _Course:
             fresh = [row for row in fresh if row > start]
         return found
 
-    def _stands(self, time: IntArray, slow: NDArray[np.bool_]) -> None:
+    def _stands(self, time: IntArray, slow: BoolArray) -> None:
         """Note the middle of each stand; one that goes on in the next piece is noted there."""
         for begin, end in runs_of(slow):
             first = self._stood if begin == 0 and self._stood is not None else int(time[begin])

@@ -25,7 +25,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.special import betainc
 
 from analysis.fleet.channels import (
@@ -39,10 +38,8 @@ from analysis.fleet.channels import (
 )
 from analysis.fleet.naming import Explanation, Shift, explained
 from analysis.fleet.resistance import KindResistance
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 FALSE_ALARMS = 0.01
 """Probability of an alarm on a healthy train within a month."""

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
 from estimators.altitude import OVER, HeightProfile, Ride, height_profile
 from estimators.centre_line import Curve, fitted_curve
 from estimators.motion import smooth_motion
+from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from trainlog.display import as_html, counted, picture
 from trainlog.errors import InputError
 from trainlog.identity import Known, identity_of, same_drives
@@ -30,10 +30,6 @@ from trainlog.railway.line import (
 )
 from trainlog.trip import Trip
 from trainlog.units import KMH, PER_MILLE
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-IntArray = NDArray[np.int64]
 
 PIECE = 25.0
 """Fixes within so much distance driven are one point of the first, rough line [m]."""
@@ -504,7 +500,7 @@ def _profile(position: FloatArray, bend: FloatArray) -> CurvatureProfile:
     return CurvatureProfile(edges[:-1], values[:-1], values[1:])
 
 
-def _spans(position: FloatArray, flags: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
+def _spans(position: FloatArray, flags: BoolArray) -> tuple[tuple[float, float], ...]:
     runs, count = label(flags)
     spans = [np.flatnonzero(runs == k + 1) for k in range(count)]
     return tuple((float(position[s[0]]), float(position[s[-1]])) for s in spans)

@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from analysis.adhesion.slip import SlipAnalysis
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.attached import line_of
 from trainlog.formats.line import line_to_bytes
@@ -28,9 +29,6 @@ from trainlog.railway.weather import WEATHER_BY_EDGE, stated_condition
 from trainlog.spans import spans_within
 from trainlog.trip import LINE_ATTACHMENT, PASSPORT_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 from trainlog.version import __version__
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from numpy.typing import NDArray
 
 from analysis.plotting import GREY, INK, PALE, headline, new_figure, write_figure
+from trainlog.arrays import FloatArray
 from trainlog.extras import require
 from trainlog.railway.network import Edge, Network
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FloatArray = NDArray[np.float64]
 
 KM_OF_DEGREE = 111.195
 """Of latitude."""

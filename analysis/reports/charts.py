@@ -21,11 +21,10 @@ from numpy.typing import ArrayLike, NDArray
 from analysis.plotting import BLUE, GREY, INK, PALE, dress, km_axis, new_figure, write_figure
 from analysis.reports.page import Interactive
 from analysis.reports.pictures import PAPER, drawn
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.railway.kilometres import km_ticks
 from trainlog.railway.line import Line
 from trainlog.spans import runs_of
-
-FloatArray = NDArray[np.float64]
 
 MOST_POINTS = 2_500
 """Of a curve in a chart, about: more than there are pixels show nothing more."""
@@ -127,7 +126,7 @@ class Chart:
             object.__setattr__(self, "x", "km")
 
 
-def rows_to_draw(*curves: ArrayLike, most: int = MOST_POINTS) -> NDArray[np.int64]:
+def rows_to_draw(*curves: ArrayLike, most: int = MOST_POINTS) -> IntArray:
     """Rows that show what all rows show: of each short stretch the least and greatest values.
 
     Parameters

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.comparison.losses import CAUSES
 from analysis.fleet.analyses import ANALYSES
@@ -33,6 +32,7 @@ from analysis.tables import (
     WordTable,
     new_table,
 )
+from trainlog.arrays import BoolArray
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.progress import note
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from trainlog.catalogue import Catalogue
     from trainlog.railway.network import Network
 
-FloatArray = NDArray[np.float64]
 
 MOST_ROWS = 60
 """Rows of a table by line, train or reason; the others are counted."""
@@ -510,7 +509,7 @@ def _sizes(percent: pd.Series, train: pd.Series) -> str:
     return ", ".join(words)
 
 
-def _doubts(rows: pd.DataFrame) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+def _doubts(rows: pd.DataFrame) -> Iterator[tuple[str, BoolArray]]:
     """Each doubt with the trips that have it."""
     yield from _doubt("damaged log", rows["damage"] != "")
     yield from _doubt("gaps in the train's state", rows["gaps"] > 0)
@@ -526,7 +525,7 @@ def _doubts(rows: pd.DataFrame) -> Iterator[tuple[str, NDArray[np.bool_]]]:
     yield from _doubt("not all could be checked", rows["doubts"] != "")
 
 
-def _doubt(words: str, chosen: pd.Series) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+def _doubt(words: str, chosen: pd.Series) -> Iterator[tuple[str, BoolArray]]:
     found = chosen.to_numpy(bool)
     if found.any():
         yield words, found

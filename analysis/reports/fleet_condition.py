@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.adhesion.condition_table import bins_table
 from analysis.reports.page import Part, Warned
@@ -19,8 +18,6 @@ from trainlog.display import counted
 from trainlog.errors import TrainlogError
 from trainlog.formats.condition import read_map
 from trainlog.railway import Network
-
-FloatArray = NDArray[np.float64]
 
 ADHESION = Quantity("", "", 1.0, 3)
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.adhesion.condition_table import bins_table
@@ -32,6 +31,7 @@ from analysis.trajectory.table import at_most, trajectory_table
 from analysis.verification.plot import draw_score
 from analysis.verification.scoring import score_rolling
 from analysis.verification.table import score_table
+from trainlog.arrays import IntArray
 from trainlog.display import counted, lateness
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.condition import read_map
@@ -44,8 +44,6 @@ from trainlog.progress import note
 from trainlog.railway import Line, ParameterSet, TrackConditionMap, Trajectory
 from trainlog.railway.kilometres import in_km
 from trainlog.units import KMH, clock
-
-FloatArray = NDArray[np.float64]
 
 MOST_ROWS = 60
 """Trips that the table of a fit lists one by one."""
@@ -236,7 +234,7 @@ def _residuals(fits: Fits) -> list[Part]:
     return [as_part(chart)]
 
 
-def _sample(count: int, most: int) -> NDArray[np.int64]:
+def _sample(count: int, most: int) -> IntArray:
     """At most so many rows, evenly: of points the extremes alone would be another picture."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.adhesion.condition_map import own_line
@@ -21,6 +20,7 @@ from analysis.plotting import BLUE, GREEN, GREY, INK, PURPLE, RED, SKY
 from analysis.reports.charts import Chart, Curve, Panel, as_part, rows_to_draw
 from analysis.reports.page import Part, Section, Warned
 from analysis.tables import kwh, new_table
+from trainlog.arrays import FloatArray
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.attached import line_of, passport_of
@@ -34,8 +34,6 @@ from trainlog.spans import runs_of
 from trainlog.topics import REFERENCE, STANDSTILL, TRAIN_CONTROLS
 from trainlog.trip import POSITION_TOPICS, Trip
 from trainlog.units import KMH, PER_MILLE, clock
-
-FloatArray = NDArray[np.float64]
 
 MOST_EVENTS = 20
 """Slip events that are listed one by one."""

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from rich.console import Group
 from rich.table import Table
 
@@ -42,6 +41,7 @@ from analysis.resistance.fit import check_speeds
 from analysis.resistance.motion import TOPICS, Motion, motion_of
 from analysis.resistance.regression import LARGEST_STD, powers
 from analysis.tables import DURATION, NUMBER, SHARE, SPEED, Band, Column, Quantity, Said, new_table
+from trainlog.arrays import FloatArray
 from trainlog.display import as_text, counted, span
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of
@@ -54,8 +54,6 @@ from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 from trainlog.units import GRAVITY, KMH, PER_MILLE
-
-FloatArray = NDArray[np.float64]
 
 RATIO_BETWEEN = 0.005
 """Standard deviation of mass over inertia from trip to trip: loads differ."""

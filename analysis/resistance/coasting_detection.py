@@ -30,12 +30,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from analysis.resistance.motion import Motion
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import NotIdentifiableError
-
-FloatArray = NDArray[np.float64]
 
 SPACING = 0.008
 """Distance between levels of effort over inertia [m/s²]: a tenth of the running resistance of a
@@ -97,7 +95,7 @@ class Levels:
 def posterior(
     resting: FloatArray,
     working: FloatArray,
-    fresh: NDArray[np.bool_],
+    fresh: BoolArray,
     share: FloatArray,
     rates: tuple[float, float, float, float],
 ) -> tuple[FloatArray, float]:
@@ -175,8 +173,6 @@ def rates(step: float, *, coasts: float = 1.0) -> tuple[float, float, float, flo
     )
     return leave, coasts * rest, move, drift
 
-
-BoolArray = NDArray[np.bool_]
 
 RESOLUTION = 0.012
 """Noise of the acceleration over two blocks [m/s²] that their length aims at."""

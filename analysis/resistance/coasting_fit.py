@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from analysis.resistance.coasting_detection import SPACING, Segment
 from analysis.resistance.motion import Motion
@@ -31,14 +31,13 @@ from analysis.resistance.regression import (
     regress,
 )
 from analysis.resistance.windows import WINDOW, WindowPoints, Windows, build_windows
+from trainlog.arrays import FloatArray
 from trainlog.errors import NotIdentifiableError
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Train
 from trainlog.spans import runs_of
 from trainlog.units import GRAVITY, KMH
-
-FloatArray = NDArray[np.float64]
 
 FINE = 0.2
 """The train's place is known so often [s]: gradients change between samples of the speed."""

@@ -33,13 +33,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
 from analysis.resistance.fit import TripFit, curve_picture, curve_words
 from analysis.resistance.recording import TripRefusedError
 from analysis.resistance.regression import band_factor, curve_std, powers
 from trainlog import __version__
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import as_html, as_text, span
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.summaries import (
@@ -151,8 +152,6 @@ def _row(fit: TripFit) -> dict[str, object]:
         **{f"masked_{reason}": time for reason, time in fit.masked.items()},
     }
 
-
-FloatArray = NDArray[np.float64]
 
 ROUNDS = 200
 """Most rounds of the expectation maximisation, each three steps."""
@@ -300,7 +299,7 @@ class _Trips:
         return single, 0.5 * (found + found.transpose(0, 2, 1))
 
 
-def shared_variance(weights: FloatArray, survey: FloatArray, line: NDArray[np.int64]) -> FloatArray:
+def shared_variance(weights: FloatArray, survey: FloatArray, line: IntArray) -> FloatArray:
     """What shared errors add to the variance of a weighted mean, (3, 3).
 
     With e_i = D_i u_l, where D_i D_i' is the part of trip i's variance that its line l brings in,
@@ -496,7 +495,7 @@ def node_curves(rows: pd.DataFrame) -> NodeCurves:
     return NodeCurves(top, nodes, values, variances, survey, gain_std)
 
 
-def surveyed_shares(rows: pd.DataFrame) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
+def surveyed_shares(rows: pd.DataFrame) -> tuple[IntArray, IntArray, FloatArray]:
     """Over which lines trips ran: number of the trip, of line and direction, and its share.
 
     A trip on a route has a row for each edge, by how much of the route it is; other trips have

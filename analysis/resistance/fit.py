@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from analysis.given import Given, trip_of
 from analysis.passports import passport, with_calibrated_efforts
@@ -33,6 +33,7 @@ from analysis.resistance.regression import (
     regress,
 )
 from analysis.resistance.windows import Evidence, WindowPoints, Windows, part_of
+from trainlog.arrays import FloatArray
 from trainlog.display import as_html, as_text, picture, span
 from trainlog.errors import InputError
 from trainlog.formats.attached import line_of, train_of
@@ -46,8 +47,6 @@ from trainlog.topics import ESTIMATED_RESISTANCE
 from trainlog.trip import Trip, frame_of, seconds
 from trainlog.units import KMH
 from trainlog.values import same_values
-
-FloatArray = NDArray[np.float64]
 
 TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion", "/environment")
 """What is read of each log."""

@@ -6,17 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.resistance.recording import SpeedScale, speed_scale
 from analysis.resistance.windows import integral_up_to
 from estimators.motion import smooth_motion
+from trainlog.arrays import BoolArray, FloatArray, robust_std
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.trip import POSITION_TOPICS, Trip, seconds
 from trainlog.units import NANOSECONDS
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 TOPICS = ("/gnss/motion", "/train/state", "/estimates/state")
 """What is read of a trip; efforts are not looked at, even if they were recorded."""
@@ -196,7 +193,7 @@ def _white_noise(speed: FloatArray) -> float:
     moving = speed > LOWEST_SPEED
     third = np.diff(speed, 3)
     third = third[moving[3:] & moving[:-3]]
-    return 1.4826 * float(np.median(np.abs(third))) / np.sqrt(20.0) if third.size else 0.0
+    return robust_std(third) / np.sqrt(20.0) if third.size else 0.0
 
 
 def _usable(time: FloatArray, speed: FloatArray, noise: float, period: float) -> BoolArray:

@@ -43,14 +43,11 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from analysis.resistance.windows import Windows
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.railway.line import Line
 from trainlog.units import GRAVITY
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 FLOOR = 1e-4
 """Smallest standard deviation of a window [m/s], so that exact data stay solvable."""
@@ -151,13 +148,13 @@ class NoiseParts:
         Size of the state.
     """
 
-    joined: NDArray[np.bool_]
+    joined: BoolArray
     effort: FloatArray
     first_entry: IntArray
     value: FloatArray
-    position: NDArray[np.bool_]
+    position: BoolArray
     slot: IntArray
-    fresh: NDArray[np.bool_]
+    fresh: BoolArray
     slots: int
 
     @staticmethod
@@ -299,7 +296,7 @@ def estimate_noise(likelihood: Likelihood) -> NoiseModel:
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _slots(
     first_entry: IntArray, column: IntArray, columns: int
-) -> tuple[IntArray, NDArray[np.bool_], int]:
+) -> tuple[IntArray, BoolArray, int]:
     """A place in the state for each column of a sparse matrix, from its first row to its last.
 
     Returns the place of each entry, whether it is its column's first, and the number of places.
@@ -335,14 +332,14 @@ def _slots(
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _whitened(
-    joined: NDArray[np.bool_],
+    joined: BoolArray,
     own: FloatArray,
     speed: float,
     first_entry: IntArray,
     value: FloatArray,
     variance: FloatArray,
     slot: IntArray,
-    fresh: NDArray[np.bool_],
+    fresh: BoolArray,
     slots: int,
     columns: FloatArray,
 ) -> tuple[FloatArray, float]:

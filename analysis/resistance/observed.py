@@ -34,7 +34,6 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.resistance.combination import (
     CommonFit,
@@ -46,13 +45,11 @@ from analysis.resistance.combination import (
 )
 from analysis.resistance.fit import TripFit
 from analysis.resistance.regression import powers
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.formats.files import sha256
 from trainlog.formats.summaries import PARAMETERS, covariances_of, parameters_of
 from trainlog.railway.train import POWER_OF_FILE, Configuration, ParameterSet
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 COVER = 0.95
 """Share of trips that the set bounds unless the caller says otherwise."""
@@ -311,7 +308,7 @@ def _evenly(count: int, most: int) -> IntArray:
     return np.unique(np.round(np.linspace(0, count - 1, min(count, most))).astype(np.int64))
 
 
-def _greedy(reach: NDArray[np.bool_]) -> IntArray:
+def _greedy(reach: BoolArray) -> IntArray:
     """Rows of `reach` (n, directions) one by one, each for most of the directions still open."""
     rows: list[int] = []
     open_ones = np.ones(reach.shape[1], dtype=bool)
@@ -378,7 +375,7 @@ def _masses_given(rows: pd.DataFrame, betas: FloatArray) -> FloatArray:
     return np.asarray(fitted[:, 3] + np.sum(slope * shift / scale, axis=1))
 
 
-def _of_neighbours(masses: FloatArray, seen: NDArray[np.bool_], limits: FloatArray) -> FloatArray:
+def _of_neighbours(masses: FloatArray, seen: BoolArray, limits: FloatArray) -> FloatArray:
     """The lower limit of the two trips next in mass of those where it was seen, for each trip."""
     order = np.argsort(masses[seen], kind="stable")
     known, values = masses[seen][order], limits[seen][order]

@@ -18,7 +18,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from analysis.plotting import (
@@ -44,12 +43,11 @@ from analysis.resistance.fit import TripFit
 from analysis.resistance.logs import Fits
 from analysis.resistance.recording import Timeline, TripRefusedError
 from analysis.resistance.regression import LAGS, Residuals, diagnosed, powers
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.formats.parameters import CoastDownResult
 from trainlog.formats.summaries import parameters_of
 from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
 
 KILONEWTON, TONNE = 1e3, 1e3
 
@@ -197,7 +195,7 @@ def draw_correlation(axes: Axes, covariance: FloatArray, title: str) -> None:
         side.set_visible(False)
 
 
-def _some(count: int) -> NDArray[np.int64]:
+def _some(count: int) -> IntArray:
     """Rows to draw: all, or `MOST_DRAWN` evenly spaced ones."""
     spaced = np.linspace(0, count - 1, min(count, MOST_DRAWN))
     return np.unique(np.round(spaced).astype(np.int64))

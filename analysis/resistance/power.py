@@ -7,15 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.resistance.recording import Prepared
+from trainlog.arrays import BoolArray, FloatArray, robust_std
 from trainlog.railway.effort import EffortCurve
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.trip import Trip
-
-FloatArray = NDArray[np.float64]
 
 SHORTEST = 5.0
 """Shorter time at the limit than this [s] is not used."""
@@ -85,7 +83,7 @@ class PowerLimit:
     time: float
 
 
-def limited_samples(trip: Trip, prepared: Prepared, inside: NDArray[np.bool_]) -> LimitedSamples:
+def limited_samples(trip: Trip, prepared: Prepared, inside: BoolArray) -> LimitedSamples:
     """Where more effort was asked for than was given.
 
     Efforts are averaged; wheels that slip and transients are left out. The wheels' own speed
@@ -144,7 +142,7 @@ def power_limit(samples: LimitedSamples, train: Train, scale_std: float) -> Powe
     if train.traction_curve is not None and power.size:
         # All of it shows the same share, and more scattered: the highest would be the noise's.
         middle = float(np.median(power))
-        spread = 1.4826 * float(np.median(np.abs(power - middle)))
+        spread = robust_std(power - middle)
         if spread > UNEVEN * middle:
             return None
         plateau = np.abs(power - middle) < max(PLATEAU * middle, 3.0 * spread)
@@ -153,7 +151,7 @@ def power_limit(samples: LimitedSamples, train: Train, scale_std: float) -> Powe
     lasts = time >= SHORTEST and np.ptp(speeds) >= SPEED_RANGE
     if not lasts or found <= WEAKEST * train.max_traction_power:
         return None
-    scatter = 1.4826 * float(np.median(np.abs(power[plateau] - found)))
+    scatter = robust_std(power[plateau] - found)
     # Averages overlap, and what scatters lasts longer than one of them.
     own = 1.2533 * scatter / np.sqrt(max(time / LASTING, 1.0))
     return PowerLimit(found, float(np.hypot(own, scale_std * found)), time)

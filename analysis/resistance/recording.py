@@ -8,9 +8,9 @@ from typing import Literal, get_args
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from estimators.motion import smooth_motion
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.formats.attached import line_of
 from trainlog.railway.line import Line
@@ -18,10 +18,6 @@ from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.trip import LINE_ATTACHMENT, Trip, seconds
 from trainlog.units import GRAVITY
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 Reason = Literal[
     "not recorded",
@@ -60,7 +56,7 @@ class Timeline:
     time: FloatArray
     speed: FloatArray
     position: FloatArray
-    masks: dict[str, NDArray[np.bool_]]
+    masks: dict[str, BoolArray]
 
 
 class TripRefusedError(NotIdentifiableError):
@@ -224,7 +220,7 @@ class Recording:
     track_slope: FloatArray
     section: IntArray
     nearest_edge: IntArray
-    usable: NDArray[np.bool_]
+    usable: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -651,9 +647,7 @@ def track_slope(line: Line, position: FloatArray, train_length: float = 0.0) -> 
     return np.asarray(change / (2.0 * POSITION_STEP))
 
 
-def gradient_pieces(
-    line: Line, position: FloatArray
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def gradient_pieces(line: Line, position: FloatArray) -> tuple[IntArray, IntArray]:
     """Piece of the gradient profile at each position, and number of the nearest change.
 
     A piece is what one error of the survey holds for.

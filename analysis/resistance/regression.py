@@ -32,7 +32,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import stdtr
 
 from analysis.resistance.noise import (
@@ -45,9 +45,8 @@ from analysis.resistance.noise import (
 )
 from analysis.resistance.windows import Windows
 from estimators.rls import RecursiveLeastSquares
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.railway.resistance import LARGEST_STD as LARGEST_STD
-
-FloatArray = NDArray[np.float64]
 
 CONFIDENCE = 0.95
 """Of every band."""
@@ -253,7 +252,7 @@ class Regression:
     noise: NoiseModel
     cluster_factor: float
     residual: FloatArray
-    kept: NDArray[np.bool_]
+    kept: BoolArray
     condition: float
 
 

@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.given import Given
 from analysis.resistance.coast_down import Sources, check_not_empty, one_train, with_origin
@@ -29,6 +28,7 @@ from analysis.resistance.coasting_detection import SHORTEST
 from analysis.resistance.coasting_fit import SHORTEST_RANGE
 from analysis.resistance.motion import TOPICS, Motion, motion_of, smoothed_over
 from analysis.resistance.regression import LARGEST_STD, band_factor, curve_std, powers
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.attached import line_of
 from trainlog.formats.parameters import CoastDownResult, DragCurve, Identified
@@ -37,7 +37,6 @@ from trainlog.spans import runs_of
 from trainlog.trip import LINE_ATTACHMENT, Trip, seconds
 from trainlog.units import KMH
 
-FloatArray = NDArray[np.float64]
 Spans = Sequence[tuple[float, float]]
 
 PIECE = 250.0
@@ -81,14 +80,14 @@ class Passages:
         Whether the trip's passage before ended where this one began.
     """
 
-    trip: NDArray[np.int64]
-    piece: NDArray[np.int64]
+    trip: IntArray
+    piece: IntArray
     way: FloatArray
     acceleration: FloatArray
     speed: FloatArray
     square: FloatArray
     noise: FloatArray
-    joined: NDArray[np.bool_]
+    joined: BoolArray
 
 
 def coast_down_without_gradient(
@@ -387,7 +386,7 @@ def _quantities(
 
 def _pieces(
     rows: Passages,
-    pieces: NDArray[np.int64],
+    pieces: IntArray,
     estimate: FloatArray,
     covariance: FloatArray,
     parted: bool,

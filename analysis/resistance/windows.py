@@ -29,18 +29,15 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
 from analysis.resistance.power import LimitedSamples, limited_samples
 from analysis.resistance.recording import Prepared, Recording, SpeedScale, Timeline, prepare
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.spans import ALWAYS
 from trainlog.trip import Trip
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 WINDOW = 1.0
 """Length of a window [s]; short beside the time a train takes over a piece of gradient."""
@@ -104,7 +101,7 @@ class Windows:
         """Mean speed in each window [m/s]."""
         return np.asarray(self.x[:, 2] / self.x[:, 1])
 
-    def select(self, kept: NDArray[np.bool_]) -> Windows:
+    def select(self, kept: BoolArray) -> Windows:
         """Some of the windows."""
         return Windows(*(getattr(self, item.name)[kept] for item in fields(self)))
 
@@ -171,7 +168,7 @@ class WindowPoints:
     speed: FloatArray
     value: FloatArray
     std: FloatArray
-    used: NDArray[np.bool_]
+    used: BoolArray
 
 
 def window_width(time: FloatArray) -> float:
@@ -260,7 +257,7 @@ def effort_impulse(
 
 
 def _window_ends(
-    time: FloatArray, usable: NDArray[np.bool_], window: float
+    time: FloatArray, usable: BoolArray, window: float
 ) -> tuple[FloatArray, FloatArray]:
     """Start and end of every window [s]: each usable stretch cut into equal windows."""
     padded = np.concatenate(([False], usable, [False])).astype(np.int8)
@@ -323,9 +320,6 @@ def _by_group(
         ((values * step)[inside], (row[inside], member[inside])),
         shape=(start.size, int(member.max(initial=0)) + 1),
     )
-
-
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,6 @@ from functools import cache, partial
 from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.trajectory.bound import lower_bound, spare_times
 from analysis.trajectory.convex import (
@@ -63,10 +62,8 @@ from analysis.trajectory.sqp import (
     minimise,
     with_costates,
 )
+from trainlog.arrays import FloatArray
 from trainlog.progress import note
-
-FloatArray = NDArray[np.float64]
-
 
 _BEFORE_CORRECTION = Tolerances(energy=3e-5, lateness=0.05)
 """Where the lateness that programs leave is corrected afterwards."""

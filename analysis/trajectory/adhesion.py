@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.adhesion.demonstrated import risk_of_run
 from analysis.trajectory.problem import TrajectoryProblem
+from trainlog.arrays import FloatArray
 from trainlog.condition import setting
 from trainlog.railway import Trajectory
 from trainlog.units import GRAVITY
-
-FloatArray = NDArray[np.float64]
 
 
 def adhesion_demand(run: TrajectoryProblem, trajectory: Trajectory) -> FloatArray:

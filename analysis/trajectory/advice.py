@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from rich.table import Table
 
 from analysis.adhesion.condition_table import near
@@ -23,13 +23,12 @@ from analysis.comparison.driven import station_at
 from analysis.tables import new_table
 from analysis.trajectory.instructions import instructions
 from analysis.trajectory.phases import AdvicePoint, Phase, advice
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write
 from trainlog.railway import Line, StepProfile, Trajectory
 from trainlog.railway.kilometres import in_km
 from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
 
 HEADER = (
     "event",

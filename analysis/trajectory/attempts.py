@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.trajectory.active_set import search
 from analysis.trajectory.audit import Audit, audit
@@ -22,9 +21,8 @@ from analysis.trajectory.guess import Answer, Guess, initial_guess, interpolated
 from analysis.trajectory.problem import MOST_CELLS, TrajectoryProblem
 from analysis.trajectory.rollout import cell_times
 from analysis.trajectory.sqp import Tolerances
+from trainlog.arrays import FloatArray
 from trainlog.errors import TrainlogError
-
-FloatArray = NDArray[np.float64]
 
 _CORRECTIONS = 3
 """How often limits are made stricter by what an audit found beyond them."""

@@ -10,15 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from analysis.trajectory.discretisation import inside
 from analysis.trajectory.problem import TrajectoryProblem
+from trainlog.arrays import FloatArray
 from trainlog.railway import EffortCurve
 from trainlog.railway.motion import in_parts
 from trainlog.units import GRAVITY
-
-FloatArray = NDArray[np.float64]
 
 _PARTS, _FEWEST, _MOST = 12_000, 8, 24
 """Runge-Kutta sub-steps over the whole grid, and the fewest and the most of a cell."""

@@ -10,15 +10,13 @@ corner, and each configuration's speeds into one convex chain, which a few Newto
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dptsv
 
 from analysis.trajectory.convex import MEAN_SPEED, SLOW, Multipliers, power_cells, reachable
 from analysis.trajectory.curves import Bounds, Curves
 from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from analysis.trajectory.rollout import cell_times, realise
-
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import FloatArray
 
 _NEWTON_STEPS = 60
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.trajectory.active_set import priced_rows
 from analysis.trajectory.audit import Audit
@@ -26,8 +25,7 @@ from analysis.trajectory.phases import agreement, phase_letters, phases_by_contr
 from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.representatives import multipliers_for_all, shares_of
 from analysis.trajectory.sqp import NEGLIGIBLE_ENERGY, Solution, with_costates
-
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import FloatArray
 
 _CONE_TOLERANCE = 1e-8
 """Of the cone solver's value, absolute [J/kg] and relative."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.trajectory.convex import Multipliers
 from analysis.trajectory.costate import costate_of, held_or_partial
@@ -18,8 +17,7 @@ from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from analysis.trajectory.envelope import Envelope
 from analysis.trajectory.hamiltonian import Hamiltonian, Prices, Segments
 from analysis.trajectory.problem import TrajectoryProblem
-
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import FloatArray
 
 _POINTS = 4
 """Of Gauss and Legendre in each segment."""

@@ -26,14 +26,12 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from analysis.trajectory.curves import SPARE, Curves
 from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from analysis.trajectory.rollout import dynamic_share
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from trainlog.arrays import FloatArray, IntArray
 
 SLOW = 0.2
 """Speeds below this are scaled as if they were this [m/s]."""
@@ -330,7 +328,7 @@ def separates_dynamic_brake(problem: DiscreteProblem) -> bool:
     return problem.run.at_line or bool(np.any(problem.friction < problem.braking))
 
 
-def power_cells(problem: DiscreteProblem, power: float, most: FloatArray) -> NDArray[np.int64]:
+def power_cells(problem: DiscreteProblem, power: float, most: FloatArray) -> IntArray:
     """Cells in which a power limit can be stricter than the effort limit `most`."""
     fastest = np.sqrt(2.0 * np.maximum(problem.ceiling[:-1], problem.ceiling[1:]))
     return np.flatnonzero(power / fastest < most)

@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.trajectory.convex import Multipliers
 from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from analysis.trajectory.envelope import Envelope
 from analysis.trajectory.hamiltonian import Hamiltonian, Segments, reached
-
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import BoolArray, FloatArray
 
 _CREEPING = 2.0
 """Speed below which a train that starts or stops does so at its fastest [m/s]."""
@@ -54,7 +52,7 @@ class Costate:
     segments: Segments
     begin: FloatArray
     end: FloatArray
-    even: NDArray[np.bool_]
+    even: BoolArray
     at_nodes: float
 
     def along(self, hamiltonian: Hamiltonian) -> tuple[FloatArray, FloatArray]:
@@ -112,7 +110,7 @@ def costate_of(hamiltonian: Hamiltonian, multipliers: Multipliers) -> Costate:
     return _with_ramps(hamiltonian, values, shape, kinds, float(added))
 
 
-def held_or_partial(hamiltonian: Hamiltonian, multipliers: Multipliers) -> NDArray[np.bool_]:
+def held_or_partial(hamiltonian: Hamiltonian, multipliers: Multipliers) -> BoolArray:
     """Cells in which one configuration holds a limit or a control is partial, (n,)."""
     problem = hamiltonian.problem
     mean = multipliers.pull / (problem.step * problem.gain[:, None])
@@ -135,9 +133,7 @@ def node_limits(hamiltonian: Hamiltonian) -> tuple[FloatArray, FloatArray]:
     return 0.5 * np.minimum(lowest, own) ** 2, problem.floor
 
 
-def partial_cells(
-    hamiltonian: Hamiltonian, mean: FloatArray
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def partial_cells(hamiltonian: Hamiltonian, mean: FloatArray) -> tuple[BoolArray, BoolArray]:
     """Cells in which a control is partial, (q, n); and those in which the costate itself is level.
 
     By common traction, or a common brake, that is the sum of the costates.
@@ -158,8 +154,8 @@ def _together(
     base: FloatArray,
     worth: FloatArray,
     gain: FloatArray,
-    kinds: tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]],
-) -> tuple[FloatArray, NDArray[np.bool_]]:
+    kinds: tuple[BoolArray, BoolArray, BoolArray],
+) -> tuple[FloatArray, BoolArray]:
     """Slopes such that the sum of the costates is level where a common control is partial.
 
     A configuration at its limit takes what the others leave: it stays there under any costate that
@@ -181,7 +177,7 @@ def _together(
     return base - part[:, :, None] * excess, np.asarray(able)
 
 
-def _standing(hamiltonian: Hamiltonian) -> NDArray[np.bool_]:
+def _standing(hamiltonian: Hamiltonian) -> BoolArray:
     """Cells at whose end a plan all but stands, though not as the fastest run does, (q, n).
 
     The adjoint equation grows beyond all bounds there; the mean over the cell is as good as any.
@@ -194,7 +190,7 @@ def _standing(hamiltonian: Hamiltonian) -> NDArray[np.bool_]:
 
 def _creep(
     problem: DiscreteProblem, fastest: Envelope, plan: Plan, first: FloatArray, last: FloatArray
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Keep the costate level, in place, where a train starts or stops at its fastest.
 
     There any costate that falls less than the adjoint equation asks for leads to the same speed; by
@@ -222,7 +218,7 @@ def _with_ramps(
     hamiltonian: Hamiltonian,
     values: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     shape: FloatArray,
-    kinds: tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]],
+    kinds: tuple[BoolArray, BoolArray, BoolArray],
     at_nodes: float,
 ) -> Costate:
     """Cells of partial controls cut where the costate leaves its level.
@@ -270,10 +266,10 @@ def _with_ramps(
 def _ramp(
     off: FloatArray,
     slope: FloatArray,
-    kinds: tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]],
+    kinds: tuple[BoolArray, BoolArray, BoolArray],
     gain: FloatArray,
     step: FloatArray,
-) -> tuple[FloatArray, NDArray[np.bool_]]:
+) -> tuple[FloatArray, BoolArray]:
     """Length [m] in which costates `off` their level come back to it, and whether they are off.
 
     At their slopes; (n,) arrays. Of a common control it is their sum; else the farthest off.

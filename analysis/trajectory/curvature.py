@@ -21,12 +21,10 @@ of short intervals, less what a function of bounded second derivative sags in be
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.trajectory.hamiltonian import Hamiltonian
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.spans import runs_of
-
-FloatArray = NDArray[np.float64]
 
 _STRENGTHS = (1.0, 0.2)
 """Parts of the curvature by secants that are tried in each stretch, next to none."""
@@ -54,7 +52,7 @@ def applies(hamiltonian: Hamiltonian) -> bool:
 def least_by_stretch(
     hamiltonian: Hamiltonian,
     values: tuple[FloatArray, FloatArray, FloatArray],
-    partial: NDArray[np.bool_],
+    partial: BoolArray,
 ) -> FloatArray:
     """The least Hamiltonian with the curvature that is best in each stretch, (k, p) [J/(kg m)].
 
@@ -136,7 +134,7 @@ def attainable(hamiltonian: Hamiltonian) -> FloatArray:
 
 
 def riccati(
-    hamiltonian: Hamiltonian, secant: FloatArray, partial: NDArray[np.bool_]
+    hamiltonian: Hamiltonian, secant: FloatArray, partial: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """Curvature at the beginning and the end of each cell, (n,) arrays [1/(m²/s²)].
 

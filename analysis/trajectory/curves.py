@@ -16,11 +16,9 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray
 from trainlog.railway import EffortCurve
-
-FloatArray = NDArray[np.float64]
 
 _STEEPNESS = (0.0, 0.2, 0.34, 0.5, 0.7, 0.85, 1.0, 1.25, 1.6, 2.2, 3.0, 4.0, 6.0, 9.0)
 """Powers of bounds over that of the effort at their speed: the lowest bound there is the best."""

@@ -13,7 +13,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.trajectory.convex import Multipliers, NoSolutionError, OutOfTimeError
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, taper_along
@@ -32,8 +31,7 @@ from analysis.trajectory.sqp import (
     Solution,
     Tolerances,
 )
-
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import FloatArray
 
 _FIRST_RADIUS, _LEAST_RADIUS = 0.5, 1e-3
 """Part of the speed by which a step may change it: the first, and the last."""

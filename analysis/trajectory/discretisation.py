@@ -18,15 +18,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.trajectory.curves import Curves
 from analysis.trajectory.problem import TrajectoryProblem
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.railway import Trajectory
 from trainlog.railway.motion import SUBSTEPS
 from trainlog.units import GRAVITY
-
-FloatArray = NDArray[np.float64]
 
 _SPEED_SHARE = 0.65
 """Share of the cells that goes where the speed changes."""
@@ -120,7 +118,7 @@ def _even_in(
     return np.unique(np.concatenate((breakpoints, *inner)))
 
 
-def _allot(mass: FloatArray, cells: int) -> NDArray[np.int64]:
+def _allot(mass: FloatArray, cells: int) -> IntArray:
     """Cells for each interval: proportional to its mass, at least one, `cells` in all."""
     low, high = 0.0, 4.0 * cells / max(float(mass.sum()), 1e-12)
     for _ in range(60):
@@ -168,7 +166,7 @@ class Taper:
 
     fall: FloatArray
     crest: FloatArray
-    full: NDArray[np.bool_]
+    full: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,7 +235,7 @@ class DiscreteProblem:
     initial: float
     final: float
     floor: FloatArray
-    passed: NDArray[np.int64]
+    passed: IntArray
     earliest: FloatArray
     latest: FloatArray
     weights: FloatArray

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from analysis.trajectory.discretisation import DiscreteProblem, discretise
 from analysis.trajectory.problem import TrajectoryProblem
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import InfeasibleError
 from trainlog.railway.effort import arrays_of
 from trainlog.railway.kilometres import km_words
@@ -30,8 +30,6 @@ from trainlog.railway.motion import (
     speed_of,
 )
 from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
 
 _LOSS = 0.1
 """Part of its speed that a train at full traction may lose in a cell of the trajectory."""
@@ -60,7 +58,7 @@ class Envelope:
     positions: FloatArray
     speeds: FloatArray
     elapsed: FloatArray
-    pulling: NDArray[np.bool_]
+    pulling: BoolArray
 
     @property
     def times(self) -> FloatArray:

@@ -7,19 +7,17 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.trajectory.convex import NoSolutionError, Relaxation
 from analysis.trajectory.discretisation import DiscreteProblem, discretise
 from analysis.trajectory.envelope import Envelope
 from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.sqp import minimise
+from trainlog.arrays import FloatArray
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Line, TimingPoint
 from trainlog.railway.kilometres import km_words
 from trainlog.units import KMH, clock
-
-FloatArray = NDArray[np.float64]
 
 MOST_TIME = 5.0
 """Times the least time, beyond which a timetable is refused."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.trajectory.convex import (
     Multipliers,
@@ -20,8 +19,7 @@ from analysis.trajectory.rollout import (
 from analysis.trajectory.sqp import (
     Solution,
 )
-
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import FloatArray
 
 INACTIVE = 1e-3
 """Switching function below which a configuration is inactive, and leaves a prepared set."""

@@ -22,15 +22,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.trajectory.convex import Multipliers
 from analysis.trajectory.curves import Curves
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, effort_limits
 from analysis.trajectory.envelope import Envelope
 from analysis.trajectory.problem import TrajectoryProblem
-
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import FloatArray, IntArray
 
 _NEWTON_STEPS = 8
 
@@ -111,7 +109,7 @@ class Segments:
         Integrals over parts of a segment, from its beginning to each point.
     """
 
-    cell: NDArray[np.int64]
+    cell: IntArray
     length: FloatArray
     place: FloatArray
     weights: FloatArray
@@ -119,9 +117,7 @@ class Segments:
     gathering: FloatArray
 
     @staticmethod
-    def of(
-        problem: DiscreteProblem, cell: NDArray[np.int64], edges: FloatArray, points: int
-    ) -> Segments:
+    def of(problem: DiscreteProblem, cell: IntArray, edges: FloatArray, points: int) -> Segments:
         """Segments between `edges` [m], each in the cell of that number."""
         nodes, weights = np.polynomial.legendre.leggauss(points)
         nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights

@@ -11,14 +11,12 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.trajectory.phases import AdvicePoint, Phase, rounded_down
+from trainlog.arrays import FloatArray
 from trainlog.railway import StepProfile, Trajectory
 from trainlog.spans import runs_of
 from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
 
 DRIVEABLE = 8.0
 """What takes less time is joined with what comes before or after it, unless it brakes for a limit

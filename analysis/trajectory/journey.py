@@ -18,7 +18,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from analysis.trajectory.certificate import GAP_TOLERANCE
@@ -26,13 +25,12 @@ from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.feasibility import check_speeds, limiting_factors, place_of, seconds
 from analysis.trajectory.optimiser import COARSE_CELLS, optimise
 from analysis.trajectory.problem import DEFAULT_OPTIONS, OptimiserOptions, TrajectoryProblem
+from trainlog.arrays import FloatArray
 from trainlog.display import as_html, as_text
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Line, Trajectory
 from trainlog.railway.journey import Journey, TimingPoint
 from trainlog.units import JOULES_PER_KWH, clock
-
-FloatArray = NDArray[np.float64]
 
 _TURNS = 12
 _CLOSE = 2e-4

@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.trajectory.active_set import search
 from analysis.trajectory.attempts import paced_grid, searched, together
@@ -48,13 +47,12 @@ from analysis.trajectory.problem import (
     TrajectoryProblem,
 )
 from analysis.trajectory.rollout import LEAST_TIME_MARGIN, least_time_together
+from trainlog.arrays import FloatArray
 from trainlog.display import as_html, as_text, counted, picture
 from trainlog.errors import InfeasibleError, InputError, TrainlogError
 from trainlog.progress import note, task, track
 from trainlog.railway import Trajectory
 from trainlog.units import JOULES_PER_KWH
-
-FloatArray = NDArray[np.float64]
 
 COARSE_CELLS = 120
 """Of the coarse grid on which the active configurations are found."""

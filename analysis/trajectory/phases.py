@@ -14,9 +14,9 @@ from itertools import groupby
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trainlog import __version__
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write, sha256
 from trainlog.formats.trajectory import trajectory_to_bytes
@@ -24,8 +24,6 @@ from trainlog.railway import Trajectory
 from trainlog.topics import REFERENCE, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
 
 
 class Phase(IntEnum):
@@ -57,7 +55,7 @@ def phases_by_control(
     most_traction: FloatArray,
     most_braking: FloatArray,
     band: float = 1e-3,
-) -> NDArray[np.int64]:
+) -> IntArray:
     """Phase of each cell from the efforts and their limits.
 
     Parameters
@@ -80,7 +78,7 @@ def phases_by_control(
     return phase
 
 
-def phases_by_switching(switching: FloatArray, band: float = 1e-3) -> NDArray[np.int64]:
+def phases_by_switching(switching: FloatArray, band: float = 1e-3) -> IntArray:
     """Phase of each cell from the switching function ``sum of lambda_v / v``.
 
     Within `band` of 1 or of 0 the control is singular: cruising by partial traction or braking.
@@ -113,7 +111,7 @@ def agreement(
     return float(np.mean(np.where(worth > band, full, np.where(worth < -band, none, True))))
 
 
-def phases_of(trajectory: Trajectory, row: int) -> NDArray[np.int64]:
+def phases_of(trajectory: Trajectory, row: int) -> IntArray:
     """Phase of each cell for the configuration in `row`, as the certificate lists them.
 
     Raises
@@ -145,7 +143,7 @@ def phases_of(trajectory: Trajectory, row: int) -> NDArray[np.int64]:
     return np.array([codes[letter] for letter in letters], dtype=np.int64)
 
 
-def phase_letters(phases: NDArray[np.int64]) -> str:
+def phase_letters(phases: IntArray) -> str:
     """The phases as letters, one a cell."""
     return _LETTERS[phases].tobytes().decode("ascii")
 
@@ -381,7 +379,7 @@ def _held(
 def _holds(
     speeds: FloatArray,
     times: FloatArray,
-    working: NDArray[np.bool_],
+    working: BoolArray,
     held: float,
     first: int,
     last: int,

@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
 from analysis.plotting import (
     BLUE,
@@ -27,10 +26,9 @@ from analysis.plotting import (
 )
 from analysis.trajectory.optimiser import Front
 from analysis.trajectory.phases import Phase, phases_of
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.railway import Line, Trajectory
 from trainlog.units import JOULES_PER_KWH, KMH, PER_MILLE, clock
-
-FloatArray = NDArray[np.float64]
 
 COLOURS = {
     Phase.MAXIMUM_TRACTION: RED,
@@ -111,7 +109,7 @@ def _curve(trajectory: Trajectory, row: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _draw_speeds(
-    axes: Axes, trajectory: Trajectory, line: Line, chosen: int, phases: NDArray[np.int64]
+    axes: Axes, trajectory: Trajectory, line: Line, chosen: int, phases: IntArray
 ) -> None:
     start, end = trajectory.positions[[0, -1]]
     edges = line.speed_limits.positions
@@ -155,9 +153,7 @@ def _draw_speeds(
     axes.set_ylim(0.0, 1.1 * KMH * float(line.speed_limit(edges[:-1]).max()))
 
 
-def _in_phases(
-    trajectory: Trajectory, row: int, phases: NDArray[np.int64], width: float
-) -> LineCollection:
+def _in_phases(trajectory: Trajectory, row: int, phases: IntArray, width: float) -> LineCollection:
     """Speed over km of a configuration, in the colours of its phases."""
     km, speed = _curve(trajectory, row)
     return LineCollection(
@@ -168,9 +164,7 @@ def _in_phases(
     )
 
 
-def _draw_efforts(
-    axes: Axes, trajectory: Trajectory, chosen: int, phases: NDArray[np.int64]
-) -> None:
+def _draw_efforts(axes: Axes, trajectory: Trajectory, chosen: int, phases: IntArray) -> None:
     km = trajectory.positions / 1e3
     net = (trajectory.tractive_effort - trajectory.braking_effort[chosen]) / 1e3
     for phase in Phase:

@@ -9,17 +9,16 @@ from itertools import pairwise
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from pandas import Timestamp
 
 from analysis.adhesion.demonstrated import UsableAdhesion, usable_adhesion
+from trainlog.arrays import FloatArray
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.railway import Configuration, Line, StepProfile, TimingPoint, TrackConditionMap, Train
 from trainlog.railway.kilometres import km_words
 from trainlog.units import GRAVITY, KMH, PER_MILLE
 
-FloatArray = NDArray[np.float64]
 Braking = Literal["recourse", "common"]
 Direction = Literal["forward", "reverse"]
 Objective = Literal["wheel", "line", "expected"]

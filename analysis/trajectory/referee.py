@@ -11,7 +11,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.trajectory.convex import power_cells, separates_dynamic_brake
 from analysis.trajectory.curves import Curves
@@ -19,9 +18,8 @@ from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from analysis.trajectory.guess import Answer
 from analysis.trajectory.rollout import paced_run
 from analysis.trajectory.sqp import least_z
+from trainlog.arrays import FloatArray
 from trainlog.railway.motion import SUBSTEPS
-
-FloatArray = NDArray[np.float64]
 
 _ROUNDED = 1e-6
 """Added to ``v²`` under the root, so that its slope is finite at standstill [m²/s²]."""

@@ -13,15 +13,13 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from analysis.trajectory.convex import (
     Multipliers,
 )
 from analysis.trajectory.discretisation import DiscreteProblem
-
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import FloatArray
 
 MOST_EXPLICIT = 12
 """Configurations up to which each is in the program itself."""

@@ -17,14 +17,12 @@ from dataclasses import replace
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction, taper_along
 from analysis.trajectory.envelope import braking_curves
+from trainlog.arrays import FloatArray
 from trainlog.railway.effort import NO_CURVE
 from trainlog.railway.motion import advance, effort_at, in_parts, landing, speed_of, traverse
-
-FloatArray = NDArray[np.float64]
 
 _TRIALS = 6
 """Of how much faster than another a configuration has to be to arrive in time."""

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from analysis.trajectory.convex import (
     SLOW,
@@ -31,10 +30,9 @@ from analysis.trajectory.convex import (
 from analysis.trajectory.curves import Curves
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, Taper, taper_along
 from analysis.trajectory.rollout import delays, integrate_cells, realise
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-
-_Limited = tuple[int, NDArray[np.int64], NDArray[np.int64]]
+_Limited = tuple[int, IntArray, IntArray]
 """A configuration, cells in which its power is limited, and the rows of these limits."""
 
 _LEAST_Z, _LEAST_SLOPE = 1e-2, 2e-3
@@ -261,21 +259,21 @@ class QPSubproblem:
             statuses=(found.status,),
         )
 
-    def _not_after(self, node: int, latest: float, gradient: FloatArray) -> NDArray[np.int64]:
+    def _not_after(self, node: int, latest: float, gradient: FloatArray) -> IntArray:
         """Eq. (3) and (8), linearised: no configuration passes `node` later than it may."""
         left = latest - self.motion.times[:, :node].sum(axis=1)
         late = np.full(left.shape, self.late)
         slopes = (self.unknowns.z[:, : node + 1], _until(gradient, node))
         return self.below.add(left, slopes, (late, -1.0))
 
-    def _not_before(self, node: int, earliest: float, gradient: FloatArray) -> NDArray[np.int64]:
+    def _not_before(self, node: int, earliest: float, gradient: FloatArray) -> IntArray:
         """Nor earlier: the tangent of a constraint that is not convex."""
         over = self.motion.times[:, :node].sum(axis=1) - earliest
         late = np.full(over.shape, self.late)
         slopes = (self.unknowns.z[:, : node + 1], -_until(gradient, node))
         return self.below.add(over, slopes, (late, -1.0))
 
-    def _motion(self, weight: FloatArray) -> NDArray[np.int64]:
+    def _motion(self, weight: FloatArray) -> IntArray:
         """Eq. (2), linearised about the plan; its dual is the costate."""
         problem, plan, motion, unknowns = self.problem, self.plan, self.motion, self.unknowns
         push = motion.push * weight
@@ -377,7 +375,7 @@ class QPSubproblem:
                     )
         return pulled, braked
 
-    def _single_power_limit(self) -> NDArray[np.bool_]:
+    def _single_power_limit(self) -> BoolArray:
         """Cells in which each configuration is the only one to be short of power, (q, n).
 
         Others, and those that brake not to need more, must keep the limit at both ends; so must all
@@ -397,7 +395,7 @@ class QPSubproblem:
         a: int,
         nodes: slice,
         power: FloatArray,
-        effort: NDArray[np.int64],
+        effort: IntArray,
         most: FloatArray,
         above: FloatArray,
     ) -> _Limited:
@@ -414,7 +412,7 @@ class QPSubproblem:
         return a, at, self.below.add(right, (effort[at], 1.0), (change, slope))
 
     def _below_curve(
-        self, curves: Curves | None, a: int, nodes: slice, effort: NDArray[np.int64],
+        self, curves: Curves | None, a: int, nodes: slice, effort: IntArray,
         most: FloatArray, above: FloatArray, part: FloatArray,
     ) -> list[_Limited]:  # fmt: skip
         """Effort below a part of a curve's tangent in z, as `_below`: one set of rows a piece."""
@@ -430,9 +428,7 @@ class QPSubproblem:
             found.append((a, at, rows))
         return found
 
-    def _mean_below(
-        self, a: int, power: FloatArray, effort: NDArray[np.int64], at: NDArray[np.int64]
-    ) -> _Limited:
+    def _mean_below(self, a: int, power: FloatArray, effort: IntArray, at: IntArray) -> _Limited:
         """Mean effort in the cells `at` below the mean of ``power / v`` at their ends.
 
         By the tangent of what the power does in the time ``2 ds / (v + v')``, which the lower
@@ -463,7 +459,7 @@ def _until(gradient: FloatArray, node: int) -> FloatArray:
 
 
 def _by_point(
-    duals: FloatArray, limits: list[tuple[int, NDArray[np.int64]]], shape: tuple[int, int]
+    duals: FloatArray, limits: list[tuple[int, IntArray]], shape: tuple[int, int]
 ) -> FloatArray:
     """Duals of the rows by configuration and passing point."""
     found = np.zeros(shape)

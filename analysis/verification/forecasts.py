@@ -6,20 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from analysis.adhesion.condition_table import last_evidence
 from analysis.verification.references import GRID, climatology
 from analysis.verification.verify import Forecaster
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.condition import estimated, known_before
 from trainlog.errors import InputError
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import day_of
 from trainlog.railway.forecast import AdhesionForecast
 from trainlog.units import NANOSECONDS
-
-FloatArray = NDArray[np.float64]
 
 SHARES = np.array([
     0.005, 0.01, 0.025, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.975,
@@ -90,7 +88,7 @@ def _flat() -> FloatArray:
     return np.full(GRID.size, 1.0 / GRID.size)
 
 
-def _on_grid(probability: FloatArray, known: NDArray[np.bool_]) -> AdhesionEstimate:
+def _on_grid(probability: FloatArray, known: BoolArray) -> AdhesionEstimate:
     mean = probability @ GRID
     std = np.sqrt(np.maximum(probability @ GRID**2 - mean**2, 1e-12))
     return AdhesionEstimate(mean, std, known, GRID, probability)

@@ -7,12 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.railway.evidence import DailyEvidence
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 NOON = pd.Timedelta(hours=12)
 
@@ -104,7 +101,7 @@ def time_of(day: int) -> pd.Timestamp:
     return pd.Timestamp(int(day), unit="D", tz="UTC") + NOON
 
 
-def _measured(evidence: DailyEvidence, rows: NDArray[np.bool_]) -> tuple[IntArray, FloatArray]:
+def _measured(evidence: DailyEvidence, rows: BoolArray) -> tuple[IntArray, FloatArray]:
     """Bin and maximum of each trip's onsets, from the sums over trips."""
     weight = evidence.weight[rows]
     mean = evidence.weighted_log[rows] / weight

@@ -6,14 +6,12 @@ Climatology, by the rail condition alone; persistence; and the place alone, what
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.condition import prior_of, setting
 from trainlog.railway.condition import AdhesionEstimate, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
-
-FloatArray = NDArray[np.float64]
 
 GRID = np.linspace(np.log(0.01), 0.0, 185)
 """Logarithms of adhesion on which a reference forecast is laid out."""
@@ -130,7 +128,7 @@ def place_alone(track: TrackConditionMap, layer: str, evidence: DailyEvidence) -
     )
 
 
-def _difference(place: NDArray[np.int64], log: FloatArray) -> float:
+def _difference(place: IntArray, log: FloatArray) -> float:
     """Standard deviation between measurements of one bin that follow each other."""
     order = np.argsort(place, kind="stable")
     step = np.diff(log[order])[np.diff(place[order]) == 0]
@@ -140,8 +138,8 @@ def _difference(place: NDArray[np.int64], log: FloatArray) -> float:
 
 
 def _last(
-    place: NDArray[np.int64], day: NDArray[np.int64], value: FloatArray, bins: int
-) -> tuple[NDArray[np.int64], FloatArray]:
+    place: IntArray, day: IntArray, value: FloatArray, bins: int
+) -> tuple[IntArray, FloatArray]:
     """Last day by bin, -1 if none, and the largest value of that day; rows are in order of days."""
     last = np.full(bins, -1, dtype=np.int64)
     np.maximum.at(last, place, day)

@@ -15,12 +15,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway.condition import AdhesionEstimate
-
-FloatArray = NDArray[np.float64]
 
 CONTAMINATION = 1e-4
 """Share of a uniform distribution that is mixed into every forecast before its logarithm is taken,

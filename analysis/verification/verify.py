@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.verification.passages import Demand, Passages, asked_adhesion
 from analysis.verification.references import climatology, persistence, place_alone
@@ -29,11 +28,10 @@ from analysis.verification.scores import (
     pit_sums,
     used_score,
 )
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.railway.condition import AdhesionEstimate, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
-
-FloatArray = NDArray[np.float64]
 
 Forecaster = Callable[[str, pd.Timestamp], AdhesionEstimate | None]
 """The adhesion forecast for a rail condition and a time, by bin; None: unknown everywhere."""
@@ -124,7 +122,7 @@ class Verification:
 
     name: str
     bin_length: float
-    days: NDArray[np.int64]
+    days: IntArray
     counts: FloatArray
     scores: dict[str, FloatArray]
     inside: FloatArray

@@ -17,7 +17,6 @@ from functools import partial
 
 import numpy as np
 from benchmark_tracking import own, peer_cvxpy, peer_ipopt, timed
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -28,6 +27,7 @@ from analysis.control.route import Margin
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import TrajectoryProblem
+from trainlog.arrays import FloatArray
 from trainlog.formats.condition import read_map
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
@@ -37,8 +37,6 @@ from trainlog.simulation import Scenario, drive, trajectory_scenarios
 from trainlog.simulation.drivers import DEPARTURE, Demand, Observation
 from trainlog.simulation.sensors import Reading, Sensors
 from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
 
 MAP = DEFAULT_LINE.replace(".line.json", ".map")
 LATE = 40.0

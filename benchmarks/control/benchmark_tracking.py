@@ -15,7 +15,6 @@ from collections.abc import Callable
 import casadi as ca
 import cvxpy as cp
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -27,8 +26,6 @@ from analysis.studies.hauck_2023.section import section_of
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.simulation.drivers import Stop
 from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
 
 COUNT, REPEATS = 40, 20
 N = 20

@@ -36,7 +36,7 @@ from trainlog.railway.adhesion import polach_curve
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.simulation import Scenario, draw_scenarios, simulate
 from trainlog.simulation.drivers import AT_REST, PERIOD
-from trainlog.units import KMH
+from trainlog.units import JOULES_PER_KWH, KMH
 
 PAIRS = (
     ("CH_StGallen_Wil", "CH_Stadler_FLIRT_TPF"),
@@ -47,7 +47,6 @@ PAIRS = (
 
 CONTROLS: tuple[TractionName | None, ...] = (None, "readhesion", "cooperative")
 
-KWH = 3.6e6
 """A kilowatt-hour [J]."""
 
 FASTEST = 80.0 / KMH
@@ -126,8 +125,8 @@ def measured(scenario: Scenario, control: TractionName | None, places: np.ndarra
     loops = [trial.loop for trial in starts + stops if trial.loop is not None]
     return Found(
         control or "plant's own",
-        float(np.mean([trial.state.works["traction"] for trial in starts])) / KWH,
-        float(np.mean([trial.state.works["slip"] for trial in starts])) / KWH,
+        float(np.mean([trial.state.works["traction"] for trial in starts])) / JOULES_PER_KWH,
+        float(np.mean([trial.state.works["slip"] for trial in starts])) / JOULES_PER_KWH,
         float(np.mean([trial.state.speed**2 / (2.0 * trial.way) for trial in starts])),
         float(np.mean([trial.way for trial in stops])),
         sum(len(loop.unsolved) for loop in loops),

@@ -15,12 +15,10 @@ import time
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from numpy.typing import NDArray
 
 from estimators.adhesion import AdhesionObserver
 from estimators.linear_gaussian import random_walk_slope
-
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import FloatArray
 
 AXLES, FEW = 4, 2_000
 ROTATING_MASS, SPEED_STD, FORCE_RATE = 1_500.0, 0.03, 20e3

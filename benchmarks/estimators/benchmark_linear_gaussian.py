@@ -14,12 +14,10 @@ from collections.abc import Callable
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from numpy.typing import NDArray
 
 from estimators.linear_gaussian import LinearGaussian
 from estimators.motion import ACCELERATION_STD, WHEEL_ERROR_STD, motion_model
-
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import FloatArray
 
 COUNT = 5_000
 STD = np.array([3.0, 0.1])

@@ -12,11 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray
 from trainlog.formats.summaries import COVARIANCE, SURVEY, covariances_of, surveys_of
-
-FloatArray = NDArray[np.float64]
 
 START = pd.Timestamp("2025-01-06T05:00:00Z")
 

@@ -21,12 +21,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.sparse import lil_array
 
 from analysis.resistance.coast_down import CoastDown, coast_down
 from analysis.resistance.coasting_fit import TripCoastDown
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.attached import line_of
 from trainlog.formats.line import read_line
@@ -36,7 +36,6 @@ from trainlog.simulation import Scenario, draw_scenarios, simulate
 from trainlog.topics import GNSS_MOTION
 from trainlog.trip import Trip, frame_of, seconds
 
-FloatArray = NDArray[np.float64]
 Trips = list[tuple[Scenario, Trip]]
 
 RATIO = 0.917
@@ -206,7 +205,7 @@ def rms(found: FloatArray, true: FloatArray) -> float:
     return float(100.0 * np.sqrt(np.mean((found / true - 1.0) ** 2)))
 
 
-def runs(mask: NDArray[np.bool_], at: FloatArray, least: float) -> NDArray[np.bool_]:
+def runs(mask: BoolArray, at: FloatArray, least: float) -> BoolArray:
     """The mask without its runs shorter than `least` [s]."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
     kept = np.zeros(mask.size, dtype=bool)

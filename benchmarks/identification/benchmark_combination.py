@@ -20,11 +20,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.resistance import combine, parameter_set
 from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, TOLERANCE, random_effects
 from analysis.resistance.regression import powers
+from trainlog.arrays import FloatArray
 from trainlog.formats.summaries import (
     COLUMNS,
     COVARIANCE,
@@ -32,8 +32,6 @@ from trainlog.formats.summaries import (
     read_summaries,
     write_summaries,
 )
-
-FloatArray = NDArray[np.float64]
 
 TOP = 35.0
 COMMON = np.array([2400.0, 60.0, 11.5])

@@ -20,7 +20,6 @@ from pathlib import Path
 
 import numpy as np
 from monte_carlo import CONSTANT, PERFECT, Study
-from numpy.typing import NDArray
 from study import (
     ASKED,
     Outcome,
@@ -36,9 +35,8 @@ from study import (
     run,
 )
 
+from trainlog.arrays import FloatArray
 from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
 
 SIZES = (1, 10, 100)
 

@@ -13,13 +13,11 @@ from collections.abc import Callable
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from numpy.typing import NDArray
 from padasip.filters import FilterRLS
 from statsmodels.regression.recursive_ls import RecursiveLS
 
 from estimators.rls import RecursiveLeastSquares
-
-FloatArray = NDArray[np.float64]
+from trainlog.arrays import FloatArray
 
 PRIOR = np.array([100.0, 1.0, 0.1])
 VARIANCE = 0.01

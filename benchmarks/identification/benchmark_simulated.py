@@ -15,10 +15,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.resistance import TripFit, combine, fit_trip, parameter_set
 from analysis.resistance.regression import powers
+from trainlog.arrays import FloatArray
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.line import line_to_bytes, read_line
 from trainlog.formats.samples import sample
@@ -27,7 +27,6 @@ from trainlog.railway import Line, StepProfile
 from trainlog.simulation import Scenario, draw_scenarios, simulate
 from trainlog.trip import LINE_ATTACHMENT, Trip
 
-FloatArray = NDArray[np.float64]
 Change = Callable[[Trip], Trip]
 
 

@@ -14,19 +14,17 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.resistance import TripFit, fit_trip
 from analysis.resistance.combination import shared_variance
 from analysis.resistance.regression import powers
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.railway import RunningResistance
 from trainlog.simulation import draw_scenarios, simulate
-
-FloatArray = NDArray[np.float64]
 
 
 def in_band(fit: TripFit, true: RunningResistance) -> bool:
@@ -37,7 +35,7 @@ def in_band(fit: TripFit, true: RunningResistance) -> bool:
 
 
 def judged(
-    errors: FloatArray, variances: FloatArray, surveys: FloatArray, line: NDArray[np.int64]
+    errors: FloatArray, variances: FloatArray, surveys: FloatArray, line: IntArray
 ) -> tuple[float, float]:
     """Mean square of the mean error in the metric of its variance: shared, and independent."""
     count = len(errors)

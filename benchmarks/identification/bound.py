@@ -16,12 +16,10 @@ from __future__ import annotations
 
 import numpy as np
 from monte_carlo import PERIOD, Drawn, Study
-from numpy.typing import NDArray
 
 from analysis.resistance.recording import LOWEST_SPEED, widened
+from trainlog.arrays import FloatArray
 from trainlog.units import GRAVITY
-
-FloatArray = NDArray[np.float64]
 
 BLOCK = 10
 """Samples averaged into one observation."""

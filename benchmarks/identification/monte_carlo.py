@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.formats.attached import with_passport
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
@@ -31,8 +31,6 @@ from trainlog.railway import (
 from trainlog.topics import GNSS_MOTION, TRAIN_CONTROLS, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, frame_of
 from trainlog.units import GRAVITY, NANOSECONDS
-
-FloatArray = NDArray[np.float64]
 
 PERIOD = 0.1
 """Between two samples [s]."""
@@ -246,7 +244,7 @@ def _drive(
     slopes: FloatArray,
     limits: FloatArray,
     speeds: FloatArray,
-    coasting: NDArray[np.bool_],
+    coasting: BoolArray,
     length: float,
     mass: float,
     drag: FloatArray,

@@ -18,7 +18,6 @@ import numpy as np
 import pandas as pd
 from bound import information
 from monte_carlo import Drawn, Study, draw, trip_of
-from numpy.typing import NDArray
 
 from analysis.resistance import combine, fit_trip
 from analysis.resistance.combination import CommonFit, summarised
@@ -27,11 +26,10 @@ from analysis.resistance.recording import TripRefusedError
 from analysis.resistance.regression import band_factor, curve_std, powers
 from analysis.resistance.windows import Evidence, part_of
 from estimators.rls import RecursiveLeastSquares
+from trainlog.arrays import FloatArray
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.summaries import covariances_of
 from trainlog.trip import Trip
-
-FloatArray = NDArray[np.float64]
 
 SPEEDS = np.linspace(5.0, 55.0, 101)
 """Where the error of the curve is judged [m/s]."""

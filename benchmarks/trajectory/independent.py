@@ -13,13 +13,11 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from analysis.trajectory.problem import TrajectoryProblem
+from trainlog.arrays import FloatArray
 from trainlog.railway import Configuration, Trajectory
-
-FloatArray = NDArray[np.float64]
 
 _G = 9.81
 _CURVE = 0.6  # [m]: curve resistance over weight, times the radius

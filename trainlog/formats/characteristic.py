@@ -9,11 +9,12 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes, write_bytes
 from trainlog.formats.headed import HeadedTable, read_headed
 from trainlog.formats.parameters import Details
-from trainlog.formats.schema import Column, File, FloatArray, Part, Quantity, Table, built
+from trainlog.formats.schema import Column, File, Part, Quantity, Table, built
 from trainlog.railway.adhesion import (
     GREATEST_ADHESION,
     AdhesionCharacteristic,

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from trainlog.errors import InputError
 from trainlog.formats.files import check_written, write_bytes
@@ -20,8 +19,6 @@ from trainlog.railway.forecast import AdhesionForecast
 from trainlog.railway.weather import check_condition
 from trainlog.spans import utc
 from trainlog.units import to_si
-
-FloatArray = NDArray[np.float64]
 
 REQUIRED = ("line", "from", "to", "valid from", "valid to")
 OPTIONAL = ("layer", "issued")

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
@@ -63,9 +63,7 @@ class HeadedTable:
         """A cell as a number, with a decimal comma where commas do not separate cells."""
         return float(cell if self.separator == "," else cell.replace(",", "."))
 
-    def numbers(
-        self, first: str, second: str, expected: str, *, most: int = 2
-    ) -> NDArray[np.float64]:
+    def numbers(self, first: str, second: str, expected: str, *, most: int = 2) -> FloatArray:
         """The rows as numbers, (rows, columns) array; every cell must be one.
 
         Parameters

@@ -7,13 +7,13 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.plausible import implausible_line
 from trainlog.formats.schema import (
     INFINITY,
     Column,
     File,
-    FloatArray,
     Named,
     Part,
     Quantity,

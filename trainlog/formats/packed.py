@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray, IntArray
+
 _WHOLE = ("u1", "i1", "<u2", "<i2", "<i4", "<i8")
 """Types in which whole numbers are kept: the first that holds them all."""
 
@@ -159,7 +161,7 @@ def _least(array: NDArray[Any]) -> _Kept:
     return form, chosen[0], chosen[1].astype(form)
 
 
-def _are_whole(values: NDArray[np.float64]) -> bool:
+def _are_whole(values: FloatArray) -> bool:
     """Whether int64 holds them as exactly; minus zero has no whole number."""
     return bool(
         np.all(np.abs(values) < _EXACT)
@@ -168,7 +170,7 @@ def _are_whole(values: NDArray[np.float64]) -> bool:
     )
 
 
-def _form(values: NDArray[np.int64]) -> str:
+def _form(values: IntArray) -> str:
     if not values.size:
         return _WHOLE[0]
     low, high = int(values.min()), int(values.max())

@@ -12,10 +12,11 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, JsonValue
 
+from trainlog.arrays import FloatArray
 from trainlog.display import as_html, as_text, counted, span
 from trainlog.errors import InputError
 from trainlog.formats.files import check_written, plain, read_bytes, shortest, write_bytes
-from trainlog.formats.schema import Array, File, FloatArray, Part, Quantity, built
+from trainlog.formats.schema import Array, File, Part, Quantity, built
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Configuration, ParameterSet
 from trainlog.units import KMH, factor

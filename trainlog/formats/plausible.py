@@ -12,16 +12,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway.effort import EffortCurve
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Train
 from trainlog.units import GRAVITY, KMH
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeVar, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, TypeAdapter, ValidationError
 from pydantic_core import (
     CoreSchema,
@@ -27,6 +27,7 @@ from pydantic_core import (
     core_schema,
 )
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.files import parse_json, plain, shortest, to_bytes
 from trainlog.formats.toml import as_toml, parse_toml
@@ -288,8 +289,6 @@ def must_be(message: str) -> str:
     demand = re.sub(r"^(?:\w+ )?should ", "must ", message)
     return demand[:1].lower() + demand[1:] if demand == message else demand
 
-
-FloatArray = NDArray[np.float64]
 
 INFINITY: tuple[str, float] = ("infinity", np.inf)
 """Radii of straight track."""

@@ -15,12 +15,10 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write, refuse_reading
-
-FloatArray = NDArray[np.float64]
 
 FORMAT, VERSION = "trainlog/summaries", 1
 """Named in the file; the version is raised when a column changes its meaning or goes."""

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats import line as line_format, train as train_format
 from trainlog.formats.files import write_bytes
@@ -25,8 +25,6 @@ from trainlog.railway import Axles, Brake, Line, RunningResistance, Station, Ste
 from trainlog.railway.journey import Journey, TimingPoint
 from trainlog.railway.line import CurvatureProfile, Geometry, LineReference
 from trainlog.units import KMH, to_si
-
-Numbers = NDArray[np.float64]
 
 Kind = Literal["line", "train", "journey", "profile"]
 
@@ -352,7 +350,7 @@ def read_line_table(path: str | Path, *, name: str | None = None) -> Line:
     read = built(
         lambda: gathered(*(partial(_numbers, table, columns[kind], kind) for kind in kinds)), path
     )
-    known: dict[str, Numbers] = dict(zip(kinds, read, strict=True))
+    known: dict[str, FloatArray] = dict(zip(kinds, read, strict=True))
     at = known["position"]
     first, length = float(at[0]), float(at[-1] - at[0])
     source = f"table {Path(path).name}" + (
@@ -412,7 +410,7 @@ def _columns(table: HeadedTable) -> dict[str, int]:
     return found
 
 
-def _numbers(table: HeadedTable, column: int, kind: str) -> Numbers:
+def _numbers(table: HeadedTable, column: int, kind: str) -> FloatArray:
     """A column in SI, NaN where a cell is empty."""
     si, suggested = _UNITS[kind]
     bare = table.bare_name(column)
@@ -434,7 +432,7 @@ def _numbers(table: HeadedTable, column: int, kind: str) -> Numbers:
     if problems:
         raise InputError.listing(problems)
     try:
-        numbers: Numbers = np.asarray(to_si(np.array(values), unit, si))
+        numbers: FloatArray = np.asarray(to_si(np.array(values), unit, si))
     except InputError as error:
         place = f"line {table.line}, column {table.names[column]}"
         raise InputError(error.problem, place=place, remedy=error.remedy) from error
@@ -443,7 +441,7 @@ def _numbers(table: HeadedTable, column: int, kind: str) -> Numbers:
     return numbers
 
 
-def _check_positions(table: HeadedTable, at: Numbers) -> None:
+def _check_positions(table: HeadedTable, at: FloatArray) -> None:
     problems = [
         InputError("has no chainage", place=f"line {table.rows[row][0]}", remedy="add it")
         for row in np.flatnonzero(np.isnan(at))
@@ -471,7 +469,7 @@ def _check_positions(table: HeadedTable, at: Numbers) -> None:
 
 
 def _steps(
-    table: HeadedTable, position: Numbers, known: Mapping[str, Numbers], kind: str
+    table: HeadedTable, position: FloatArray, known: Mapping[str, FloatArray], kind: str
 ) -> StepProfile:
     """What holds from each row on, where it changes; the last row is the line's end."""
     values = known[kind]
@@ -487,7 +485,7 @@ def _steps(
 
 
 def _stations(
-    table: HeadedTable, columns: Mapping[str, int], position: Numbers
+    table: HeadedTable, columns: Mapping[str, int], position: FloatArray
 ) -> tuple[Station, ...]:
     if "station" not in columns:
         return ()
@@ -495,7 +493,7 @@ def _stations(
     return tuple(Station(name, float(at)) for name, at in zip(names, position, strict=True) if name)
 
 
-def _curves(position: Numbers, known: Mapping[str, Numbers]) -> CurvatureProfile | None:
+def _curves(position: FloatArray, known: Mapping[str, FloatArray]) -> CurvatureProfile | None:
     if "radius" not in known:
         return None
     radius = known["radius"][:-1].copy()
@@ -516,7 +514,7 @@ def _reference(
 
 
 def _geometry(
-    table: HeadedTable, position: Numbers, known: Mapping[str, Numbers]
+    table: HeadedTable, position: FloatArray, known: Mapping[str, FloatArray]
 ) -> Geometry | None:
     if "latitude" not in known or "longitude" not in known:
         return None

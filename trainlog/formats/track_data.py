@@ -11,15 +11,13 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import InputError
 from trainlog.railway import CurvatureProfile, Line, LineReference, Station, StepProfile, Tunnel
 from trainlog.railway.line import Geometry
 from trainlog.railway.network import Network, assumed_on
 from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
 
 ASSUMED_LIMIT = 80.0 / KMH
 """Speed limit [m/s] of a file that states none at all."""
@@ -277,7 +275,7 @@ class TrackData:
             "limits", [Stretch(each.begin, each.end, each.speed) for each in self.limits], account
         )
         edges = self._edges(chosen)
-        found, unknown = list[StepProfile](), list[NDArray[np.bool_]]()
+        found, unknown = list[StepProfile](), list[BoolArray]()
         for way in ("forward", "against"):
             mine = [x for x in self.limits if choice.takes(x) and getattr(x, way)]
             values = self._lowest([x for x in mine if choice.category in (None, x.category)], edges)
@@ -323,7 +321,7 @@ class TrackData:
             values[inside] = np.fmin(values[inside], each.speed)
         return values
 
-    def _missing(self, at: FloatArray, unknown: NDArray[np.bool_]) -> float:
+    def _missing(self, at: FloatArray, unknown: BoolArray) -> float:
         """Length [m] of the pieces that are not known."""
         return float(np.diff(np.append(at, self.length))[unknown].sum())
 

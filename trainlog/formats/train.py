@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.files import check_written, read_bytes, write_bytes
 from trainlog.formats.plausible import implausible_train
@@ -227,12 +227,12 @@ _SAME = {field.name for field in fields(Train)} & set(_TrainFile.model_fields) -
 """Fields that are the same in the file and in the train."""
 
 
-def _table(curve: EffortCurve | None) -> tuple[NDArray[np.float64], ...] | None:
+def _table(curve: EffortCurve | None) -> tuple[FloatArray, ...] | None:
     """The columns of a curve."""
     return None if curve is None else (curve.speeds, curve.efforts)
 
 
-def _curve(place: str, table: tuple[NDArray[np.float64], ...] | None) -> EffortCurve | None:
+def _curve(place: str, table: tuple[FloatArray, ...] | None) -> EffortCurve | None:
     """The curve in a table of speeds and efforts; errors name the place."""
     if table is None:
         return None
@@ -242,7 +242,7 @@ def _curve(place: str, table: tuple[NDArray[np.float64], ...] | None) -> EffortC
         raise InputError(error.problem, place=place, remedy=error.remedy) from error
 
 
-def pairs(table: tuple[NDArray[np.float64], ...] | None) -> tuple[tuple[float, float], ...]:
+def pairs(table: tuple[FloatArray, ...] | None) -> tuple[tuple[float, float], ...]:
     """The rows of a table of two columns."""
     return () if table is None else tuple((float(x), float(y)) for x, y in zip(*table, strict=True))
 

@@ -8,10 +8,11 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.files import check_written, plain, read_bytes, write_bytes
 from trainlog.formats.parameters import ConfigurationPart, Details
-from trainlog.formats.schema import Array, File, FloatArray, Quantity, built
+from trainlog.formats.schema import Array, File, Quantity, built
 from trainlog.railway.trajectory import Trajectory
 
 _ROUNDING = 1e-6

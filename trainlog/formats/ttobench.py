@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar, cast
 import numpy as np
 from pydantic import ConfigDict, Field
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats import line as line_format, linefile, train as train_format
 from trainlog.formats.files import read_json, to_bytes, write_bytes
@@ -23,7 +24,6 @@ from trainlog.formats.schema import (
     MISSING,
     Array,
     Column,
-    FloatArray,
     Named,
     Part,
     Quantity,

@@ -12,8 +12,9 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from trainlog.arrays import FloatArray
 from trainlog.formats.files import read_json, to_bytes, write_bytes
-from trainlog.formats.schema import MISSING, Column, FloatArray, Quantity, Table, checked, dumped
+from trainlog.formats.schema import MISSING, Column, Quantity, Table, checked, dumped
 from trainlog.formats.ttobench import Layout, Metadata
 
 _COLUMNS = (

@@ -10,8 +10,8 @@ from typing import TypeVar
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.formats.files import write_bytes
 from trainlog.formats.headed import HeadedTable, read_headed
@@ -23,7 +23,6 @@ from trainlog.railway.weather import (
 )
 from trainlog.units import factor, to_si
 
-FloatArray = NDArray[np.float64]
 Value = TypeVar("Value")
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -274,7 +273,7 @@ def _disorder(
     return found
 
 
-def _ends(starts: NDArray[np.int64], stated: list[int | None]) -> NDArray[np.int64]:
+def _ends(starts: IntArray, stated: list[int | None]) -> IntArray:
     """When each row ends: as stated, else with the next one, after `LONGEST_HOLD` at the latest."""
     following = np.append(starts[1:], np.iinfo(np.int64).max)
     ends = np.minimum(following, starts + LONGEST_HOLD)

@@ -11,20 +11,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimators.matching import Nodes, best_chain
 from estimators.motion import SmoothedMotion
-from estimators.receiver import MEDIAN_TO_STD, Delay, ReceiverNoise
+from estimators.receiver import Delay, ReceiverNoise
+from trainlog.arrays import BoolArray, ComplexArray, FloatArray, robust_std
 from trainlog.errors import InputError
 from trainlog.ingest.fixes import GATE, Fixes, slipping_wheels, wheel_ratio
 from trainlog.ingest.line_motion import GEOMETRY_STD, SMALLEST_NOISE, LineMotion
 from trainlog.ingest.receiver import Speeds, common_delay, extrapolated, with_late_wheels
-from trainlog.ingest.recording import BoolArray, FloatArray
 from trainlog.railway.geometry import Track, beside, candidates, nearest_on, track_of
 from trainlog.railway.line import Geometry
-
-ComplexArray = NDArray[np.complex128]
 
 NODE = 5.0
 """Time between fixes from which the chain is made [s]."""
@@ -145,7 +142,7 @@ def chainage_of(
     chain = _chain(track, points, fixes, std, driven, near, gated)
     course = _course(fixes.seconds, chain, driven[0])
     chainage, aside = beside(track, points, course)
-    spread = MEDIAN_TO_STD * float(np.nanmedian(np.abs(aside)))
+    spread = robust_std(aside[~np.isnan(aside)])
     fitting = np.isfinite(points)
     if gated:
         fitting &= np.hypot(aside, chainage - course) < GATE * np.hypot(spread, std)
@@ -195,7 +192,7 @@ def _rough_noise(fixes: Fixes, distance: FloatArray) -> tuple[Fixes, float]:
         If the line is too far away to be theirs.
     """
     known = np.isfinite(distance)
-    spread = MEDIAN_TO_STD * float(np.median(distance[known]))
+    spread = robust_std(distance[known])
     stated = float(np.median(fixes.std[known]))
     misfit = float(np.sqrt(max(0.0, spread**2 - stated**2)))
     if misfit > MAX_MISFIT:

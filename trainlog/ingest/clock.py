@@ -12,16 +12,10 @@ from itertools import pairwise
 import numpy as np
 from numba import njit
 
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.ingest.profile_parts import Limits
-from trainlog.ingest.recording import (
-    NO_TIME,
-    BoolArray,
-    Finding,
-    FloatArray,
-    IntArray,
-    Table,
-)
+from trainlog.ingest.recording import NO_TIME, Finding, Table
 from trainlog.units import NANOSECONDS
 
 MAX_DROPPED = 0.25

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
 from trainlog.ingest.clock import (
     Result,
     has_fix,
@@ -26,14 +27,7 @@ from trainlog.ingest.clock import (
     usual_step,
 )
 from trainlog.ingest.profile_parts import Limits
-from trainlog.ingest.recording import (
-    METRES_PER_DEGREE,
-    BoolArray,
-    Finding,
-    FloatArray,
-    IntArray,
-    Table,
-)
+from trainlog.ingest.recording import METRES_PER_DEGREE, Finding, Table
 from trainlog.units import DAY, NANOSECONDS
 
 ROLLOVER = 1024 * 7 * DAY
@@ -586,7 +580,7 @@ class _Motion:
             return None
         metres = np.array([np.median(each) for each in errors])
         bias = float(np.median(metres))
-        std = 1.4826 * float(np.median(np.abs(metres - bias)))
+        std = robust_std(metres - bias)
         return replace(
             self, bias=bias, std=max(std, float(np.quantile(np.abs(metres - bias), 0.9)) / 2)
         )

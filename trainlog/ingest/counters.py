@@ -13,10 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.ingest.clock import Result, gap_threshold
 from trainlog.ingest.limits import limit_of, si_rate
 from trainlog.ingest.profile_parts import Limits
-from trainlog.ingest.recording import BoolArray, FloatArray, IntArray, Table
+from trainlog.ingest.recording import Table
 from trainlog.ingest.spikes import GNSS_SPEED, SPEED
 from trainlog.spans import runs_of
 from trainlog.units import NANOSECONDS

@@ -6,17 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimators.receiver import MEDIAN_TO_STD
 from estimators.route_matching import EdgeGraph, EdgeNodes
+from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
 from trainlog.ingest.fixes import GATE, Fixes
 from trainlog.ingest.line_motion import GEOMETRY_STD
-from trainlog.ingest.recording import BoolArray, FloatArray, IntArray
 from trainlog.railway.geometry import SPACING as TRACK_SPACING, Track, candidates, to_plane
 from trainlog.railway.line import Geometry
-
-ComplexArray = NDArray[np.complex128]
 
 SPACING, MOST_NODES, STANDING_TIME = 50.0, 800, 120.0
 """Distance [m] between fixes that are looked at, how many at most, and how often [s] at a
@@ -146,7 +142,7 @@ def _usual_std(std: FloatArray, near: FloatArray) -> FloatArray:
     known = np.isfinite(near)
     if not known.any():
         return std
-    spread = MEDIAN_TO_STD * float(np.median(near[known]))
+    spread = robust_std(near[known])
     stated = float(np.median(std[known]))
     smaller = min(1.0, max(spread, GEOMETRY_STD) / stated)
     misfit = min(float(np.sqrt(max(0.0, spread**2 - stated**2))), WIDEST / GATE)

@@ -13,12 +13,13 @@ import numpy as np
 import pandas as pd
 
 from estimators.motion import SmoothedMotion, smooth_motion
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.ingest.chainage import Matched, chainage_of
 from trainlog.ingest.clock import Result
 from trainlog.ingest.fixes import Fixes, held_fixes
 from trainlog.ingest.profile import Profile
 from trainlog.ingest.profile_checks import Quantity
-from trainlog.ingest.recording import BoolArray, Finding, FloatArray, IntArray, Table
+from trainlog.ingest.recording import Finding, Table
 from trainlog.ingest.rules import LONGEST_GAP_IN_CHORD, POSITION, quantum
 from trainlog.railway.line import Line
 from trainlog.topics import ESTIMATED_STATE

@@ -9,7 +9,7 @@ import pandas as pd
 from numba import njit
 from scipy.ndimage import label
 
-from trainlog.ingest.recording import BoolArray, FloatArray
+from trainlog.arrays import BoolArray, FloatArray
 
 GATE, HOLD = 4.5, 2.5
 """A fix further from the expected place than `GATE` standard deviations is off; so are its

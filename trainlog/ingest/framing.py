@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trainlog.ingest.recording import BoolArray, IntArray, Table, field_of
+from trainlog.arrays import BoolArray, IntArray
+from trainlog.ingest.recording import Table, field_of
 from trainlog.topics import EVENTS, TOPICS, Topic
 from trainlog.trip import frame_of
 

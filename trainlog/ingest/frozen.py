@@ -14,15 +14,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
 from trainlog.ingest.clock import Result, gap_threshold
 from trainlog.ingest.profile_parts import Limits
-from trainlog.ingest.recording import BoolArray, Finding, FloatArray, IntArray, Table, field_of
+from trainlog.ingest.recording import Finding, Table, field_of
 from trainlog.ingest.spikes import GNSS_SPEED, LATITUDE, LONGITUDE, SPEED, plane
 from trainlog.units import NANOSECONDS
 
-Column = FloatArray | NDArray[np.complex128]
+Column = FloatArray | ComplexArray
 
 POSITION = "/train/state.position"
 WHEEL_SPEED = "/train/axles.wheel_speed"
@@ -453,7 +453,7 @@ class _Motion:
         size = np.abs(off[live])
         if np.sqrt(np.mean(size**2)) > EXPLAINED * np.std(acceleration[live]):
             return none
-        allowed = max(STDS * 1.4826 * float(np.median(size)), BEYOND * float(np.max(size)))
+        allowed = max(STDS * robust_std(size), BEYOND * float(np.max(size)))
         # Of two efforts that rest at the same time the one that does so longer is doubted first.
         took = {n: np.max(self.runs[n].last - self.runs[n].first) for n in names}
         for name in sorted(names, key=lambda n: -took[n]):
@@ -536,7 +536,7 @@ def _trembles(column: Column, size: float, step: float) -> bool:
     bend = np.diff(column, 2)[like[:-2] & like[1:-1] & like[2:]]
     if bend.size < LEAST_COMPARED:
         return False
-    noise = 1.4826 * float(np.median(np.abs(bend))) / np.sqrt(6.0)
+    noise = robust_std(bend) / np.sqrt(6.0)
     signs = np.sign(bend)
     alternating = bool(np.mean(signs[1:] * signs[:-1]) < ALTERNATING)
     return alternating and bool(noise >= TREMBLING * step)
@@ -551,4 +551,4 @@ def _agreement(
         return 1.0, USUAL_FIX_STD if LATITUDE in (name, other) else USUAL_STD
     ratio = float(np.median(own[both] / pace[both]))
     off = own[both] - ratio * pace[both]
-    return ratio, 1.4826 * float(np.median(np.abs(off)))
+    return ratio, robust_std(off)

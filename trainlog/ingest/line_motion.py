@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as t_distribution
 
 from estimators.motion import (
@@ -16,7 +15,6 @@ from estimators.motion import (
     smooth_motion,
 )
 from estimators.receiver import (
-    MEDIAN_TO_STD,
     ReceiverNoise,
     mean_square,
     position_noise,
@@ -25,12 +23,10 @@ from estimators.receiver import (
     structure,
     white_noise,
 )
+from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
 from trainlog.ingest.fixes import GATE, HOLD, Fixes, held, slipping_wheels
 from trainlog.ingest.receiver import integral
-from trainlog.ingest.recording import BoolArray, FloatArray
 from trainlog.railway.geometry import Track, beside
-
-ComplexArray = NDArray[np.complex128]
 
 GEOMETRY_STD = 2.0
 """Standard deviation of a good line's own geometry [m]."""
@@ -251,7 +247,7 @@ class LineMotion:
 
     def _usual(self, aside: FloatArray) -> FloatArray:
         """Usual distance of each fix beside the line, as a standard deviation [m]."""
-        size = MEDIAN_TO_STD * float(np.median(np.abs((aside / self.relative)[self.known])))
+        size = robust_std((aside / self.relative)[self.known])
         return np.hypot(max(size, SMALLEST_NOISE[0]) * self.relative, GEOMETRY_STD)
 
     def _size_agility(self, pace: FloatArray) -> None:
@@ -309,7 +305,7 @@ class LineMotion:
         self,
         along: FloatArray | None = None,
         factor: float = 1.0,
-        rows: NDArray[np.int64] | slice = slice(None),
+        rows: IntArray | slice = slice(None),
     ) -> SmoothedMotion:
         """The motion by the chainage, or by other positions and the speeds times a factor."""
         fixes, noise, speeds = self.fixes, self.position_noise, self.speed_noise
@@ -377,9 +373,7 @@ def _apart(seconds: FloatArray, measured: BoolArray) -> FloatArray:
     return np.asarray(later - seconds[at[np.maximum(after - 1, 0)]])
 
 
-def _widened(
-    error: FloatArray, std: FloatArray, rows: NDArray[np.int64], besides: float
-) -> FloatArray:
+def _widened(error: FloatArray, std: FloatArray, rows: IntArray, besides: float) -> FloatArray:
     """Standard deviations that hold 95 % of the errors in the given rows; never smaller ones."""
     stated = np.hypot(std[rows], besides)
     factor = float(np.quantile(np.abs(error) / stated, 0.95)) / 1.96
@@ -397,7 +391,7 @@ def _relative_accuracy(stated: FloatArray, aside: FloatArray) -> FloatArray:
     best, chosen = np.inf, 0.0
     for power in (0.0, 0.5, 1.0):
         scaled = np.abs(aside[used]) / unit[used] ** power
-        size = max(MEDIAN_TO_STD * float(np.median(scaled)), 1e-6)
+        size = max(robust_std(scaled), 1e-6)
         # Negative log-likelihood of Laplace's distribution, whose tails are heavy.
         value = np.log(size) + float(np.mean(power * np.log(unit[used]) + scaled / size))
         if value < best - 0.01:

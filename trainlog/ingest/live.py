@@ -12,6 +12,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import pandas as pd
 
+from trainlog.arrays import IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
@@ -28,7 +29,7 @@ from trainlog.ingest.pipeline import (
 from trainlog.ingest.profile import Profile, parse_profile
 from trainlog.ingest.profile_columns import own_topics
 from trainlog.ingest.profile_parts import Limits, Repair
-from trainlog.ingest.recording import NO_TIME, IntArray, Recording as Recorded, Table
+from trainlog.ingest.recording import NO_TIME, Recording as Recorded, Table
 from trainlog.ingest.sequence import Numbering, Sequence
 from trainlog.ingest.sources import Source
 from trainlog.ingest.stream import Decoded, Decoder, Framer, Malformed

@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.ingest.profile import Profile
 from trainlog.ingest.profile_columns import WORDS, Column
@@ -22,11 +23,8 @@ from trainlog.ingest.recording import (
     NO_TIME,
     SHOWN_ROWS,
     TIME_CELL,
-    BoolArray,
     Cells,
     Finding,
-    FloatArray,
-    IntArray,
     Raw,
     Recording,
     Table,
@@ -292,7 +290,7 @@ def degrees_of(values: FloatArray) -> FloatArray:
     return np.asarray(np.sign(values) * (degrees + (size - 100.0 * degrees) / 60.0))
 
 
-def in_si(name: str, column: Column, raw: FloatArray | NDArray[np.float64]) -> FloatArray:
+def in_si(name: str, column: Column, raw: FloatArray | FloatArray) -> FloatArray:
     """``sign * part(raw * scale + offset)`` in the column's unit, converted to SI."""
     scaled = degrees_of(raw) if column.notation == "degrees_minutes" else raw
     if column.scale != 1.0:

@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
+from trainlog.arrays import IntArray
 from trainlog.errors import InputError
 from trainlog.extras import load
 from trainlog.formats.mdf import called
@@ -25,7 +26,7 @@ from trainlog.ingest.mapping import EARLIEST, LATEST, recording_of
 from trainlog.ingest.profile import Profile
 from trainlog.ingest.profile_checks import MismatchError, suggestion
 from trainlog.ingest.profile_columns import WORDS, Column
-from trainlog.ingest.recording import NO_TIME, Cells, IntArray, Recording, field_of
+from trainlog.ingest.recording import NO_TIME, Cells, Recording, field_of
 from trainlog.topics import RECORDED
 from trainlog.units import NANOSECONDS, factor, si_unit
 

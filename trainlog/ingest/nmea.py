@@ -19,19 +19,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.extras import load
 from trainlog.formats.files import read_bytes
 from trainlog.ingest.profile import Profile
-from trainlog.ingest.recording import (
-    HORIZONTAL_PER_HDOP,
-    NO_TIME,
-    FloatArray,
-    IntArray,
-    Messages,
-    Recording,
-    Table,
-)
+from trainlog.ingest.recording import HORIZONTAL_PER_HDOP, NO_TIME, Messages, Recording, Table
 from trainlog.units import DAY, KMH
 
 KNOT = 1852.0 / 3600.0

@@ -16,18 +16,10 @@ from itertools import groupby, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.ingest.profile import Profile
 from trainlog.ingest.profile_parts import TripColumns
-from trainlog.ingest.recording import (
-    NO_TIME,
-    BoolArray,
-    Finding,
-    FloatArray,
-    IntArray,
-    Recording,
-    Table,
-    base_name,
-)
+from trainlog.ingest.recording import NO_TIME, Finding, Recording, Table, base_name
 from trainlog.topics import RECORDED
 from trainlog.units import DAY, NANOSECONDS, to_si
 

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trainlog.arrays import FloatArray, robust_std
 from trainlog.errors import InputError
-from trainlog.ingest.recording import FloatArray, Table
+from trainlog.ingest.recording import Table
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.units import NANOSECONDS
@@ -162,7 +163,7 @@ def gradients_in(table: Table, line: Line, train: Train, start: float | None) ->
     for _ in range(3):
         beta = np.linalg.lstsq(design[kept], rate[kept], rcond=None)[0]
         left = rate - design @ beta
-        scale = 1.4826 * float(np.median(np.abs(left[kept])))
+        scale = robust_std(left[kept])
         kept = np.abs(left) <= 4.0 * max(scale, 1e-6)
     # All windows count, those far off by no more than the bound: both directions have the same.
     squares = float(np.mean(np.minimum(np.abs(left), 4.0 * scale) ** 2))

@@ -17,17 +17,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import label
 
 from estimators.receiver import (
-    MEDIAN_TO_STD,
     Delay,
     WheelSpeeds,
     mean_square,
     pairs_at,
     series_of,
 )
+from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
 from trainlog.ingest.fixes import GATE, Fixes, slipping_wheels, wheel_ratio
-from trainlog.ingest.recording import BoolArray, FloatArray
-
-ComplexArray = NDArray[np.complex128]
 
 FROZEN_TIME, FROZEN_SAMPLES = 5.0, 4
 """A speed that repeats for so long [s], in so many samples, and three times as long as is usual on
@@ -175,7 +172,7 @@ def extrapolated(seconds: FloatArray, points: ComplexArray) -> BoolArray:
     return flags
 
 
-def _spans(runs: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
+def _spans(runs: IntArray, count: int) -> list[IntArray]:
     """Numbers of the members of each run."""
     order = np.argsort(runs, kind="stable")
     edges = np.searchsorted(runs[order], np.arange(1, count + 2))
@@ -408,7 +405,7 @@ def _breaks(time: FloatArray, places: NDArray[Any], along: FloatArray, std: floa
     if np.iscomplexobj(places):
         apart = np.abs(np.abs(change) - by_speed)
     close = steps < 3.0
-    usual = MEDIAN_TO_STD * float(np.median(apart[close])) if close.any() else std
+    usual = robust_std(apart[close]) if close.any() else std
     far = close & (apart > max(GATE * usual, std))
     # A speed that is wrong is wrong step after step; a position steps once.
     runs, count = label(far)

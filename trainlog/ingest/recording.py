@@ -12,13 +12,10 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.topics import RECORDED, TOPICS, Field, Topic, column_field, recorded_topic
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 NO_TIME = int(np.iinfo(np.int64).min)
 """Time of a row whose clock could not be read."""

@@ -19,18 +19,11 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet
 
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import as_html, as_text
 from trainlog.errors import LogError
 from trainlog.ingest.clock import longest_nondecreasing
-from trainlog.ingest.recording import (
-    NO_TIME,
-    BoolArray,
-    Finding,
-    FloatArray,
-    IntArray,
-    Raw,
-    Table,
-)
+from trainlog.ingest.recording import NO_TIME, Finding, Raw, Table
 from trainlog.trip import Trip
 
 

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.route_matching import Between, EdgeGraph, EdgeNodes, distances
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.ingest.edge_candidates import SPACING, STOOD_SPEED, EdgeTracks
 from trainlog.ingest.placing import DRIFT, NEAR
-from trainlog.ingest.recording import NO_TIME, BoolArray, FloatArray, IntArray, Table
+from trainlog.ingest.recording import NO_TIME, Table
 from trainlog.ingest.route_matching import DECIDES, LEAST_NODES, Search, Way
 from trainlog.ingest.rules import POSITION
 from trainlog.railway.line import Line

@@ -14,11 +14,9 @@ from functools import cached_property
 from itertools import groupby, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from estimators.matching import IDLE_SPEED, STEP_LENGTH, STEP_PENALTY, TURN_SHARE
-from estimators.receiver import MEDIAN_TO_STD
 from estimators.route_matching import (
     ABSENCE,
     ALONG,
@@ -32,12 +30,10 @@ from estimators.route_matching import (
     best_chain_on,
     distances,
 )
+from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
 from trainlog.ingest.edge_candidates import SHIFT, EdgeTracks, edge_nodes
 from trainlog.ingest.fixes import GATE, Fixes
-from trainlog.ingest.recording import BoolArray, FloatArray, IntArray
 from trainlog.railway.geometry import Track, beside
-
-ComplexArray = NDArray[np.complex128]
 
 LASTING, LEAST_LASTING, WHITE = 60.0, 2.5, 2.0
 """How long [s] errors of a receiver last, their least standard deviation [m], and that [m] of what
@@ -427,7 +423,7 @@ class Search:
         # Where both run together neither gains; each stretch apart is judged by itself.
         gap = np.where(one.known & other.known, np.abs(one.vector - other.vector), FURTHEST)
         block = _blocks(self.nodes.seconds[known], (gap > APART)[known])
-        size = MEDIAN_TO_STD * float(np.median(np.abs(one.size[known & one.known])))
+        size = robust_std(one.size[known & one.known])
         std = max(LEAST_LASTING, size)
         seconds = self.nodes.seconds[known]
         fit = [_evidence(way.at(known), block, seconds, std) for way in (one, other)]

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from estimators.route_matching import EdgeGraph
+from trainlog.arrays import BoolArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import sha256
@@ -23,7 +24,7 @@ from trainlog.ingest.estimates import fixes_of
 from trainlog.ingest.fixes import Fixes
 from trainlog.ingest.parts import part_of, with_cut_lines
 from trainlog.ingest.placing import stops_of
-from trainlog.ingest.recording import BoolArray, IntArray, Recording, Table
+from trainlog.ingest.recording import Recording, Table
 from trainlog.ingest.route_distances import Placed, by_kilometres, by_stops, check_determined
 from trainlog.ingest.route_matching import DECIDES, Passage, Passages, Unseen, match_route
 from trainlog.ingest.rules import POSITION

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import InputError
 from trainlog.ingest import clock
 from trainlog.ingest.clock import Result, gap_threshold, has_fix
@@ -19,16 +20,7 @@ from trainlog.ingest.counters import report_steps, unwrap_counters
 from trainlog.ingest.frozen import blank_frozen
 from trainlog.ingest.limits import limit_of, si_bounds, si_rate
 from trainlog.ingest.profile_parts import Limits, Repair
-from trainlog.ingest.recording import (
-    METRES_PER_DEGREE,
-    BoolArray,
-    Finding,
-    FloatArray,
-    Raw,
-    Table,
-    base_name,
-    field_of,
-)
+from trainlog.ingest.recording import METRES_PER_DEGREE, Finding, Raw, Table, base_name, field_of
 from trainlog.ingest.report import changes
 from trainlog.ingest.spikes import GNSS_SPEED, LATITUDE, LONGITUDE, SPEED, blank_spikes
 from trainlog.units import NANOSECONDS

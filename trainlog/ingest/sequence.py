@@ -14,10 +14,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
+from trainlog.arrays import BoolArray, IntArray
 from trainlog.ingest.clock import has_fix, same_as_previous
 from trainlog.ingest.limits import limit_of, si_bounds
 from trainlog.ingest.profile_parts import Limits, Repair
-from trainlog.ingest.recording import NO_TIME, BoolArray, IntArray, Table, base_name
+from trainlog.ingest.recording import NO_TIME, Table, base_name
 from trainlog.ingest.rules import blank_without_fix
 from trainlog.ingest.stream import joined
 from trainlog.units import NANOSECONDS

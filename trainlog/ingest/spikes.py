@@ -3,20 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from trainlog.ingest.clock import Result
 from trainlog.ingest.limits import limit_of, si_bounds, si_rate
 from trainlog.ingest.profile_parts import Limits
-from trainlog.ingest.recording import (
-    METRES_PER_DEGREE,
-    BoolArray,
-    Finding,
-    FloatArray,
-    IntArray,
-    Table,
-    base_name,
-)
+from trainlog.ingest.recording import METRES_PER_DEGREE, Finding, Table, base_name
 from trainlog.units import NANOSECONDS
 
 LATITUDE, LONGITUDE = "/gnss/fix.latitude", "/gnss/fix.longitude"
@@ -99,7 +91,7 @@ def blank_spikes(table: Table, limits: Limits) -> Result:
 
 def spikes(
     seconds: FloatArray,
-    values: FloatArray | NDArray[np.complex128],
+    values: FloatArray | ComplexArray,
     rate: float | FloatArray,
     tolerance: float,
 ) -> BoolArray:
@@ -139,7 +131,7 @@ def _best_sequence(
     first: IntArray,
     last: IntArray,
     at: FloatArray,
-    known: FloatArray | NDArray[np.complex128],
+    known: FloatArray | ComplexArray,
     rate: FloatArray,
     tolerance: float,
 ) -> BoolArray:
@@ -167,7 +159,7 @@ def _best_sequence(
     return kept
 
 
-def plane(table: Table) -> NDArray[np.complex128] | None:
+def plane(table: Table) -> ComplexArray | None:
     """Satellite positions in a plane, north + i east [m], NaN where absent; None without any."""
     latitude, longitude = table.signals.get(LATITUDE), table.signals.get(LONGITUDE)
     if latitude is None or longitude is None:
@@ -222,7 +214,7 @@ def _fastest(table: Table, seconds: FloatArray, most: float) -> FloatArray:
 
 def _beside(
     seconds: FloatArray,
-    places: NDArray[np.complex128],
+    places: ComplexArray,
     poor: BoolArray,
     good: BoolArray,
     tolerance: float,

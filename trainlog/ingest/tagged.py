@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.extras import load
 from trainlog.ingest.mapping import elapsed_time, from_parts, read_time, recording_of
@@ -27,11 +28,8 @@ from trainlog.ingest.profile_parts import TimeOptions
 from trainlog.ingest.recording import (
     NO_TIME,
     SHOWN_ROWS,
-    BoolArray,
     Cells,
     Finding,
-    FloatArray,
-    IntArray,
     Messages,
     Raw,
     Recording,

@@ -13,6 +13,7 @@ import zstandard
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray, IntArray, UintArray
 from trainlog.errors import InputError, LogError
 from trainlog.mcap.codec import (
     SEQUENCE,
@@ -62,10 +63,10 @@ class Samples:
     """
 
     codec: Codec
-    table: NDArray[np.float64]
+    table: FloatArray
 
     @property
-    def sizes(self) -> NDArray[np.int64]:
+    def sizes(self) -> IntArray:
         """Length of each message's record [bytes]."""
         return np.full(self.table.shape[1], self.codec.layout.size, dtype=np.int64)
 
@@ -80,8 +81,8 @@ class Samples:
     def put(
         self,
         data: NDArray[np.uint8],
-        offsets: NDArray[np.int64],
-        time: NDArray[np.int64],
+        offsets: IntArray,
+        time: IntArray,
         sequence: NDArray[np.uint32],
     ) -> None:
         """Lay the records out at `offsets` of a chunk."""
@@ -97,7 +98,7 @@ class Listed:
     records: list[bytes]
 
     @property
-    def sizes(self) -> NDArray[np.int64]:
+    def sizes(self) -> IntArray:
         """Length of each message's record [bytes]."""
         return np.array([len(record) for record in self.records], dtype=np.int64)
 
@@ -112,8 +113,8 @@ class Listed:
     def put(
         self,
         data: NDArray[np.uint8],
-        offsets: NDArray[np.int64],
-        time: NDArray[np.int64],
+        offsets: IntArray,
+        time: IntArray,
         sequence: NDArray[np.uint32],
     ) -> None:
         """Lay the records out at `offsets` of a chunk."""
@@ -145,7 +146,7 @@ class Stream:
 
     channel: Channel
     schema: Schema
-    time: NDArray[np.int64]
+    time: IntArray
     messages: Samples | Listed
     sequence: NDArray[np.uint32] | None = None
     before: int = 0
@@ -171,9 +172,7 @@ class Stream:
         messages = self.messages.then(others.messages)  # type: ignore[arg-type]
         return replace(self, time=np.concatenate([self.time, others.time]), messages=messages)
 
-    def put(
-        self, rows: slice, data: NDArray[np.uint8], offsets: NDArray[np.int64]
-    ) -> NDArray[np.uint64]:
+    def put(self, rows: slice, data: NDArray[np.uint8], offsets: IntArray) -> UintArray:
         """Lay messages out in a chunk; returns their entries of its message index."""
         time = self.time[rows]
         if self.sequence is None:
@@ -242,7 +241,7 @@ def stream_of(topic: Topic, frame: pd.DataFrame, number: int) -> Stream:
     return Stream(channel, schema, time, messages)
 
 
-def _time(topic: Topic, frame: pd.DataFrame) -> NDArray[np.int64]:
+def _time(topic: Topic, frame: pd.DataFrame) -> IntArray:
     """The frame's times [ns since 1970 UTC], checked."""
     index = frame.index
     if not isinstance(index, pd.DatetimeIndex) or index.tz is None:
@@ -319,7 +318,7 @@ class Chunk:
     data: bytes | bytearray | memoryview
     start: int
     end: int
-    index: dict[int, NDArray[np.uint64]]
+    index: dict[int, UintArray]
     positions: dict[str, Range] = field(default_factory=dict)
     compression: str = ""
     size: int = 0
@@ -363,9 +362,9 @@ class Plan:
     """
 
     streams: Sequence[Stream]
-    offsets: list[NDArray[np.int64]] = field(default_factory=list)
-    cuts: list[NDArray[np.int64]] = field(default_factory=list)
-    sizes: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    offsets: list[IntArray] = field(default_factory=list)
+    cuts: list[IntArray] = field(default_factory=list)
+    sizes: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     def __len__(self) -> int:
         """How many chunks there are."""
@@ -442,9 +441,7 @@ def plan_of(streams: Sequence[Stream], period: int = PERIOD, largest: int = LARG
     )
 
 
-def _cuts(
-    time: NDArray[np.int64], ends: NDArray[np.int64], period: int, largest: int
-) -> NDArray[np.int64]:
+def _cuts(time: IntArray, ends: IntArray, period: int, largest: int) -> IntArray:
     """The first message of each chunk, and their number; `ends` is the sum of the lengths."""
     cuts = [0]
     while cuts[-1] < time.size:

@@ -42,6 +42,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap_protobuf.schema import build_file_descriptor_set
 from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray, IntArray, UintArray
 from trainlog.errors import InputError, LogError
 from trainlog.mcap.records import MESSAGE, RECORD_HEAD, shown, unusable
 from trainlog.topics import EVENTS, RECORDED, TOPICS, Field, Interpolation, Topic, recorded_topic
@@ -164,9 +165,7 @@ def gather(buffer: bytes, offsets: NDArray[np.integer], form: Layout) -> NDArray
     return rows if form.matches(rows) else None
 
 
-def scatter(
-    rows: NDArray[np.void], buffer: bytearray | memoryview, offsets: NDArray[np.int64]
-) -> None:
+def scatter(rows: NDArray[np.void], buffer: bytearray | memoryview, offsets: IntArray) -> None:
     """Put the records at `offsets` of a chunk that is being built."""
     size = rows.dtype.itemsize
     _windows(buffer, size)[offsets] = rows.view(f"V{size}")
@@ -201,7 +200,7 @@ class Codec(Protocol):
     def names(self) -> list[str]:
         """The columns that a frame of the channel has in full."""
 
-    def encode(self, time: NDArray[np.int64], table: NDArray[np.float64]) -> NDArray[np.void]:
+    def encode(self, time: IntArray, table: FloatArray) -> NDArray[np.void]:
         """The message records of a table: one row a column of `names`, one column a message."""
 
     def columns(self, rows: NDArray[np.void]) -> Columns | None:
@@ -229,7 +228,7 @@ class SampleCodec:
         """The columns that a frame of the channel has in full."""
         return [name for name, _, _ in self._values()]
 
-    def encode(self, time: NDArray[np.int64], table: NDArray[np.float64]) -> NDArray[np.void]:
+    def encode(self, time: IntArray, table: FloatArray) -> NDArray[np.void]:
         """The message records of a table: one row a column of `names`, one column a message."""
         rows, values, at = _timed(self.layout, time), _one_nan(table), 0
         for field in self.fields:
@@ -279,7 +278,7 @@ class FixCodec:
         """The columns that a frame of the channel has in full."""
         return ["latitude", "longitude", "altitude", "horizontal_accuracy", "vertical_accuracy"]
 
-    def encode(self, time: NDArray[np.int64], table: NDArray[np.float64]) -> NDArray[np.void]:
+    def encode(self, time: IntArray, table: FloatArray) -> NDArray[np.void]:
         """The message records of a table: one row a column of `names`, one column a message."""
         rows = _timed(self.layout, time)
         known = _one_nan(table)
@@ -368,7 +367,7 @@ def codec_for(topic: Topic, channel: int, axles: dict[str, int]) -> Codec:
     return sample_codec(channel, fields, axles)
 
 
-def table_of(frame: pd.DataFrame, names: Sequence[str]) -> NDArray[np.float64]:
+def table_of(frame: pd.DataFrame, names: Sequence[str]) -> FloatArray:
     """The frame's columns `names` as the rows of a table; NaN where a column is absent.
 
     Raises
@@ -386,7 +385,7 @@ def table_of(frame: pd.DataFrame, names: Sequence[str]) -> NDArray[np.float64]:
     return table
 
 
-def _doubles(frame: pd.DataFrame, column: str) -> NDArray[np.float64]:
+def _doubles(frame: pd.DataFrame, column: str) -> FloatArray:
     try:
         return frame[column].to_numpy(dtype=np.float64, na_value=np.nan)
     except (TypeError, ValueError) as error:
@@ -407,20 +406,20 @@ def accuracies(
     return {"horizontal_accuracy": horizontal, "vertical_accuracy": vertical}
 
 
-def _timed(form: Layout, time: NDArray[np.int64]) -> NDArray[np.void]:
+def _timed(form: Layout, time: IntArray) -> NDArray[np.void]:
     """Records with the constant bytes and the times in place."""
     rows = form.rows(len(time))
     rows[LOG_TIME] = rows[PUBLISH_TIME] = time
     return rows
 
 
-def _one_nan(table: NDArray[np.float64]) -> NDArray[np.float64]:
+def _one_nan(table: FloatArray) -> FloatArray:
     """The table with one pattern of bits for NaN, so that the same trip gives the same bytes."""
     absent = np.isnan(table)
     return np.where(absent, np.nan, table) if absent.any() else table
 
 
-def _padded_varint(numbers: NDArray[np.uint64]) -> NDArray[np.uint8]:
+def _padded_varint(numbers: UintArray) -> NDArray[np.uint8]:
     """Each number as a varint of exactly five bytes."""
     shifted = numbers[:, None] >> np.arange(0, 35, 7, dtype=np.uint64)
     more = np.array([0x80, 0x80, 0x80, 0x80, 0], dtype=np.uint64)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 from mcap.records import Channel
-from numpy.typing import NDArray
 
+from trainlog.arrays import IntArray, UintArray
 from trainlog.display import counted
 from trainlog.errors import LogError, TrainlogError
 from trainlog.formats.files import sha256
@@ -324,10 +324,10 @@ class _Intervals:
     count: int = 0
     first: int = 0
     last: int = 0
-    lengths: NDArray[np.uint64] = field(default_factory=lambda: np.empty(0, np.uint64))
-    numbers: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    lengths: UintArray = field(default_factory=lambda: np.empty(0, np.uint64))
+    numbers: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
 
-    def add(self, time: NDArray[np.uint64]) -> None:
+    def add(self, time: UintArray) -> None:
         """Go on with times that are not before those added so far."""
         time = np.sort(time)
         if self.count:
@@ -373,7 +373,7 @@ def _intervals(source: Source, contents: Contents) -> dict[int, _Intervals]:
     """
     found = {number: _Intervals() for number in contents.channels}
     for group in _groups(contents):
-        times: dict[int, list[NDArray[np.uint64]]] = {}
+        times: dict[int, list[UintArray]] = {}
         for place in group:
             try:
                 index = index_in(source, place)
@@ -403,9 +403,7 @@ def _groups(contents: Contents) -> Iterator[list[ChunkPlace]]:
     yield group
 
 
-def _merged(
-    lengths: NDArray[np.uint64], numbers: NDArray[np.int64]
-) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
+def _merged(lengths: UintArray, numbers: IntArray) -> tuple[UintArray, IntArray]:
     """Each length once, with how many there are."""
     different, place = np.unique(lengths, return_inverse=True)
     merged = np.bincount(place, weights=numbers, minlength=len(different))

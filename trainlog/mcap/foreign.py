@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from mcap.records import Channel, Schema
-from numpy.typing import NDArray
 
+from trainlog.arrays import IntArray
 from trainlog.errors import LogError
 from trainlog.mcap.account import Account
 from trainlog.mcap.foreign_decoders import (
@@ -565,5 +565,5 @@ def _named(tables: Iterable[_Table]) -> Iterator[tuple[str, _Table]]:
         yield (f"{name} {names[name]}" if names[name] > 1 else name), table
 
 
-def _index(time: NDArray[np.int64]) -> pd.DatetimeIndex:
+def _index(time: IntArray) -> pd.DatetimeIndex:
     return pd.DatetimeIndex(time.view("M8[ns]"), tz="UTC")

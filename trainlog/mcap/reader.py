@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 import numpy as np
 import pandas as pd
 from mcap.records import Metadata
-from numpy.typing import NDArray
 
+from trainlog.arrays import IntArray
 from trainlog.errors import InputError, LogError
 from trainlog.identity import COLUMNS, TripIdentity, identity_of
 from trainlog.mcap.account import Account, DamageWarning, Loss
@@ -503,7 +503,7 @@ def _joined(waiting: pd.DataFrame | None, frame: pd.DataFrame) -> pd.DataFrame:
     return joined
 
 
-def _times(frame: pd.DataFrame) -> NDArray[np.int64]:
+def _times(frame: pd.DataFrame) -> IntArray:
     return pd.DatetimeIndex(frame.index).as_unit("ns").asi8
 
 

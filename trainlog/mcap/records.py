@@ -40,6 +40,7 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
+from trainlog.arrays import UintArray
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import refuse_reading
 
@@ -219,7 +220,7 @@ with the account of what was lost."""
 POSITIONS_RECORD = "trainlog.positions"
 """Metadata record that holds the positions in each chunk, see `trainlog.mcap.selection`."""
 
-Index = dict[int, NDArray[np.uint64]]
+Index = dict[int, UintArray]
 """Log time and offset in the chunk, shape (n, 2), of the messages by channel id."""
 
 KINDS: dict[int, Any] = {
@@ -431,7 +432,7 @@ def _decompressed(chunk: StoredChunk) -> bytes:
     )
 
 
-def stored_index(content: memoryview, offset: int) -> tuple[int, NDArray[np.uint64]]:
+def stored_index(content: memoryview, offset: int) -> tuple[int, UintArray]:
     """Channel and entries of the message index record whose content this is."""
     if len(content) >= 6:
         channel, length = struct.unpack_from("<HI", content)

@@ -24,8 +24,8 @@ from mcap.records import (
     Schema,
     Statistics,
 )
-from numpy.typing import NDArray
 
+from trainlog.arrays import UintArray
 from trainlog.errors import LogError
 from trainlog.formats.files import LOOKED_AT, mistaken_log
 from trainlog.mcap.account import NOT_CLOSED, Loss
@@ -384,7 +384,7 @@ class _Scan:
                 at += RECORD_HEAD + length
         return index, places, at
 
-    def _take_index(self, at: int, end: int, channel: int, entries: NDArray[np.uint64]) -> None:
+    def _take_index(self, at: int, end: int, channel: int, entries: UintArray) -> None:
         """Pass over a message index that does not follow its chunk at once."""
         if RECORD_HEAD + 6 + entries.nbytes < end - at:
             self._check_end(at, end)

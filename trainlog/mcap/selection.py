@@ -21,6 +21,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from trainlog.arrays import IntArray
 from trainlog.errors import InputError, LogError
 from trainlog.mcap.codec import codec_for
 from trainlog.mcap.index import (
@@ -64,7 +65,7 @@ def decoded(text: str) -> dict[tuple[int, int], Range]:
     return {(offset, start): (least, greatest) for offset, start, least, greatest in entries}
 
 
-def range_in(topic: str, data: NDArray[np.uint8], offsets: NDArray[np.int64]) -> Range | None:
+def range_in(topic: str, data: NDArray[np.uint8], offsets: IntArray) -> Range | None:
     """The positions of a topic's messages in a chunk that is being written; None if it has none."""
     place = _place(topic)
     if place is None or not len(offsets):

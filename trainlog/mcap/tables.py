@@ -20,8 +20,8 @@ from google.protobuf.message import DecodeError
 from mcap.exceptions import McapError
 from mcap.records import Channel, Schema
 from mcap_protobuf.decoder import DecoderFactory
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray, UintArray
 from trainlog.errors import LogError
 from trainlog.mcap.codec import LOG_TIME, Codec, Columns, accuracies, codec_of, gather, topic_of
 from trainlog.mcap.index import ChunkPlace, Contents, MisplacedError, fetched, fetched_index
@@ -35,7 +35,7 @@ _AT_ONCE = 4
 Wanted = Mapping[str, frozenset[str] | None] | None
 """Columns to read by topic, None for all of a topic; None for all topics."""
 
-_Offsets = NDArray[np.uint64] | None
+_Offsets = UintArray | None
 """Where in a chunk messages begin; None where they follow each other and fill the chunk."""
 
 
@@ -70,9 +70,7 @@ class TopicChannel:
     def _decoder(self) -> Callable[[bytes], Any]:
         return _decoder_of(self.channel, self.schema)
 
-    def arrays(
-        self, content: bytes, offsets: _Offsets
-    ) -> tuple[NDArray[np.uint64], Columns] | None:
+    def arrays(self, content: bytes, offsets: _Offsets) -> tuple[UintArray, Columns] | None:
         """Times and columns of messages of a chunk; None if they do not fit the layout."""
         if self.codec is None:
             return None
@@ -85,9 +83,7 @@ class TopicChannel:
         columns = None if rows is None else self.codec.columns(rows)
         return None if rows is None or columns is None else (rows[LOG_TIME], columns)
 
-    def decoded(
-        self, content: bytes, offsets: NDArray[np.uint64], chunk: int
-    ) -> tuple[NDArray[np.uint64], Columns]:
+    def decoded(self, content: bytes, offsets: UintArray, chunk: int) -> tuple[UintArray, Columns]:
         """Times and columns of messages in the chunk at byte `chunk`, decoded one by one.
 
         Raises
@@ -138,10 +134,10 @@ class _Part:
     table: _Table
     start: int
     count: int
-    separate: tuple[NDArray[np.uint64], Columns] | None = None
+    separate: tuple[UintArray, Columns] | None = None
 
 
-_LOST: tuple[NDArray[np.uint64], Columns] = np.empty(0, dtype=np.uint64), {}
+_LOST: tuple[UintArray, Columns] = np.empty(0, dtype=np.uint64), {}
 
 
 @dataclass
@@ -165,11 +161,11 @@ class _Table:
     topic: Topic
     wanted: frozenset[str] | None
     names: list[str]
-    time: NDArray[np.uint64]
-    columns: NDArray[np.float64]
+    time: UintArray
+    columns: FloatArray
     parts: list[_Part] = dataclass_field(default_factory=list)
 
-    def fill(self, start: int, count: int, time: NDArray[np.uint64], columns: Columns) -> bool:
+    def fill(self, start: int, count: int, time: UintArray, columns: Columns) -> bool:
         """Take messages to the rows from `start` on; False if the table has no place for them.
 
         Safe to be called from several threads, each for its own rows.
@@ -213,12 +209,12 @@ class _Table:
 
     def _joined(
         self,
-    ) -> tuple[NDArray[np.uint64], list[str], NDArray[np.float64] | dict[str, Any]]:
+    ) -> tuple[UintArray, list[str], FloatArray | dict[str, Any]]:
         """Times and columns with what is separate in its place."""
         events = self.topic is EVENTS
         if not events and all(part.separate is None for part in self.parts):
             return self.time, self.names, self.columns
-        parts: list[tuple[NDArray[np.uint64], Columns]] = []
+        parts: list[tuple[UintArray, Columns]] = []
         for part in self.parts:
             rows = slice(part.start, part.start + part.count)
             held = dict(zip(self.names, self.columns[:, rows], strict=True))

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import LogError
 from trainlog.mcap.chunks import Samples, Stream
 from trainlog.mcap.codec import HIGHEST_LEVEL, channel_of, codec_for, schema_of
@@ -113,9 +113,7 @@ class Form:
             rows[:, at] = numbers.reshape(times.size, count or 1)
         return rows.tobytes()
 
-    def arrays(
-        self, rows: bytearray
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    def arrays(self, rows: bytearray) -> tuple[IntArray, IntArray, FloatArray]:
         """Times, numbers, and a table with a row for each column of the topic, NaN if absent."""
         words = np.frombuffer(rows, dtype=np.float64).reshape(-1, _HEAD + self.width)
         head = words[:, :_HEAD].view(np.int64)
@@ -194,7 +192,7 @@ class Table:
             remedy="give numbers in SI units; leave out what is not known",
         )
 
-    def drop(self, time: NDArray[np.int64], count: int) -> None:
+    def drop(self, time: IntArray, count: int) -> None:
         """Count samples that come when the queue is full."""
         self.dropped += count
         self.count += count
@@ -236,7 +234,7 @@ def axles_in(topic: Topic, values: Mapping[str, Any]) -> int:
     return 0
 
 
-def nanoseconds(topic: str, time: Any) -> NDArray[np.int64]:
+def nanoseconds(topic: str, time: Any) -> IntArray:
     """Times [ns since 1970 UTC], of shape () or (n,), from all that may stand for one.
 
     Parameters
@@ -250,7 +248,7 @@ def nanoseconds(topic: str, time: Any) -> NDArray[np.int64]:
     LogError
         If it is no time, or one before 1970.
     """
-    found: NDArray[np.int64] | None = None
+    found: IntArray | None = None
     try:
         if isinstance(time, datetime | np.datetime64):
             found = np.array(pd.Timestamp(time).as_unit("ns").value, dtype=np.int64)

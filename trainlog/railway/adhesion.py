@@ -20,11 +20,10 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
-
-FloatArray = NDArray[np.float64]
 
 SlipVariable = Literal["creepage", "slip speed"]
 """What a characteristic is a function of."""
@@ -498,7 +497,7 @@ WET = CreepCurve(a=0.19, b=0.54, c=0.4, d=0.4)
 """Wet rail; Zhao et al. (2025), table 1."""
 
 
-def creep_coefficients(maximum: ArrayLike) -> NDArray[np.float64]:
+def creep_coefficients(maximum: ArrayLike) -> FloatArray:
     """a, b and c = d of the creep curve of a rail with a given maximum adhesion, eq. (10).
 
     The shape goes from the wet rail's (maximum 0.147 and below) to the dry rail's (0.286 and

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway.line import (
     CurvatureProfile,
@@ -18,7 +19,7 @@ from trainlog.railway.line import (
     Survey,
     Tunnel,
 )
-from trainlog.railway.profiles import TINY, FloatArray
+from trainlog.railway.profiles import TINY
 from trainlog.railway.resistance import CurveFormula
 
 

@@ -12,15 +12,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pandas import Timestamp
 
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import as_html, as_text, counted, picture, span
 from trainlog.errors import InputError
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.values import same_values
-
-FloatArray = NDArray[np.float64]
 
 BIN_LENGTH = 25.0
 """Length of a bin [m]."""
@@ -45,7 +44,7 @@ class AdhesionEstimate:
 
     log_mean: FloatArray
     log_std: FloatArray
-    observed: NDArray[np.bool_]
+    observed: BoolArray
     log_levels: FloatArray | None = None
     probability: FloatArray | None = None
 
@@ -561,7 +560,7 @@ class TrackConditionMap:
         return np.asarray((np.arange(self.bins) + 0.5) * self.bin_length, dtype=np.float64)
 
     @property
-    def days(self) -> NDArray[np.int64]:
+    def days(self) -> IntArray:
         """Days with evidence in any layer, increasing; see `DailyEvidence`."""
         every = [layer.evidence.days for layer in self.layers.values()]
         return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *every]))
@@ -582,7 +581,7 @@ class TrackConditionMap:
                 remedy=f"layers present: {', '.join(self.layers) or 'none'}",
             ) from None
 
-    def bin_of(self, position: ArrayLike) -> NDArray[np.int64]:
+    def bin_of(self, position: ArrayLike) -> IntArray:
         """Index of the bin that holds each position [m]; ends are extended."""
         index = np.floor(np.asarray(position, dtype=np.float64) / self.bin_length)
         return np.clip(index, 0, self.bins - 1).astype(np.int64)
@@ -636,7 +635,7 @@ class TrackConditionMap:
 
     def _cautious(
         self, layer: str, sigmas: float, risk: float | None, time: Timestamp | None
-    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+    ) -> tuple[FloatArray, BoolArray]:
         """Cautious maximum adhesion of each bin, and whether it was observed."""
         chosen = self.layer(layer)
         if risk is None and time is None:

@@ -15,16 +15,15 @@ from operator import add
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trainlog.arrays import FloatArray
 from trainlog.display import as_html, as_text
 from trainlog.errors import InputError
 from trainlog.railway.effort import EffortCurve
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Brake
 from trainlog.units import GRAVITY, KMH
-
-FloatArray = NDArray[np.float64]
 
 VehicleType = Literal["traction unit", "multiple unit", "passenger", "freight"]
 

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
-
-FloatArray = NDArray[np.float64]
 
 _PARTS = 8
 """Of a piece of a table, at whose ends its envelope is sampled."""
@@ -205,7 +204,7 @@ def _without_rise(x: FloatArray, efforts: FloatArray) -> tuple[FloatArray, Float
     return every[kept], np.concatenate((least, least[at]))[order][kept]
 
 
-def _concave_hull(x: FloatArray, y: FloatArray) -> NDArray[np.int64]:
+def _concave_hull(x: FloatArray, y: FloatArray) -> IntArray:
     """Indices of the points of the least concave curve above points that grow in `x`."""
     kept: list[int] = []
     for i in range(x.size):

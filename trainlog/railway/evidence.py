@@ -16,10 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pandas import Timestamp
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _KEYS = ("day", "bin")
 _USED_KEYS = ("used_day", "used_bin", "used_level")

@@ -6,13 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +56,7 @@ class AdhesionForecast:
     def __repr__(self) -> str:
         return f"Adhesion forecast for line '{self.line}', {counted(self.start.size, 'row')}"
 
-    def in_force(self, time: pd.Timestamp) -> NDArray[np.bool_]:
+    def in_force(self, time: pd.Timestamp) -> BoolArray:
         """Which rows are valid at a time and were issued by then; (n,) array.
 
         Examples

@@ -8,15 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from trainlog.arrays import ComplexArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.railway.line import CurvatureProfile, Geometry, Line
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-ComplexArray = NDArray[np.complex128]
 
 STEP = 25.0
 """Largest distance between computed points [m]."""
@@ -171,7 +168,7 @@ def nearest(geometry: Geometry, latitude: float, longitude: float) -> tuple[floa
     return float(start + share[best] * (end - start)), float(distances[best])
 
 
-def thinned(positions: FloatArray, points: ComplexArray, tolerance: float) -> NDArray[np.int64]:
+def thinned(positions: FloatArray, points: ComplexArray, tolerance: float) -> IntArray:
     """Indices of the points to keep so that interpolation in position stays within `tolerance`.
 
     Douglas and Peucker's method, with the distance taken at the same position.

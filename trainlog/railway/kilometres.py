@@ -10,12 +10,11 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway.line import Line
-
-FloatArray = NDArray[np.float64]
 
 ROUNDING = 1.0
 """How far [m] behind the ends of its pieces a line still has a kilometre: those shown are rounded

@@ -13,8 +13,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import as_html, as_text, counted, picture, span
 from trainlog.errors import InputError
 from trainlog.railway.line_parts import (
@@ -42,8 +43,6 @@ from trainlog.railway.resistance import (
     specific_curve_resistance,
 )
 from trainlog.units import GRAVITY, KMH
-
-FloatArray = NDArray[np.float64]
 
 STEEPEST, STEEP_OVER, STEEPEST_POINT = 0.2, 100.0, 1.0
 """Mean gradient over so many metres [m] that no railway has, and that no point of a survey has."""
@@ -376,7 +375,7 @@ class Line:
         return pieces, np.concatenate(([0.0], np.cumsum(works)[:-1]))
 
     @staticmethod
-    def _mean(pieces: Pieces, row: NDArray[np.int64], width: FloatArray) -> FloatArray:
+    def _mean(pieces: Pieces, row: IntArray, width: FloatArray) -> FloatArray:
         """Mean track acceleration over the first `width` of pieces, by Gauss' three points."""
         found = pieces.sine[row].copy()
         # A train that reaches beyond an end finds the curvature of that end.

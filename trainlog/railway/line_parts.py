@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trainlog.arrays import FloatArray
 from trainlog.display import counted
 from trainlog.errors import InputError
-from trainlog.railway.profiles import TINY, FloatArray, check_positions, hold_as_arrays
+from trainlog.railway.profiles import TINY, check_positions, hold_as_arrays
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,16 +28,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway.consist import Formation
 from trainlog.railway.effort import NO_CURVE, EffortCurve, arrays_of
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Train
-
-FloatArray = NDArray[np.float64]
 
 SUBSTEPS = 4
 """Runge-Kutta sub-steps a cell; the audit takes many more."""
@@ -348,7 +346,7 @@ def _pull(
 def pull_forwards(
     curve: FloatArray, initial: float, traction: Traction, motion: Motion,
     order: int = 4, least: float = 0.0,
-) -> tuple[FloatArray, NDArray[np.int64]]:  # fmt: skip
+) -> tuple[FloatArray, IntArray]:  # fmt: skip
     """Full traction from the start, each train by itself, below its braking `curve`.
 
     Parameters

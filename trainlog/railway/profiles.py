@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trainlog.arrays import FloatArray
 from trainlog.display import counted
 from trainlog.errors import InputError
-
-FloatArray = NDArray[np.float64]
 
 TINY = 1e-6
 """Pieces that are shorter [m] do not come of a cut: positions are rounded to less."""

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import Any, Literal, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 
 CurveFormula = Literal["proportional", "roeckl", "roeckl_small_radius"]
@@ -65,9 +66,9 @@ class RunningResistance:
     def __call__(self, speed: float) -> np.float64: ...
 
     @overload
-    def __call__(self, speed: ArrayLike) -> NDArray[np.float64]: ...
+    def __call__(self, speed: ArrayLike) -> FloatArray: ...
 
-    def __call__(self, speed: ArrayLike) -> NDArray[np.float64] | np.float64:
+    def __call__(self, speed: ArrayLike) -> FloatArray | np.float64:
         """Resistance [N] at each speed [m/s], a number at a single one.
 
         The polynomial is evaluated at any speed. It is the resistance of a train that moves
@@ -119,7 +120,7 @@ def specific_curve_resistance(curvature: Any, coefficient: Any, offset: Any) -> 
 
 def curve_coefficients(
     curvature: ArrayLike, formula: CurveFormula = "proportional"
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[FloatArray, FloatArray]:
     """Coefficients k and b [m] of a formula at each curvature [1/m].
 
     Examples
@@ -134,7 +135,7 @@ def curve_coefficients(
 
 def curve_force_per_weight(
     curvature: ArrayLike, formula: CurveFormula = "proportional"
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Curve resistance over weight by one of the `CURVE_FORMULAS`.
 
     Parameters
@@ -153,7 +154,7 @@ def curve_force_per_weight(
     return np.asarray(specific_curve_resistance(bend, *curve_coefficients(bend, formula)))
 
 
-def tunnel_force_per_weight(length: ArrayLike) -> NDArray[np.float64]:
+def tunnel_force_per_weight(length: ArrayLike) -> FloatArray:
     """Resistance of a tunnel over weight, ``k_T L_T``.
 
     Source: Amirhosseini et al. (2024), eq. (6) as corrected.

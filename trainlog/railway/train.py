@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trainlog.arrays import FloatArray
 from trainlog.display import as_html, as_text, span
 from trainlog.errors import InputError
 from trainlog.railway.axle_loads import AxleGeometry, load_transfer
@@ -280,9 +281,7 @@ class Train:
         """Dynamic and friction brake together [N]."""
         return self.max_dynamic_braking_effort + self.max_pneumatic_braking_effort
 
-    def tractive_effort_limit(
-        self, speed: ArrayLike, power: float | None = None
-    ) -> NDArray[np.float64]:
+    def tractive_effort_limit(self, speed: ArrayLike, power: float | None = None) -> FloatArray:
         """Largest tractive effort [N] at each speed [m/s]: of the curve, the motors, the power.
 
         Parameters
@@ -304,7 +303,7 @@ class Train:
         curve = self.traction_curve_with(power)
         return limit if curve is None else np.minimum(limit, curve(speed))
 
-    def dynamic_braking_effort_limit(self, speed: ArrayLike) -> NDArray[np.float64]:
+    def dynamic_braking_effort_limit(self, speed: ArrayLike) -> FloatArray:
         """Largest effort of the dynamic brake [N] at each speed [m/s].
 
         Examples
@@ -328,7 +327,7 @@ class Train:
         curve = self.traction_curve
         return None if curve is None else curve.stretched(power / self.max_traction_power)
 
-    def tunnel_coefficient(self, cross_section: ArrayLike) -> NDArray[np.float64]:
+    def tunnel_coefficient(self, cross_section: ArrayLike) -> FloatArray:
         """Extra quadratic resistance [N/(m/s)²] in a tunnel of each cross-section [m²].
 
         Between published cross-sections it is interpolated in the inverse of the section, and
@@ -346,7 +345,7 @@ class Train:
         )
         return np.where(section > 0.0, found, 0.0)
 
-    def track_force(self, line: Line, position: ArrayLike, mass: float) -> NDArray[np.float64]:
+    def track_force(self, line: Line, position: ArrayLike, mass: float) -> FloatArray:
         """Resistance of the track [N] that does not depend on speed: gradient and curves."""
         return np.asarray(mass * line.track_acceleration(position, self.strip_length))
 
@@ -354,7 +353,7 @@ class Train:
         """Weight on the powered axles [N] with `load` [kg] spread evenly over the train."""
         return GRAVITY * self.axles.adhesive_mass * (1.0 + load / self.mass)
 
-    def load_transfer(self, load: float = 0.0) -> NDArray[np.float64] | None:
+    def load_transfer(self, load: float = 0.0) -> FloatArray | None:
         """`trainlog.railway.axle_loads.load_transfer` with `load` [kg]; None: not known."""
         axles = self.axles
         if axles.geometry is None:
@@ -469,7 +468,7 @@ class ParameterSet:
     train: str
     configurations: tuple[Configuration, ...]
     common: RunningResistance | None = None
-    common_covariance: NDArray[np.float64] | None = None
+    common_covariance: FloatArray | None = None
     speed_range: tuple[float, float] = (0.0, 0.0)
     details: list[dict[str, Any]] = field(default_factory=list)
     provenance: dict[str, Any] = field(default_factory=dict)

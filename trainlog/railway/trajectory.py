@@ -6,15 +6,14 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import as_html, as_text, lateness, picture, span
 from trainlog.errors import InputError
 from trainlog.railway.line import Line
 from trainlog.railway.train import Configuration, Train
 from trainlog.units import JOULES_PER_KWH, KMH, clock
-
-FloatArray = NDArray[np.float64]
 
 _ENERGY = {
     "wheel": "worst-case energy at the wheel rims",
@@ -270,7 +269,7 @@ class Trajectory:
         """Row of the configuration that arrives last: its speeds all others can keep, too."""
         return int(np.argmax(self.times[:, -1]))
 
-    def cell_of(self, position: ArrayLike) -> NDArray[np.int64]:
+    def cell_of(self, position: ArrayLike) -> IntArray:
         """Index of the cell that holds each position [m]; ends are extended."""
         index = np.searchsorted(self.positions, np.asarray(position), side="right") - 1
         return np.asarray(np.clip(index, 0, self.positions.size - 2), dtype=np.int64)

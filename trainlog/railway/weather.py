@@ -14,12 +14,11 @@ from dataclasses import asdict, dataclass
 from difflib import get_close_matches
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.units import NANOSECONDS
-
-FloatArray = NDArray[np.float64]
 
 CONDITIONS = (
     "dry", "wet", "damp", "leaves", "frost", "ice", "snow", "dew", "oil", "rust", "sand",
@@ -171,8 +170,8 @@ class Weather:
     True
     """
 
-    starts: NDArray[np.int64]
-    ends: NDArray[np.int64]
+    starts: IntArray
+    ends: IntArray
     conditions: tuple[str, ...]
     temperature: FloatArray
     humidity: FloatArray
@@ -188,7 +187,7 @@ class Weather:
         if np.any(self.ends <= self.starts) or np.any(self.starts[1:] < self.ends[:-1]):
             raise InputError("weather: rows must be ordered by time and must not overlap")
 
-    def row_at(self, time: ArrayLike) -> NDArray[np.int64]:
+    def row_at(self, time: ArrayLike) -> IntArray:
         """Index of the row that holds at each time [ns since 1970 UTC]; -1 where none does."""
         when = np.asarray(time, dtype=np.int64)
         if not len(self.conditions):

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from trainlog.arrays import FloatArray
 from trainlog.railway import Geometry, Line
-from trainlog.replay.clock import FloatArray, Instants
+from trainlog.replay.clock import Instants
 from trainlog.replay.curves import Colour
 from trainlog.replay.samples import send_rows, send_static
 from trainlog.units import EARTH_RADIUS

@@ -21,7 +21,6 @@ import rerun as rr
 
 from trainlog.along_line import (
     POSITION_SOURCES as POSITION_SOURCES,
-    FloatArray as FloatArray,
     Nanoseconds as Nanoseconds,
     TimeDistance,
     known_rows as known_rows,
@@ -29,6 +28,7 @@ from trainlog.along_line import (
     time_distance,
     time_distance_of,
 )
+from trainlog.arrays import FloatArray
 from trainlog.trip import Trip
 
 TIME, ELAPSED, POSITION = "time", "elapsed", "position_m"

@@ -9,12 +9,13 @@ import numpy as np
 import pandas as pd
 from matplotlib import colormaps
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway import Geometry, Line, TrackConditionMap
 from trainlog.railway.condition import ConditionLayer, PassingSpot
 from trainlog.railway.kilometres import km_words
 from trainlog.replay.chart import Chart
-from trainlog.replay.clock import Clock, FloatArray, Instants, Nanoseconds
+from trainlog.replay.clock import Clock, Instants, Nanoseconds
 from trainlog.replay.curves import LIMIT, PLANNED, TRUE, Colour
 from trainlog.replay.samples import Samples, path_of, send_curve, send_dots
 from trainlog.units import DAY, NANOSECONDS

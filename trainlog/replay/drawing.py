@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import rerun as rr
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.railway import Line, TrackConditionMap, Trajectory
 from trainlog.replay.chart import Chart, chart_of
-from trainlog.replay.clock import Clock, FloatArray, Instants, Nanoseconds, nanoseconds
+from trainlog.replay.clock import Clock, Instants, Nanoseconds, nanoseconds
 from trainlog.replay.condition import (
     Passage,
     draw_bins_on_map,
@@ -80,7 +80,7 @@ def fixed_path(time: Nanoseconds, fixes: FloatArray) -> list[FloatArray]:
     return [part for part in np.split(fixes[chosen], outages) if len(part) > 1]
 
 
-def each_second(time: Nanoseconds) -> NDArray[np.int64]:
+def each_second(time: Nanoseconds) -> IntArray:
     """Index of the first instant [ns] of each second: often enough to see a train move."""
     return np.asarray(np.unique(time // SECOND, return_index=True)[1])
 

@@ -15,9 +15,10 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.replay.chart import Chart
-from trainlog.replay.clock import ELAPSED, POSITION, TIME, FloatArray
+from trainlog.replay.clock import ELAPSED, POSITION, TIME
 from trainlog.replay.curves import PANELS, PHASES, SPEEDS_SHOWN, Colour, Panel
 from trainlog.replay.overlay import BEHIND, SLOWER
 from trainlog.replay.samples import path_of

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from trainlog.along_line import (
     OnGrid,
@@ -25,10 +24,11 @@ from trainlog.along_line import (
     known_rows,
     planned_time_distance,
 )
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.mcap.records import threads_of
 from trainlog.railway import Trajectory
-from trainlog.replay.clock import Clock, FloatArray, Instants, Nanoseconds
+from trainlog.replay.clock import Clock, Instants, Nanoseconds
 from trainlog.replay.curves import Colour
 from trainlog.replay.samples import Samples, changes, send_curve
 from trainlog.replay.survey import GRID_STEP, Pieces, Survey, survey
@@ -263,14 +263,14 @@ def thinned_trip(trip: Trip, clock: TimeDistance) -> Trip:
     return replace(trip, topics=topics)
 
 
-def pieces_at(time: Nanoseconds, position: FloatArray) -> NDArray[np.int64]:
+def pieces_at(time: Nanoseconds, position: FloatArray) -> IntArray:
     """Number of the piece of line and time that each sample is in, never decreasing; (n,)."""
     place, moment = np.floor(position / PIECE_LENGTH), time // PIECE_TIME
     changed = (np.diff(place) != 0.0) | (np.diff(moment) != 0)
     return np.concatenate(([0], np.cumsum(changed))).astype(np.int64)
 
 
-def extremes(values: FloatArray, piece: NDArray[np.int64]) -> NDArray[np.int64]:
+def extremes(values: FloatArray, piece: IntArray) -> IntArray:
     """Rows with the least and the greatest value of each piece, and the first unknown one.
 
     Parameters

@@ -11,7 +11,8 @@ import pandas as pd
 import rerun as rr
 from numpy.typing import NDArray
 
-from trainlog.replay.clock import FloatArray, Instants, Nanoseconds, nanoseconds
+from trainlog.arrays import FloatArray, IntArray
+from trainlog.replay.clock import Instants, Nanoseconds, nanoseconds
 from trainlog.replay.curves import Colour, Curve
 from trainlog.resampling import interpolated
 from trainlog.topics import ESTIMATED_ADHESION, STANDSTILL, TRAIN_AXLES, TRAIN_CONTROLS
@@ -146,7 +147,7 @@ def thinned(points: Samples) -> Samples:
     )
 
 
-def changes(values: FloatArray) -> NDArray[np.int64]:
+def changes(values: FloatArray) -> IntArray:
     """Rows on either side of each change of any column, the first and the last, of (n, columns)."""
     same = np.all((values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1])), 1)
     kept = np.ones(len(values), dtype=np.bool_)

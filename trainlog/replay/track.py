@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import rerun as rr
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.railway import Line
 from trainlog.railway.kilometres import in_km
 from trainlog.railway.line import StepProfile
-from trainlog.replay.clock import Clock, FloatArray, Instants, Nanoseconds, nanoseconds
+from trainlog.replay.clock import Clock, Instants, Nanoseconds, nanoseconds
 from trainlog.replay.curves import LIMIT, TERRAIN, Colour
 from trainlog.replay.samples import (
     Samples,
@@ -153,7 +153,7 @@ def section_names(line: Line) -> list[str]:
     return [f"before {names[0]}", *inner, f"after {names[-1]}"]
 
 
-def section_of(stations: FloatArray, position: FloatArray) -> NDArray[np.int64]:
+def section_of(stations: FloatArray, position: FloatArray) -> IntArray:
     """Number of the section of each position: -1 before the first station."""
     found = np.searchsorted(stations, position, side="right") - 1
     # A train that stands at its last station is still in the section that leads to it.

@@ -10,16 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.railway import Line
 from trainlog.railway.consist import Consist
 from trainlog.railway.resistance import tunnel_force_per_weight
 from trainlog.simulation import particles
 from trainlog.simulation.particles import WORKS
-
-FloatArray = NDArray[np.float64]
 
 LEVEL_TRACK = np.array([[start] + 7 * [0.0] for start in (-np.inf, np.inf)])
 """Table of a track without gradients, curves and tunnels."""
@@ -67,7 +66,7 @@ class ConsistState:
     braking_effort: FloatArray
     delay: FloatArray
     cursor: int
-    places: NDArray[np.int64]
+    places: IntArray
     largest_stretch: FloatArray
 
     @property

@@ -12,14 +12,12 @@ from itertools import pairwise
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway import Line, Station, Train
 from trainlog.railway.motion import braking_curve, running_time
 from trainlog.simulation.plant import HOLDING
-
-FloatArray = NDArray[np.float64]
 
 GRID = 5.0
 """Spacing of a driver's route knowledge [m]."""

@@ -28,14 +28,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 from numba.np.unsafe.ndarray import to_fixed_tuple
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.railway.axle_loads import LEAST_LOAD
 from trainlog.railway.resistance import specific_curve_resistance
 from trainlog.units import GRAVITY
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 POSITION, SPEED, FRICTION, WHEELS = 0, 1, 2, 3
 """Where the state vector holds position, speed, friction braking effort and the first wheel."""

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
@@ -40,8 +39,6 @@ from trainlog.simulation.weather import HOUR, draw_weather, local_weather
 from trainlog.topics import TRUTH
 from trainlog.trip import Trip
 from trainlog.units import DAY, NANOSECONDS
-
-FloatArray = NDArray[np.float64]
 
 MINUTE = 60 * NANOSECONDS
 

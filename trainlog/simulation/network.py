@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import grey_opening
 
+from trainlog.arrays import BoolArray, ComplexArray, FloatArray
 from trainlog.errors import InputError
 from trainlog.railway import (
     CurvatureProfile,
@@ -29,8 +29,6 @@ from trainlog.railway import (
 from trainlog.railway.geometry import from_plane, plane_curve, thinned
 from trainlog.railway.network import Edge, Network, Node, NodeKind
 from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
 
 ORIGIN = (47.3, 9.0)
 """Where the plane of drawn networks touches the earth [deg]."""
@@ -65,7 +63,7 @@ _ENDINGS = "au bach berg brunn burg dorf egg feld hof hausen kirch matt stetten 
 class _Graph:
     """Nodes on the plane, and which are joined."""
 
-    points: NDArray[np.complex128]
+    points: ComplexArray
     pairs: tuple[tuple[int, int], ...]
     headings: dict[tuple[int, int], float]
     altitudes: FloatArray
@@ -173,7 +171,7 @@ def _graph(lines: int, seed: int) -> _Graph:
     raise InputError(f"no network of {lines} lines found with seed {seed}", remedy="try another")
 
 
-def _joined(points: NDArray[np.complex128], lines: int) -> tuple[tuple[int, int], ...] | None:
+def _joined(points: ComplexArray, lines: int) -> tuple[tuple[int, int], ...] | None:
     """Pairs of nodes: the shortest that join all, then the shortest others that close loops."""
     count = points.size
     every = sorted(
@@ -202,9 +200,7 @@ def _joined(points: NDArray[np.complex128], lines: int) -> tuple[tuple[int, int]
     )
 
 
-def _fits(
-    points: NDArray[np.complex128], chosen: list[tuple[int, int]], pair: tuple[int, int]
-) -> bool:
+def _fits(points: ComplexArray, chosen: list[tuple[int, int]], pair: tuple[int, int]) -> bool:
     """Whether one more line crosses no other and leaves no node close beside another."""
     a, b = (points[node] for node in pair)
     for other in chosen:
@@ -224,7 +220,7 @@ def _fits(
 
 
 def _headings(
-    points: NDArray[np.complex128], pairs: tuple[tuple[int, int], ...]
+    points: ComplexArray, pairs: tuple[tuple[int, int], ...]
 ) -> dict[tuple[int, int], float] | None:
     """The direction in which each line leaves each node [rad]: along the axis of its tracks."""
     found: dict[tuple[int, int], float] = {}
@@ -251,7 +247,7 @@ def _headings(
 
 
 def _altitudes(
-    points: NDArray[np.complex128],
+    points: ComplexArray,
     pairs: tuple[tuple[int, int], ...],
     generator: np.random.Generator,
 ) -> FloatArray:
@@ -396,7 +392,7 @@ def _solved(
     widths: FloatArray,
     shares: FloatArray,
     bends: FloatArray,
-    active: NDArray[np.bool_],
+    active: BoolArray,
 ) -> tuple[CurvatureProfile, float] | None:
     """Change bends and length least, by Gauss and Newton, until the course arrives as it should."""
     unit = 1e-4

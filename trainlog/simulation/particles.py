@@ -23,12 +23,10 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.simulation.dynamics import curve_resistance
 from trainlog.units import GRAVITY
-
-FloatArray = NDArray[np.float64]
 
 WORKS = ("traction", "braking", "running_resistance", "track", "damping")
 """The works [J] at the end of the state vector, in this order; all but `track` only grow."""
@@ -59,9 +57,7 @@ stopped there, and the brakes take what kinetic energy is left."""
 
 
 @njit(cache=True, error_model="numpy")
-def locate(
-    y: FloatArray, vehicles: FloatArray, track: FloatArray, places: NDArray[np.int64]
-) -> None:
+def locate(y: FloatArray, vehicles: FloatArray, track: FloatArray, places: IntArray) -> None:
     """Find the pieces of the track under front, rear and middle of every vehicle.
 
     Walks from where they were; within the step the derivative looks at the neighbours alone.
@@ -120,7 +116,7 @@ def derivative(
     vehicles: FloatArray,
     couplers: FloatArray,
     track: FloatArray,
-    places: NDArray[np.int64],
+    places: IntArray,
     scale: tuple[float, float, float],
 ) -> None:
     """Time derivative of the state: positions, speeds, works."""
@@ -187,7 +183,7 @@ def advance(
     demand: FloatArray,
     brake: FloatArray,
     delay: FloatArray,
-    late: NDArray[np.int64],
+    late: IntArray,
     cursor: int,
     lag: float,
     step: float,
@@ -195,7 +191,7 @@ def advance(
     vehicles: FloatArray,
     couplers: FloatArray,
     track: FloatArray,
-    places: NDArray[np.int64],
+    places: IntArray,
     variation: FloatArray,
     angular_frequency: float,
     stretch: FloatArray,
@@ -289,7 +285,7 @@ def _stands(
     brake: FloatArray,
     vehicles: FloatArray,
     track: FloatArray,
-    places: NDArray[np.int64],
+    places: IntArray,
 ) -> bool:
     """Whether no vehicle moves and what drives the train is less than what holds it."""
     n = vehicles.shape[0]

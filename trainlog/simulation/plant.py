@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.railway import Line, RunningResistance, StepProfile, Train
 from trainlog.railway.adhesion import (
@@ -34,8 +34,6 @@ from trainlog.simulation.dynamics import (
     PlantParameters,
 )
 from trainlog.units import GRAVITY
-
-FloatArray = NDArray[np.float64]
 
 NO_EFFORTS = np.zeros(0)
 """For the compiled code: no traction control, but the slip protection of the plant."""
@@ -99,7 +97,7 @@ class PlantState:
     values: FloatArray
     slip_memory: FloatArray
     friction_delay: FloatArray
-    places: NDArray[np.int64]
+    places: IntArray
 
     @property
     def position(self) -> float:

@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.railway import Line, StepProfile
@@ -27,8 +27,6 @@ from trainlog.railway.weather import MILLIMETRE_PER_HOUR, Conditions, Weather
 from trainlog.simulation.weather import HOUR, DrawnWeather, draw_weather
 from trainlog.spans import utc
 from trainlog.units import DAY, NANOSECONDS
-
-FloatArray = NDArray[np.float64]
 
 CORRELATION_LENGTH = 120.0
 """Distance over which adhesion varies [m] (Ornstein-Uhlenbeck)."""
@@ -291,7 +289,7 @@ class Rail:
     days: int
     seed: int
     drawn: DrawnWeather
-    trees: NDArray[np.bool_]
+    trees: BoolArray
     base: dict[str, FloatArray]
     spots: pd.DataFrame
     changes: tuple[Change, ...] = ()
@@ -496,7 +494,7 @@ def _stretches(count: int, median: float, generator: np.random.Generator) -> Flo
     return generator.uniform(size=lengths.size)[np.minimum(index, lengths.size - 1)]
 
 
-def _lasting(line: Line, trees: NDArray[np.bool_], seed: int) -> dict[str, FloatArray]:
+def _lasting(line: Line, trees: BoolArray, seed: int) -> dict[str, FloatArray]:
     """Maximum adhesion that lasts, by rail condition: sections, variation, slippery places."""
     where = np.random.default_rng([seed, 13])
     count = trees.size
@@ -524,7 +522,7 @@ def _lasting(line: Line, trees: NDArray[np.bool_], seed: int) -> dict[str, Float
 def _spots(
     line: Line,
     weather: DrawnWeather,
-    trees: NDArray[np.bool_],
+    trees: BoolArray,
     changes: Sequence[Change],
     generator: np.random.Generator,
 ) -> pd.DataFrame:

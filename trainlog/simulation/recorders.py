@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import LogError
 from trainlog.formats.files import write_bytes
 from trainlog.topics import GNSS_FIX, GNSS_MOTION, TRAIN_AXLES, TRAIN_CONTROLS, TRAIN_STATE
@@ -197,5 +197,5 @@ def write_ublox_csv(trip: Trip, path: str | Path, seed: int = 1) -> Defects:
     )
 
 
-def _whole(values: NDArray[np.float64]) -> NDArray[np.int64]:
+def _whole(values: FloatArray) -> IntArray:
     return np.round(values).astype(np.int64)

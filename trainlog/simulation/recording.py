@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from trainlog import __version__
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InfeasibleError
 from trainlog.formats.files import sha256
 from trainlog.simulation import sensors as measuring
@@ -24,8 +24,6 @@ from trainlog.trip import (
     frame_of,
 )
 from trainlog.units import NANOSECONDS
-
-FloatArray = NDArray[np.float64]
 
 STANDING = 10.0
 """Recorded after the arrival [s]."""
@@ -249,7 +247,7 @@ def controls(
     scenario: Scenario,
     run: Run,
     columns: dict[str, FloatArray],
-    time: NDArray[np.int64],
+    time: IntArray,
     generator: np.random.Generator,
 ) -> pd.DataFrame:
     """The ``/train/controls`` topic."""
@@ -277,7 +275,7 @@ def controls(
 def axle_frame(
     scenario: Scenario,
     columns: dict[str, FloatArray],
-    time: NDArray[np.int64],
+    time: IntArray,
     scales: FloatArray,
     generator: np.random.Generator,
 ) -> pd.DataFrame:
@@ -295,7 +293,7 @@ def axle_frame(
     )
 
 
-def _moving(speed: FloatArray) -> NDArray[np.bool_]:
+def _moving(speed: FloatArray) -> BoolArray:
     """Whether the train is moving: from `STANDSTILL` on until it stands still again, (n,)."""
     # A train that settles on its springs as the brake grips has not departed.
     state = np.where(speed > STANDSTILL, 1, np.where(speed > 0.0, 0, -1))
@@ -306,7 +304,7 @@ def _moving(speed: FloatArray) -> NDArray[np.bool_]:
 def events(
     scenario: Scenario,
     columns: dict[str, FloatArray],
-    time: NDArray[np.int64],
+    time: IntArray,
     changes: list[tuple[int, str]],
     loop: TractionLoop | None = None,
 ) -> pd.DataFrame:
@@ -360,7 +358,7 @@ def place(scenario: Scenario, position: float) -> str:
 
 
 def reference(
-    scenario: Scenario, run: Run, columns: dict[str, FloatArray], time: NDArray[np.int64]
+    scenario: Scenario, run: Run, columns: dict[str, FloatArray], time: IntArray
 ) -> pd.DataFrame | None:
     """The ``/reference`` topic; None when no trajectory is followed.
 
@@ -387,7 +385,7 @@ def reference(
     )
 
 
-def truth(columns: dict[str, FloatArray], time: NDArray[np.int64]) -> pd.DataFrame:
+def truth(columns: dict[str, FloatArray], time: IntArray) -> pd.DataFrame:
     """The ``/truth`` topic."""
     names = (
         "position",

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.formats.characteristic import characteristic_content
@@ -32,8 +32,6 @@ from trainlog.simulation.sensors import Instruments, Reading, Sensors, wheel_sca
 from trainlog.simulation.traction import TractionLoop, TractionMaker
 from trainlog.simulation.weather import HOUR
 from trainlog.units import DAY, NANOSECONDS
-
-FloatArray = NDArray[np.float64]
 
 MINUTE = 60 * NANOSECONDS
 

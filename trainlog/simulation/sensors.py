@@ -13,15 +13,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.railway import Line
 from trainlog.topics import ENVIRONMENT, GNSS_FIX, GNSS_MOTION, TRAIN_STATE
 from trainlog.trip import frame_of
 from trainlog.units import EARTH_RADIUS, NANOSECONDS
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +168,7 @@ def odometry(
 
 
 def train_state(
-    time: NDArray[np.int64],
+    time: IntArray,
     position: FloatArray,
     speed: FloatArray,
     acceleration: FloatArray,
@@ -204,8 +202,8 @@ def correlated(
 
 
 def outage_mask(
-    seconds: FloatArray, hidden: NDArray[np.bool_], sensors: Sensors, generator: np.random.Generator
-) -> NDArray[np.bool_]:
+    seconds: FloatArray, hidden: BoolArray, sensors: Sensors, generator: np.random.Generator
+) -> BoolArray:
     """Where the satellites are seen: not in tunnels (`hidden`), nor in random outages."""
     seen = ~hidden
     expected = sensors.outages * float(seconds[-1] - seconds[0])
@@ -218,7 +216,7 @@ def outage_mask(
 
 def gnss(
     line: Line,
-    time: NDArray[np.int64],
+    time: IntArray,
     position: FloatArray,
     speed: FloatArray,
     sensors: Sensors,
@@ -290,7 +288,7 @@ def gnss(
 
 
 def environment(
-    line: Line, time: NDArray[np.int64], position: FloatArray, temperature: float
+    line: Line, time: IntArray, position: FloatArray, temperature: float
 ) -> pd.DataFrame:
     """The line under the train once a second: the ``/environment`` topic.
 

@@ -15,12 +15,10 @@ from time import perf_counter
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.simulation.plant import Plant, PlantState
-
-FloatArray = NDArray[np.float64]
 
 
 class DriveReading(NamedTuple):

@@ -21,7 +21,6 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from trainlog.errors import InputError
 from trainlog.formats.samples import DEFAULT_TRAIN, sample
@@ -31,8 +30,6 @@ from trainlog.railway.train import Axles, Brake
 from trainlog.simulation.sensors import Sensors
 from trainlog.spans import utc
 from trainlog.units import DAY, KMH
-
-FloatArray = NDArray[np.float64]
 
 FaultKind = Literal["dragging brake", "mass", "wheel diameter", "effort gain", "sensor delay"]
 

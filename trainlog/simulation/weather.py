@@ -12,10 +12,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.railway.weather import MILLIMETRE_PER_HOUR, Weather
 from trainlog.units import NANOSECONDS
-
-FloatArray = NDArray[np.float64]
 
 HOUR = 3600 * NANOSECONDS
 
@@ -49,7 +48,7 @@ class DrawnWeather:
     table: Weather
     falling: FloatArray
 
-    def rain_until(self, time: NDArray[np.int64]) -> FloatArray:
+    def rain_until(self, time: IntArray) -> FloatArray:
         """Rain since the first hour up to each time [m]."""
         starts = self.table.starts
         edges = np.append(starts, self.table.ends[-1])
@@ -139,9 +138,9 @@ def local_weather(
 
 
 def _drawn(
-    starts: NDArray[np.int64],
+    starts: IntArray,
     rain: FloatArray,
-    lately: NDArray[np.bool_],
+    lately: BoolArray,
     humidity: FloatArray,
     temperature: FloatArray,
     falling: FloatArray,
@@ -173,7 +172,7 @@ def _spells(
     off: tuple[float, float],
     on: tuple[float, float],
     generator: np.random.Generator,
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Alternating spells of lognormal length, in which something holds or does not, (hours,)."""
     count = 2 * (hours // 4 + 2)
     median, spread = np.array([off, on]).T
@@ -184,7 +183,7 @@ def _spells(
     return np.asarray(np.searchsorted(ends, np.arange(hours), side="right") % 2 == 1)
 
 
-def _hours_since(event: NDArray[np.bool_]) -> FloatArray:
+def _hours_since(event: BoolArray) -> FloatArray:
     """Hours since the last one in which something happened; many where none did, (n,)."""
     index = np.arange(event.size)
     last = np.maximum.accumulate(np.where(event, index, -1000))
@@ -194,7 +193,7 @@ def _hours_since(event: NDArray[np.bool_]) -> FloatArray:
 def _temperature(
     hour: NDArray[np.int32],
     day: FloatArray,
-    raining: NDArray[np.bool_],
+    raining: BoolArray,
     generator: np.random.Generator,
 ) -> FloatArray:
     """Of the air [K], (n,): season, days that resemble their neighbours, warm noons."""

@@ -15,9 +15,9 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimators.rls import RecursiveLeastSquares, edges_crossed, periods_elapsed
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.samples import sample
 from trainlog.formats.train import read_consist
@@ -25,8 +25,6 @@ from trainlog.railway import Line, RunningResistance, Station, StepProfile
 from trainlog.railway.consist import Consist
 from trainlog.simulation.consist import ConsistPlant, Variation
 from trainlog.units import GRAVITY
-
-FloatArray = NDArray[np.float64]
 
 PERIOD = 0.1
 """Of sampling and control, tau [s]."""

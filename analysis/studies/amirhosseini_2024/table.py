@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.studies.amirhosseini_2024.simulation import Run, worst
 from analysis.tables import new_table
+from trainlog.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Figures = tuple[float | None, float | None, float | None]
 
 SETTLED = 200.0

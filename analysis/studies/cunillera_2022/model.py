@@ -17,7 +17,6 @@ from typing import get_args
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from analysis.trajectory.discretisation import DiscreteProblem, discretise, graded_mesh
 from analysis.trajectory.envelope import braking_curves, fastest_run
@@ -25,6 +24,7 @@ from analysis.trajectory.feasibility import lowest_end_speed
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.phases import Phase, phases_by_switching, phases_of
 from analysis.trajectory.problem import Braking, OptimiserOptions, TrajectoryProblem
+from trainlog.arrays import FloatArray
 from trainlog.railway import (
     Configuration,
     Line,
@@ -35,8 +35,6 @@ from trainlog.railway import (
     Trajectory,
 )
 from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
 
 NOMINAL = "nominal"
 """The configuration a robust trajectory is compared with."""

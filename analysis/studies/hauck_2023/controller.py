@@ -14,18 +14,16 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.control.qp import QPSubproblem, solve
 from analysis.control.route import value
 from analysis.studies.hauck_2023 import model as model, tracking as kernels
 from analysis.studies.hauck_2023.model import NOMINAL_MASS
 from analysis.studies.hauck_2023.reference import SAMPLING, Reference
+from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import InputError
 from trainlog.simulation.plant import HOLDING
 from trainlog.units import GRAVITY
-
-FloatArray = NDArray[np.float64]
 
 TOLERANCE = 0.015
 """How far measured and modelled acceleration may differ [m/s²]: lag, creep, the rail's bends."""
@@ -248,7 +246,7 @@ def returning(off: float, steps: int) -> FloatArray:
     return np.asarray(np.sign(off) * np.column_stack([left, -change]))
 
 
-def _rows(run: RunArrays, now: FloatArray, pace: float, moving: NDArray[np.bool_]) -> FloatArray:
+def _rows(run: RunArrays, now: FloatArray, pace: float, moving: BoolArray) -> FloatArray:
     """A run at times of its own [s]; a lever is held for a second, and its middle stands for it."""
     positions, speeds, times, levers = run
     return np.column_stack([

@@ -15,15 +15,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from analysis.control.route import GRID, value
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Axles, Train
 from trainlog.units import GRAVITY, KMH
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
 from analysis.plotting import (
     BLUE,
@@ -25,10 +24,9 @@ from analysis.plotting import (
 )
 from analysis.studies.hauck_2023.scenarios import Day, Days, Outcome, Setup
 from analysis.studies.hauck_2023.simulation import Run
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.units import KMH, PER_MILLE
-
-FloatArray = NDArray[np.float64]
 
 PICTURES = (
     "figure-02-map.png",
@@ -216,9 +214,7 @@ def _slips(axes: Axes, runs: Sequence[Run]) -> None:
         axes.plot(x / 1e3, y, color=RED, linestyle="", marker=".", markersize=4.0)
 
 
-def _largest(
-    run: Run, values: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _largest(run: Run, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The largest value in each piece of the line; NaN where there is none."""
     count = int(np.ceil(run.line.length / BIN))
     found = np.full(count, -np.inf)

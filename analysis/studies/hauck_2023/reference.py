@@ -18,10 +18,9 @@ from analysis.studies.hauck_2023 import model as model
 from analysis.studies.hauck_2023.model import NOMINAL_MASS
 from analysis.studies.hauck_2023.section import Section, check_timetable, fastest
 from analysis.trajectory.table import OPTIMAL
+from trainlog.arrays import FloatArray
 from trainlog.errors import InfeasibleError
 from trainlog.units import GRAVITY
-
-FloatArray = NDArray[np.float64]
 
 NODE_SPACING = 3.0
 """Nodes are closer than this [s]."""

@@ -13,7 +13,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pandas import Timestamp
 
 from analysis.adhesion.condition_map import adhesion_map
@@ -44,6 +43,7 @@ from analysis.studies.hauck_2023.simulation import (
     with_map,
 )
 from analysis.studies.report import START
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
@@ -61,8 +61,6 @@ from trainlog.simulation.rail import (
     spot,
 )
 from trainlog.units import DAY, NANOSECONDS
-
-FloatArray = NDArray[np.float64]
 
 LINE = "DE_Chemnitz_Cranzahl.line.json"
 

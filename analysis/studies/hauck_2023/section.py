@@ -6,16 +6,14 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.control.route import GRID, value
 from analysis.studies.hauck_2023 import model as model
 from analysis.studies.hauck_2023.model import NOMINAL_MASS, LeverTrain, Tables
+from trainlog.arrays import FloatArray
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Line, StepProfile
 from trainlog.simulation.drivers import Stop, check_stops
-
-FloatArray = NDArray[np.float64]
 
 SMOOTHING = 25.0
 """The gradient under the train is that of the track this far before and behind it [m]."""

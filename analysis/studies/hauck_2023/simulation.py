@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from analysis.studies.hauck_2023 import model as model
 from analysis.studies.hauck_2023.controller import (
@@ -27,6 +27,7 @@ from analysis.studies.hauck_2023.reference import Reference
 from analysis.studies.hauck_2023.section import STOPPING_TOLERANCE, sections_of, smoothed_line
 from analysis.studies.report import START
 from trainlog import __version__
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InfeasibleError
 from trainlog.railway import Line, StepProfile
 from trainlog.railway.adhesion import DRY, WET
@@ -37,9 +38,6 @@ from trainlog.simulation.recording import STANDING
 from trainlog.topics import REFERENCE, TRAIN_CONTROLS
 from trainlog.trip import Trip, frame_of
 from trainlog.units import GRAVITY, NANOSECONDS
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 SAMPLES = 1
 """Recorded in each period, as the sensors do."""
@@ -117,7 +115,7 @@ class Run:
     lever: FloatArray
     demands: FloatArray
     target: FloatArray
-    section: NDArray[np.int64]
+    section: IntArray
     arrivals: FloatArray
     departures: FloatArray
     places: FloatArray
@@ -155,12 +153,12 @@ class Run:
         return np.asarray(self.arrivals[1:] - planned)
 
     @property
-    def lever_changes(self) -> NDArray[np.int64]:
+    def lever_changes(self) -> IntArray:
         """How often the lever went from traction to braking or back, by section; (k - 1,)."""
         return self._by_section(self.lever)
 
     @property
-    def planned_changes(self) -> NDArray[np.int64]:
+    def planned_changes(self) -> IntArray:
         """`lever_changes` of the reference."""
         full = np.asarray(self.train.full_effort(self.target[:, 1]), dtype=np.float64)
         return self._by_section(self.target[:, 2] / full)
@@ -170,7 +168,7 @@ class Run:
         """Where the train stood beyond its stops [m]."""
         return np.asarray(self.places[1:] - [stop.position for stop in self.stops[1:]])
 
-    def _by_section(self, lever: FloatArray) -> NDArray[np.int64]:
+    def _by_section(self, lever: FloatArray) -> IntArray:
         count = len(self.stops) - 1
         return np.array([changes(lever[self.section == k]) for k in range(count)], dtype=np.int64)
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from analysis.control.prediction import AHEAD
 from analysis.control.qp import speed_rows, terminal_weight, tracking_cost
@@ -23,9 +22,8 @@ from analysis.studies.hauck_2023.model import (
     full_effort,
     lever_bounds,
 )
+from trainlog.arrays import FloatArray
 from trainlog.units import GRAVITY
-
-FloatArray = NDArray[np.float64]
 
 SUBSTEPS = 10
 """Of the prediction in one sampling period."""

@@ -10,15 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.railway.consist import Consist
 from trainlog.simulation.consist import ConsistPlant, ConsistState
 from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
 
 PERIOD = 0.05
 """Of control and of what is recorded [s]."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.table import Table
 
 from analysis.studies.in_train_forces.simulation import ConsistRun
 from analysis.tables import new_table
+from trainlog.arrays import FloatArray
 from trainlog.units import KMH
 
 
@@ -53,6 +53,6 @@ def _beside(run: ConsistRun) -> str:
     )
 
 
-def _extremes(forces: NDArray[np.float64]) -> str:
+def _extremes(forces: FloatArray) -> str:
     draft, buff = np.maximum([forces.max(), -forces.min()], 0.0) + 0.0  # no -0
     return f"{draft:.0f} / {buff:.0f}"

@@ -12,13 +12,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from analysis.control.cooperative import Demand, Tuning, slip_weights
 from analysis.control.multi_motor import MultiMotorLocomotive
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
-
-FloatArray = NDArray[np.float64]
 
 BANDWIDTH = 6.0
 """Of a slip controller [rad/s]: of those from 1 to 8 the one that takes a locomotive farthest."""

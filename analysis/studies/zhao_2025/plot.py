@@ -8,7 +8,6 @@ from typing import TypedDict
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
 from analysis.plotting import (
     BLUE,
@@ -24,10 +23,9 @@ from analysis.plotting import (
     write_figure,
 )
 from analysis.studies.zhao_2025.simulation import SCARCE, WET_SPAN, Run
+from trainlog.arrays import FloatArray
 from trainlog.railway.adhesion import DRY, WET
 from trainlog.units import KMH
-
-FloatArray = NDArray[np.float64]
 
 AXLES = ((BLUE, 4.0), (SKY, 2.8), (ORANGE, 1.6), (RED, 0.7))
 """Colours and widths of the axles: those that run alike lie on one another."""

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.control.cooperative import coefficients
 from analysis.control.rail_estimate import RailEstimator, rail_ahead
@@ -33,8 +32,6 @@ from analysis.studies.zhao_2025.simulation import (
 from trainlog.errors import InputError
 from trainlog.railway import StepProfile
 from trainlog.railway.adhesion import DRY, WET, CreepCurve
-
-FloatArray = NDArray[np.float64]
 
 MEASURED = Noise(speed=0.05, wheel_speed=0.02)
 """A radar or satellites for the train speed, a pulse encoder for each wheel [m/s]."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.studies.report import START, StudyReport, study_trip
 from analysis.studies.zhao_2025 import simulation as study
@@ -33,8 +32,6 @@ from trainlog.topics import (
 )
 from trainlog.trip import TRAIN_ATTACHMENT, Trip, frame_of
 from trainlog.units import GRAVITY, KMH, NANOSECONDS
-
-FloatArray = NDArray[np.float64]
 
 LENGTH = 2_500.0
 """Of the line [m]; the paper's locomotive comes about 1,000 m far."""

@@ -13,17 +13,16 @@ from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.control import multi_motor as model
 from analysis.control.cooperative import CooperativeController, Demand, Tuning, coefficients
 from analysis.control.multi_motor import MultiMotorLocomotive
 from analysis.studies.zhao_2025.controller import AxleByAxle, EqualTorque, NoSlipControl
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway import RunningResistance, StepProfile
 from trainlog.railway.adhesion import DRY, WET, CreepCurve, creep_coefficients
 
-FloatArray = NDArray[np.float64]
 Integration = Literal["euler", "runge-kutta"]
 
 DURATION = 30.0

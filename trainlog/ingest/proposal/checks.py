@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 
-from trainlog.ingest.recording import METRES_PER_DEGREE, NO_TIME, FloatArray, IntArray
+from trainlog.arrays import FloatArray, IntArray
+from trainlog.ingest.recording import METRES_PER_DEGREE, NO_TIME
 from trainlog.units import NANOSECONDS
 
 WINDOWS = 40

@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.ingest.proposal import roles
 from trainlog.ingest.proposal.checks import Motion, Ratio
@@ -27,9 +28,8 @@ from trainlog.ingest.proposal.times import Clock
 from trainlog.ingest.proposal.trips import facts_of
 from trainlog.ingest.proposal.vocabulary import Meaning
 from trainlog.ingest.proposal.work import Proposed, Work, unit_reason
-from trainlog.ingest.recording import FloatArray
 from trainlog.railway.train import Train
-from trainlog.units import factor
+from trainlog.units import KMH, factor
 
 NUMERIC = 0.6
 """Share of numbers from which on a column is one of numbers."""
@@ -285,7 +285,7 @@ def _add_fixes(work: Work, place: Position | None, other: str) -> None:
             file=work.layout.path,
             remedy="does it hold several devices or rides? Give a file of one",
         )
-    check = f"the fixes move at up to {3.6 * place.speed:.0f} km/h"
+    check = f"the fixes move at up to {KMH * place.speed:.0f} km/h"
     exact = {"1e-7 degrees": 1e-7, "1e-6 degrees": 1e-6, "1e-5 degrees": 1e-5}
     fine = {"seconds of arc": 1.0 / 3600.0, "milliseconds of arc": 1.0 / 3.6e6}
     scale = (exact | fine | {"semicircles": 180.0 / 2.0**31}).get(place.scale, 1.0)
@@ -336,7 +336,7 @@ def _add_speed(
         target = roles.GNSS_SPEED
         other = f"{roles.SPEED}, if it is the wheels' and not the receiver's"
     assert work.speed is not None
-    checks = [f"up to {3.6 * np.nanpercentile(work.speed, 99.5):.0f} km/h"]
+    checks = [f"up to {KMH * np.nanpercentile(work.speed, 99.5):.0f} km/h"]
     metres = factor(answer.units.speed, "m/s")[0]
     checks += _in_words(answer.chords, "the fixes move", "the speed", 1.0 / metres)
     if answer.units.length:

@@ -7,11 +7,11 @@ from typing import Literal
 
 import numpy as np
 
+from trainlog.arrays import FloatArray
 from trainlog.ingest.proposal import roles
 from trainlog.ingest.proposal.checks import driven_mass, same_motion
 from trainlog.ingest.proposal.motion import Answer, Units
 from trainlog.ingest.proposal.work import Proposed, Work, unit_reason
-from trainlog.ingest.recording import FloatArray
 from trainlog.units import factor
 
 LEVELS = 8

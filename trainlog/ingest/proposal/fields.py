@@ -14,7 +14,7 @@ from trainlog.ingest.proposal.vocabulary import plain, split_unit
 from trainlog.ingest.proposal.work import Proposed, Work
 from trainlog.ingest.recording import field_of
 from trainlog.topics import RECORDED
-from trainlog.units import factor, si_unit
+from trainlog.units import KMH, factor, si_unit
 
 USUAL_SPEEDS = ("km/h", "m/s", "mph", "knot")
 """Units that a further speed is tried in."""
@@ -52,7 +52,7 @@ def place_speeds(work: Work) -> None:
         same = "" if unit else "another unit than the speed's"
         unit = unit or (main.unit if main else "")
         if unit:
-            top = 3.6 * float(np.nanmax(work.numbers[name])) * factor(unit, "m/s")[0]
+            top = KMH * float(np.nanmax(work.numbers[name])) * factor(unit, "m/s")[0]
             work.add(
                 Proposed(
                     "/environment.speed_limit", (name,), unit,

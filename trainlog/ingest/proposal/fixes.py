@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trainlog.arrays import FloatArray
 from trainlog.ingest.mapping import degrees_of
 from trainlog.ingest.proposal.checks import Fixes, Motion
-from trainlog.ingest.recording import FloatArray
 
 SCALES: dict[str, tuple[float, float]] = {
     "degrees": (1.0, 0.0),

@@ -17,12 +17,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.ingest.mapping import numbers
 from trainlog.ingest.profile_parts import MISSING, FileOptions
 from trainlog.ingest.proposal.vocabulary import unit_of
-from trainlog.ingest.recording import FloatArray, IntArray
 from trainlog.ingest.tabular import is_parquet, open_text
 
 DELIMITERS = (";", ",", "\t", "|", " ")

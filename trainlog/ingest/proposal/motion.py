@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from trainlog.arrays import FloatArray
 from trainlog.ingest.proposal.checks import (
     Fixes,
     Motion,
@@ -21,7 +22,6 @@ from trainlog.ingest.proposal.checks import (
     driven_mass,
     usual_acceleration,
 )
-from trainlog.ingest.recording import FloatArray
 from trainlog.railway.train import Train
 from trainlog.units import factor
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
+from trainlog.arrays import IntArray
 from trainlog.errors import InputError
 from trainlog.ingest.mapping import numbers, read_time
 from trainlog.ingest.profile_parts import TimeOptions
@@ -21,7 +22,7 @@ from trainlog.ingest.proposal.vocabulary import (
     words_of,
     zone_of,
 )
-from trainlog.ingest.recording import NO_TIME, IntArray
+from trainlog.ingest.recording import NO_TIME
 from trainlog.units import NANOSECONDS
 
 UNKNOWN_DAY = datetime.date(2000, 1, 1)

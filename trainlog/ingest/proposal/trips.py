@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from trainlog.arrays import IntArray
 from trainlog.ingest.parts import CONSTANT, LEAST_GROUP
 from trainlog.ingest.profile_parts import LoadColumn, TripColumns, WeatherColumn
 from trainlog.ingest.proposal.layout import Reading
@@ -67,7 +68,7 @@ def _cells(work: Work, name: str) -> NDArray[np.object_]:
     return np.asarray(cells[last])
 
 
-def _changes(cells: NDArray[np.object_]) -> NDArray[np.int64]:
+def _changes(cells: NDArray[np.object_]) -> IntArray:
     return np.asarray(cells[1:] != cells[:-1]).astype(np.int64)
 
 
@@ -92,7 +93,7 @@ def _number(work: Work) -> tuple[str | None, list[Reading]]:
     return None, []
 
 
-def _load(work: Work, labels: NDArray[np.int64]) -> tuple[LoadColumn | None, list[Reading]]:
+def _load(work: Work, labels: IntArray) -> tuple[LoadColumn | None, list[Reading]]:
     """The column of the load, where it is constant over each trip."""
     for name in list(work.left):
         bare = "".join(word for word in words_of(split_unit(name)[0]) if word.isalpha())
@@ -120,7 +121,7 @@ def _load(work: Work, labels: NDArray[np.int64]) -> tuple[LoadColumn | None, lis
     return None, []
 
 
-def _weather(work: Work, labels: NDArray[np.int64]) -> tuple[WeatherColumn | None, list[Reading]]:
+def _weather(work: Work, labels: IntArray) -> tuple[WeatherColumn | None, list[Reading]]:
     """The column of the rail's condition, where all its words are known."""
     for name in list(work.left):
         bare = re.sub(r"[^a-z]", "", plain(name))

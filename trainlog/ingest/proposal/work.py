@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from trainlog.arrays import FloatArray
 from trainlog.ingest.profile_parts import TripColumns
 from trainlog.ingest.proposal.checks import Motion
 from trainlog.ingest.proposal.layout import Layout, Reading
 from trainlog.ingest.proposal.times import Clock
 from trainlog.ingest.proposal.vocabulary import DIMENSION, Meaning
-from trainlog.ingest.recording import FloatArray
 from trainlog.railway.train import Train
 
 
