@@ -302,6 +302,7 @@ def test_from_measured_points_to_a_trip_on_that_rail(
     monkeypatch.setattr("trainlog.simulation.draw_scenarios", lambda *_, **__: scenarios)
     folder = tmp_path / "trips"
     arguments = ["simulate", "--count", "1", "--characteristic", str(output), "-o", str(folder)]
+    arguments += ["--line", "sample", "--train", "sample"]
     assert run(arguments) == 0
     (log,) = folder.glob("*.mcap")
     truth = json.loads(trainlog.read(log).attachments["scenario.json"])

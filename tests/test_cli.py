@@ -15,7 +15,10 @@ from command import run
 import analysis
 from analysis.tables import new_table
 from trainlog.cli import demo, terminal
+from trainlog.errors import InputError
+from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+from trainlog.formats.train import read_train
 
 
 @pytest.fixture
@@ -39,6 +42,9 @@ def broken(tmp_path: Path) -> dict[str, Path]:
     return files
 
 
+LINE, TRAIN = ["--line", "sample"], ["--train", "sample"]
+BOTH = [*LINE, *TRAIN]
+
 COMMANDS: dict[str, list[str]] = {
     "fit": ["fit", "BAD", "-o", "OUT.json"],
     "fit --per-trip": ["fit", "BAD", "-o", "OUT.json", "--per-trip", "OUT"],
@@ -52,12 +58,12 @@ COMMANDS: dict[str, list[str]] = {
     "compare": ["compare", "BAD", "--with", "BAD"],
     "ingest": ["ingest", "BAD", "-o", "OUT"],
     "import": ["import", "BAD", "-o", "OUT"],
-    "optimise": ["optimise", "BAD", "-o", "OUT.json"],
-    "simulate --line": ["simulate", "--line", "BAD", "-o", "OUT"],
-    "simulate --train": ["simulate", "--train", "BAD", "-o", "OUT"],
-    "simulate --characteristic": ["simulate", "--characteristic", "BAD", "-o", "OUT"],
+    "optimise": ["optimise", "BAD", *BOTH, "-o", "OUT.json"],
+    "simulate --line": ["simulate", *TRAIN, "--line", "BAD", "-o", "OUT"],
+    "simulate --train": ["simulate", *LINE, "--train", "BAD", "-o", "OUT"],
+    "simulate --characteristic": ["simulate", *BOTH, "--characteristic", "BAD", "-o", "OUT"],
     "adhesion fit": ["adhesion", "fit", "BAD", "-o", "OUT.json"],
-    "simulate --trajectory": ["simulate", "--trajectory", "BAD", "-o", "OUT"],
+    "simulate --trajectory": ["simulate", *BOTH, "--trajectory", "BAD", "-o", "OUT"],
     "report": ["report", "BAD"],
     "report -o": ["report", "BAD", "-o", "OUT.html"],
 }
@@ -164,6 +170,41 @@ def test_a_cover_below_one_per_cent_is_taken_for_a_fraction_and_refused(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ([], "no line and no train are given; give --line FILE --train FILE; for a trial"),
+        (LINE, "no train is given; give --train FILE; for a trial --train sample; 'trainlog"),
+        (TRAIN, "no line is given; give --line FILE; for a trial --line sample; 'trainlog"),
+    ],
+    ids=["none", "line", "train"],
+)
+@pytest.mark.parametrize("command", ["simulate", "optimise"])
+def test_a_line_and_a_train_are_asked_for(
+    command: str,
+    given: list[str],
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The samples are taken by name alone: a plan for the wrong line looks like one for yours."""
+    output = tmp_path / ("trips" if command == "simulate" else "plan.json")
+    status, shown, complaint = run(monkeypatch, capsys, command, *given, "-o", output)
+    assert (status, shown, complaint.count("\n")) == (2, "", 1)
+    assert words in complaint
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_called_sample_is_that_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert read_line("sample").name == "CH_StGallen_Wil"
+    assert read_train("sample").name == "CH_Stadler_FLIRT_TPF"
+    monkeypatch.chdir(tmp_path)
+    Path("sample").write_text("{}", "utf-8")
+    with pytest.raises(InputError):
+        read_line("sample")
+
+
 def test_a_timetable_that_cannot_be_kept_is_explained(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -172,7 +213,8 @@ def test_a_timetable_that_cannot_be_kept_is_explained(
     status, _, complaint = run(
         monkeypatch,
         capsys,
-        *("optimise", parameters, "--running-time", "600", "-o", tmp_path / "trajectory.json"),
+        *("optimise", parameters, *BOTH),
+        *("--running-time", "600", "-o", tmp_path / "trajectory.json"),
     )
     assert (status, complaint.count("\n")) == (2, 1)
     assert "600" in complaint
@@ -242,7 +284,9 @@ def test_a_folder_for_results_named_as_a_file_is_refused(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    given = {"simulate": [], "ingest": [sample("gnss.csv")]}.get(command, [sample("stopping.mcap")])
+    given = {"simulate": BOTH, "ingest": [sample("gnss.csv")]}.get(
+        command, [sample("stopping.mcap")]
+    )
     output = tmp_path / "trip.mcap"
     status, _, complaint = run(monkeypatch, capsys, command, *given, "-o", output)
     assert (status, complaint.count("\n")) == (2, 1)
@@ -447,7 +491,7 @@ def test_an_interrupted_command_says_so(
         raise KeyboardInterrupt
 
     monkeypatch.setattr("trainlog.simulation.drive", interrupted)
-    status, _, complaint = run(monkeypatch, capsys, "simulate", "-o", tmp_path)
+    status, _, complaint = run(monkeypatch, capsys, "simulate", *BOTH, "-o", tmp_path)
     assert status == 130
     assert "interrupted" in complaint
 
@@ -473,7 +517,8 @@ def test_simulated_logs_are_the_same_for_the_same_seed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for folder in ("a", "b"):
-        run(monkeypatch, capsys, "simulate", "--count", "1", "--seed", "3", "-o", tmp_path / folder)
+        words = ("simulate", *BOTH, "--count", "1", "--seed", "3", "-o", tmp_path / folder)
+        run(monkeypatch, capsys, *words)
     logs = [(tmp_path / folder / "trip-01.mcap").read_bytes() for folder in ("a", "b")]
     assert logs[0] == logs[1]
 
@@ -503,7 +548,7 @@ def test_outputs_are_checked_before_any_work(
         ["map", "show", sample("CH_StGallen_Wil.map"), "--picture", tmp_path],
         ["optimise", tmp_path / "p.json", "-o", tmp_path],
         ["estimate", log, "-o", tmp_path],
-        ["simulate", "-o", log],
+        ["simulate", *BOTH, "-o", log],
     ):
         status, shown, complaint = run(monkeypatch, capsys, *words)
         assert (status, complaint.count("\n"), shown) == (2, 1, "")
@@ -520,7 +565,9 @@ def test_parameters_of_another_train_are_refused(
     parameters = tmp_path / "parameters.json"
     run(monkeypatch, capsys, "fit", sample("stopping.mcap"), "-o", parameters)
     status, _, complaint = run(
-        monkeypatch, capsys, "optimise", parameters, "--train", other, "-o", tmp_path / "t.json"
+        monkeypatch,
+        capsys,
+        *("optimise", parameters, *LINE, "--train", other, "-o", tmp_path / "t.json"),
     )
     assert status == 2
     assert "observed on train 'CH_Stadler_FLIRT_TPF', not on 'OTHER'" in complaint
@@ -536,7 +583,9 @@ def test_options_that_contradict_are_refused(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    status, _, complaint = run(monkeypatch, capsys, "simulate", *words, "-o", tmp_path / "out")
+    status, _, complaint = run(
+        monkeypatch, capsys, "simulate", *BOTH, *words, "-o", tmp_path / "out"
+    )
     assert status == 2
     shown = f"{words[0]} goes with --trajectory; give a trajectory, or leave out {words[0]}"
     assert shown in " ".join(complaint.split())
@@ -584,7 +633,7 @@ def test_all_problems_of_a_train_file_are_listed_line_by_line(
     light = tmp_path / "light.train.json"
     light.write_text(json.dumps(content))
     status, out, err = run(
-        monkeypatch, capsys, "simulate", "--train", light, "-o", tmp_path / "trips"
+        monkeypatch, capsys, "simulate", *LINE, "--train", light, "-o", tmp_path / "trips"
     )
     assert (status, out) == (2, "")
     lines = err.splitlines()

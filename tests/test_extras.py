@@ -27,6 +27,8 @@ importlib.util.find_spec = lambda name, *_: None if name in {modules} else found
 
 COMMAND = "sys.argv = ['trainlog', *{words}]; from trainlog.cli.main import main; main()"
 
+SAMPLES = ["--line", "sample", "--train", "sample"]
+
 
 def without_extras(program: str, folder: Path) -> subprocess.CompletedProcess[str]:
     """Run a program in a Python that has none of the extras' packages."""
@@ -56,7 +58,7 @@ main()
     [
         (["replay", str(sample("nonstop.mcap")), "-o", "out.rrd"], "replay"),
         (["optimise", "fit.json", "-o", "out.json"], "plan"),
-        (["simulate", "--trajectory", "out.json", "-o", "driven"], "plan"),
+        (["simulate", *SAMPLES, "--trajectory", "out.json", "-o", "driven"], "plan"),
         (["study", "robust-minimax", "-o", "study"], "plan"),
     ],
 )

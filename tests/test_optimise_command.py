@@ -25,6 +25,7 @@ from trainlog.units import KMH
 
 pytestmark = pytest.mark.usefixtures("remembered_estimates")
 
+SAMPLES = ("--line", "sample", "--train", "sample")
 MAP = ("--map", sample("CH_StGallen_Wil.map"))
 
 
@@ -40,7 +41,7 @@ def asked(parameters: Path, folder: Path, *words: object) -> Trajectory:
     """The trajectory that the command writes."""
     output = folder / "trajectory.json"
     own = shutil.copy(parameters, folder)
-    given = ("optimise", own, "--cells", 60, *words, "-o", output)
+    given = ("optimise", own, *SAMPLES, "--cells", 60, *words, "-o", output)
     assert cli.run([str(word) for word in given]) == 0
     return read_trajectory(output)
 
@@ -161,7 +162,7 @@ def test_bad_input_is_refused_before_anything_is_written(
 ) -> None:
     output = tmp_path / "t.json"
     with pytest.raises(InputError) as refusal:
-        cli.run([str(word) for word in ("optimise", observed, *words, "-o", output)])
+        cli.run([str(word) for word in ("optimise", observed, *SAMPLES, *words, "-o", output)])
     assert message in str(refusal.value)
     assert not output.exists()
 
@@ -233,13 +234,13 @@ def test_a_train_file_alone_is_planned_for_and_the_result_states_it(
     # The same in Python, and the trajectory can be followed.
     asked_for = TrajectoryProblem.nominal(read_line(rail[3]), train, load=8e3, end=4e3)
     assert asked_for.configurations == found.configurations
-    assert cli.run(["simulate", "--trajectory", str(output), "-o", str(trips)]) == 0
+    assert cli.run(["simulate", *SAMPLES, "--trajectory", str(output), "-o", str(trips)]) == 0
     assert (trips / "driven-nominal.mcap").is_file()
 
 
 def test_a_load_is_of_the_train_file_alone(observed: Path, tmp_path: Path) -> None:
     output = ("-o", str(tmp_path / "t.json"))
     with pytest.raises(InputError, match="the parameter set holds the masses"):
-        cli.run(["optimise", str(observed), "--load", "8t", *output])
+        cli.run(["optimise", str(observed), *SAMPLES, "--load", "8t", *output])
     with pytest.raises(InputError, match="is not plausible for a train of 122000 kg"):
-        cli.run(["optimise", "--load", "800t", *output])
+        cli.run(["optimise", *SAMPLES, "--load", "800t", *output])

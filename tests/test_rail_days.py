@@ -268,10 +268,13 @@ class TestTrips:
             draw_days(rail, [], 4)
 
 
+SAMPLES = ("--line", "sample", "--train", "sample")
+
+
 class TestCommand:
     def test_days_are_simulated_with_their_weather(self, tmp_path: Path) -> None:
-        given = ["simulate", "--days", "1", "--trips-per-day", "2", "--start", "2026-10-20"]
-        change = ["--change", "km=10:14,date=2026-10-20,factor=0.5"]
+        given = ["simulate", *SAMPLES, "--days", "1", "--trips-per-day", "2"]
+        change = ["--start", "2026-10-20", "--change", "km=10:14,date=2026-10-20,factor=0.5"]
         for folder in ("first", "second"):
             result = CliRunner().invoke(app, [*given, *change, "-o", str(tmp_path / folder)])
             assert result.exit_code == 0, result.output
@@ -299,8 +302,8 @@ class TestCommand:
             return StepProfile(found.positions, found.values * (0.02 if evening else 1.0))
 
         monkeypatch.setattr(Rail, "lasting", met)
-        given = ["simulate", "--days", "1", "--trips-per-day", "2", "-o", str(tmp_path)]
-        result = CliRunner().invoke(app, given)
+        given = ["simulate", *SAMPLES, "--days", "1", "--trips-per-day", "2"]
+        result = CliRunner().invoke(app, [*given, "-o", str(tmp_path)])
         assert result.exit_code == 1
         assert "the train does not arrive" in result.output
         assert len(list(tmp_path.glob("*.mcap"))) == 1
@@ -322,6 +325,7 @@ class TestCommand:
     def test_what_does_not_fit_is_refused(
         self, tmp_path: Path, words: list[str], message: str
     ) -> None:
-        result = CliRunner().invoke(app, ["simulate", *words, "-o", str(tmp_path / "out")])
+        command = ["simulate", *SAMPLES, *words, "-o", str(tmp_path / "out")]
+        result = CliRunner().invoke(app, command)
         assert result.exit_code != 0
         assert message in str(result.exception)

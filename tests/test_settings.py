@@ -107,6 +107,7 @@ def test_a_line_that_is_set_is_taken_where_none_is_given(
     own = tmp_path / "own.line.json"
     own.write_text(sample(DEFAULT_LINE).read_text("utf-8").replace("CH_StGallen_Wil", "OWN"))
     set_setting("line", str(own))
+    set_setting("train", "sample")
     run(monkeypatch, capsys, "simulate", "--count", "1", "-o", tmp_path / "trips")
     _, out, _ = run(monkeypatch, capsys, "show", tmp_path / "trips" / "trip-01.mcap")
     assert "OWN" in out

@@ -300,6 +300,7 @@ def test_simulate_command_drives_with_a_map(tmp_path: Path) -> None:
 
 def test_a_map_without_a_use_is_refused(tmp_path: Path) -> None:
     command = ["simulate", "-o", str(tmp_path / "out"), "--map", "sample_logs/no.map"]
+    command += ["--line", "sample", "--train", "sample"]
     result = CliRunner().invoke(app, [*command, "--traction", "readhesion"])
     assert isinstance(result.exception, InputError)
     assert "--map goes with --trajectory" in str(result.exception)

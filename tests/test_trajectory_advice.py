@@ -227,13 +227,14 @@ def test_commands_write_sections_a_front_and_advice(
     run("fit", sample("nonstop.mcap"), "-o", parameters)
     points = [TimingPoint(place, None, None, 0.0, 0.0) for place in (0.0, 9_000.0, 20_000.0)]
     write_journey(Journey("one stop", "CH_StGallen_Wil", tuple(points)), journey)
-    options = ("--dwell", 30, "--cells", 60, "--reserve", 15)
+    samples = ("--line", "sample", "--train", "sample")
+    options = (*samples, "--dwell", 30, "--cells", 60, "--reserve", 15)
     run("optimise", parameters, "--journey", journey, *options, "-o", tmp_path / "a.json")
     for number in (1, 2):
         for suffix in ("json", "png", "csv"):
             assert (tmp_path / f"a-{number}.{suffix}").exists()
     assert "Journey one stop" in capsys.readouterr().out
-    expected = ("--reverse", "--cells", 60, "--objective", "expected")
+    expected = (*samples, "--reverse", "--cells", 60, "--objective", "expected")
     run("optimise", parameters, *expected, "-o", tmp_path / "b.json")
     settings = read_trajectory(tmp_path / "b.json").provenance["settings"]
     assert read_trajectory(tmp_path / "b.json").direction == "reverse"

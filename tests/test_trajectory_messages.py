@@ -108,5 +108,6 @@ def test_limits_for_a_train_without_length_are_refused(tmp_path: Path) -> None:
     del content["length"]
     (tmp_path / "short.train.json").write_text(json.dumps(content))
     arguments = ["optimise", "--train", str(tmp_path / "short.train.json"), "--protect", "train"]
+    arguments += ["--line", "sample"]
     with pytest.raises(InputError, match="not known; state its length in the train's file"):
         run([*arguments, "-o", str(tmp_path / "a.json")])

@@ -483,12 +483,12 @@ def origin(files: Sequence[Path], folder: Path, command: str) -> Section:
 
 
 _COMMANDS = {
-    "simulate": "trainlog simulate -o FOLDER  # {}",
+    "simulate": "trainlog simulate --line LINE --train TRAIN -o FOLDER  # {}",
     "ingest": "trainlog ingest RECORDING -o FOLDER  # {}",
     "estimate": "trainlog estimate LOG -o FOLDER  # {}",
     "fit": "trainlog fit LOGS -o {}",
     "coast-down": "trainlog coast-down LOGS -o {}",
-    "optimise": "trainlog optimise PARAMETERS -o {}",
+    "optimise": "trainlog optimise PARAMETERS --line LINE --train TRAIN -o {}",
     "advise": "trainlog advise LOG --trajectory TRAJECTORY -o {}",
     "map update": "trainlog map update LOGS --map {}",
 }

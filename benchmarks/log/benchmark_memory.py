@@ -68,7 +68,7 @@ def commands(log: Path, folder: Path) -> dict[str, list[str]]:
         "compare": ["compare", str(log), "--with", str(driven)],
         "optimise": [
             "optimise", str(folder / "parameters.json"), "-o", str(folder / "trajectory.json"),
-            "--as-fast-as", str(log),
+            "--line", "sample", "--train", "sample", "--as-fast-as", str(log),
         ],
         "fit": ["fit", str(log), "-o", str(folder / "parameters.json")],
         "map update": ["map", "update", str(log), "--map", str(folder / "wil.map")],

@@ -81,7 +81,10 @@ COMMANDS = {
         "--map",
         "{folder}/m.map",
     ],
-    "optimise": ["optimise", "{folder}/fit.json", "-o", "{folder}/trajectory.json"],
+    "optimise": [
+        *("optimise", "{folder}/fit.json", "--line", "sample", "--train", "sample"),
+        *("-o", "{folder}/trajectory.json"),
+    ],
     "replay": ["replay", "sample_logs/stopping.mcap", "-o", "{folder}/r.rrd", "--no-viewer"],
 }
 

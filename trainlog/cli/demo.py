@@ -36,7 +36,7 @@ def commands(output: Path) -> list[list[str]]:
     wet = ["--weather", "wet"]
     steps: list[list[str | Path]] = [
         ["samples", samples],
-        ["simulate", "--count", "12", "--seed", "1", "-o", trips],
+        ["simulate", *known, "--count", "12", "--seed", "1", "-o", trips],
         ["ingest", samples / "recorder.csv", *profile, *known, *facts, "-o", recorded],
         ["ingest", samples / "gnss.csv", *known, "-o", recorded],
         ["show", recorded / "recorder.mcap"],
@@ -46,9 +46,9 @@ def commands(output: Path) -> list[list[str]]:
         ["fit", trips, "-o", parameters],
         ["map", "update", trips, "--map", condition],
         ["map", "show", condition, "--picture", output / "wil.png"],
-        ["optimise", parameters, *rail, "--as-fast-as", trips, "-o", trajectory],
-        ["simulate", *plan, *known_rail, *every, *wet, "-o", driven],
-        ["simulate", *plan, *every, *wet, "-o", blind],
+        ["optimise", parameters, *known, *rail, "--as-fast-as", trips, "-o", trajectory],
+        ["simulate", *known, *plan, *known_rail, *every, *wet, "-o", driven],
+        ["simulate", *known, *plan, *every, *wet, "-o", blind],
         ["compare", trips, "--with", driven, "--with", blind],
         ["estimate", trips / "trip-03.mcap", "-o", output / "estimated"],
         ["replay", output / "estimated", driven, *plan, *known_rail, "-o", output / "replay.rrd"],
@@ -78,7 +78,8 @@ def following(output: Path) -> list[str]:
     """Commands to go on with."""
     return [
         f"trainlog replay {output / 'trips'} -o {output / 'all.rrd'}",
-        f"trainlog optimise {output / 'parameters.json'} --reserve 5 -o {output / 'faster.json'}",
+        f"trainlog optimise {output / 'parameters.json'} --line sample --train sample --reserve 5"
+        f" -o {output / 'faster.json'}",
         f"trainlog ingest YOUR.csv --profile {output / 'sample_logs' / 'recorder.profile.toml'}"
         f" -o {output / 'recorded'}",
     ]

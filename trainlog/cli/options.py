@@ -63,10 +63,10 @@ CategoryOption = Annotated[
     ),
 ]
 LineOption = Annotated[
-    Path | None, typer.Option("--line", help="Line file; default: as set, else St.Gallen-Wil.")
+    Path | None, typer.Option("--line", help="Line file, or 'sample'; default: as set.")
 ]
 TrainOption = Annotated[
-    Path | None, typer.Option("--train", help="Train file; default: as set, else Stadler FLIRT.")
+    Path | None, typer.Option("--train", help="Train file, or 'sample'; default: as set.")
 ]
 
 RiskOption = Annotated[
@@ -381,16 +381,30 @@ def part_of(
 
 
 def line_and_train(line: Path | None, train: Path | None) -> tuple[Line, Train]:
-    """Line and train from the files named, those that the user has set, or the samples."""
+    """Line and train from the files named, or those that the user has set.
+
+    Raises
+    ------
+    InputError
+        If one of them is neither given nor set, or cannot be read.
+    """
     from trainlog.formats.line import read_line
-    from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
     from trainlog.formats.settings import read_settings
     from trainlog.formats.train import read_train
 
     known = read_settings()
-    own_line = Path(known.line).expanduser() if known.line else sample(DEFAULT_LINE)
-    own_train = Path(known.train).expanduser() if known.train else sample(DEFAULT_TRAIN)
-    return read_line(line or own_line), read_train(train or own_train)
+    own_line = line or (Path(known.line).expanduser() if known.line else None)
+    own_train = train or (Path(known.train).expanduser() if known.train else None)
+    if own_line is not None and own_train is not None:
+        return read_line(own_line), read_train(own_train)
+    missing = [name for name, own in (("line", own_line), ("train", own_train)) if own is None]
+    files = " ".join(f"--{name} FILE" for name in missing)
+    samples = " ".join(f"--{name} sample" for name in missing)
+    raise InputError(
+        f"no {' and no '.join(missing)} {'is' if len(missing) == 1 else 'are'} given",
+        remedy=f"give {files}; for a trial {samples}; 'trainlog settings set' sets what is taken"
+        " by default",
+    )
 
 
 def logs_in(paths: list[Path]) -> list[Path]:

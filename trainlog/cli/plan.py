@@ -154,7 +154,7 @@ def optimise(
     The answer carries its certificate: an independent fine rollout of every configuration and a
     lower bound on the energy. Beside it stand a picture, and the driver's advice as CSV.
 
-    Example: trainlog optimise results/parameters.json -o results/trajectory.json
+    Example: trainlog optimise fitted.json --line sample --train sample -o trajectory.json
 
     Example: trainlog optimise --train my.train.toml --line A-B.line.json -o trajectory.json
     """

@@ -161,11 +161,11 @@ def simulate(
     running resistance, wheels, brakes and a recorder of its own, on rosters of routes, through the
     same days of weather. Trips are made in parallel; an interrupted run goes on where it ended.
 
-    Example: trainlog simulate --count 12 --seed 1 -o results/trips
+    Example: trainlog simulate --line sample --train sample --count 12 -o results/trips
 
     Example: trainlog simulate --network drawn --trains 20 --days 30 --count 1000 -o results/fleet
 
-    Example: trainlog simulate --days 30 --change km=10:14,date=2026-10-15,factor=1.3 -o october
+    Example: trainlog simulate --line my.line.json --train sample --days 30 -o results/october
     """
     from trainlog.formats.characteristic import read_characteristic
     from trainlog.formats.weather import write_weather

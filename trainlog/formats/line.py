@@ -14,6 +14,7 @@ from pydantic import Field
 from trainlog.formats.files import check_written, read_bytes, write_bytes
 from trainlog.formats.linefile import LineFile
 from trainlog.formats.network import read_network, route_of_path
+from trainlog.formats.samples import DEFAULT_LINE, file_or_sample
 from trainlog.formats.schema import MISSING, Column, File, Table, built
 from trainlog.railway.journey import Journey, TimingPoint
 from trainlog.railway.line import Line
@@ -67,8 +68,9 @@ def read_line(path: str | Path) -> Line:
     Parameters
     ----------
     path : path
-        Of a line file; or of a network file, ``#`` and the places of a route with commas between
-        them: ``"my.network.json#Wil,Gossau"``, see `trainlog.Network.route`.
+        Of a line file; or ``"sample"``: St.Gallen-Wil; or of a network file, ``#`` and the places
+        of a route with commas between them: ``"my.network.json#Wil,Gossau"``, see
+        `trainlog.Network.route`.
 
     Raises
     ------
@@ -82,6 +84,7 @@ def read_line(path: str | Path) -> Line:
     >>> line.name, line.length
     ('CH_StGallen_Wil', 29556.1)
     """
+    path = file_or_sample(path, DEFAULT_LINE)
     wanted = route_of_path(path)
     if wanted is not None:
         return read_network(wanted[0]).route(*wanted[1]).line

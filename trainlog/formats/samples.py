@@ -9,10 +9,13 @@ from trainlog.errors import InputError
 from trainlog.formats.files import made_folder, read_bytes, write_bytes
 
 DEFAULT_LINE = "CH_StGallen_Wil.line.json"
-"""The line that is used where none is named."""
+"""The line of the samples."""
 
 DEFAULT_TRAIN = "CH_Stadler_FLIRT_TPF.train.json"
-"""The train that is used where none is named."""
+"""The train of the samples."""
+
+SAMPLE = "sample"
+"""Word that names the line or the train of the samples in place of a file."""
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _PLACES = (_PACKAGE / "sample_logs", _PACKAGE.parent / "sample_logs")
@@ -58,6 +61,19 @@ def sample(name: str) -> Path:
     if not path.is_file():
         raise InputError(f"there is no sample '{name}'", remedy=f"there are {', '.join(names())}")
     return path
+
+
+def file_or_sample(path: str | Path, name: str) -> str | Path:
+    """The file that is given; for the word ``sample``, if no file is called so, the sample `name`.
+
+    Examples
+    --------
+    >>> file_or_sample("sample", DEFAULT_TRAIN).name
+    'CH_Stadler_FLIRT_TPF.train.json'
+    >>> file_or_sample("my.train.json", DEFAULT_TRAIN)
+    'my.train.json'
+    """
+    return sample(name) if str(path) == SAMPLE and not Path(path).is_file() else path
 
 
 def names() -> list[str]:

@@ -19,6 +19,7 @@ from typing import Any
 from trainlog.display import SPEED_UNITS
 from trainlog.errors import InputError
 from trainlog.formats.files import write_bytes
+from trainlog.formats.samples import SAMPLE
 from trainlog.formats.toml import parse_toml
 
 VARIABLE = "TRAINLOG_SETTINGS"
@@ -36,7 +37,7 @@ class Settings:
     zone : str
         Time zone in which times are shown: ``"UTC"``, ``"Europe/Zurich"``.
     line, train : str
-        Files that are taken where a command is given none; empty: those of the samples.
+        Files that are taken where a command is given none, or ``"sample"``; empty: none.
     results : str
         Folder that the demo writes to.
     catalogue : str
@@ -59,8 +60,8 @@ class Settings:
 MEANINGS = {
     "speed": f"unit in which speeds are shown: {', '.join(SPEED_UNITS)}",
     "zone": "time zone in which times are shown, such as Europe/Zurich",
-    "line": "line file where a command is given none; empty: St.Gallen-Wil",
-    "train": "train file where a command is given none; empty: Stadler FLIRT",
+    "line": "line file where a command is given none, or sample; empty: none",
+    "train": "train file where a command is given none, or sample; empty: none",
     "results": "folder that the demo writes to",
     "catalogue": "catalogue of the fleet: a folder or a URL; empty: the folder catalogue",
 }
@@ -137,7 +138,7 @@ def set_setting(key: str, value: str | None, path: str | Path | None = None) -> 
     'mph'
     """
     file = settings_path() if path is None else Path(path)
-    if key in ("line", "train") and value:
+    if key in ("line", "train") and value and not _named_sample(value):
         value = str(Path(value).resolve())
     _checked({key: getattr(Settings, key, "") if value is None else value}, "", None)
     text = file.read_text("utf-8-sig") if file.exists() else ""
@@ -201,9 +202,13 @@ def _zone(value: str) -> tuple[str, str] | None:
 
 
 def _file(value: str) -> tuple[str, str] | None:
-    if not value or Path(value).expanduser().is_file():
+    if not value or _named_sample(value) or Path(value).expanduser().is_file():
         return None
-    return f"'{value}' does not exist", "name a file, or set it to '' for the sample"
+    return f"'{value}' does not exist", "name a file, 'sample', or set it to '' for none"
+
+
+def _named_sample(value: str) -> bool:
+    return value == SAMPLE and not Path(value).is_file()
 
 
 def _folder(value: str) -> tuple[str, str] | None:

@@ -81,7 +81,8 @@ JOURNEY = Journey(
 COMMENTS = {
     "line": {
         "": "A line. Units can be replaced by any of the same kind: km for m, % for permil.\n"
-        "docs/formats.md describes every key. Check it: trainlog simulate --line THIS -o trips",
+        "docs/formats.md describes every key. Check it:\n"
+        "trainlog simulate --line THIS --train sample -o trips",
         "length": "Position (chainage) runs from 0 to the length, in the forward direction.",
         "altitude": "Of the track at position 0; may be left out.",
         "stations": "Name and position, in the order of positions.",
@@ -93,7 +94,8 @@ COMMENTS = {
     },
     "train": {
         "": "A train. Units can be replaced by any of the same kind: kg for t, m/s for km/h.\n"
-        "docs/formats.md describes every key. Check it: trainlog simulate --train THIS -o trips",
+        "docs/formats.md describes every key. Check it:\n"
+        "trainlog simulate --train THIS --line sample -o trips",
         "assumed": "Names of the keys that your source does not give.",
         "mass": "Empty, without the rotating part.",
         "rotating_mass_factor": "Inertia of all rotating parts over the empty mass.",

@@ -18,6 +18,7 @@ from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.files import check_written, read_bytes, write_bytes
 from trainlog.formats.plausible import implausible_train
+from trainlog.formats.samples import DEFAULT_TRAIN, file_or_sample
 from trainlog.formats.schema import Column, File, Named, Part, Quantity, Table, built, gathered
 from trainlog.railway.axle_loads import AxleGeometry
 from trainlog.railway.consist import Consist, Coupler, Vehicle
@@ -309,6 +310,11 @@ def train_content(train: Train) -> dict[str, Any]:
 def read_train(path: str | Path) -> Train:
     """Read a train file, JSON or TOML.
 
+    Parameters
+    ----------
+    path : path
+        Of a train file; or ``"sample"``: a Stadler FLIRT.
+
     Raises
     ------
     InputError
@@ -321,6 +327,7 @@ def read_train(path: str | Path) -> Train:
     >>> train.name, train.mass
     ('CH_Stadler_FLIRT_TPF', 122000.0)
     """
+    path = file_or_sample(path, DEFAULT_TRAIN)
     train: Train = _TrainFile.read(read_bytes(path), path)
     return train
 
