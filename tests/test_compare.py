@@ -192,6 +192,23 @@ def test_a_plan_for_the_nominal_train_is_compared_by_train_and_says_so() -> None
         compare_groups([other], [trip("driven", configuration="nominal")])
 
 
+def test_a_trip_of_the_name_is_of_the_same_train_and_line() -> None:
+    """Trips are called trip-01 on every line: only one of the train and the line compares."""
+    driven = trip("driven-a", 40_000.0, configuration="a")
+    attached = trip("a").attachments
+    for attachment, name in (
+        (TRAIN_ATTACHMENT, b"CH_Stadler_FLIRT_TPF"),
+        (LINE_ATTACHMENT, b"CH_StGallen_Wil"),
+    ):
+        content = attached[attachment].replace(name, b"another")
+        other = replace(trip("a"), attachments={**attached, attachment: content})
+        with pytest.raises(LogError, match="no trip of the configuration that 'driven-a' drove"):
+            compare_groups([other], [driven])
+        assert compare_groups([other, trip("a")], [driven]).pairs[0].driver.name == "a"
+    with pytest.raises(LogError, match="2 trips are called 'a', the configuration of 'driven-a'"):
+        compare_groups([trip("a"), trip("a", stop=True)], [driven])
+
+
 def test_trips_that_followed_nothing_are_named_with_their_file() -> None:
     path = sample("nonstop.mcap")
     words = "trip 'trip-01' did not follow a trajectory; give trips recorded by"

@@ -18,9 +18,14 @@ from analysis.reports.summary import report
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.logs import fit
 from analysis.tables import new_table
+from analysis.truth import curve_error, map_error, true_adhesion
+from trainlog.errors import InputError
+from trainlog.formats.condition import read_map, write_map
 from trainlog.formats.parameters import write_coast_down, write_parameters
 from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.mcap import read_log, write_log
+from trainlog.railway import RunningResistance
+from trainlog.trip import SCENARIO_ATTACHMENT
 
 HEADINGS = ("section", "timetable s", "least of a reference s", "iterations of IPOPT", "least s")
 ROW = ("Chemnitz Hbf - Chemnitz-Hilbersdorf", "222", "204.7", "41 (of 5000)", "180.2")
@@ -117,6 +122,48 @@ def test_results_of_any_name_are_summed_up_by_their_format(tmp_path: Path) -> No
     assert re.search(r"resistance [\d.]+ ± [\d.]+ kN at \d+ km/h", words)
     assert "resistance over inertia" in rows["coasted.json"][1]
     assert rows["ours.json"] == ("line", "CH_StGallen_Wil, 29.56 km")
+
+
+def test_truth_belongs_to_a_trip_by_what_was_recorded(tmp_path: Path) -> None:
+    """Not by its name: unrelated simulated logs are called trip-01, too."""
+    log = sample("nonstop.mcap")
+    write_parameters(fit(log).parameters, tmp_path / "parameters.json")
+    write_map(adhesion_map(log).track, tmp_path / "wil.map")
+    (tmp_path / "trips").mkdir()
+    own = shutil.copy(log, tmp_path / "trips" / "renamed.mcap")
+    rows = {subject: words for subject, words, _ in report(tmp_path).rows}
+    assert re.search(r"drag curve off by [\d.]+% for one trip", rows["running resistance"])
+    assert re.search(r"maximum adhesion off by 0\.\d+ RMS", rows["track condition"])
+    other = read_log(sample("stopping.mcap"))
+    write_log(replace(other, metadata={**other.metadata, "trip": "trip-01"}), own)
+    rows = {subject: words for subject, words, _ in report(tmp_path).rows}
+    assert "drag curve" not in rows["running resistance"]
+    assert "off by" not in rows["track condition"]
+    # Nor does a truth of another trip lead to an error.
+    write_log(other, own)
+    broken = {**other.attachments, SCENARIO_ATTACHMENT: b"{}"}
+    write_log(replace(other, attachments=broken), tmp_path / "trips" / "broken.mcap")
+    assert "off by" not in " ".join(words for _, words, _ in report(tmp_path).rows)
+
+
+def test_truth_is_found_for_copies_of_the_drive(tmp_path: Path) -> None:
+    trip = read_log(sample("nonstop.mcap"))
+    again = replace(trip, metadata={**trip.metadata, "trip": "again"})
+    write_log(again, tmp_path / "again.mcap")
+    write_map(adhesion_map(trip).track, tmp_path / "wil.map")
+    rows = {subject: words for subject, words, _ in report(tmp_path).rows}
+    assert "maximum adhesion off by" in rows["track condition"]
+
+
+def test_no_truth_is_one_error() -> None:
+    track, curve = read_map(sample("CH_StGallen_Wil.map")), RunningResistance(1.0, 0.0, 0.0)
+    for judged in (
+        lambda: curve_error(curve, []),
+        lambda: map_error(track, []),
+        lambda: true_adhesion(track, "wet", []),
+    ):
+        with pytest.raises(InputError, match="truth is given"):
+            judged()
 
 
 def test_trips_in_any_folder_are_summed_up(tmp_path: Path) -> None:

@@ -16,12 +16,12 @@ from analysis.given import Given, each_given
 from analysis.tables import kwh, new_table
 from trainlog.display import as_text, counted
 from trainlog.errors import LogError
-from trainlog.formats.attached import train_of
+from trainlog.formats.attached import line_of, train_of
 from trainlog.mcap import read_log
 from trainlog.railway import Line, Train
 from trainlog.railway.train import NOMINAL
 from trainlog.topics import EVENTS, REFERENCE, TRAIN_SLIP_PROTECTION
-from trainlog.trip import Trip
+from trainlog.trip import LINE_ATTACHMENT, Trip
 from trainlog.units import JOULES_PER_KWH
 
 
@@ -294,10 +294,10 @@ def compare_groups(
     """Pair drivers' trips with trips that followed a trajectory, configuration by configuration.
 
     A pair is comparable when the followed trip was driven with the configuration observed on the
-    driver's trip (metadata ``configuration``), in the same direction, over the same distance,
-    and neither stopped on the way. A plan for the nominal train, which no driver's trip observed,
-    is laid beside every such trip of the same train, whatever its load; a remark states both
-    masses.
+    driver's trip (metadata ``configuration``), of the same train on the same line, in the same
+    direction, over the same distance, and neither stopped on the way. A plan for the nominal
+    train, which no driver's trip observed, is laid beside every such trip of the same train,
+    whatever its load; a remark states both masses.
 
     Parameters
     ----------
@@ -320,16 +320,21 @@ def compare_groups(
     >>> compare_groups(trip, same).pairs[0].traction
     0.0
     """
-    by_name = {described(trip).name: trip for trip in each_given(drivers)}
+    known = [(described(trip), trip) for trip in each_given(drivers)]
     candidates = [(described(trip), trip) for trip in each_given(followed)]
     candidates = _that_followed(candidates)
     pairs, remarks, unlike = list[Saving](), list[str](), list[tuple[int, str]]()
     for bare, trip in candidates:
         configuration = bare.metadata["configuration"]
-        observed = [by_name[configuration]] if configuration in by_name else []
+        alike = [each for each in known if _same_train_and_line(each[0], bare)]
+        observed = [recorded for about, recorded in alike if about.name == configuration]
         nominal = not observed and configuration == NOMINAL
         if nominal:
-            observed = [each for each in by_name.values() if _same_train(described(each), bare)]
+            observed = [recorded for _, recorded in alike]
+        if len(observed) > 1 and not nominal:
+            words = f"{len(observed)} trips are called '{configuration}', the configuration of"
+            unlike.append((0, f"{words} '{bare.name}'"))
+            continue
         if not observed:
             missing = "train" if nominal else "configuration"
             words = f"there is no trip of the {missing} that '{bare.name}' drove with"
@@ -352,8 +357,11 @@ def compare_groups(
     return GroupComparison(tuple(pairs), tuple(remarks))
 
 
-def _same_train(one: Trip, other: Trip) -> bool:
-    return train_of(one).name == train_of(other).name
+def _same_train_and_line(one: Trip, other: Trip) -> bool:
+    if train_of(one).name != train_of(other).name:
+        return False
+    lines = [line_of(each).name for each in (one, other) if LINE_ATTACHMENT in each.attachments]
+    return len(set(lines)) < 2
 
 
 def _masses(driver: TripCost, followed: TripCost) -> str:

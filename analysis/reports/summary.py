@@ -14,16 +14,17 @@ from rich.table import Table
 from analysis.adhesion.condition_map import summary
 from analysis.comparison.groups import compare_groups, punctuality, running_times
 from analysis.tables import as_page, kwh, new_table, overspeed, with_band
-from analysis.truth import Truth, curve_error, map_error, truth_of
+from analysis.truth import SimulatedLogs, Truth, curve_error, map_error
 from trainlog.display import as_text, counted, lateness, span
 from trainlog.errors import InputError, LogError
 from trainlog.formats.condition import read_map
 from trainlog.formats.files import LOOKED_AT
 from trainlog.formats.line import read_line
+from trainlog.formats.mapfile import MapFile
 from trainlog.formats.parameters import read_coast_down, read_parameters
 from trainlog.formats.trajectory import read_trajectory
-from trainlog.mcap import read_log
 from trainlog.mcap.convert import span_of
+from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.train import ParameterSet
 from trainlog.units import KMH
 
@@ -57,7 +58,7 @@ class Report:
 def report(folder: str | Path) -> Report:
     """Sum up a folder of results: the fit, the map, the trajectory, the energy saved.
 
-    Simulated trips are judged against their truth.
+    What was made of simulated trips is judged by their truth, where their logs are in the folder.
 
     Parameters
     ----------
@@ -88,14 +89,12 @@ def report(folder: str | Path) -> Report:
             remedy="name the folder that holds the results",
         )
     logs = _logs_in(folder)
-    # What a simulation knows is attached: no topic has to be read for it.
-    found_truths = (truth_of(read_log(log, topics=[])) for log in logs)
-    truths = [truth for truth in found_truths if truth is not None]
+    simulated = SimulatedLogs(logs)
     rows = [
         _recorded(logs),
-        *(_fitted(path, truths) for path in _of_format(folder, "parameters", "parameters.json")),
+        *(_fitted(path, simulated) for path in _of_format(folder, "parameters", "parameters.json")),
         *(_coasted(path) for path in _of_format(folder, "coast-down")),
-        *(_mapped(path, truths) for path in sorted(folder.glob("*.map"))),
+        *(_mapped(path, simulated) for path in sorted(folder.glob("*.map"))),
         *(_drawn(path) for path in _of_format(folder, "line")),
         *(
             row
@@ -192,24 +191,33 @@ def _measured(found: ParameterSet) -> str:
     return f"{words}, resistance {drag} at {KMH * at:.0f} km/h"
 
 
-def _fitted(path: Path, truths: Sequence[Truth]) -> tuple[str, str, str] | None:
+def _fitted(path: Path, simulated: SimulatedLogs) -> tuple[str, str, str] | None:
     if not path.exists():
         return None
     found = read_parameters(path)
     words = counted(len(found.configurations), "configuration") + _measured(found)
-    if truths and found.common is not None:
-        by_name = {truth.trip: truth for truth in truths}
-        pairs = [(c, by_name[c.name]) for c in found.configurations if c.name in by_name]
+    truths = _truths_of(found, simulated)
+    pairs = [(c, truths[c.name]) for c in found.configurations if c.name in truths]
+    if pairs:
         single = np.median([curve_error(c.resistance, [truth]) for c, truth in pairs])
+        words += f"; drag curve off by {single:.1%} for one trip (median)"
+    if found.common is not None and pairs and len(pairs) == len(found.configurations):
         together = curve_error(found.common, [truth for _, truth in pairs])
-        words += (
-            f"; drag curve off by {single:.1%} for one trip (median),"
-            f" {together:.1%} for all together"
-        )
+        words += f", {together:.1%} for all together"
     return "running resistance", words, str(path)
 
 
-def _mapped(path: Path, truths: Sequence[Truth]) -> tuple[str, str, str] | None:
+def _truths_of(found: ParameterSet, simulated: SimulatedLogs) -> dict[str, Truth]:
+    """The truth of a set's configurations by their names, as far as their logs are known."""
+    truths = {}
+    for detail in found.details:
+        truth = simulated.truth(str(detail.get("sha256") or ""))
+        if truth is not None and truth.train == found.train and "configuration" in detail:
+            truths[str(detail["configuration"])] = truth
+    return truths
+
+
+def _mapped(path: Path, simulated: SimulatedLogs) -> tuple[str, str, str] | None:
     if not path.exists():
         return None
     track = read_map(path)
@@ -218,11 +226,32 @@ def _mapped(path: Path, truths: Sequence[Truth]) -> tuple[str, str, str] | None:
     words = f"{counted(events, 'onset')} of slip measured, " + ", ".join(
         f"{layer.observed_length / 1e3:.1f} km {layer.layer}" for layer in layers
     )
-    if truths and events:
+    words += " observed" if layers else ""
+    truths = _truths_of_map(path, track, simulated) if events else []
+    if truths:
         error, bins = map_error(track, truths)
-        words += f" observed; maximum adhesion off by {error:.3f} RMS in {counted(bins, 'bin')}"
-        words += " with events"
+        words += f"; maximum adhesion off by {error:.3f} RMS in {counted(bins, 'bin')} with events"
     return "track condition", words, str(path)
+
+
+def _truths_of_map(path: Path, track: TrackConditionMap, simulated: SimulatedLogs) -> list[Truth]:
+    """The truth of the trips of those layers with events of which that of all trips is known."""
+    by_layer: dict[str, list[Truth | None]] = {}
+    with MapFile(path) as file:
+        for row in file.trips():
+            if row.counted:
+                known = row.known
+                by_layer.setdefault(row.layer, []).append(
+                    simulated.truth(known.digest, known.identity)
+                )
+    return [
+        truth
+        for layer, truths in by_layer.items()
+        if track.layer(layer).events.any()
+        and all(t is not None and (t.line, t.weather) == (track.line, layer) for t in truths)
+        for truth in truths
+        if truth is not None
+    ]
 
 
 def _planned(path: Path) -> tuple[tuple[str, str, str], ...]:
