@@ -21,6 +21,7 @@ from trainlog.ingest import (
     ingest_all,
     profile_of,
     propose_profile,
+    read_profile,
     repairs_of,
     report_of,
 )
@@ -199,7 +200,25 @@ def test_an_assumed_time_zone_stays_with_the_trip(driven: Trip, tmp_path: Path) 
     trip = ingest("sample_logs/recorder.csv", proposal.profile)
     assert trip.metadata["clock"] == "UTC assumed: the file does not state a zone"
     zoned = propose_profile(recorded(driven, tmp_path))
-    assert zoned.profile.trip.clock is None
+    assert zoned.profile.clock is None
+
+
+@pytest.mark.parametrize("stored", [False, True], ids=["now", "earlier version"])
+def test_a_time_zone_that_was_corrected_is_not_assumed(stored: bool, tmp_path: Path) -> None:
+    """Earlier proposals stored the statement as text, which stayed when the zone was corrected."""
+    proposed = propose_profile("sample_logs/recorder.csv").text
+    assert '\ntimezone = "UTC"\n' in proposed
+    if stored:
+        proposed = proposed.replace('assumed_timezone = "UTC"\n', "")
+        proposed += '\nclock = "UTC assumed: the file does not state a zone"\n'
+    profile = tmp_path / "own.profile.toml"
+    for zone, clock in (("UTC", "UTC assumed: the file does not state a zone"), ("+02:00", None)):
+        profile.write_text(
+            proposed.replace('\ntimezone = "UTC"', f'\ntimezone = "{zone}"'), "utf-8"
+        )
+        trip = ingest("sample_logs/recorder.csv", read_profile(profile))
+        assert trip.metadata.get("clock") == clock
+        assert trip.start.hour == (10 if clock is None else 12)
 
 
 def test_a_table_without_time_is_passed_over_in_a_folder_alone(tmp_path: Path) -> None:

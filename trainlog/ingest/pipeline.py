@@ -682,7 +682,7 @@ def metadata_of(
         "direction": heading,
         "load": _load(options, train),
         "weather": options.weather,
-        "clock": options.clock or recording.metadata.get("clock"),
+        "clock": profile.clock or recording.metadata.get("clock"),
         "software": f"trainlog {__version__}",
         "trip": options.name,
     }

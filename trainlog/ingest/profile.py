@@ -38,6 +38,8 @@ from trainlog.ingest.profile_parts import (
     TripOptions,
 )
 
+_ASSUMED = re.compile(r"(?P<zone>\S+) assumed: ")
+
 PROFILE_FORMAT = "trainlog/recorder-profile"
 
 
@@ -83,6 +85,21 @@ class Profile(Strict):
         if self.repair.switched_off:
             rows["switched off"] = ", ".join(self.repair.switched_off)
         return rows
+
+    @property
+    def clock(self) -> str | None:
+        """Where the time of trips comes from: as stated, or that its zone was assumed.
+
+        Proposals of earlier versions stored that statement under ``clock``: it holds only while
+        the zone is the one that it names.
+        """
+        zone = None if self.time is None else self.time.timezone
+        stored = _ASSUMED.match(self.trip.clock or "")
+        if self.trip.clock is not None and (stored is None or stored["zone"] == zone):
+            return self.trip.clock
+        if self.time is not None and self.time.assumed_timezone == zone:
+            return f"{zone} assumed: the file does not state a zone"
+        return None
 
     def recognises(self, head: bytes) -> bool:
         """Whether a file that begins with `head` is of this layout, by its [detect]."""

@@ -126,6 +126,9 @@ class TimeOptions(Strict):
         Of ``"epoch"`` and ``"elapsed"``.
     timezone : str
         Of times that name no offset: ``"UTC"``, ``"Europe/Zurich"``, ``"+02:00"``.
+    assumed_timezone : str
+        The zone that was proposed because the file states none. Trips state that it was assumed,
+        as long as it is `timezone`.
     start : datetime or "messages"
         Instant of elapsed time 0; ``"messages"``: as the receiver's messages of the same file give
         it (format ``"tagged"``).
@@ -138,6 +141,7 @@ class TimeOptions(Strict):
     format: str = "iso"
     unit: Literal["s", "ms", "us", "ns"] = "s"
     timezone: str = "UTC"
+    assumed_timezone: str | None = None
     start: datetime.datetime | Literal["messages"] | None = None
     date: datetime.date | None = None
 

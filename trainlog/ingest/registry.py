@@ -122,8 +122,8 @@ def format_by_profile(name: str, profile: Profile) -> Format:
         )
     reader = general[chosen]
     known = dict(profile.metadata)
-    if profile.trip.clock is not None:
-        known["clock"] = profile.trip.clock
+    if profile.clock is not None:
+        known["clock"] = profile.clock
 
     def read(path: Path, _: Profile | None) -> Sequence[Recording]:
         found = reader.read(path, profile)

@@ -400,9 +400,6 @@ def _toml(
         lines.append(
             '# start_position = { value = 0.2, unit = "km" }  # or "stations": by its stops'
         )
-    zone = found.get("time zone")
-    if zone is not None and zone.alternative:
-        lines.append(f"clock = {_quoted(f'{zone.taken} assumed: {zone.why}')}")
     return "\n".join([*lines, *trip_lines(work.trips)])
 
 
@@ -443,6 +440,11 @@ def _time_section(clock: Clock) -> list[str]:
         value = getattr(options, key)
         if value != getattr(default, key) or (key == "timezone" and options.format != "epoch"):
             lines.append(f"{key} = {_quoted(value)}")
+    if any(each.what == "time zone" and each.alternative for each in clock.readings):
+        lines += [
+            "# Trips state this assumption. Correct timezone, or remove this line if it is right:"
+        ]
+        lines.append(f"assumed_timezone = {_quoted(options.timezone)}")
     if isinstance(options.start, datetime.datetime):
         lines.append(f"start = {options.start.isoformat()}")
     if options.date is not None:
