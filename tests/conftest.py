@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import pickle
+import random
 import secrets
 import shutil
 import tempfile
@@ -12,7 +13,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import settings
@@ -38,6 +39,40 @@ settings.load_profile("trainlog")
 gc.set_threshold(20_000, 20, 50)
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    if hasattr(config, "workerinput"):
+        compile_once()
+
+
+def compile_once() -> None:
+    """Let one worker compile a kernel; the others wait for it and read what it has kept."""
+    try:
+        import fcntl
+    except ImportError:  # each compiles for itself, as on Windows
+        return
+    from numba.core.compiler_lock import global_compiler_lock
+    from numba.core.dispatcher import Dispatcher
+
+    compiled = Dispatcher.compile
+    held: set[Path] = set()
+
+    def compile_alone(kernel: Any, signature: Any) -> Any:
+        source = Path(kernel.py_func.__code__.co_filename)
+        with global_compiler_lock:
+            if source in held or not source.is_file():
+                return compiled(kernel, signature)
+            with source.open("rb") as lock:
+                fcntl.flock(lock, fcntl.LOCK_EX)
+                held.add(source)
+                try:
+                    return compiled(kernel, signature)
+                finally:
+                    held.remove(source)
+                    fcntl.flock(lock, fcntl.LOCK_UN)
+
+    Dispatcher.compile = compile_alone
+
+
 def pytest_collection_finish() -> None:
     gc.collect()
     gc.freeze()
@@ -49,6 +84,27 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help="write what the golden replays give now as their references; review the difference",
     )
+    parser.addoption(
+        "--shuffle",
+        type=int,
+        metavar="SEED",
+        help="run the modules, and the tests of each module, in the random order of a seed",
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    seed = config.getoption("--shuffle")
+    if seed is None:
+        return
+    order = random.Random(seed)
+    modules: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        modules.setdefault(item.path, []).append(item)
+    parts = list(modules.values())
+    order.shuffle(parts)
+    for part in parts:
+        order.shuffle(part)
+    items[:] = [item for part in parts for item in part]
 
 
 @pytest.fixture(scope="session", autouse=True)
