@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from rich.markup import escape
 
-from analysis.tables import MASS, NUMBER, Column, Quantity, Said, WordTable, new_table
+from trainlog.presentation import MASS, NUMBER, Column, Quantity, Said, WordTable, new_table
 from trainlog.units import clock
 
 if TYPE_CHECKING:
@@ -117,7 +116,7 @@ def found_table(frame: pd.DataFrame, found: int) -> WordTable:
     title = f"{found:,} rows" if found != 1 else "1 row"
     table = new_table(title, *map(str, frame.columns), name="found")
     for row in frame.itertuples(index=False):
-        table.add_row(*(escape(_shown(each)) for each in row))
+        table.add_row(*map(_shown, row))
     return table
 
 

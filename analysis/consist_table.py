@@ -7,10 +7,8 @@ from typing import TypeVar
 
 import numpy as np
 from rich.console import Group
-from rich.table import Table
-from rich.text import Text
 
-from analysis.tables import new_table
+from trainlog.presentation import WordTable, new_table
 from trainlog.railway.consist import Consist, Coupler, Vehicle
 from trainlog.units import KMH
 
@@ -20,17 +18,14 @@ Thing = TypeVar("Thing", Vehicle, Coupler)
 def consist_tables(consist: Consist) -> Group:
     """A consist as a person reads it: its vehicles, couplers and brake; equal ones together."""
     return Group(
-        Text(consist.name, style="bold"),
         _overview(consist),
         _vehicles(consist),
         *([_couplers(consist)] if consist.couplers else []),
     )
 
 
-def _overview(consist: Consist) -> Table:
-    table = Table.grid(padding=(0, 2))
-    table.add_column(style="dim")
-    table.add_column(overflow="fold")
+def _overview(consist: Consist) -> WordTable:
+    table = new_table(consist.name, "quantity", "value", name="consist", show_header=False)
     table.add_row("vehicles", f"{len(consist.vehicles)}, {consist.length:.1f} m over couplers")
     rotating = sum(vehicle.rotating_mass for vehicle in consist.vehicles)
     table.add_row("mass", f"{consist.mass / 1e3:.1f} t, rotating part {rotating / 1e3:.1f} t")
@@ -53,7 +48,7 @@ def _overview(consist: Consist) -> Table:
     return table
 
 
-def _vehicles(consist: Consist) -> Table:
+def _vehicles(consist: Consist) -> WordTable:
     table = new_table("Vehicles", "", "vehicle", "t", "m", "traction kN", "kW", "brake kN")
     for span, vehicle in _runs(consist.vehicles):
         power = vehicle.max_traction_power
@@ -69,7 +64,7 @@ def _vehicles(consist: Consist) -> Table:
     return table
 
 
-def _couplers(consist: Consist) -> Table:
+def _couplers(consist: Consist) -> WordTable:
     table = new_table("Couplers", "", "draft MN/m", "1/m²", "buff MN/m", "1/m²", "kN s/m", "slack")
     for span, coupler in _runs(consist.couplers):
         numbers = (*coupler.draft, *coupler.buff)

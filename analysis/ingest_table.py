@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from rich.console import Group
 
-from analysis.tables import new_table
 from trainlog.ingest import Ingested, Outcome
+from trainlog.presentation import new_table
 
 MOST_PASSED_OVER = 10
 """Files that are listed as passed over; of more the number is stated."""
@@ -28,7 +28,7 @@ def ingest_table(result: Ingested) -> Group:
     words += [f"passed over: {each.file}: {each.reason}" for each in others[:MOST_PASSED_OVER]]
     if len(others) > MOST_PASSED_OVER:
         words.append(f"passed over: {len(others) - MOST_PASSED_OVER} more files")
-    return Group(*([table] if table.row_count else []), *words, f"{result.sentence}.")
+    return Group(*([table] if table.rows else []), *words, f"{result.sentence}.")
 
 
 def _name(each: Outcome) -> str:

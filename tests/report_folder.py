@@ -8,7 +8,6 @@ from pathlib import Path
 
 from analysis.resistance.logs import fit
 from analysis.studies.report import as_markdown
-from analysis.tables import new_table
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line
@@ -18,6 +17,7 @@ from trainlog.formats.summaries import write_summaries
 from trainlog.formats.train import read_train
 from trainlog.formats.trajectory import write_trajectory
 from trainlog.mcap import read_log, write_log
+from trainlog.presentation import new_table
 from trainlog.railway import Configuration, Station, Trajectory
 from trainlog.trip import LINE_ATTACHMENT, Trip
 

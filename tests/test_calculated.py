@@ -13,13 +13,13 @@ import pytest
 from analysis.comparison.calculated import Calculation, calculate, judged_together
 from analysis.comparison.calculated_table import calculation_figure, calculation_tables
 from analysis.resistance import fit_trip
-from analysis.tables import as_page
 from trainlog import read_line, read_train
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import write_train
 from trainlog.mcap import read_log
+from trainlog.presentation import as_page
 from trainlog.railway import Configuration, ParameterSet, RunningResistance, Train
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.simulation.scenario import Scenario

@@ -13,12 +13,12 @@ import pytest
 from command import run
 
 import analysis
-from analysis.tables import new_table
 from trainlog.cli import demo, terminal
 from trainlog.errors import InputError
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
+from trainlog.presentation import new_table
 
 
 @pytest.fixture

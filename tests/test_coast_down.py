@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.resistance.coast_down import CoastDown, coast_down, without_gradient_table
+from analysis.resistance.coast_down import CoastDown, coast_down
 from analysis.resistance.coasting_fit import Curve, MassRatio, fit_segments, with_ratio
 from analysis.resistance.motion import motion_of, smoothed_over
 from analysis.resistance.plot import draw_without_gradient
@@ -470,7 +470,7 @@ def test_the_picture_of_unknown_gradients_is_drawn(tmp_path: Path) -> None:
         result = coast_down_without_gradient(trips, HILLY, spans)
         draw_without_gradient(result, tmp_path / f"{both}.png")
         assert (tmp_path / f"{both}.png").stat().st_size > 10_000
-        assert without_gradient_table(result).renderables
+        assert result.tables()[0].rows
 
 
 # ---------------------------------------------------------------------------------- real phones

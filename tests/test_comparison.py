@@ -16,13 +16,13 @@ from analysis.comparison.compare import Comparison, compare
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.plot import comparison_figure
 from analysis.comparison.table import comparison_data, comparison_tables
-from analysis.tables import as_page
 from trainlog import read_line, read_train
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log, write_log
+from trainlog.presentation import as_page
 from trainlog.railway import Configuration, Line, StepProfile, Trajectory
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.simulation.drivers import Habits, Stop, plan

@@ -26,11 +26,11 @@ from analysis.reports.fleet import FleetReportOptions, energy_sources, fleet_pag
 from analysis.reports.fleet_attention import FleetFacts, attention_parts
 from analysis.reports.fleet_condition import lowest_places
 from analysis.reports.page import Page, Section
-from analysis.tables import WordTable, records
 from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue
 from trainlog.formats.line import read_line
 from trainlog.formats.network import write_network
 from trainlog.formats.samples import DEFAULT_LINE, sample
+from trainlog.presentation import WordTable
 from trainlog.railway import Edge, Network, Node
 from trainlog.units import JOULES_PER_KWH
 
@@ -70,7 +70,7 @@ def table_of(page: Page, name: str) -> list[dict]:  # type: ignore[type-arg]
 
     every = [part for section in page.sections for part in parts(section)]
     (found,) = [part for part in every if isinstance(part, WordTable) and part.name == name]
-    return records(found)
+    return found.data
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +177,7 @@ def test_findings_and_trains_without_a_result_are_listed_with_what_to_do() -> No
     assert words[0].startswith("Nothing: ")
     assert "Too few trains of kind unit (2)" in words[1], "no finding is no all-clear"
     assert isinstance(table, WordTable)
-    rows = [(row["train"], row["trips"], row["what_to_do"]) for row in records(table)]
+    rows = [(row["train"], row["trips"], row["what_to_do"]) for row in table.data]
     release = "look for a friction brake that does not release"
     assert rows[0] == ("a", 2, release), "of its four trips two began since then"
     assert rows[1][2] == f"{release}; or check clock and filter of the recorded efforts"

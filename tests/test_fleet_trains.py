@@ -20,7 +20,6 @@ from analysis.fleet.resistance import KindResistance, TrainResistance, fleet_res
 from analysis.fleet.trains import FleetTrains, fleet_trains, trains_in
 from analysis.fleet.trains_table import trains_data, trains_table
 from analysis.reports.fleet_attention import FleetFacts, attention_parts
-from analysis.tables import records
 from trainlog.errors import InputError, NotIdentifiableError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "fleet"))
@@ -243,7 +242,7 @@ def test_of_two_trains_none_is_called_unlike_the_other_and_this_is_stated(tmp_pa
     found = fleet_trains(drawn_fleet(pool("flirt"), 13, trains=2, trips=10, faults=(fault,)))
     assert found.unlike.findings == ()
     assert all(np.isnan(each.constant) for each in found.unlike.limits)
-    rows = records(trains_table(found).renderables[1])
+    rows = trains_table(found).renderables[1].data
     assert all(row["against_kind"] is None for row in rows)
     assert [type(row["trips"]) for row in rows] == [int] * 3
     alone = found.only("flirt-01").unlike.train_months
@@ -298,7 +297,7 @@ def test_a_step_that_is_no_finding_is_stated() -> None:
         speed_scale=1.0 + 0.02 * (rows["start"] >= step.since), damage="", frozen=""
     )
     (table,) = attention_parts(FleetFacts(rows, "no curve", {}, checks))
-    assert "step of +2 %" in " ".join(row["what"] for row in records(table))
+    assert "step of +2 %" in " ".join(row["what"] for row in table.data)
 
 
 def test_table_and_picture_state_one_band_above_zero() -> None:
@@ -308,7 +307,7 @@ def test_table_and_picture_state_one_band_above_zero() -> None:
     assert high - curve(kind.another) == pytest.approx(kind.another.reach(SPEEDS))
     # Two trains show a spread less well than a normal distribution would have it.
     assert np.all(kind.another.reach(SPEEDS) > 2.3 * kind.another.std(SPEEDS))
-    rows = records(trains_table(fleet_trains(kind.rows)).renderables[1])
+    rows = trains_table(fleet_trains(kind.rows)).renderables[1].data
     another = next(row for row in rows if row["train"] == "another flirt")
     at = 80.0 / 3.6
     assert 1.96 * another["resistance_at_80_km_h_std_N"] == pytest.approx(

@@ -43,7 +43,6 @@ from analysis.fleet.update import (
     fleet_status,
     update_fleet,
 )
-from analysis.tables import records
 from trainlog import version
 from trainlog.catalogue import Catalogue, open_catalogue
 from trainlog.cli import main as cli
@@ -338,10 +337,10 @@ def test_trips_whose_logs_are_gone_are_counted_apart(
 def test_a_trip_without_a_result_is_listed_by_its_name_with_that_of_its_file() -> None:
     about = ("resistance", "refused", "trip 'flirt-01' is short")
     named = Problem("key", "/logs/trunc.mcap", *about, "flirt-01")
-    shown = records(problems_table([named]))
+    shown = problems_table([named]).data
     assert shown[0]["trip"] == "flirt-01 (trunc.mcap)"
     alike = replace(named, path="/logs/flirt-01.mcap")
-    assert records(problems_table([alike]))[0]["trip"] == "flirt-01"
+    assert problems_table([alike]).data[0]["trip"] == "flirt-01"
 
 
 # ---------------------------------------------------------------------------------------- maps

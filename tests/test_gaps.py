@@ -19,10 +19,10 @@ from analysis.comparison.compare import ComparedTrip, compare
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
 from analysis.comparison.table import comparison_tables
-from analysis.tables import as_page
 from trainlog import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log
+from trainlog.presentation import as_page
 from trainlog.railway import RunningResistance
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip

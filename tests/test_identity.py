@@ -21,7 +21,7 @@ from analysis.resistance import combine
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.combination import SAME_DRIVE, each_drive_once
 from analysis.resistance.fit import fit_trip
-from analysis.resistance.logs import fit, fit_table
+from analysis.resistance.logs import fit
 from trainlog.errors import InputError
 from trainlog.formats.condition import map_from_bytes, map_to_bytes
 from trainlog.formats.files import sha256_of
@@ -341,7 +341,7 @@ class TestFit:
         from rich.console import Console
 
         shown = Console(file=StringIO(), width=200)
-        shown.print(fit_table(fit([LOG, versions["reloaded"]])))
+        shown.print(*fit([LOG, versions["reloaded"]]).shown())
         text = shown.file.getvalue()  # type: ignore[attr-defined]
         assert "counted once: trip" in text
         assert "is the same drive as" in text

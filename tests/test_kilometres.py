@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from command import run
 from matplotlib.figure import Figure
-from rich.table import Table
 
 from analysis import plotting
 from analysis.adhesion import map_plot
@@ -22,6 +21,7 @@ from trainlog.errors import InputError
 from trainlog.formats.line import line_to_bytes, read_line, write_line
 from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.mcap import read_log, write_log
+from trainlog.presentation import WordTable
 from trainlog.railway import Line, LineReference
 from trainlog.railway.kilometres import in_km, km_ticks, position_of, section_of_km
 from trainlog.trip import LINE_ATTACHMENT
@@ -128,15 +128,15 @@ def test_a_report_names_a_place_by_the_same_kilometre(
     found = list[SlipAnalysis]()
     monkeypatch.setattr(report, "slip", lambda trip: found.append(slip(trip)) or found[-1])
     tables = {
-        section.title: [part for part in section.parts if isinstance(part, Table)]
+        section.title: [part for part in section.parts if isinstance(part, WordTable)]
         for section in report.trip_sections(folder / "trip.mcap")
     }
     (stops,) = tables["Stops and stations"]
-    names, kilometres = (list(stops.columns[row].cells) for row in (0, 1))
+    names, kilometres = ([each[column] for each in stops.words] for column in (0, 1))
     row = names.index("Flawil")
-    assert float(str(kilometres[row])) == pytest.approx(expected(FLAWIL), abs=0.02)
+    assert float(kilometres[row]) == pytest.approx(expected(FLAWIL), abs=0.02)
     events = tables["Slip"][-1]
-    listed = [float(str(each)) for each in events.columns[1].cells]
+    listed = [float(each[1]) for each in events.words]
     places = [expected(each) for each in found[0].events["position"]]
     assert listed
     assert all(min(abs(each - place) for place in places) < 0.001 for each in listed)

@@ -32,7 +32,7 @@ def described(trip: Trip, folder: Path) -> LogDescription:
 
 def printed(description: LogDescription) -> str:
     console = Console(file=StringIO(), width=140)
-    console.print(render(description))
+    console.print(*render(description))
     assert isinstance(console.file, StringIO)
     return console.file.getvalue()
 

@@ -27,12 +27,12 @@ from analysis.network.maps import (
     update_network_map,
 )
 from analysis.reports.fleet_condition import condition_parts
-from analysis.tables import WordTable, records
 from trainlog.cli.main import app
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import sha256_of
 from trainlog.formats.line import line_to_bytes, read_line
 from trainlog.formats.samples import sample
+from trainlog.presentation import WordTable
 from trainlog.railway import Edge, Line, Network, Node
 
 WHOLE = read_line(sample("CH_StGallen_Wil.line.json"))
@@ -251,7 +251,7 @@ def test_a_report_and_the_command_state_one_band_of_the_evidence_before_a_time(
             for part in condition_parts(maps, None, at)
             if isinstance(part, WordTable) and part.name == "lowest_wet"
         )
-        first = records(table)[0]
+        first = table.data[0]
         assert (first["edge"], first["expected"]) == (
             lowest["edge"],
             pytest.approx(lowest["lowest"]),

@@ -25,7 +25,6 @@ from analysis.reports.page import Commands, Page, Section
 from analysis.reports.pictures import DARK, LIGHT, drawn, inline
 from analysis.reports.trip import Motion, Zone, known_zone, station_calls
 from analysis.resistance.logs import fit
-from analysis.tables import kwh
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.attached import line_of
 from trainlog.formats.parameters import write_parameters
@@ -33,6 +32,7 @@ from trainlog.formats.samples import sample
 from trainlog.formats.summaries import write_summaries
 from trainlog.formats.trajectory import write_trajectory
 from trainlog.mcap import read_log, write_log
+from trainlog.presentation import kwh
 
 
 class _Outline(HTMLParser):

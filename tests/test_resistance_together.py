@@ -24,7 +24,7 @@ from analysis.resistance import (
 )
 from analysis.resistance.combination import nearest_physical
 from analysis.resistance.fit import History
-from analysis.resistance.logs import AllRefusedError, fit, fit_table
+from analysis.resistance.logs import AllRefusedError, fit
 from analysis.resistance.plot import draw_each_refused, draw_fits, draw_refused, draw_trip
 from analysis.resistance.recording import SpeedScale, Timeline
 from analysis.resistance.regression import Residuals, powers
@@ -305,7 +305,7 @@ def test_a_power_that_no_trip_shows_is_said_to_be_the_files(tmp_path: Path) -> N
     fits = fit([tmp_path / "trip.mcap"])
     power = f"the train file's {TRAIN.max_traction_power / 1e3:.0f} kW is taken"
     shown = StringIO()
-    Console(file=shown, width=200).print(fit_table(fits))
+    Console(file=shown, width=200).print(*fits.shown())
     assert f"no trip shows its power: {power}." in shown.getvalue()
     write_parameters(fits.parameters, tmp_path / "set.json")
     assert power in read_parameters(tmp_path / "set.json").assumed_power
@@ -362,7 +362,7 @@ def test_a_cover_that_is_no_fraction_and_a_set_of_none_are_refused() -> None:
 
 def test_one_configuration_of_one_trip_is_stated_in_the_singular() -> None:
     fits = fit(sample("nonstop.mcap"))
-    words = fit_table(fits).renderables
+    words = fits.shown()
     assert any("1 configuration stands for 1 trip: its worst" in str(each) for each in words)
     assert "1 configuration, whose worst case bounds" in repr(fits)
 

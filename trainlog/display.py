@@ -19,12 +19,15 @@ WIDTH, HEIGHT = 480, 110
 COLOURS = ("#1f6f8b", "#c8553d", "#6a8d3f", "#8a6fb0")
 """Of the curves of a picture, in order."""
 
+MOST_LINES = 10
+"""Of the text of an object."""
+
 _MOST_POINTS = 600
 """Of a curve: more than there are pixels show nothing more."""
 
 
 def as_text(title: str, rows: Mapping[str, str]) -> str:
-    """A title, and a line a row under it.
+    """A title, and a line per row under it: at most ten lines.
 
     Examples
     --------
@@ -34,9 +37,10 @@ def as_text(title: str, rows: Mapping[str, str]) -> str:
       stations  2
     """
     width = max(map(len, rows), default=0)
-    return "\n".join(
-        [title, *(f"  {name:<{width}}  {said}".rstrip() for name, said in rows.items())]
-    )
+    lines = [title, *(f"  {name:<{width}}  {said}".rstrip() for name, said in rows.items())]
+    if len(lines) > MOST_LINES:
+        lines[MOST_LINES - 1 :] = [f"  and {len(lines) - MOST_LINES + 1} more"]
+    return "\n".join(lines)
 
 
 def as_html(title: str, rows: Mapping[str, str], picture: str = "") -> str:

@@ -20,13 +20,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from rich.table import Table
 
-from analysis.tables import new_table
 from trainlog.arrays import FloatArray
 from trainlog.display import as_html, as_text, counted
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.characteristic import read_adhesion_points
+from trainlog.presentation import WordTable, new_table
 from trainlog.railway.adhesion import (
     AdhesionCharacteristic,
     AdhesionPoints,
@@ -438,7 +437,7 @@ def _uncertainty(
     return std, (float(min(low, flat[0])), float(max(high, flat[-1])))
 
 
-def characteristic_table(fit: CharacteristicFit) -> Table:
+def characteristic_table(fit: CharacteristicFit) -> WordTable:
     """The fit as a table: maximum, optimum, slope, and what each family leaves of the points."""
     table = new_table(
         f"Adhesion characteristic: {NAMES[fit.family]}", "quantity", "value", name="summary"

@@ -32,7 +32,6 @@ from analysis.adhesion.evidence import (
 )
 from analysis.adhesion.slip import TOPICS, SlipAnalysis, slip
 from analysis.given import Given, each_given
-from analysis.tables import new_table
 from trainlog import __version__
 from trainlog.condition import estimated
 from trainlog.display import counted
@@ -50,6 +49,7 @@ from trainlog.identity import (
 )
 from trainlog.mcap import read_log
 from trainlog.mcap.reader import identity_of_log, stretches
+from trainlog.presentation import new_table
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.line import Line
@@ -187,7 +187,7 @@ class UpdatedMap:
         return repr(self.track) + (f"\n  held already: {skipped}" if skipped else "")
 
     def _repr_html_(self) -> str:
-        from analysis.tables import as_page
+        from trainlog.presentation import as_page
 
         return self.track._repr_html_() + as_page(map_table(self.track))
 

@@ -20,11 +20,11 @@ from analysis.adhesion.condition_table import (
     near,
     plain_rows,
 )
-from analysis.tables import as_page, new_table
 from trainlog.arrays import BoolArray, FloatArray
 from trainlog.condition import estimated
 from trainlog.display import counted
 from trainlog.errors import InputError
+from trainlog.presentation import as_page, new_table
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.line import Line

@@ -20,10 +20,10 @@ from analysis.adhesion.condition_table import (
     plain_rows,
     probability_words,
 )
-from analysis.tables import as_page, new_table
 from trainlog.arrays import IntArray
 from trainlog.condition import estimated
 from trainlog.errors import InputError
+from trainlog.presentation import as_page, new_table
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.line import Line
 

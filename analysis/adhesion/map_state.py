@@ -26,7 +26,6 @@ from analysis.adhesion.condition_table import (
     probability_words,
     spots_table,
 )
-from analysis.tables import as_page, new_table
 from trainlog.condition import day_of_trip, known_before, left_out
 from trainlog.display import counted
 from trainlog.errors import TrainlogError
@@ -35,6 +34,7 @@ from trainlog.formats.line import read_line
 from trainlog.formats.mapfile import MapFile
 from trainlog.formats.samples import names, sample
 from trainlog.mcap import read_log
+from trainlog.presentation import as_page, new_table
 from trainlog.railway.condition import ConditionLayer, ModelParameter, TrackConditionMap
 from trainlog.railway.line import Line
 

@@ -96,7 +96,7 @@ class Calculation:
 
     def _repr_html_(self) -> str:
         from analysis.comparison.calculated_table import calculation_tables
-        from analysis.tables import as_page
+        from trainlog.presentation import as_page
 
         return as_page(*calculation_tables(self))
 

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from rich.console import RenderableType
-from rich.table import Table
 
 from analysis.comparison.calculated import Calculation, distinct
 from analysis.comparison.diagnosis import Diagnosis
 from analysis.comparison.prediction import WIDEST
 from analysis.plotting import BLUE, GREY, INK, ORANGE, dress, headline, km_axis, legend, new_figure
-from analysis.tables import new_table
 from trainlog.display import counted
+from trainlog.presentation import WordTable, new_table
 from trainlog.units import JOULES_PER_KWH, KMH
 
 
@@ -55,7 +54,7 @@ def together_words(found: Sequence[Calculation], together: Diagnosis) -> str:
     return words + (f"; sections of {of} are outside of the 95 % band" if outside else "")
 
 
-def sections_table(found: Calculation) -> Table:
+def sections_table(found: Calculation) -> WordTable:
     """Running time, speed and tractive work of each section, measured and calculated."""
     table = new_table(
         f"Trip '{found.trip}' against the {found.model}: ± is half the 95 % band",
@@ -93,7 +92,7 @@ def _with_band(value: float, std: float, unit: float, digits: int) -> str:
     return f"{value / unit:.{digits}f} ± {1.96 * std / unit:.{digits}f}"
 
 
-def explained_table(found: Calculation) -> Table:
+def explained_table(found: Calculation) -> WordTable:
     """Share of the squared residual work that each cause explains."""
     table = new_table(
         f"Residuals: {found.residual / JOULES_PER_KWH:.3f} kWh (RMS) in 500 m; explained by",

@@ -126,7 +126,7 @@ class Comparison:
 
     def _repr_html_(self) -> str:
         from analysis.comparison.table import comparison_tables
-        from analysis.tables import as_page
+        from trainlog.presentation import as_page
 
         return as_page(*comparison_tables(self))
 

@@ -13,11 +13,11 @@ from analysis.adhesion.events import protection_onsets
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.reading import described, pieces_of
 from analysis.given import Given, each_given
-from analysis.tables import kwh, new_table
 from trainlog.display import as_text, counted
 from trainlog.errors import LogError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.mcap import read_log
+from trainlog.presentation import kwh, new_table
 from trainlog.railway import Line, Train
 from trainlog.railway.train import NOMINAL
 from trainlog.topics import EVENTS, REFERENCE, TRAIN_SLIP_PROTECTION
@@ -257,7 +257,7 @@ class GroupComparison:
         return as_text(self._title, self._summary())
 
     def _repr_html_(self) -> str:
-        from analysis.tables import as_page
+        from trainlog.presentation import as_page
 
         return as_page(savings_table(self))
 

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from rich.console import RenderableType
-from rich.table import Table
 
 from analysis.comparison.compare import ComparedDirection, ComparedTrip, Comparison
-from analysis.tables import new_table
+from trainlog.presentation import WordTable, new_table
 from trainlog.railway.kilometres import in_km
 from trainlog.units import JOULES_PER_KWH, KMH
 
@@ -36,7 +35,7 @@ def comparison_tables(found: Comparison, listed: int = LISTED) -> list[Renderabl
     return parts
 
 
-def trips_table(found: ComparedDirection) -> Table:
+def trips_table(found: ComparedDirection) -> WordTable:
     """Each trip as a whole: part of the line, times, energy, time lost by cause."""
     planned = "the trajectory" if found.reference.planned else f"'{found.reference.name}'"
     table = new_table(
@@ -101,7 +100,7 @@ def _energy(joules: float) -> str:
     return f"{joules / JOULES_PER_KWH:.1f}" if math.isfinite(joules) else "-"
 
 
-def sections_table(found: ComparedDirection) -> Table:
+def sections_table(found: ComparedDirection) -> WordTable:
     """Running time by section, and dwell at the station behind it, side by side."""
     table = new_table(
         f"{found.line.name}, {found.direction}: running time by section + dwell at its end"
@@ -128,7 +127,7 @@ def _section_cell(each: ComparedTrip, name: str) -> str:
     return words + (f" ({lost:+.0f})" if math.isfinite(lost) else "")
 
 
-def losses_table(found: ComparedDirection, listed: int = LISTED) -> Table:
+def losses_table(found: ComparedDirection, listed: int = LISTED) -> WordTable:
     """Where most time was lost, and why; then where most was gained."""
     every = found.losses()
     large = every[every["lost"].abs() >= SMALL]
@@ -162,7 +161,7 @@ def _driving_known(each: ComparedTrip) -> bool:
     return bool(each.table[["coasting", "slips", "reference_rms"]].notna().any(axis=None))
 
 
-def driving_table(found: ComparedDirection) -> Table:
+def driving_table(found: ComparedDirection) -> WordTable:
     """How each trip was driven: coasting, excess speed, slip, how well advice was kept."""
     table = new_table(
         f"{found.line.name}, {found.direction}: how it was driven",

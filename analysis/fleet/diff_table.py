@@ -10,8 +10,8 @@ import pandas as pd
 from analysis.fleet.diff import FleetDiff
 from analysis.fleet.diff_judgement import CLASSES, RATE, REACH, WITHOUT_BAND
 from analysis.fleet.update import EVIDENCE
-from analysis.tables import NUMBER, Column, Quantity, WordTable, new_table, with_band
 from trainlog.display import counted
+from trainlog.presentation import NUMBER, Column, Quantity, WordTable, new_table, with_band
 from trainlog.units import JOULES_PER_KWH
 
 MOST = 20
@@ -39,7 +39,6 @@ def counts_table(found: FleetDiff) -> WordTable:
         f"Trips of {found.second} against {found.first}", "analysis", Column("trips", NUMBER),
         *(Column(_HEADINGS[each], NUMBER, each) for each in CLASSES), name="trips",
         caption="Beyond the band: an estimate at least, or one side alone has a result.",
-        caption_justify="left",
     )  # fmt: skip
     for row in found.trip_counts.to_dict("records"):
         table.add_cells(row["analysis"], row["trips"], *(row[each] for each in CLASSES))
@@ -53,7 +52,6 @@ def estimates_table(found: FleetDiff, *, changed: bool = True) -> WordTable:
         *(Column(_HEADINGS[each], NUMBER, each) for each in CLASSES),
         Column("bands, second over first", _BANDS, "band_ratio"), name="estimates",
         caption=JUDGED,
-        caption_justify="left",
     )  # fmt: skip
     for row in found.estimates.to_dict("records"):
         if changed and not row["within"] + row["beyond"]:
@@ -75,7 +73,6 @@ def means_table(found: FleetDiff, most: int = MOST) -> WordTable:
         "beyond the band", name="means",
         caption=f"False discovery rate {RATE:.0%} among {len(found.means):,} means."
         + _more(len(rows), most),
-        caption_justify="left",
     )  # fmt: skip
     for row in rows.head(most).to_dict("records"):
         name = "all trips" if row["of"] == "all trips" else f"{row['of']} {row['name']}"
@@ -94,7 +91,7 @@ def moved_table(found: FleetDiff, most: int = MOST) -> WordTable:
     table = new_table(
         "Estimates that moved beyond their band", "trip", "train", "place", "analysis", "estimate",
         "first side", "second side", Column("difference over its band", _BANDS, "bands"),
-        name="moved", caption=_more(len(found.moved), most).strip() or None, caption_justify="left",
+        name="moved", caption=_more(len(found.moved), most).strip() or None,
     )  # fmt: skip
     for row in found.moved.head(most).to_dict("records"):
         unit = f" {row['unit']}" if row["unit"] else ""
@@ -112,7 +109,6 @@ def verdicts_table(found: FleetDiff, most: int = MOST) -> WordTable:
     table = new_table(
         "Given by one side alone", "trip", "train", "analysis", "first side", "second side",
         name="verdicts", caption=_more(len(found.verdicts), most).strip() or None,
-        caption_justify="left",
     )  # fmt: skip
     for row in found.verdicts.head(most).to_dict("records"):
         table.add_row(*(str(row[each] or "") for each in VERDICT_COLUMNS))
@@ -128,7 +124,6 @@ def places_table(found: FleetDiff, most: int = MOST) -> WordTable:
         "Places of the track-condition map that moved", "line or edge", "rail", "from, km",
         "to, km", "first side", "second side", Column("difference over its band", _BANDS, "bands"),
         name="places", caption=_more(len(found.places), most).strip() or None,
-        caption_justify="left",
     )  # fmt: skip
     rows = found.places.sort_values("bands", ascending=False) if len(found.places) else found.places
     for row in rows.head(most).to_dict("records"):
@@ -145,7 +140,7 @@ def words_table(found: FleetDiff, most: int = MOST) -> WordTable:
     """Texts of trips that differ."""
     table = new_table(
         "Texts that differ", "trip", "analysis", "text", "first side", "second side", name="words",
-        caption=_more(len(found.words), most).strip() or None, caption_justify="left",
+        caption=_more(len(found.words), most).strip() or None,
     )  # fmt: skip
     for row in found.words.head(most).to_dict("records"):
         names = ("trip", "analysis", "estimate", "first", "second")
@@ -159,7 +154,7 @@ def tables(found: FleetDiff) -> list[WordTable]:
         counts_table(found), means_table(found), verdicts_table(found), places_table(found),
         moved_table(found), estimates_table(found), words_table(found),
     ]  # fmt: skip
-    return [each for each in every if each.row_count]
+    return [each for each in every if each.rows]
 
 
 def sentence(found: FleetDiff) -> str:

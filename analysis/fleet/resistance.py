@@ -9,7 +9,7 @@ with few is drawn towards its kind, and one without any has the kind's, as wide 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,11 +27,12 @@ from analysis.resistance.combination import (
     nearest_physical,
     node_curves,
 )
-from analysis.resistance.fit import curve_picture, curve_words
+from analysis.resistance.fit import CURVE_COLUMNS, RESISTANCE_COLUMN, curve_picture, curve_words
 from analysis.resistance.regression import CONFIDENCE, band_factor, curve_std
 from trainlog.arrays import FloatArray, IntArray
-from trainlog.display import as_html, as_text, counted
+from trainlog.display import counted
 from trainlog.errors import InputError, NotIdentifiableError
+from trainlog.presentation import NUMBER, Column, Presented, WordTable, new_table
 from trainlog.railway.resistance import RunningResistance
 from trainlog.units import KMH
 
@@ -68,8 +69,21 @@ FEWEST_COMPARED = 3
 mean, whichever of them is at fault."""
 
 
-@dataclass(frozen=True, eq=False)
-class TrainResistance:
+def curve_table(curves: Iterable[TrainResistance], title: str) -> WordTable:
+    """A row per curve."""
+    return new_table(
+        title,
+        Column("train", of=lambda one: one.train or "all"),
+        Column("kind"),
+        Column("trips", NUMBER),
+        *CURVE_COLUMNS,
+        RESISTANCE_COLUMN,
+        name="trains",
+    ).add_rows(curves)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TrainResistance(Presented):
     """A curve with its uncertainty: of a train, or of a kind of train.
 
     Attributes
@@ -95,16 +109,23 @@ class TrainResistance:
     freedom: float
     asked: tuple[float, float]
 
-    def __repr__(self) -> str:
-        return as_text(self._title, {"curve": curve_words(self)})
-
-    def _repr_html_(self) -> str:
-        return as_html(self._title, {"curve": curve_words(self)}, curve_picture(self))
-
     @property
-    def _title(self) -> str:
+    def title(self) -> str:
+        """Train or kind, and number of trips."""
         whose = f"train {self.train}" if self.train else f"a {self.kind}"
         return f"Running resistance of {whose} on {counted(self.trips, 'trip')}"
+
+    def summary(self) -> dict[str, str]:
+        """The curve."""
+        return {"curve": curve_words(self)}
+
+    def tables(self) -> list[WordTable]:
+        """The row of the curve."""
+        return [curve_table([self], self.title)]
+
+    def sketch(self) -> str:
+        """The curve with its band."""
+        return curve_picture(self)
 
     def std(self, speed: ArrayLike) -> FloatArray:
         """Standard deviation of the curve [N] at each speed [m/s]."""
@@ -127,7 +148,7 @@ class TrainResistance:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class KindResistance:
+class KindResistance(Presented):
     """The trains of one kind.
 
     Attributes
@@ -166,14 +187,27 @@ class KindResistance:
     width: pd.Timedelta
     effects: MixedEffects
 
-    def __repr__(self) -> str:
+    @property
+    def title(self) -> str:
+        """Number of trains, and their kind."""
+        return f"{counted(len(self.trains), 'train')} of kind {self.kind}"
+
+    def summary(self) -> dict[str, str]:
+        """The mean, and how trains differ."""
         top = self.mean.asked[1]
         spread = float(curve_std(self.between, top)) / 1e3
-        rows = {
+        return {
             "mean": curve_words(self.mean),
             "between trains": f"{spread:.2f} kN at {KMH * top:.0f} km/h",
         }
-        return as_text(f"{counted(len(self.trains), 'train')} of kind {self.kind}", rows)
+
+    def tables(self) -> list[WordTable]:
+        """A row for the mean and each train."""
+        return [curve_table([self.mean, *self.trains], self.title)]
+
+    def sketch(self) -> str:
+        """The mean with its band."""
+        return curve_picture(self.mean)
 
     @property
     def compared(self) -> bool:
@@ -186,7 +220,7 @@ class KindResistance:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FleetResistance:
+class FleetResistance(Presented):
     """Running resistance of a fleet.
 
     Attributes
@@ -200,13 +234,22 @@ class FleetResistance:
     kinds: tuple[KindResistance, ...]
     refused: pd.DataFrame
 
-    def __repr__(self) -> str:
-        rows = {
+    @property
+    def title(self) -> str:
+        """What it is."""
+        return "Running resistance of a fleet"
+
+    def summary(self) -> dict[str, str]:
+        """The mean of each kind."""
+        return {
             each.kind: f"{counted(len(each.trains), 'train')},"
             f" {counted(each.mean.trips, 'trip')}; {curve_words(each.mean)}"
             for each in self.kinds
         }
-        return as_text("Running resistance of a fleet", rows)
+
+    def tables(self) -> list[WordTable]:
+        """A row for the mean of each kind."""
+        return [curve_table([each.mean for each in self.kinds], self.title)]
 
     def __iter__(self) -> Iterator[KindResistance]:
         return iter(self.kinds)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from analysis.fleet.update import Counts, FleetStatus, Problem
-from analysis.tables import NUMBER, Column, WordTable, new_table
+from trainlog.presentation import NUMBER, Column, WordTable, new_table
 
 FEW = 5
 """Trips without a result up to which each has a row."""

@@ -12,8 +12,8 @@ from analysis.fleet.drift import Drift
 from analysis.fleet.resistance import KindResistance, TrainResistance
 from analysis.fleet.trains import FleetTrains
 from analysis.fleet.unlike import Finding, Limit
-from analysis.tables import FORCE, NUMBER, SHARE, Band, Column, Said, WordTable, new_table
 from trainlog.display import counted
+from trainlog.presentation import FORCE, NUMBER, SHARE, Band, Column, Said, WordTable, new_table
 from trainlog.units import KMH
 
 AT = 80.0 / KMH
@@ -37,7 +37,6 @@ def trains_table(found: FleetTrains) -> Group:
     for kind in found.resistance:
         for train in (*kind.trains, kind.another):
             table.add_cells(*_cells(found, kind, train))
-    table.caption_justify = "left"
     table.caption = "± half the 95 % band"
     tables = table, findings_table(found), limits_table(found)
     return Group(found.too_few, *tables) if found.too_few else Group(*tables)
@@ -103,7 +102,6 @@ def findings_table(found: FleetTrains) -> WordTable:
             each.against,
             Said(each.p, f"{each.p:.0e}"),
         )
-    table.caption_justify = "left"
     table.caption = (
         f"A healthy train raises an alarm in at most {100.0 * unlike.rate:g} % of months."
     )
@@ -141,7 +139,6 @@ def limits_table(found: FleetTrains) -> WordTable:
                 for which in ("change", "constant")
             )
             table.add_cells(kind.kind, name, change, constant, reason)
-    table.caption_justify = "left"
     table.caption = (
         "A fault of this size is seen in 9 of 10 cases, on the train of the kind that shows it"
         " least."

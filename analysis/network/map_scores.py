@@ -6,10 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.table import Table
-
 from analysis.network.maps import LogOnEdges, NetworkMap
-from analysis.tables import new_table
 from analysis.verification.scoring import (
     LeftOut,
     Score,
@@ -22,6 +19,7 @@ from analysis.verification.verify import Forecaster, Verification
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import sha256_of
+from trainlog.presentation import WordTable, new_table
 
 if TYPE_CHECKING:
     from analysis.adhesion.evidence import Evidence
@@ -197,7 +195,7 @@ def _whole(
     )
 
 
-def edges_table(edges: Mapping[str, Verification]) -> Table:
+def edges_table(edges: Mapping[str, Verification]) -> WordTable:
     """How good the forecasts of each edge were, all rail conditions together."""
     table = new_table(
         "By edge, all rail conditions (95 % band by day)",

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from rich.table import Table
 
 from analysis.adhesion.condition_table import shown
 from analysis.network.maps import NetworkMap
 from analysis.network.plot import AlongEdge, draw_network
-from analysis.tables import new_table
 from trainlog.errors import InputError
+from trainlog.presentation import WordTable, new_table
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.network import Network
 
@@ -83,7 +82,7 @@ def network_rows(
     return rows
 
 
-def network_table(maps: NetworkMap, rows: list[dict[str, Any]]) -> Table:
+def network_table(maps: NetworkMap, rows: list[dict[str, Any]]) -> WordTable:
     """The rows of `network_rows` as a table."""
     name = maps.network.name if maps.network is not None else maps.folder.name
     table = new_table(

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from rich.console import Group
 
-from analysis.tables import POSITION, SPEED, Column, Quantity, Said, WordTable, new_table
 from trainlog.display import counted
+from trainlog.presentation import POSITION, SPEED, Column, Quantity, Said, WordTable, new_table
 from trainlog.railway import Line
 from trainlog.railway.network import Edge, Network, Route, assumed_on
 from trainlog.units import KMH

@@ -12,8 +12,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
-
 from analysis.comparison.groups import TripCost, compare_groups, savings_table, trip_cost
 from analysis.plotting import BLUE
 from analysis.reports.charts import WITHOUT_BOKEH, Chart, Curve, Panel, as_part, rows_to_draw
@@ -28,7 +26,6 @@ from analysis.reports.results import (
 )
 from analysis.reports.summary import report, report_table
 from analysis.reports.trip import Motion, Zone, limit_curve, trip_sections
-from analysis.tables import kwh, new_table
 from trainlog import __version__
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
@@ -44,6 +41,7 @@ from trainlog.formats.files import (
 )
 from trainlog.formats.mapfile import MapFile
 from trainlog.mcap import read_log
+from trainlog.presentation import WordTable, kwh, new_table
 from trainlog.progress import note
 from trainlog.railway import Line
 from trainlog.railway.kilometres import in_km
@@ -330,8 +328,8 @@ def _summed_up(folder: Path) -> list[Part]:
         return []
     table = report_table(rows)
     shown = new_table("Summary", "", "result")
-    for first, words in zip(*(list(each.cells) for each in table.columns[:2]), strict=True):
-        shown.add_row(str(first), str(words))
+    for first, words, *_ in table.words:
+        shown.add_row(first, words)
     return [shown]
 
 
@@ -380,7 +378,7 @@ def _trips(
             continue
         if curve is not None and len(curves) < MOST_DRAWN:
             curves.append(curve)
-    if not table.row_count:
+    if not table.rows:
         return None
     parts: list[Part] = [_overlaid(group, curves, lines)] if curves else []
     words = f"One of them in full: trainlog report {group}/{logs[0].name} -o trip.html"
@@ -388,7 +386,7 @@ def _trips(
 
 
 def _add_trip(
-    table: Table, log: Path, zone: Zone, lines: dict[str, Line], *, first: bool
+    table: WordTable, log: Path, zone: Zone, lines: dict[str, Line], *, first: bool
 ) -> Curve | None:
     """A row of a trip, and its speed over km."""
     trip = read_log(log, {name: ["position", "speed"] for name in POSITION_TOPICS})
@@ -475,7 +473,7 @@ def origin(files: Sequence[Path], folder: Path, command: str) -> Section:
         _COMMANDS[name].format(_some(made)) for name, made in made_by.items() if name in _COMMANDS
     ]
     commands.append(command)
-    parts: list[Part] = [table, *([steps] if steps.row_count else [])]
+    parts: list[Part] = [table, *([steps] if steps.rows else [])]
     parts.append("Commands, without the options that the files do not state:")
     parts.append(Commands(tuple(commands)))
     parts.append(f"This page: trainlog {__version__}; SI units inside, km, km/h, ‰ and kWh shown.")

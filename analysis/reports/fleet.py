@@ -23,18 +23,10 @@ from analysis.reports.fleet_attention import FleetFacts, attention_parts
 from analysis.reports.fleet_trains import drift_parts, resistance_parts, unlike_parts
 from analysis.reports.page import Page, Part, Section, Warned
 from analysis.reports.pictures import Picture, drawn
-from analysis.tables import (
-    DURATION,
-    NUMBER,
-    SHARE,
-    Column,
-    Quantity,
-    WordTable,
-    new_table,
-)
 from trainlog.arrays import BoolArray
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
+from trainlog.presentation import DURATION, NUMBER, SHARE, Column, Quantity, WordTable, new_table
 from trainlog.progress import note
 from trainlog.units import JOULES_PER_KWH
 from trainlog.version import __version__, code_version
@@ -257,7 +249,7 @@ def _grouped(trips: pd.DataFrame, title: str, keys: pd.Series) -> WordTable:
     table = new_table(
         f"By {title}", name, Column("trips", NUMBER), *trains, Column("distance", DISTANCE),
         Column("time", HOURS), *damaged,
-        name=f"by_{name}", caption=_more(len(found) - len(kept)), caption_justify="left",
+        name=f"by_{name}", caption=_more(len(found) - len(kept)),
     )  # fmt: skip
     for key, row in kept.sort_index().iterrows():
         table.add_cells(
@@ -377,7 +369,6 @@ def _energy_table(found: pd.DataFrame, what: str) -> WordTable:
         Column("from the line", PER_KM, "from_the_line"),
         Column("slip protection acted, times", NUMBER, "slips"),
         name=f"energy_by_{what.split(' ')[0]}", caption=_more(len(found) - len(kept)),
-        caption_justify="left",
     )  # fmt: skip
     for name, row in kept.sort_index().iterrows():
         table.add_cells(
@@ -451,7 +442,7 @@ def _refused(fleet: _Fleet) -> list[Part]:
             trains = rows["train"].nunique()
             reason = first["reason"].removeprefix(f"trip '{first['name']}': ")
             table.add_cells(name, str(state), len(rows), trains, reason, first["name"])
-    return [table] if table.row_count else ["Every analysis has a result of every trip."]
+    return [table] if table.rows else ["Every analysis has a result of every trip."]
 
 
 def _quality(fleet: _Fleet) -> list[Part]:
@@ -479,7 +470,7 @@ def _quality(fleet: _Fleet) -> list[Part]:
             numbers.add_row(
                 words, *(f"{each:.3g}" for each in (*np.quantile(known, (0.5, 0.95)), known.max()))
             )
-    nothing = ["Nothing is doubtful."] if not table.row_count else [table]
+    nothing = ["Nothing is doubtful."] if not table.rows else [table]
     return [*nothing, numbers]
 
 

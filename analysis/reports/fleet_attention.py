@@ -12,8 +12,8 @@ from analysis.fleet.channels import CHANNELS, raw_step
 from analysis.fleet.trains import FleetTrains
 from analysis.fleet.unlike import Step
 from analysis.reports.page import Part, Warned
-from analysis.tables import NUMBER, Column, new_table
 from trainlog.display import counted
+from trainlog.presentation import NUMBER, Column, new_table
 
 MOST_ROWS = 60
 """Rows of the table; the others are counted."""
@@ -82,7 +82,7 @@ def attention_parts(facts: FleetFacts) -> list[Part]:
     more = len(rows) - MOST_ROWS
     table = new_table(
         "", "train", "what", "since", Column("trips", NUMBER), "what to do", name="attention",
-        caption=f"{more:,} more" if more > 0 else None, caption_justify="left",
+        caption=f"{more:,} more" if more > 0 else None,
     )  # fmt: skip
     for train, what, since, trips, todo in rows[:MOST_ROWS]:
         table.add_cells(train, what, since, trips, todo)

@@ -12,11 +12,11 @@ import pandas as pd
 from analysis.adhesion.condition_table import bins_table
 from analysis.reports.page import Part, Warned
 from analysis.reports.pictures import drawn
-from analysis.tables import NUMBER, POSITION, SHARE, Column, Quantity, WordTable, new_table
 from trainlog.condition import known_before
 from trainlog.display import counted
 from trainlog.errors import TrainlogError
 from trainlog.formats.condition import read_map
+from trainlog.presentation import NUMBER, POSITION, SHARE, Column, Quantity, WordTable, new_table
 from trainlog.railway import Network
 
 ADHESION = Quantity("", "", 1.0, 3)

@@ -9,7 +9,7 @@ from analysis.fleet.trains import FleetTrains
 from analysis.fleet.trains_table import findings_table, limits_table, trains_table
 from analysis.reports.page import Part, Warned
 from analysis.reports.pictures import drawn
-from analysis.tables import new_table
+from trainlog.presentation import new_table
 
 MOST_ROWS = 60
 """Channels that drift, of which a table lists at most so many."""
@@ -69,7 +69,7 @@ def drift_parts(found: FleetTrains) -> list[Part]:
     more = len(drifting) - MOST_ROWS
     table = new_table(
         "Channels that drift", "train or kind", "channel and trend", name="drift",
-        caption=f"{more:,} more" if more > 0 else None, caption_justify="left",
+        caption=f"{more:,} more" if more > 0 else None,
     )  # fmt: skip
     for words in drifting[:MOST_ROWS]:
         whose, _, rest = words.partition(": ")

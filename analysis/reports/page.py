@@ -20,14 +20,13 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Group
-from rich.table import Table
-from rich.text import Text
 
 from analysis.reports.pictures import DARK, DRAWN, LIGHT, Picture, inline
 from trainlog import __version__
 from trainlog.display import as_text
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write
+from trainlog.presentation import WordTable
 
 LARGEST = 5_000_000
 """Bytes of a page: more is refused, as mail and browsers of a control centre would."""
@@ -77,7 +76,7 @@ class Warned:
 
 
 Part = Any
-"""A str, rich Table or Group, Picture, Interactive, Commands, Warned or Section."""
+"""A str, WordTable, rich Group, Picture, Interactive, Commands, Warned or Section."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -228,7 +227,7 @@ class _Writer:
             return self.section(part, min(level + 1, 6))
         if isinstance(part, Group):
             return "".join(self.part(each, level) for each in part.renderables)
-        if isinstance(part, Table):
+        if isinstance(part, WordTable):
             return _table(part)
         if isinstance(part, Interactive):
             return self._interactive(part)
@@ -238,7 +237,7 @@ class _Writer:
             return f"<pre><code>{escape(chr(10).join(part.lines))}</code></pre>\n"
         if isinstance(part, Warned):
             return f'<p class="warning" role="note">{escape(part.words)}</p>\n'
-        return f"<p>{escape(_text(part))}</p>\n"
+        return f"<p>{escape(str(part))}</p>\n"
 
     def _drawn(self, picture: Picture) -> str:
         self._pictures += 1
@@ -264,32 +263,25 @@ class _Writer:
         )
 
 
-def _text(cell: object) -> str:
-    return cell.plain if isinstance(cell, Text) else str(cell)
-
-
-def _table(table: Table) -> str:
-    """A rich table, its first column as headings of the rows."""
-    title = f"<caption>{escape(_text(table.title))}</caption>" if table.title else ""
+def _table(table: WordTable) -> str:
+    """A table, its first column as headings of the rows."""
+    title = f"<caption>{escape(table.title)}</caption>" if table.title else ""
     heads = ""
     if table.show_header:
         cells = "".join(
-            f'<th scope="col">{escape(" ".join(_text(each.header).split()))}</th>'
-            for each in table.columns
+            f'<th scope="col">{escape(" ".join(each.split()))}</th>' for each in table.heads
         )
         heads = f"<thead><tr>{cells}</tr></thead>"
-    columns = [[_text(cell) for cell in each.cells] for each in table.columns]
     rows = []
-    for cells_of_row, row in zip(zip(*columns, strict=True), table.rows, strict=True):
-        kind = ' class="end"' if row.end_section else ""
-        first, *others = cells_of_row
+    for number, (first, *others) in enumerate(table.words):
+        kind = ' class="end"' if number in table.ends else ""
         # A short name, of a train for one, is not broken at its hyphen.
         name = ' class="name"' if "-" in first and len(first) <= SHORT_NAME else ""
         cells = f'<th scope="row"{name}>{_cell(first)}</th>' + "".join(
             f"<td{_kind(cell)}>{_cell(cell)}</td>" for cell in others
         )
         rows.append(f"<tr{kind}>{cells}</tr>")
-    below = f'<p class="below">{escape(_text(table.caption))}</p>' if table.caption else ""
+    below = f'<p class="below">{escape(table.caption)}</p>' if table.caption else ""
     return (
         f'<div class="table"><table>{title}{heads}<tbody>{"".join(rows)}</tbody></table></div>'
         f"{below}\n"

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.table import Table
 
 from analysis.adhesion.condition_table import bins_table
 from analysis.adhesion.map_history import history_table, map_history
@@ -21,9 +20,8 @@ from analysis.reports.charts import Chart, Curve, Panel, as_part, rows_to_draw
 from analysis.reports.page import Part, Section, Warned
 from analysis.reports.pictures import Picture, drawn
 from analysis.reports.trip import facts_table, gradient_panel, limit_curve
-from analysis.resistance.logs import Fits, fit, fit_table
+from analysis.resistance.logs import Fits, fit
 from analysis.resistance.plot import draw_fits
-from analysis.tables import kwh, new_table, overspeed, with_band
 from analysis.trajectory.advice import driver_table, journey_advice
 from analysis.trajectory.phases import Phase
 from analysis.trajectory.plot import COLOURS, draw_trajectory
@@ -40,6 +38,7 @@ from trainlog.formats.parameters import read_coast_down, read_parameters
 from trainlog.formats.samples import names, sample
 from trainlog.formats.summaries import SUFFIX
 from trainlog.formats.trajectory import read_trajectory
+from trainlog.presentation import WordTable, kwh, new_table, overspeed, with_band
 from trainlog.progress import note
 from trainlog.railway import Line, ParameterSet, TrackConditionMap, Trajectory
 from trainlog.railway.kilometres import in_km
@@ -94,9 +93,12 @@ def fit_sections(path: Path, logs: Sequence[Path] = ()) -> list[Section]:
     return [
         Section(
             "Running resistance",
-            [*doubts, as_part(_resistance_chart(fits)), fit_table(fits)],
+            [*doubts, as_part(_resistance_chart(fits)), *fits.shown()],
         ),
-        Section("Trips of the fit", [_trips_table(fits), *_residuals(fits)]),
+        Section(
+            "Trips of the fit",
+            [_trips_table(fits), *_residuals(fits)],
+        ),
         Section(
             "Observed set",
             [
@@ -170,12 +172,11 @@ def _resistance_chart(fits: Fits) -> Chart:
     )
 
 
-def _trips_table(fits: Fits) -> Table:
+def _trips_table(fits: Fits) -> WordTable:
     rows = fits.drives
     table = new_table(
         "Each trip", "trip", "accepted", "mass", "power, kW", "kN at 80 km/h", "reason",
         caption=f"{len(rows) - MOST_ROWS} more" if len(rows) > MOST_ROWS else None,
-        caption_justify="left",
     )  # fmt: skip
     at = 80.0 / KMH
     for row in rows.head(MOST_ROWS).to_dict("records"):
@@ -239,7 +240,7 @@ def _sample(count: int, most: int) -> IntArray:
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
 
 
-def _configurations(found: ParameterSet) -> Table:
+def _configurations(found: ParameterSet) -> WordTable:
     table = new_table(
         "Configurations of the observed set", "configuration", "mass", "power", "r0, N",
         "r1, N/(m/s)", "r2, N/(m/s)²", "kN at 80 km/h",
@@ -543,7 +544,7 @@ def coast_down_sections(path: Path) -> list[Section]:
         alt = "Resistance over inertia of the coasting train over speed, with its 95 % band."
         chart = Chart("speed, km/h", [Panel("resistance over inertia, mm/s²", [line], 1.4)], alt)
         parts.insert(0, as_part(chart))
-    return [Section("Coast-down", parts)]
+    return [Section("Coast-down", [*parts, *found.shown()])]
 
 
 def study_sections(folder: Path) -> list[Section]:

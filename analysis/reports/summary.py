@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.table import Table
 
 from analysis.adhesion.condition_map import summary
 from analysis.comparison.groups import compare_groups, punctuality, running_times
-from analysis.tables import as_page, kwh, new_table, overspeed, with_band
 from analysis.truth import SimulatedLogs, Truth, curve_error, map_error
 from trainlog.display import as_text, counted, lateness, span
 from trainlog.errors import InputError, LogError
@@ -24,6 +22,7 @@ from trainlog.formats.mapfile import MapFile
 from trainlog.formats.parameters import read_coast_down, read_parameters
 from trainlog.formats.trajectory import read_trajectory
 from trainlog.mcap.convert import span_of
+from trainlog.presentation import WordTable, as_page, kwh, new_table, overspeed, with_band
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.train import ParameterSet
 from trainlog.units import KMH
@@ -115,7 +114,7 @@ def report(folder: str | Path) -> Report:
     return Report(folder, tuple(found))
 
 
-def report_table(found: Report) -> Table:
+def report_table(found: Report) -> WordTable:
     """The report as a table."""
     table = new_table(f"Results in {found.folder}", "", "result", "in")
     for row in found.rows:

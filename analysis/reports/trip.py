@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from rich.table import Table
 
 from analysis.adhesion.condition_map import own_line
 from analysis.adhesion.slip import SlipAnalysis, slip
@@ -19,7 +18,6 @@ from analysis.comparison.groups import TripCost, trip_cost
 from analysis.plotting import BLUE, GREEN, GREY, INK, PURPLE, RED, SKY
 from analysis.reports.charts import Chart, Curve, Panel, as_part, rows_to_draw
 from analysis.reports.page import Part, Section, Warned
-from analysis.tables import kwh, new_table
 from trainlog.arrays import FloatArray
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
@@ -27,6 +25,7 @@ from trainlog.formats.attached import line_of, passport_of
 from trainlog.ingest.report import report_of
 from trainlog.mcap import describe, read_log
 from trainlog.mcap.description import render
+from trainlog.presentation import WordTable, kwh, new_table
 from trainlog.railway import Line
 from trainlog.railway.kilometres import in_km
 from trainlog.resampling import interpolated
@@ -241,7 +240,7 @@ def trip_sections(log: Path, zone: Zone = Zone()) -> list[Section]:
         Section("Stops and stations", _stops_part(motion, line, zone)),
         Section("Energy", _energy(cost)),
         Section("Slip", _slip(trip, zone)),
-        Section("Recording", [*_quality(trip), render(replace(description, path=Path(log.name)))]),
+        Section("Recording", [*_quality(trip), *render(replace(description, path=Path(log.name)))]),
     ]
     return [section for section in sections if section.parts]
 
@@ -260,7 +259,7 @@ def _line(trip: Trip) -> Line | None:
     return None
 
 
-def facts_table(rows: Sequence[tuple[str, str]], title: str = "") -> Table:
+def facts_table(rows: Sequence[tuple[str, str]], title: str = "") -> WordTable:
     """Names and what is known of them, as a table without heads."""
     table = new_table(title, "", "", show_header=False)
     for name, words in rows:
@@ -269,7 +268,7 @@ def facts_table(rows: Sequence[tuple[str, str]], title: str = "") -> Table:
     return table
 
 
-def _facts(trip: Trip, motion: Motion, zone: Zone, cost: object) -> Table:
+def _facts(trip: Trip, motion: Motion, zone: Zone, cost: object) -> WordTable:
     known = trip.metadata
     rows = [
         ("trip", trip.name),
@@ -495,7 +494,7 @@ def _slip(trip: Trip, zone: Zone) -> list[Part]:
     return parts
 
 
-def _slip_table(found: SlipAnalysis, line: Line, zone: Zone) -> Table:
+def _slip_table(found: SlipAnalysis, line: Line, zone: Zone) -> WordTable:
     events = found.events
     worst = events["peak_slip"].abs().nlargest(MOST_EVENTS).index
     chosen = events.loc[worst].sort_values("start")
@@ -504,7 +503,6 @@ def _slip_table(found: SlipAnalysis, line: Line, zone: Zone) -> Table:
         "Slip events", f"time ({zone.name})", "km", "axle", "in", "lasts", "largest slip",
         "adhesion",
         caption=f"the {len(chosen)} of the largest slip; {more} more" if more else None,
-        caption_justify="left",
     )  # fmt: skip
     for each in chosen.to_dict("records"):
         place, slipped = float(in_km(line, each["position"])), KMH * abs(each["peak_slip"])

@@ -17,8 +17,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from rich.console import Group
-from rich.table import Table
 
 from analysis.given import Given, each_given
 from analysis.resistance.coasting_detection import (
@@ -40,9 +38,8 @@ from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, SOFTWARE
 from analysis.resistance.fit import check_speeds
 from analysis.resistance.motion import TOPICS, Motion, motion_of
 from analysis.resistance.regression import LARGEST_STD, powers
-from analysis.tables import DURATION, NUMBER, SHARE, SPEED, Band, Column, Quantity, Said, new_table
 from trainlog.arrays import FloatArray
-from trainlog.display import as_text, counted, span
+from trainlog.display import counted, span
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256_of
@@ -50,6 +47,19 @@ from trainlog.formats.line import read_line
 from trainlog.formats.parameters import CoastDownResult, DragCurve, Identified
 from trainlog.identity import Known, TripIdentity, identity_of, same_drives, text_of
 from trainlog.mcap.reader import stretches
+from trainlog.presentation import (
+    DURATION,
+    NUMBER,
+    SHARE,
+    SPEED,
+    Band,
+    Column,
+    Presented,
+    Quantity,
+    Said,
+    WordTable,
+    new_table,
+)
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
@@ -65,8 +75,66 @@ chance exceeds it once in 10,000 trains. A driver who holds one effort all day c
 distinguished from a train that coasts with another curve, unless no train has that curve."""
 
 
+def _segments_in_words(fit: TripCoastDown) -> Said:
+    count, outliers = len(fit.segments), len(fit.outlier_segments)
+    return Said(count, f"{count}" + f" ({counted(outliers, 'outlier')})" * bool(outliers))
+
+
+def _half_band(fit: TripCoastDown) -> float:
+    """Half the 95 % band over the curve, where that is least."""
+    return 1.96 * float(np.min(fit.curve.share(np.linspace(*fit.curve.covered, 21))))
+
+
+TRIP_COLUMNS = (
+    Column("trip"),
+    Column("speed from", of="source", rank=1),
+    Column("segments", NUMBER, of=_segments_in_words),
+    Column("coasted", replace(DURATION, digits=0), each=True),
+    Column("slowest", replace(SPEED, digits=0), of=lambda fit: fit.curve.covered[0]),
+    Column("fastest", replace(SPEED, digits=0), of=lambda fit: fit.curve.covered[1]),
+    Column("windows", NUMBER, of=lambda fit: fit.windows["used"], rank=1),
+    Column("half band", SHARE, each=True, of=_half_band),
+)
+"""Of a trip's coasting."""
+
+
+def _reach(curve: Curve, speed: float) -> float:
+    """Half the 95 % band of the whole curve [m/s²]."""
+    below, above = curve.band(speed)
+    return 0.5 * float(above - below)
+
+
+def _over_weight(of: tuple[Curve, float], scale: float) -> Band:
+    """Over the weight at a speed; `scale` times it."""
+    curve, speed = of
+    weight, std = (float(part) for part in curve.per_weight(speed))
+    factor = _reach(curve, speed) / float(curve.std(speed))
+    return Band(scale * weight, scale * factor * std / 1.96)
+
+
+CURVE_COLUMNS = (
+    Column("speed", replace(SPEED, digits=0), of=lambda at: at[1]),
+    Column(
+        "over inertia, m/s²",
+        Quantity("m_s2", ""),
+        key="over_inertia",
+        band=True,
+        of=lambda at: Band(float(at[0](at[1])), _reach(*at) / 1.96),
+    ),
+    Column(
+        "over weight",
+        Quantity("", "per mille", PER_MILLE),
+        band=True,
+        of=lambda at: _over_weight(at, 1.0),
+    ),
+    Column("over mass", Quantity("N_kg", "N/t", 1e3), band=True,
+           of=lambda at: _over_weight(at, GRAVITY)),
+)  # fmt: skip
+"""Of a curve and a speed [m/s]."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class CoastDown:
+class CoastDown(Presented):
     """What the coasting of a train shows of its running resistance.
 
     Attributes
@@ -97,23 +165,14 @@ class CoastDown:
     evidence: float
     digests: dict[str, str]
 
-    def __repr__(self) -> str:
-        return as_text(self._title, self._summary())
-
-    def _repr_html_(self) -> str:
-        from analysis.tables import as_page
-
-        return as_page(coast_down_table(self))
-
     @property
-    def _title(self) -> str:
-        trips = len(self.trips)
-        return (
-            f"Coasting of {self.train or 'a train'}: {trips} trip{'s' * (trips != 1)} used,"
-            f" {len(self.refused)} refused"
-        )
+    def title(self) -> str:
+        """Train, and how many trips were used."""
+        used = counted(len(self.trips), "trip")
+        return f"Coasting of {self.train or 'a train'}: {used} used, {len(self.refused)} refused"
 
-    def _summary(self) -> dict[str, str]:
+    def summary(self) -> dict[str, str]:
+        """What coasted, and the curve."""
         c0, c1, c2 = self.curve.theta[1:]
         known = self.curve.supported
         segments = sum(len(fit.segments) for fit in self.trips)
@@ -124,6 +183,28 @@ class CoastDown:
             "mass over inertia": f"{self.ratio.value:.3f} ± {1.96 * self.ratio.std:.3f}"
             f" ({self.ratio.source})",
         }
+
+    def tables(self) -> list[WordTable]:
+        """Each trip's coasting; the common curve at rounded speeds, with its 95 % band."""
+        trips = new_table(f"Coasting of {self.train or 'a train'}", *TRIP_COLUMNS, name="trips")
+        curve, (low, high) = self.curve, self.curve.supported or self.curve.covered
+        at = np.arange(np.ceil(KMH * low / 10.0) * 10.0, KMH * high + 1e-9, 10.0) / KMH
+        speeds = at if at.size else np.array([0.5 * (low + high)])
+        title = "Running resistance of the coasting train, with its 95 % band"
+        table = new_table(title, *CURVE_COLUMNS, name="curve")
+        return [
+            trips.add_rows(self.trips),
+            table.add_rows((curve, float(speed)) for speed in speeds),
+        ]
+
+    @property
+    def notes(self) -> list[str]:
+        """What the columns mean, on what they rest, and why trips were refused."""
+        return [
+            "'Half band' is half the 95 % interval of the trip's own curve where it is known best.",
+            _ratio(self.ratio),
+            *(f"refused: {reason}" for reason in self.refused.values()),
+        ]
 
     @property
     def result(self) -> CoastDownResult:
@@ -607,94 +688,7 @@ def refusals(refused: dict[str, str]) -> list[dict[str, Any]]:
     ]
 
 
-def coast_down_table(found: CoastDown) -> Group:
-    """Each trip's coasting, the common curve with its band, and what was refused."""
-    table = new_table(
-        f"Coasting of {found.train or 'a train'}",
-        Column("trip"),
-        Column("speed from"),
-        Column("segments", NUMBER),
-        Column("coasted", replace(DURATION, digits=0), each=True),
-        Column("slowest", replace(SPEED, digits=0)),
-        Column("fastest", replace(SPEED, digits=0)),
-        Column("windows", NUMBER),
-        Column("half band", SHARE, each=True),
-        name="trips",
-    )
-    for fit in found.trips:
-        low, high = fit.curve.covered
-        speed = np.linspace(low, high, 21)
-        share = float(np.min(fit.curve.share(speed)))
-        segments, outliers = len(fit.segments), len(fit.outlier_segments)
-        table.add_cells(
-            fit.trip,
-            fit.source,
-            Said(segments, f"{segments}" + f" ({counted(outliers, 'outlier')})" * bool(outliers)),
-            fit.coasted,
-            low,
-            high,
-            fit.windows["used"],
-            1.96 * share,
-        )
-    words = [
-        "'Half band' is half the 95 % interval of the trip's own curve where it is known best.",
-        _ratio(found),
-    ]
-    words += [f"refused: {reason}" for reason in found.refused.values()]
-    return Group(table, _curve(found), *words)
-
-
-def without_gradient_table(result: CoastDownResult) -> Group:
-    """What is identified with the gradient unknown, and why the rest is not."""
-    table = new_table(
-        "Running resistance over inertia, gradient unknown",
-        *("quantity", "unit"),
-        Column("value", Quantity("", ""), band=True),
-        Column("", key="reason"),
-        name="quantities",
-    )
-    for each in result.quantities:
-        value: Band | Said = Said(None, "not identified")
-        if each.value is not None and each.std is not None:
-            value = Band(each.value, each.std)
-        table.add_cells(each.name, each.unit, value, each.reason or "")
-    words = [f"{counted(len(result.pieces), 'piece')} of track coasted more than once."]
-    words += [f"refused: {trip['reason']}" for trip in result.trips if not trip["accepted"]]
-    if result.curve is not None:
-        low, high = (KMH * float(result.curve.speeds[end]) for end in (0, -1))
-        words.append(f"The whole curve is supported from {low:.0f} to {high:.0f} km/h.")
-    return Group(table, *words)
-
-
-def _curve(found: CoastDown) -> Table:
-    """The common curve at rounded speeds."""
-    curve = found.curve
-    low, high = curve.supported or curve.covered
-    table = new_table(
-        "Running resistance of the coasting train, with its 95 % band",
-        Column("speed", replace(SPEED, digits=0)),
-        Column("over inertia, m/s²", Quantity("m_s2", ""), key="over_inertia", band=True),
-        Column("over weight", Quantity("", "per mille", PER_MILLE), band=True),
-        Column("over mass", Quantity("N_kg", "N/t", 1e3), band=True),
-        name="curve",
-    )
-    at = np.arange(np.ceil(KMH * low / 10.0) * 10.0, KMH * high + 1e-9, 10.0) / KMH
-    for speed in at if at.size else np.array([0.5 * (low + high)]):
-        value, (below, above) = float(curve(speed)), curve.band(speed)
-        weight, std = (float(part) for part in curve.per_weight(speed))
-        reach = 0.5 * float(above - below)
-        factor = reach / float(curve.std(speed))
-        table.add_cells(
-            float(speed),
-            Band(value, reach / 1.96),
-            Band(weight, factor * std / 1.96),
-            Band(GRAVITY * weight, GRAVITY * factor * std / 1.96),
-        )
-    return table
-
-
-def _ratio(found: CoastDown) -> str:
-    ratio = found.ratio
+def _ratio(ratio: MassRatio) -> str:
     origin = {
         "data": "determined by how the train coasts on different gradients",
         "train file": "expected from the train's file; the data do not determine it better",

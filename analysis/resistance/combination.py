@@ -36,12 +36,18 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
-from analysis.resistance.fit import TripFit, curve_picture, curve_words
+from analysis.resistance.fit import (
+    CURVE_COLUMNS,
+    RESISTANCE_COLUMN,
+    TripFit,
+    curve_picture,
+    curve_words,
+)
 from analysis.resistance.recording import TripRefusedError
 from analysis.resistance.regression import band_factor, curve_std, powers
 from trainlog import __version__
 from trainlog.arrays import FloatArray, IntArray
-from trainlog.display import as_html, as_text, span
+from trainlog.display import counted, span
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.summaries import (
     COLUMNS,
@@ -55,6 +61,7 @@ from trainlog.formats.summaries import (
     surveys_of,
 )
 from trainlog.identity import Known, identity_from_text, overlapping, same_drives
+from trainlog.presentation import Presented, WordTable, new_table
 from trainlog.railway.resistance import RunningResistance
 from trainlog.units import KMH
 
@@ -334,8 +341,8 @@ PRIOR_TRIPS = 2.0
 """This expectation counts as much as so many trips beside the observed ones."""
 
 
-@dataclass(frozen=True, eq=False)
-class CommonFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class CommonFit(Presented):
     """All trips together.
 
     Attributes
@@ -367,24 +374,31 @@ class CommonFit:
     betas: FloatArray
     covariances: FloatArray
 
-    def __repr__(self) -> str:
-        return as_text(self._title, self._summary())
-
-    def _repr_html_(self) -> str:
-        return as_html(self._title, self._summary(), curve_picture(self))
-
     @property
-    def _title(self) -> str:
-        count = len(self.trips)
-        return f"Running resistance of {self.train} on {count} trip{'s' if count != 1 else ''}"
+    def title(self) -> str:
+        """Train, and number of trips."""
+        return f"Running resistance of {self.train} on {counted(len(self.trips), 'trip')}"
 
-    def _summary(self) -> dict[str, str]:
+    def summary(self) -> dict[str, str]:
+        """Curve, and how trips differ."""
         top = self.asked[1]
         return {
             "curve": curve_words(self),
             "between trips": f"{float(self.spread(top)) / 1e3:.2f} kN at {KMH * top:.0f} km/h",
             "speeds": f"{span(self.speed_range, KMH)} km/h",
         }
+
+    def tables(self) -> list[WordTable]:
+        """The row of the curve."""
+        return [
+            new_table(self.title, *CURVE_COLUMNS, RESISTANCE_COLUMN, name="together").add_rows(
+                [self]
+            )
+        ]
+
+    def sketch(self) -> str:
+        """The curve with its band."""
+        return curve_picture(self)
 
     def std(self, speed: ArrayLike) -> FloatArray:
         """Standard deviation of the mean curve [N] at each speed [m/s]."""

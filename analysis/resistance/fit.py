@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -34,11 +35,23 @@ from analysis.resistance.regression import (
 )
 from analysis.resistance.windows import Evidence, WindowPoints, Windows, part_of
 from trainlog.arrays import FloatArray
-from trainlog.display import as_html, as_text, picture, span
+from trainlog.display import picture, span
 from trainlog.errors import InputError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256
 from trainlog.identity import identity_of, text_of
+from trainlog.presentation import (
+    FORCE,
+    MASS,
+    NUMBER,
+    POWER,
+    Band,
+    Column,
+    Presented,
+    Quantity,
+    WordTable,
+    new_table,
+)
 from trainlog.railway.line import Line, StepProfile
 from trainlog.railway.passport import Passport
 from trainlog.railway.resistance import RunningResistance
@@ -46,7 +59,6 @@ from trainlog.railway.train import Train
 from trainlog.topics import ESTIMATED_RESISTANCE
 from trainlog.trip import Trip, frame_of, seconds
 from trainlog.units import KMH
-from trainlog.values import same_values
 
 TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion", "/environment")
 """What is read of each log."""
@@ -92,7 +104,7 @@ class History:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TripFit:
+class TripFit(Presented):
     """Running resistance and mass as observed on one trip.
 
     Attributes
@@ -184,22 +196,13 @@ class TripFit:
     passport: Passport | None = None
     notes: tuple[str, ...] = ()
 
-    def __eq__(self, other: object) -> bool:
-        return same_values(self, other) if isinstance(other, TripFit) else NotImplemented
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def __repr__(self) -> str:
-        return as_text(self._title, self._summary())
-
-    def _repr_html_(self) -> str:
-        return as_html(self._title, self._summary(), curve_picture(self))
-
     @property
-    def _title(self) -> str:
+    def title(self) -> str:
+        """Train and trip."""
         return f"Running resistance of {self.train} on trip '{self.trip}'"
 
-    def _summary(self) -> dict[str, str]:
+    def summary(self) -> dict[str, str]:
+        """Curve, mass, power, and what they rest on."""
         power = "limit not reached"
         if self.max_power is not None and self.max_power_std is not None:
             power = f"{self.max_power / 1e3:.0f} ± {1.96 * self.max_power_std / 1e3:.0f} kW"
@@ -215,6 +218,14 @@ class TripFit:
             **notes,
             **self._efforts(),
         }
+
+    def tables(self) -> list[WordTable]:
+        """The row of a fit."""
+        return [new_table(self.title, *COLUMNS, name="trips").add_rows([self])]
+
+    def sketch(self) -> str:
+        """The curve with its band."""
+        return curve_picture(self)
 
     def _efforts(self) -> dict[str, str]:
         """How the recorded efforts were corrected."""
@@ -258,12 +269,16 @@ class TripFit:
         return value - reach, value + reach
 
 
-class Curve(Protocol):
+class DragCurve(Protocol):
     """A drag curve with its uncertainty."""
 
     @property
     def resistance(self) -> RunningResistance:
         """Of straight, level, open track."""
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of r0, r1 and r2 first."""
 
     @property
     def asked(self) -> tuple[float, float]:
@@ -276,7 +291,7 @@ class Curve(Protocol):
         """Lower and upper end [N] of the 95 % band of the whole curve at each speed [m/s]."""
 
 
-def curve_picture(fit: Curve) -> str:
+def curve_picture(fit: DragCurve) -> str:
     """A curve with its band from standstill to the highest speed asked for, as a small SVG."""
     speed = np.linspace(0.0, fit.asked[1], 100)
     low, high = fit.band(speed)
@@ -285,7 +300,7 @@ def curve_picture(fit: Curve) -> str:
     return picture(speed, curves)
 
 
-def curve_words(fit: Curve) -> str:
+def curve_words(fit: DragCurve) -> str:
     """A curve in words: its coefficients, and its value at the highest speed asked for."""
     curve, top = fit.resistance, fit.asked[1]
     value, reach = float(curve(top)) / 1e3, 1.96 * float(fit.std(top)) / 1e3
@@ -293,6 +308,47 @@ def curve_words(fit: Curve) -> str:
         f"{curve.r0:.0f} N + {curve.r1:.1f} N/(m/s) v + {curve.r2:.2f} N/(m/s)² v²,"
         f" {value:.2f} ± {reach:.2f} kN at {KMH * top:.0f} km/h"
     )
+
+
+_STATED_AT = 80.0 / KMH
+"""Speed [m/s] at which tables state the resistance."""
+
+
+def _coefficient(number: int) -> Callable[[DragCurve], Band]:
+    """Of a curve and of its standard deviation, by the power of speed."""
+    return lambda fit: Band(
+        float((fit.resistance.r0, fit.resistance.r1, fit.resistance.r2)[number]),
+        float(np.sqrt(fit.covariance[number, number])),
+    )
+
+
+def _power(fit: TripFit) -> Band | None:
+    known = fit.max_power is not None and fit.max_power_std is not None
+    return Band(fit.max_power or 0.0, fit.max_power_std or 0.0) if known else None
+
+
+CURVE_COLUMNS = (
+    Column("r0", Quantity("N", ""), band=True, of=_coefficient(0), rank=1),
+    Column("r1", Quantity("N_s_m", ""), band=True, of=_coefficient(1), rank=1),
+    Column("r2", Quantity("N_s2_m2", ""), band=True, of=_coefficient(2), rank=1),
+)
+RESISTANCE_COLUMN = Column(
+    "kN at 80 km/h",
+    replace(FORCE, unit=""),
+    key="resistance_at_80_km_h",
+    band=True,
+    of=lambda fit: Band(float(fit.resistance(_STATED_AT)), float(fit.std(_STATED_AT))),
+)
+
+COLUMNS = (
+    Column("trip"),
+    *CURVE_COLUMNS,
+    Column("mass", MASS, each=True, band=True, of=lambda fit: Band(fit.mass, fit.mass_std)),
+    Column("power", POWER, band=True, of=_power),
+    RESISTANCE_COLUMN,
+    Column("windows", NUMBER, of=lambda fit: fit.windows["used"], rank=2),
+)
+"""Of the table of a fit: a row per trip."""
 
 
 def fit_trip(

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from rich.console import Group
 
 from analysis.given import Given, each_given
 from analysis.passports import with_calibrated_efforts
@@ -22,6 +21,9 @@ from analysis.resistance.combination import (
     summarised,
 )
 from analysis.resistance.fit import (
+    COLUMNS,
+    CURVE_COLUMNS,
+    RESISTANCE_COLUMN,
     TOPICS,
     TripFit,
     check_speeds,
@@ -42,8 +44,7 @@ from analysis.resistance.recording import (
 )
 from analysis.resistance.regression import diagnosed
 from analysis.resistance.windows import Evidence, part_of, within
-from analysis.tables import FORCE, MASS, NUMBER, POWER, Band, Column, Quantity, Said, new_table
-from trainlog.display import as_text, counted, span
+from trainlog.display import counted, span
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256, sha256_of
@@ -51,6 +52,7 @@ from trainlog.formats.summaries import SUFFIX, merged, read_summaries
 from trainlog.identity import text_of
 from trainlog.mcap import read_log
 from trainlog.mcap.reader import identity_of_log, stretches
+from trainlog.presentation import Presented, Said, WordTable, new_table
 from trainlog.railway.passport import Passport
 from trainlog.railway.train import ParameterSet
 from trainlog.trip import Trip, seconds
@@ -81,7 +83,7 @@ class AllRefusedError(NotIdentifiableError):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Fits:
+class Fits(Presented):
     """What a set of trips shows of a train's running resistance.
 
     Attributes
@@ -109,16 +111,9 @@ class Fits:
     common: CommonFit
     parameters: ParameterSet
 
-    def __repr__(self) -> str:
-        return as_text(self._title, self._summary())
-
-    def _repr_html_(self) -> str:
-        from analysis.tables import as_page
-
-        return as_page(fit_table(self))
-
     @property
-    def _title(self) -> str:
+    def title(self) -> str:
+        """Train, and how many trips determine its resistance."""
         accepted, again = len(self.common.trips), len(self.same)
         return (
             f"Running resistance of {self.common.train}: {counted(accepted, 'trip')} accepted,"
@@ -131,7 +126,8 @@ class Fits:
         """The trips that are not used because another of the same drive is, in words."""
         return tuple(self.drives["message"][self.drives["refused"] == SAME_DRIVE])
 
-    def _summary(self) -> dict[str, str]:
+    def summary(self) -> dict[str, str]:
+        """What all trips show together."""
         common, found = self.common, self.parameters
         mass = self.summaries["mass"].dropna().to_numpy(np.float64)
         rows = {
@@ -146,6 +142,41 @@ class Fits:
             more = f" and {len(reasons) - 4} more" if len(reasons) > 4 else ""
             rows["refused"] = ", ".join(reasons[:4]) + more
         return rows
+
+    def tables(self) -> list[WordTable]:
+        """Running resistance of each trip and of all together."""
+        title = f"Running resistance of {self.common.train}: N, N/(m/s), N/(m/s)²"
+        table = new_table(title, *COLUMNS, name="trips").add_rows(self.trips)
+        table.add_section()
+        empty = Said(None, "")
+        # A fit of summaries alone does not know how many windows each trip had.
+        windows = sum(fit.windows["used"] for fit in self.trips) if self.trips else empty
+        curve = [each.cell(self.common) for each in (*CURVE_COLUMNS, RESISTANCE_COLUMN)]
+        table.add_cells("together", *curve[:3], empty, empty, curve[3], windows)
+        return [table]
+
+    @property
+    def notes(self) -> list[str]:
+        """What the table rests on, in sentences."""
+        low, high = self.common.speed_range
+        words = [
+            "± is the 95 % band; a power is given where a trip reached it. Supported from"
+            f" {low * KMH:.0f} to {high * KMH:.0f} km/h. The single coefficients are strongly"
+            " correlated: trust the curve.",
+        ]
+        for fit in self.trips:
+            doubts = (*diagnosed(fit.residuals).doubts, *fit.notes)
+            words += [f"{fit.trip}: {doubt}" for doubt in doubts]
+        words += [f"refused, {error.reason}: {error}" for error in self.refused.values()]
+        words += [f"counted once: {sentence}" for sentence in self.same]
+        words += _doubts(self.drives)
+        words += _observed_set(self)
+        words += [f"{self.parameters.assumed_power}."] * bool(self.parameters.assumed_power)
+        return words
+
+    def sketch(self) -> str:
+        """The curve of all trips with its band."""
+        return self.common.sketch()
 
 
 @dataclass(eq=False)
@@ -378,65 +409,6 @@ def _train_name(trip: Trip) -> str:
         return train_of(trip).name
     except LogError:
         return trip.metadata.get("train", "")
-
-
-COLUMNS = (
-    Column("trip"),
-    Column("r0", Quantity("N", ""), band=True),
-    Column("r1", Quantity("N_s_m", ""), band=True),
-    Column("r2", Quantity("N_s2_m2", ""), band=True),
-    Column("mass", MASS, each=True, band=True),
-    Column("power", POWER, band=True),
-    Column("kN at 80 km/h", replace(FORCE, unit=""), key="resistance_at_80_km_h", band=True),
-    Column("windows", NUMBER),
-)
-"""Of the table of a fit."""
-
-
-def fit_table(fits: Fits) -> Group:
-    """Running resistance of each trip and of all together, with what it rests on."""
-    title = f"Running resistance of {fits.common.train}: N, N/(m/s), N/(m/s)²"
-    table = new_table(title, *COLUMNS, name="trips")
-    at = 80.0 / KMH
-    for fit in fits.trips:
-        power = None
-        if fit.max_power is not None and fit.max_power_std is not None:
-            power = Band(fit.max_power, fit.max_power_std)
-        table.add_cells(
-            fit.trip,
-            *map(Band, fit.beta[:3].tolist(), np.sqrt(np.diag(fit.covariance))[:3].tolist()),
-            Band(fit.mass, fit.mass_std),
-            power,
-            Band(float(fit.resistance(at)), float(fit.std(at))),
-            fit.windows["used"],
-        )
-    common = fits.common
-    beta = (common.resistance.r0, common.resistance.r1, common.resistance.r2)
-    table.add_section()
-    table.add_cells(
-        "together",
-        *map(Band, beta, np.sqrt(np.diag(common.covariance)).tolist()),
-        Said(None, ""),
-        Said(None, ""),
-        Band(float(common.resistance(at)), float(common.std(at))),
-        # A fit of summaries alone does not know how many windows each trip had.
-        sum(fit.windows["used"] for fit in fits.trips) if fits.trips else Said(None, ""),
-    )
-    low, high = common.speed_range
-    words = [
-        "± is the 95 % band; a power is given where a trip reached it. Supported from"
-        f" {low * KMH:.0f} to {high * KMH:.0f} km/h. The single coefficients are strongly"
-        " correlated: trust the curve.",
-    ]
-    for fit in fits.trips:
-        doubts = (*diagnosed(fit.residuals).doubts, *fit.notes)
-        words += [f"{fit.trip}: {doubt}" for doubt in doubts]
-    words += [f"refused, {error.reason}: {error}" for error in fits.refused.values()]
-    words += [f"counted once: {sentence}" for sentence in fits.same]
-    words += _doubts(fits.drives)
-    words += _observed_set(fits)
-    words += [f"{fits.parameters.assumed_power}."] * bool(fits.parameters.assumed_power)
-    return Group(table, *words)
 
 
 def _observed_set(fits: Fits) -> list[str]:

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import pandas as pd
-from rich.table import Table
 
 from trainlog import __version__
 from trainlog.formats.files import atomic_write, made_folder, sha256
 from trainlog.formats.line import line_to_bytes
 from trainlog.mcap import write_log
+from trainlog.presentation import WordTable
 from trainlog.progress import track
 from trainlog.railway import Line
 from trainlog.trip import LINE_ATTACHMENT, Trip
@@ -56,14 +56,14 @@ class StudyReport:
         """The items one by one, with a bar that shows how many are done."""
         yield from track(list(items), description, "run")
 
-    def show(self, *parts: Table | str) -> None:
+    def show(self, *parts: WordTable | str) -> None:
         """Print tables and sentences, and write all so far to `TABLES`.
 
         A table takes the place of an earlier one of the same title, which it continues.
         """
         for part in parts:
             self.console.print(part, highlight=False)
-            if isinstance(part, Table):
+            if isinstance(part, WordTable):
                 self._parts[str(part.title)] = as_markdown(part)
             else:
                 self._parts[part] = f"{part}\n"
@@ -90,12 +90,12 @@ class StudyReport:
         self.files += [path for path in paths if path not in self.files]
 
 
-def as_markdown(table: Table) -> str:
+def as_markdown(table: WordTable) -> str:
     """A table in Markdown, its title in bold above it.
 
     Examples
     --------
-    >>> from analysis.tables import new_table
+    >>> from trainlog.presentation import new_table
     >>> table = new_table("Speeds", "train", "km/h")
     >>> table.add_row("A", "80.0")
     >>> print(as_markdown(table))
@@ -106,10 +106,9 @@ def as_markdown(table: Table) -> str:
     | A | 80.0 |
     <BLANKLINE>
     """
-    rows: list[Sequence[object]] = [[column.header for column in table.columns]]
-    rows += zip(*(column.cells for column in table.columns), strict=True)
-    lines = [f"| {' | '.join(' '.join(str(cell).split()) for cell in row)} |" for row in rows]
-    lines.insert(1, "|" + "---|" * len(table.columns))
+    rows = [table.heads, *table.words]
+    lines = [f"| {' | '.join(' '.join(cell.split()) for cell in row)} |" for row in rows]
+    lines.insert(1, "|" + "---|" * len(table.heads))
     return "\n".join([f"**{' '.join(str(table.title).split())}**", "", *lines, ""])
 
 

@@ -16,16 +16,15 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from rich.table import Table
 
 from analysis.adhesion.condition_table import near
 from analysis.comparison.driven import station_at
-from analysis.tables import new_table
 from analysis.trajectory.instructions import instructions
 from analysis.trajectory.phases import AdvicePoint, Phase, advice
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write
+from trainlog.presentation import WordTable, new_table
 from trainlog.railway import Line, StepProfile, Trajectory
 from trainlog.railway.kilometres import in_km
 from trainlog.units import KMH
@@ -424,7 +423,7 @@ def write_journey_advice(found: JourneyAdvice, path: str | Path) -> None:
             )
 
 
-def stations_table(found: JourneyAdvice) -> Table:
+def stations_table(found: JourneyAdvice) -> WordTable:
     """Arrivals, departures and passing times of a journey, a row a station."""
     table = new_table("", "station", "km", "arrives", "departs", "notes")
     calls: dict[float, dict[str, AdviceRow]] = {}
@@ -447,7 +446,7 @@ def stations_table(found: JourneyAdvice) -> Table:
     return table
 
 
-def driver_table(found: JourneyAdvice) -> Table:
+def driver_table(found: JourneyAdvice) -> WordTable:
     """The journey as a driver reads it: kilometre, place, time, what to do."""
     table = new_table("", "km", "where", "time", "speed", "permitted", "advice")
     begins: AdviceRow | None = None

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Group
-from rich.table import Table
 
-from analysis.tables import (
+from trainlog.display import counted, lateness
+from trainlog.presentation import (
     DURATION,
     ENERGY,
     MASS,
@@ -21,11 +21,11 @@ from analysis.tables import (
     Column,
     Quantity,
     Said,
+    WordTable,
     kwh,
     new_table,
     overspeed,
 )
-from trainlog.display import counted, lateness
 from trainlog.railway import Line, Trajectory
 from trainlog.railway.kilometres import in_km
 from trainlog.units import clock
@@ -153,7 +153,7 @@ def at_most(share: float, digits: int) -> str:
     return f"{math.ceil(round(share * 10 ** (digits + 2), 6)) / 10 ** (digits + 2):.{digits}%}"
 
 
-def front_table(front: Front) -> Table:
+def front_table(front: Front) -> WordTable:
     """Energy against running time, and what a second more saves."""
     first = front.trajectories[0]
     table = new_table(
@@ -177,7 +177,7 @@ def front_table(front: Front) -> Table:
     return table
 
 
-def journey_table(plan: JourneyPlan, line: Line | None = None) -> Table:
+def journey_table(plan: JourneyPlan, line: Line | None = None) -> WordTable:
     """Sections of a journey: when, how much, and what a second is worth in each.
 
     With its line, as travelled, in the operator's kilometres.
@@ -202,7 +202,6 @@ def journey_table(plan: JourneyPlan, line: Line | None = None) -> Table:
         name="sections",
         caption=f"{costliest} takes most in all, {kwh(certificate['costliest_energy'])}"
         + ("; energies are its own" if mixed else ""),
-        caption_justify="left",
     )
     row = first.index_of(costliest)
     for each, departs, arrives in zip(plan.sections, plan.departures, plan.arrivals, strict=True):
@@ -220,7 +219,7 @@ def journey_table(plan: JourneyPlan, line: Line | None = None) -> Table:
     return table
 
 
-def advice_table(points: Sequence[AdvicePoint], line: Line | None = None) -> Table:
+def advice_table(points: Sequence[AdvicePoint], line: Line | None = None) -> WordTable:
     """Driver advice: where to do what; with the line as travelled in the operator's kilometres."""
     table = new_table(
         "Driver advice",

@@ -101,8 +101,8 @@ class Score:
         )
 
     def _repr_html_(self) -> str:
-        from analysis.tables import as_page
         from analysis.verification.table import score_table
+        from trainlog.presentation import as_page
 
         return as_page(score_table(self))
 

@@ -6,11 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 from rich.console import Group
-from rich.table import Table
 
-from analysis.tables import new_table
 from analysis.verification.scoring import Score
 from analysis.verification.verify import USUAL_ALARM, Figure, Verification
+from trainlog.presentation import WordTable, new_table
 
 
 def score_table(score: Score) -> Group:
@@ -106,7 +105,7 @@ def share_words(figure: Figure) -> str:
     return _share(figure)
 
 
-def _reliability(found: Verification) -> Table:
+def _reliability(found: Verification) -> WordTable:
     table = new_table(
         "Reliability: share of maxima below a quantile of their forecast",
         "quantile",
@@ -123,7 +122,7 @@ def _band(figure: Figure) -> str:
     return f"{figure.low:.0%} to {figure.high:.0%}" if np.isfinite(figure.low) else "-"
 
 
-def _alarms(found: Verification) -> Table:
+def _alarms(found: Verification) -> WordTable:
     curve = found.alarm_curve()
     table = new_table(
         "Alarm where the probability of slip is at least",

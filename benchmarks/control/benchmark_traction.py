@@ -29,8 +29,8 @@ from rich.console import Console
 
 from analysis.adhesion.condition_map import adhesion_map
 from analysis.control.traction import TractionName, with_traction
-from analysis.tables import new_table
 from trainlog.formats.ttobench import read_track, read_train
+from trainlog.presentation import new_table
 from trainlog.railway import Line, StepProfile, Train
 from trainlog.railway.adhesion import polach_curve
 from trainlog.railway.condition import TrackConditionMap

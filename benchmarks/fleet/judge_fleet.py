@@ -45,7 +45,6 @@ from analysis.fleet.unlike import FALSE_ALARMS, Finding, UnlikeTrains, unlike_tr
 from analysis.network.map_scores import score_network
 from analysis.network.maps import NetworkMap, network_map
 from analysis.resistance.regression import band_factor, curve_std
-from analysis.tables import new_table
 from analysis.verification.forecasts import rolling_forecast
 from analysis.verification.passages import time_of
 from analysis.verification.references import climatology, persistence, place_alone
@@ -56,6 +55,7 @@ from trainlog.catalogue import Catalogue, open_catalogue
 from trainlog.cli.terminal import console
 from trainlog.formats.summaries import covariances_of, parameters_of
 from trainlog.mcap import read_log
+from trainlog.presentation import new_table
 from trainlog.railway.condition import AdhesionEstimate, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.simulation import Fault, Fleet

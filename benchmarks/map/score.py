@@ -26,7 +26,6 @@ from pooled import pooled_estimate
 from trips import Month, add_options, months
 
 from analysis.adhesion.condition_map import empty_map, update
-from analysis.tables import new_table
 from analysis.verification.forecasts import before
 from analysis.verification.passages import Demand, passages_of
 from analysis.verification.plot import draw_score
@@ -34,6 +33,7 @@ from analysis.verification.scoring import Score
 from analysis.verification.table import ROWS
 from analysis.verification.verify import Forecaster, Verification, verify
 from trainlog.cli.terminal import console
+from trainlog.presentation import new_table
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, TrackConditionMap
 from trainlog.units import NANOSECONDS
 

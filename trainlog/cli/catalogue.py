@@ -160,7 +160,7 @@ def catalogue_list(
         shown = problems_table(opened) if problems else overview_table(opened, by)
         about = {"version": opened.version, "migrated": opened.migrated_from is not None}
         as_json = state({"catalogue": opened.place, **about, "counts": counts})
-    if shown.row_count or as_json or not problems:
+    if shown.rows or as_json or not problems:
         console.print(shown)
     else:
         console.print("every file counts, and no log is damaged")

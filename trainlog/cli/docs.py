@@ -36,7 +36,7 @@ def docs(
 
     found = documentation()
     if every:
-        from analysis.tables import new_table
+        from trainlog.presentation import new_table
 
         table = new_table("Pages", "page", "title")
         for row in found.titles():

@@ -17,7 +17,7 @@ from trainlog.cli.options import (
     distinct,
     logs_in,
 )
-from trainlog.cli.terminal import console, print_error, state, wrote
+from trainlog.cli.terminal import console, print_error, show, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import output_folder
@@ -68,7 +68,7 @@ def fit(
 
     Example: trainlog fit results/trips -o results/parameters.json
     """
-    from analysis.resistance.logs import AllRefusedError, fit as fit_trips, fit_table
+    from analysis.resistance.logs import AllRefusedError, fit as fit_trips
     from analysis.resistance.plot import draw_each, draw_each_refused, draw_fits
     from trainlog.formats.parameters import write_parameters
     from trainlog.formats.summaries import SUFFIX, write_summaries
@@ -94,7 +94,7 @@ def fit(
         write_parameters(fits.parameters, output)
         write_summaries(fits.summaries, kept)
         draw_fits(fits, shown)
-        console.print(fit_table(fits))
+        show(fits)
         wrote(output, kept, shown)
         if drawn is not None:
             wrote(*draw_each(fits, drawn))
@@ -186,10 +186,10 @@ def coast_down(
     write_coast_down(result, output)
     if gradient == "unknown":
         plot.draw_without_gradient(result, shown)
-        console.print(coasting.without_gradient_table(result))
+        show(result)
     else:
         plot.draw_coast_down(found, shown)
-        console.print(coasting.coast_down_table(found))
+        show(found)
     wrote(output, shown)
 
 

@@ -30,8 +30,8 @@ def settings_show() -> None:
 
     Example: trainlog settings show
     """
-    from analysis.tables import new_table
     from trainlog.formats.settings import MEANINGS, read_settings, settings_path
+    from trainlog.presentation import new_table
 
     path, found = settings_path(), read_settings()
     values = {key: getattr(found, key) for key in MEANINGS}

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
 
 from trainlog.cli.commands import end_in_part
 from trainlog.cli.options import ChosenTrips
 from trainlog.cli.terminal import console, current, plain, print_problems, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
+from trainlog.presentation import WordTable, new_table
 
 if TYPE_CHECKING:
     from trainlog.mcap.description import LogDescription
@@ -98,7 +98,7 @@ def _show(file: Path, trips: bool) -> bool:
         if state({}):
             current().content.setdefault("logs", []).append(_log_as_data(found.value, recorded))
             return found.damaged
-        console.print(render(found.value, recorded))
+        console.print(*render(found.value, recorded))
         if PASSPORT_ATTACHMENT in (each.name for each in found.value.attachments):
             console.print(repr(passport_of(read_log(file, []))), highlight=False, markup=False)
     elif found.kind == "consist":
@@ -172,10 +172,8 @@ def _log_as_data(found: LogDescription, recorded: Mapping[str, frozenset[str]]) 
 def _show_folder(folder: Path) -> bool:
     """List what the files of a folder are; whether a log among them is damaged."""
     from analysis.contents import folder_contents
-    from analysis.tables import new_table
 
-    table = new_table("", "file", "kind", "contents")
-    table.title = str(folder)
+    table = new_table(str(folder), "file", "kind", "contents", name="file")
     rows = folder_contents(folder)
     for row in rows:
         table.add_row(row.name, row.kind, row.summary)
@@ -201,16 +199,13 @@ def _open(file: Path) -> None:
 app.command("info", hidden=True)(show)
 
 
-def _map_contents(path: Path) -> Table:
+def _map_contents(path: Path) -> WordTable:
     """What the file of a track-condition map holds; `trainlog map show` makes estimates of it."""
     from trainlog.formats.mapfile import MapFile
 
     with MapFile(path) as file, file.unchanging():
         track, layers, recordings = file.empty, file.contents(), len(file.trips())
-    table = Table.grid(padding=(0, 2))
-    table.title, table.title_justify = path.name, "left"
-    table.add_column(style="dim")
-    table.add_column(overflow="fold")
+    table = new_table(path.name, "quantity", "value", name="map", show_header=False)
     length = f"{track.length / 1e3:.1f} km, {track.bins} bins of {track.bin_length:g} m"
     table.add_row("line", f"{track.line}, {length}")
     every = sorted({day for _, days in layers.values() for day in days})
@@ -223,9 +218,8 @@ def _map_contents(path: Path) -> Table:
     return table
 
 
-def _map_trips(path: Path) -> Table:
+def _map_trips(path: Path) -> WordTable:
     """The recordings that the file of a map holds, by the names that `map remove` takes."""
-    from analysis.tables import new_table
     from trainlog.condition import day_of_trip
     from trainlog.formats.mapfile import MapFile
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, is_dataclass
@@ -18,10 +19,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rich.console import Console, Group
-from rich.table import Table
 
 from trainlog.display import in_speed_unit, in_zone
 from trainlog.errors import MOST_LISTED, TrainlogError
+from trainlog.presentation import Presented, WordTable
 from trainlog.progress import task, track
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 
 WIDTH = 110
-"""Columns of output that goes to a file or a pipe, where there is no terminal with a width."""
+"""Columns of output that goes to a file or a pipe, unless ``COLUMNS`` states another width."""
 
 
 @dataclass
@@ -72,13 +73,11 @@ class Output:
 
     def gather(self, part: object) -> None:
         """Keep something printed for the JSON object: a table by its name, a sentence as a note."""
-        from analysis.tables import name_of, records
-
         if isinstance(part, Group):
             for each in part.renderables:
                 self.gather(each)
-        elif isinstance(part, Table):
-            self.content.setdefault(name_of(part), []).extend(records(part))
+        elif isinstance(part, WordTable):
+            self.content.setdefault(part.name, []).extend(part.data)
         else:
             words = " ".join(str(part).split())
             self.notes += [words] if words else []
@@ -131,14 +130,13 @@ def _shown(part: Any, unit: str, zone: str) -> Any:
     """Something printed, with speeds and times as the user has set; tables do so themselves."""
     if isinstance(part, Group):
         return Group(*(_shown(each, unit, zone) for each in part.renderables), fit=part.fit)
-    if isinstance(part, Table) and (unit, zone) != ("km/h", "UTC") and not hasattr(part, "forms"):
-        for column in part.columns:
-            column._cells[:] = [_shown(each, unit, zone) for each in column._cells]
     return in_zone(in_speed_unit(part, unit), zone) if isinstance(part, str) else part
 
 
 # No markup: in "[m/s²]" and in the names of trips brackets mean themselves.
-console = _Console(width=None if Console().is_terminal else WIDTH, markup=False)
+console = _Console(
+    width=None if Console().is_terminal or "COLUMNS" in os.environ else WIDTH, markup=False
+)
 errors = Console(stderr=True, markup=False)
 
 
@@ -185,6 +183,14 @@ def state(content: Mapping[str, Any]) -> bool:
     if _output.as_json:
         _output.content.update(content)
     return _output.as_json
+
+
+def show(*results: Presented) -> None:
+    """Print results as their class states: tables and sentences, or data where JSON is wanted."""
+    for result in results:
+        if not state(result.data()):
+            for part in result.shown():
+                console.print(part)
 
 
 def as_json_text(document: Any) -> str:

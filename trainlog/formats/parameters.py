@@ -13,10 +13,11 @@ import numpy as np
 from pydantic import Field, JsonValue
 
 from trainlog.arrays import FloatArray
-from trainlog.display import as_html, as_text, counted, span
+from trainlog.display import counted, span
 from trainlog.errors import InputError
 from trainlog.formats.files import check_written, plain, read_bytes, shortest, write_bytes
 from trainlog.formats.schema import Array, File, Part, Quantity, built
+from trainlog.presentation import PLAIN, Band, Column, Presented, Said, WordTable, new_table
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Configuration, ParameterSet
 from trainlog.units import KMH, factor
@@ -260,8 +261,23 @@ class DragCurve:
         return f"DragCurve: {span(self.speeds, KMH)} km/h, {span(self.deceleration, 1e3)} mm/s²"
 
 
-@dataclass(frozen=True, eq=False)
-class CoastDownResult:
+def _value(quantity: Identified) -> Band | Said:
+    if quantity.value is None or quantity.std is None:
+        return Said(None, "not identified")
+    return Band(quantity.value, quantity.std)
+
+
+QUANTITY_COLUMNS = (
+    Column("quantity", of="name"),
+    Column("unit"),
+    Column("value", PLAIN, band=True, of=_value),
+    Column("", key="reason", of=lambda each: each.reason or ""),
+)
+"""Of an `Identified`."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CoastDownResult(Presented):
     """What was learnt of running resistance from coasting.
 
     Attributes
@@ -298,23 +314,34 @@ class CoastDownResult:
                 return quantity
         raise KeyError(name)
 
-    def __repr__(self) -> str:
-        return as_text(self._title, self._summary())
-
-    def _repr_html_(self) -> str:
-        return as_html(self._title, self._summary())
-
     @property
-    def _title(self) -> str:
+    def title(self) -> str:
+        """Train, trips and whether the gradient was known."""
         train = f" of '{self.train}'" if self.train else ""
         return f"Coast-down{train}, {counted(len(self.trips), 'trip')}, gradient: {self.gradient}"
 
-    def _summary(self) -> dict[str, str]:
+    def summary(self) -> dict[str, str]:
         """Each quantity with its standard deviation, or why it is not identified."""
         rows = {each.name: _in_words(each) for each in self.quantities}
         if self.curve is not None:
             rows["drag curve"] = f"{span(self.curve.speeds, KMH)} km/h"
         return rows
+
+    def tables(self) -> list[WordTable]:
+        """What is identified, and why the rest is not."""
+        title = f"Running resistance over inertia, gradient {self.gradient}"
+        return [new_table(title, *QUANTITY_COLUMNS, name="quantities").add_rows(self.quantities)]
+
+    @property
+    def notes(self) -> list[str]:
+        """What it rests on, in sentences."""
+        words = [f"{counted(len(self.pieces), 'piece')} of track coasted more than once."]
+        words = words if self.gradient == "unknown" else []
+        words += [f"refused: {trip['reason']}" for trip in self.trips if not trip["accepted"]]
+        if self.curve is not None:
+            low, high = (KMH * float(self.curve.speeds[end]) for end in (0, -1))
+            words.append(f"The whole curve is supported from {low:.0f} to {high:.0f} km/h.")
+        return words
 
 
 def _in_words(quantity: Identified) -> str:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,15 +25,11 @@ from trainlog.mcap.reader import attachments_of, bare_trip, metadata_of, read_lo
 from trainlog.mcap.records import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD, Source, in_file
 from trainlog.mcap.scan import contents_used
 from trainlog.mcap.selection import position_span
+from trainlog.presentation import WordTable, new_table
 from trainlog.railway.kilometres import in_km
 from trainlog.railway.line import Line
 from trainlog.topics import EVENTS, TOPICS, TRAIN_STATE, Field, Topic
 from trainlog.trip import LINE_ATTACHMENT, Trip
-
-if TYPE_CHECKING:
-    from rich.console import RenderableType
-    from rich.table import Table
-    from rich.text import Text
 
 GAP = 3.0
 """An interval longer than this many median intervals is a gap."""
@@ -481,8 +477,8 @@ _LONGEST = 400
 
 def render(
     description: LogDescription, recorded: Mapping[str, frozenset[str]] | None = None
-) -> RenderableType:
-    """What is in a log, as something that rich prints.
+) -> list[WordTable]:
+    """What is in a log, as tables.
 
     Parameters
     ----------
@@ -490,13 +486,11 @@ def render(
     recorded : mapping of str to frozenset of str, optional
         `recorded_fields` of the log: with them the fields without any value are set apart.
     """
-    from rich.console import Group
-
-    parts: list[RenderableType] = [_overview(description), _topics(description)]
+    parts = [_overview(description), _topics(description)]
     if any(topic.units for topic in description.topics):
         parts.append(_fields(description, recorded or {}))
     if description.metadata:
-        parts.append(_pairs("Metadata", description.metadata))
+        parts.append(_pairs("metadata", description.metadata))
     if description.provenance:
         steps = {
             f"{number} {step.get('step', '')}".strip(): ", ".join(
@@ -504,10 +498,10 @@ def render(
             )
             for number, step in enumerate(description.provenance, start=1)
         }
-        parts.append(_pairs("Provenance", steps))
+        parts.append(_pairs("provenance", steps))
     if description.attachments:
         parts.append(_attachments(description))
-    return Group(_plain(str(description.path), "bold"), *parts)
+    return parts
 
 
 def _stretch(start: float, end: float, line: Line | None = None) -> str:
@@ -515,12 +509,10 @@ def _stretch(start: float, end: float, line: Line | None = None) -> str:
     return f"km {first:.3f} to km {last:.3f}"
 
 
-def _overview(description: LogDescription) -> Table:
-    from rich.table import Table
-
-    table = Table.grid(padding=(0, 2))
-    table.add_column(style="dim")
-    table.add_column(overflow="fold")
+def _overview(description: LogDescription) -> WordTable:
+    table = new_table(
+        _plain(str(description.path)), "quantity", "value", name="file", show_header=False
+    )
     first, last = description.first, description.last
     if first is not None and last is not None:
         duration = _duration((last - first).total_seconds())
@@ -557,9 +549,9 @@ def _chunks(description: LogDescription) -> str:
     return f"{chunks}, {size} ({_size(description.content_size)} without)"
 
 
-def _topics(description: LogDescription) -> Table:
-    numbers = ("Count", "Rate", "From, UTC", "To, UTC", "Gaps", "Longest")
-    table = _table("Topic", "Message", numbers=numbers)
+def _topics(description: LogDescription) -> WordTable:
+    numbers = ("count", "rate", "from, UTC", "to, UTC", "gaps", "longest")
+    table = new_table("", "topic", "message", *numbers, name="topics")
     for topic in description.topics:
         table.add_row(
             _plain(topic.name),
@@ -575,8 +567,8 @@ def _topics(description: LogDescription) -> Table:
     return table
 
 
-def _fields(description: LogDescription, recorded: Mapping[str, frozenset[str]]) -> Table:
-    table = _table("Topic", "Fields and units")
+def _fields(description: LogDescription, recorded: Mapping[str, frozenset[str]]) -> WordTable:
+    table = new_table("", "topic", "fields and units", name="fields")
     for topic in description.topics:
         if topic.units:
             # Fields of no axle hold nothing.
@@ -586,7 +578,7 @@ def _fields(description: LogDescription, recorded: Mapping[str, frozenset[str]])
             empty = ", ".join(name for name in held if name not in known)
             table.add_row(_plain(topic.name), _plain(fields))
             if empty:
-                table.add_row("", _plain(f"not recorded: {empty}", "dim"))
+                table.add_row("", _plain(f"not recorded: {empty}"))
     return table
 
 
@@ -600,8 +592,8 @@ def _field(topic: TopicDescription, name: str) -> str:
     return f"{shown} of {counted(topic.axles[name], each.get(name, 'axle').split()[-1])}"
 
 
-def _pairs(heading: str, pairs: dict[str, str]) -> Table:
-    table = _table(heading, "")
+def _pairs(heading: str, pairs: dict[str, str]) -> WordTable:
+    table = new_table("", heading, "", name=heading.lower())
     for key, value in pairs.items():
         shown = value if len(value) <= _LONGEST else f"{value[:_LONGEST]} …"
         table.add_row(_plain(key), _plain(shown))
@@ -616,30 +608,16 @@ def _in_words(value: object) -> str:
     return f"{text[:12]}…" if re.fullmatch("[0-9a-f]{64}", text) else text
 
 
-def _attachments(description: LogDescription) -> Table:
-    table = _table("Attachment", numbers=["Size"])
-    table.add_column("SHA-256")
+def _attachments(description: LogDescription) -> WordTable:
+    table = new_table("", "attachment", "size", "SHA-256", name="attachments")
     for attachment in description.attachments:
         table.add_row(_plain(attachment.name), _size(attachment.size), attachment.sha256)
     return table
 
 
-def _table(*headings: str, numbers: Sequence[str] = ()) -> Table:
-    """A table without rows, columns of numbers behind those of text."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(*headings, box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading in numbers:
-        table.add_column(heading, justify="right")
-    return table
-
-
-def _plain(text: str, style: str = "") -> Text:
-    """Text from a file, which is neither markup nor allowed to steer the terminal."""
-    from rich.text import Text
-
-    return Text("".join(letter if letter.isprintable() else " " for letter in text), style=style)
+def _plain(text: str) -> str:
+    """Text from a file, which is not allowed to steer the terminal."""
+    return "".join(letter if letter.isprintable() else " " for letter in text)
 
 
 def _time(time: pd.Timestamp) -> str:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from rich.table import Table
 
 from analysis.studies.amirhosseini_2024.simulation import Run, worst
-from analysis.tables import new_table
 from trainlog.arrays import FloatArray
+from trainlog.presentation import WordTable, new_table
 
 Figures = tuple[float | None, float | None, float | None]
 
@@ -21,7 +20,7 @@ def errors_table(
     exact: Mapping[str, Run],
     measured: Mapping[str, Run],
     shifted: Mapping[str, Sequence[Run]],
-) -> Table:
+) -> WordTable:
     """Largest errors of Amirhosseini et al. (2024): published, reached, and with measured speed.
 
     Parameters
@@ -51,7 +50,7 @@ def errors_table(
     return table
 
 
-def coefficients_table(exact: Mapping[str, Run], measured: Mapping[str, Run]) -> Table:
+def coefficients_table(exact: Mapping[str, Run], measured: Mapping[str, Run]) -> WordTable:
     """How far the single coefficients are from the true ones, beside figure 6 of the paper.
 
     The error of an estimate is the median of its amount after the first `SETTLED` seconds, as a
@@ -89,7 +88,7 @@ def coefficient_errors(run: Run) -> FloatArray:
     return np.asarray(np.median(np.abs(error), axis=0) / mean)
 
 
-def eight_wagons_table(exact: Mapping[str, Run], coupled: Sequence[Run]) -> Table:
+def eight_wagons_table(exact: Mapping[str, Run], coupled: Sequence[Run]) -> WordTable:
     """The multi-particle train under the paper's control, beside the single particle.
 
     Parameters

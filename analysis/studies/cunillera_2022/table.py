@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from rich.table import Table
-
 from analysis.studies.cunillera_2022 import model as study
-from analysis.tables import new_table
 from analysis.trajectory.discretisation import discretise
 from analysis.trajectory.phases import Phase
+from trainlog.presentation import WordTable, new_table
 from trainlog.railway import Configuration, Trajectory
 from trainlog.units import KMH
 
 
-def configurations_table(instance: study.Instance) -> Table:
+def configurations_table(instance: study.Instance) -> WordTable:
     """The observed set, per unit mass as the paper has it.
 
     Parameters
@@ -41,7 +39,9 @@ def configurations_table(instance: study.Instance) -> Table:
     return table
 
 
-def price_table(alone: Mapping[str, Trajectory], common: Trajectory, recourse: Trajectory) -> Table:
+def price_table(
+    alone: Mapping[str, Trajectory], common: Trajectory, recourse: Trajectory
+) -> WordTable:
     """What each configuration needs by itself, and what all together cost.
 
     Parameters
@@ -80,7 +80,7 @@ def price_table(alone: Mapping[str, Trajectory], common: Trajectory, recourse: T
     return table
 
 
-def printed_table(instance: study.Instance, common: Trajectory) -> Table:
+def printed_table(instance: study.Instance, common: Trajectory) -> WordTable:
     """Eqs. (2) to (8) as printed, integrated for every configuration under the common efforts.
 
     Parameters
@@ -100,7 +100,7 @@ def printed_table(instance: study.Instance, common: Trajectory) -> Table:
     return table
 
 
-def phases_table(answers: Sequence[tuple[str, Trajectory]]) -> Table:
+def phases_table(answers: Sequence[tuple[str, Trajectory]]) -> WordTable:
     """The phases of section 3, and how far they are those of the switching function.
 
     Parameters
@@ -127,7 +127,7 @@ def phases_table(answers: Sequence[tuple[str, Trajectory]]) -> Table:
     return table
 
 
-def cruise_table(answers: Sequence[tuple[str, Trajectory]]) -> Table:
+def cruise_table(answers: Sequence[tuple[str, Trajectory]]) -> WordTable:
     """The multiplier of the time against its analytic value.
 
     Parameters
@@ -160,7 +160,7 @@ def others_table(
     nominal: Trajectory,
     common: Trajectory,
     chosen: Sequence[Configuration],
-) -> Table:
+) -> WordTable:
     """The optimum for the nominal configuration, driven by the others; beside it the robust one.
 
     Parameters
@@ -193,7 +193,7 @@ def others_table(
     return table
 
 
-def ends_table(ends: Sequence[tuple[float, float | None, Trajectory]]) -> Table:
+def ends_table(ends: Sequence[tuple[float, float | None, Trajectory]]) -> WordTable:
     """What a wider observed set costs, and how slow one brake for all can make it.
 
     Parameters

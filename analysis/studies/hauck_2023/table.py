@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from rich.table import Table
 
 from analysis.studies.hauck_2023.scenarios import SCENARIOS, Day, Days, Outcome
 from analysis.studies.hauck_2023.section import fastest, least_time_unweighed
 from analysis.studies.hauck_2023.simulation import Plan, Run
-from analysis.tables import new_table
+from trainlog.presentation import WordTable, new_table
 from trainlog.units import KMH
 
 CONSTRAINTS = (
@@ -21,7 +20,7 @@ CONSTRAINTS = (
 """Of eq. (7), at any mass and without reserve."""
 
 
-def published_table() -> Table:
+def published_table() -> WordTable:
     """What Hauck et al. (2023) state of their scenarios, for 78.2 t and a map that is lost."""
     table = new_table(
         "Published (Hauck et al., 2023)", "scenario", "errors; every constraint h is kept"
@@ -31,7 +30,7 @@ def published_table() -> Table:
     return table
 
 
-def references_table(plan: Plan) -> Table:
+def references_table(plan: Plan) -> WordTable:
     """The references that are followed, and how much time each has.
 
     Parameters
@@ -66,7 +65,7 @@ def references_table(plan: Plan) -> Table:
     return table
 
 
-def tracking_table(outcomes: Sequence[Outcome]) -> Table:
+def tracking_table(outcomes: Sequence[Outcome]) -> WordTable:
     """Errors of the trips with the map, the least there could be, and what was left of the limits.
 
     The lever changes from traction to braking or back; the reference's changes stand beside.
@@ -108,7 +107,7 @@ def tracking_table(outcomes: Sequence[Outcome]) -> Table:
     return table
 
 
-def lateness_table(outcomes: Sequence[Outcome]) -> Table:
+def lateness_table(outcomes: Sequence[Outcome]) -> WordTable:
     """How late the trips with the map were, beside the least that is possible.
 
     Parameters
@@ -138,7 +137,7 @@ def lateness_table(outcomes: Sequence[Outcome]) -> Table:
     return table
 
 
-def gain_table(outcomes: Sequence[Outcome]) -> Table:
+def gain_table(outcomes: Sequence[Outcome]) -> WordTable:
     """What the map is worth: skidding and sliding with it and without.
 
     Parameters
@@ -165,7 +164,7 @@ def gain_table(outcomes: Sequence[Outcome]) -> Table:
     return table
 
 
-def difference_table(outcomes: Sequence[Outcome]) -> Table:
+def difference_table(outcomes: Sequence[Outcome]) -> WordTable:
     """What is not as the paper has it, over all masses.
 
     Parameters
@@ -211,7 +210,7 @@ def _speed_error(run: Run) -> str:
     return f"{np.abs(run.speed_error).max():.2f}"
 
 
-def days_table(days: Days) -> Table:
+def days_table(days: Days) -> WordTable:
     """Each day beside the first: slip, punctuality, and the map that it was driven by.
 
     Parameters
@@ -251,7 +250,7 @@ def days_table(days: Days) -> Table:
     return table
 
 
-def risks_table(driven: Mapping[str, Days]) -> Table:
+def risks_table(driven: Mapping[str, Days]) -> WordTable:
     """What each way of reading the map cost and saved, on the days that had one.
 
     Parameters

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from rich.table import Table
 
 from analysis.studies.in_train_forces.simulation import ConsistRun
-from analysis.tables import new_table
 from trainlog.arrays import FloatArray
+from trainlog.presentation import WordTable, new_table
 from trainlog.units import KMH
 
 
-def forces_tables(run: ConsistRun) -> tuple[Table, Table]:
+def forces_tables(run: ConsistRun) -> tuple[WordTable, WordTable]:
     """The largest forces of each coupler, phase by phase, and what they mean for the trip."""
     names = [name for _, name in run.phases if name not in ("halt", "end")]
     table = new_table(

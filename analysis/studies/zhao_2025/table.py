@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from rich.table import Table
 
 from analysis.studies.zhao_2025.simulation import CASES, Run
-from analysis.tables import new_table
+from trainlog.presentation import WordTable, new_table
 
 SPANS = ((5.0, 10.0), (15.0, 20.0), (22.0, 25.0), (27.0, 30.0))
 """In which the axles have come to rest at their slip speeds [s]."""
@@ -18,7 +17,7 @@ STARTING = (0.0, 0.1, 0.2, 0.5, 1.0, 2.0)
 """At which the start of case 1 is listed [s]."""
 
 
-def published_table() -> Table:
+def published_table() -> WordTable:
     """What Zhao et al. (2025) states of its cases."""
     table = new_table("Published; torques in N m", "case", "", "reached there")
     for case in CASES:
@@ -26,7 +25,7 @@ def published_table() -> Table:
     return table
 
 
-def torque_table(runs: Sequence[Run]) -> Table:
+def torque_table(runs: Sequence[Run]) -> WordTable:
     """Torques, adhesion in use and acceleration of each run, where its axles have come to rest.
 
     Parameters
@@ -61,7 +60,7 @@ def torque_table(runs: Sequence[Run]) -> Table:
     return table
 
 
-def start_table(solved: Run, assumed: Run) -> Table:
+def start_table(solved: Run, assumed: Run) -> WordTable:
     """How case 1 begins: solved from the first sample, and with the torque that is assumed there.
 
     Parameters
@@ -80,7 +79,7 @@ def start_table(solved: Run, assumed: Run) -> Table:
     return table
 
 
-def gain_table(runs: Mapping[str, Sequence[Run]]) -> Table:
+def gain_table(runs: Mapping[str, Sequence[Run]]) -> WordTable:
     """What cooperation is worth: force, speed and way of each strategy.
 
     Parameters
@@ -110,7 +109,7 @@ def gain_table(runs: Mapping[str, Sequence[Run]]) -> Table:
     return table
 
 
-def knowledge_table(runs: Mapping[str, Sequence[Run | None]]) -> Table:
+def knowledge_table(runs: Mapping[str, Sequence[Run | None]]) -> WordTable:
     """What it is worth to know the rail.
 
     Parameters

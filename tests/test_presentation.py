@@ -1,0 +1,159 @@
+"""What follows from a result's declaration: text, HTML, JSON with its schema, CSV, pictures."""
+
+from __future__ import annotations
+
+import io
+import pickle
+from dataclasses import dataclass
+
+import jsonschema
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, strategies as st
+from rich.console import Console
+
+from trainlog.presentation import (
+    ADHESION,
+    MASS,
+    SPEED,
+    Band,
+    Column,
+    Ends,
+    Presented,
+    Said,
+    WordTable,
+    new_table,
+)
+
+RUN_COLUMNS = (
+    Column("train"),
+    Column("top speed", SPEED, of="top"),
+    Column("mass", MASS, band=True, rank=1),
+    Column("adhesion", ADHESION, rank=2),
+)
+
+
+@dataclass(frozen=True)
+class Run:
+    train: str
+    top: float
+    mass: Band | None
+    adhesion: Ends | None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Runs(Presented):
+    runs: tuple[Run, ...]
+    efforts: np.ndarray  # type: ignore[type-arg]
+
+    @property
+    def title(self) -> str:
+        return f"{len(self.runs)} runs"
+
+    def summary(self) -> dict[str, str]:
+        return {run.train: SPEED.words(run.top) for run in self.runs}
+
+    def facts(self) -> dict[str, object]:
+        return {"longest_s": 3.5, "line": "A - B"}
+
+    def tables(self) -> list[WordTable]:
+        return [new_table("Runs", *RUN_COLUMNS, name="runs").add_rows(self.runs)]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return ("± is the 95 % band.",)
+
+
+def runs(count: int = 2) -> Runs:
+    every = [
+        Run(f"train {n}", 20.0 + n, Band(80e3, 1e3) if n else None, Ends(0.15, 0.1, 0.2))
+        for n in range(count)
+    ]
+    return Runs(tuple(every), np.array([1e3, np.nan, 4e3]))
+
+
+def test_a_prompt_shows_the_title_and_the_summary_in_at_most_ten_lines() -> None:
+    assert repr(runs()).splitlines() == ["2 runs", "  train 0  72.0 km/h", "  train 1  75.6 km/h"]
+    many = repr(runs(30)).splitlines()
+    assert len(many) == 10
+    assert many[-1] == "  and 22 more"
+
+
+def test_a_notebook_shows_title_tables_and_notes_escaped() -> None:
+    html = runs()._repr_html_()
+    for words in ("<b>2 runs</b>", "top speed, km/h", "95 % band"):
+        assert words in html
+    hostile = Runs((Run("<script>", 1.0, None, None),), np.zeros(2))
+    assert "<script>" not in hostile._repr_html_()
+
+
+def test_json_has_facts_tables_in_si_units_and_notes_and_fits_its_schema() -> None:
+    found = runs()
+    data = found.data()
+    assert data["longest_s"] == 3.5
+    assert data["runs"][0]["mass_kg"] is None
+    assert data["runs"][1] == {
+        **{"train": "train 1", "top_speed_m_s": 21.0, "mass_kg": 80e3, "mass_std_kg": 1e3},
+        **{"adhesion": 0.15, "adhesion_low": 0.1, "adhesion_high": 0.2},
+    }
+    assert data["notes"] == ["± is the 95 % band."]
+    jsonschema.validate(data, found.schema())
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({**data, "longest_s": "3.5 s"}, found.schema())
+
+
+def test_csv_and_frame_hold_the_rows_in_si_units() -> None:
+    found = runs()
+    read = pd.read_csv(io.StringIO(found.to_csv()))
+    assert read["top_speed_m_s"].tolist() == [20.0, 21.0]
+    assert read["mass_std_kg"].isna().tolist() == [True, False]
+    assert found.to_frame().attrs["units"]["top_speed_m_s"] == "m/s"
+    with pytest.raises(KeyError, match="no table 'days'; it has runs"):
+        found.to_csv(name="days")
+
+
+def test_results_are_compared_by_value_and_pickled() -> None:
+    assert runs() == runs()
+    assert runs() != runs(3)
+    assert pickle.loads(pickle.dumps(runs())) == runs()
+
+
+def printed(table: WordTable, width: int) -> str:
+    console = Console(width=width, file=io.StringIO())
+    with console.capture() as captured:
+        console.print(table)
+    return captured.get()
+
+
+def test_a_narrow_terminal_leaves_out_the_least_important_columns_and_names_them() -> None:
+    (table,) = runs().tables()
+    assert "not shown" not in printed(table, 80)
+    narrow = " ".join(printed(table, 34).split())
+    assert "not shown in 34 columns: adhesion" in narrow
+    assert "80.0 ± 2.0" in narrow
+    narrower = " ".join(printed(table, 24).split())
+    assert "mass, t, adhesion" in narrower
+    assert "72.0" in narrower
+
+
+CONDITION = ("rail\ncondition", "trips", "onsets measured", "lasting (95 % band)", "expected")
+
+
+@given(width=st.integers(30, 130))
+def test_words_of_a_table_are_never_broken(width: int) -> None:
+    table = new_table("Track condition", *CONDITION)
+    table.add_row("dry", "12", "3", "0.215 (0.190 to 0.240)", "0.210")
+    shown = printed(table, width).split()
+    left = set(" ".join((*CONDITION, "dry 12 3 0.215 (0.190 to 0.240) 0.210")).split())
+    named = {word.strip(",") for word in shown} | set(shown)
+    headings = set(" ".join(CONDITION).split())
+    assert headings <= named
+    assert all(word in left or not word[0].isdigit() for word in shown if word != str(width))
+
+
+def test_what_is_shown_in_words_of_its_own_is_data_all_the_same() -> None:
+    table = new_table("", Column("time", SPEED, key="speed"), name="rows")
+    table.add_cells(Said(2.0, "slow"))
+    assert table.words == [["slow"]]
+    assert table.data == [{"speed_m_s": 2.0}]

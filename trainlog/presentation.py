@@ -1,0 +1,763 @@
+"""What a result shows, declared once: its title, its summary, its tables and its sentences.
+
+A class that derives from `Presented` states these, and its ``repr``, its form in a notebook, its
+tables in a terminal and in a report, its JSON object with a schema and its CSV follow.
+
+A `Column` states what the numbers of a table are, and where a row has them: they are kept in SI
+units and shown in those that people read.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from html import escape
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trainlog.display import SPEED_UNITS, as_text, in_speed_unit, in_zone
+from trainlog.units import JOULES_PER_KWH, KMH
+from trainlog.values import same_values
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from rich.console import Console, ConsoleOptions, RenderResult
+
+FloatArray = NDArray[np.float64]
+
+MOST_ROWS = 60
+"""Of a table in a notebook."""
+
+PADDING = 3
+"""Letters that each column of a table in a terminal takes beside its cells."""
+
+LONGEST_WORD = 32
+"""Letters of a word that is never broken: longer ones are checksums and paths."""
+
+LONG_NAME, SHORTEST_NAME = 24, 7
+"""Letters to which long names are cut in a narrow terminal: before columns are left out, and where
+leaving them out is not enough."""
+
+
+# ---------------------------------------------------------------------------------- quantities
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A kind of number: its SI unit, and how people read it.
+
+    Attributes
+    ----------
+    suffix : str
+        The SI unit as keys of JSON end: ``"m_s"`` for m/s; empty for a pure number.
+    unit : str
+        In which it is shown.
+    factor : float
+        Of the number shown to the one in SI units.
+    digits : int
+        Shown after the point.
+    """
+
+    suffix: str
+    unit: str
+    factor: float = 1.0
+    digits: int = 1
+
+    def words(self, value: float, *, unit: bool = True) -> str:
+        """A value as it is shown.
+
+        Examples
+        --------
+        >>> SPEED.words(20.0), SHARE.words(0.123), MASS.words(80e3, unit=False)
+        ('72.0 km/h', '12.3 %', '80.0')
+        """
+        number = f"{value * self.factor:,.{self.digits}f}"
+        return f"{number} {self.unit}" if unit and self.unit else number
+
+
+SPEED = Quantity("m_s", "km/h", KMH)
+POSITION = Quantity("m", "km", 1e-3, 3)
+DURATION = Quantity("s", "s")
+MASS = Quantity("kg", "t", 1e-3)
+FORCE = Quantity("N", "kN", 1e-3, 2)
+POWER = Quantity("W", "kW", 1e-3, 0)
+ENERGY = Quantity("J", "kWh", 1.0 / JOULES_PER_KWH, 2)
+SHARE = Quantity("", "%", 100.0)
+NUMBER = Quantity("", "", 1.0, 0)
+KILOMETRE = Quantity("km", "", 1.0, 3)
+ADHESION = Quantity("", "", 1.0, 3)
+ACCELERATION = Quantity("m_s2", "mm/s²", 1e3)
+DEVIATION = Quantity("", "σ", 1.0, 2)
+PLAIN = Quantity("", "")
+
+
+@dataclass(frozen=True)
+class Band:
+    """A number with its standard deviation, both in SI units; shown with the 95 % band."""
+
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class Ends:
+    """A number with the ends of its 95 % band, all in SI units."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Said:
+    """A number in SI units that is shown in words of its own."""
+
+    value: Any
+    words: str
+
+
+Cell: TypeAlias = "str | float | Band | Ends | Said | None"
+"""Of a table: words, or a number in SI units."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table: its heading, its key in JSON, and what its numbers are.
+
+    The unit stands in the heading, or with each number (`each`) where the heading names none. Where
+    numbers have bands (`band`), each row has their standard deviation, null where there is none.
+
+    Attributes
+    ----------
+    heading : str
+    quantity : Quantity, optional
+    key : str
+        Default: the heading in small letters.
+    each, band : bool
+    of : callable or str, optional
+        The cell of a row (`WordTable.add_rows`): what it returns of the row, or the row's attribute
+        or entry of that name. Default: `key`.
+    rank : int
+        In a narrow terminal columns of a higher rank are left out first, of one rank the last.
+    """
+
+    heading: str
+    quantity: Quantity | None = None
+    key: str = ""
+    each: bool = False
+    band: bool = False
+    of: Callable[[Any], Cell] | str | None = None
+    rank: int = 0
+
+    @property
+    def name(self) -> str:
+        """Key without the unit."""
+        return self.key or as_key(self.heading)
+
+    @property
+    def title(self) -> str:
+        """The heading with its unit."""
+        named = self.quantity is not None and self.quantity.unit and not self.each
+        return f"{self.heading}, {self.quantity.unit}" if named and self.quantity else self.heading
+
+    def cell(self, row: Any) -> Cell:
+        """The cell of a row."""
+        if callable(self.of):
+            return self.of(row)
+        name = self.of or self.name
+        found: Cell = row[name] if isinstance(row, Mapping) else getattr(row, name)
+        return found
+
+    def in_speed_unit(self, unit: str) -> Column:
+        """The column in the unit that is chosen for speeds, if they are."""
+        if self.quantity is None or self.quantity.unit != SPEED.unit:
+            return self
+        digits = self.quantity.digits + (unit == "m/s")
+        factor = KMH * SPEED_UNITS[unit]
+        return replace(
+            self, quantity=replace(self.quantity, unit=unit, factor=factor, digits=digits)
+        )
+
+    def words(self, cell: Cell) -> str:
+        """A cell as it is shown.
+
+        Examples
+        --------
+        >>> Column("adhesion", ADHESION).words(Ends(0.15, 0.1, 0.2))
+        '0.150 (0.100 to 0.200)'
+        """
+        if cell is None:
+            return "-"
+        if isinstance(cell, Said):
+            return cell.words
+        if isinstance(cell, str) or self.quantity is None:
+            return str(cell)
+        unit = f" {self.quantity.unit}" if self.each and self.quantity.unit else ""
+        if isinstance(cell, Band | Ends) and not math.isfinite(cell.value):
+            return "-"
+        if isinstance(cell, Band):
+            factor = self.quantity.factor
+            return with_band(cell.value * factor, cell.std * factor, unit)
+        if isinstance(cell, Ends):
+            value, low, high = (
+                self.quantity.words(each, unit=False) for each in (cell.value, cell.low, cell.high)
+            )
+            return f"{value} ({low} to {high}){unit}"
+        return self.quantity.words(cell, unit=self.each) if math.isfinite(cell) else "-"
+
+    def data(self, cell: Cell) -> dict[str, Any]:
+        """A cell as JSON has it: numbers in SI units, which end the keys."""
+        suffix = f"_{self.quantity.suffix}" if self.quantity and self.quantity.suffix else ""
+        value = cell.value if isinstance(cell, Said | Band | Ends) else cell
+        found = {f"{self.name}{suffix}": value}
+        if self.band:
+            found[f"{self.name}_std{suffix}"] = cell.std if isinstance(cell, Band) else None
+        if isinstance(cell, Ends):
+            found |= {f"{self.name}_low{suffix}": cell.low, f"{self.name}_high{suffix}": cell.high}
+        return found
+
+
+def as_key(heading: str) -> str:
+    """A heading as a key: ``"rail condition"`` is ``rail_condition``."""
+    return re.sub(r"\W+", "_", heading.strip().lower()).strip("_")
+
+
+def with_band(value: float, std: float, unit: str = "") -> str:
+    """A value with its 95 % band, to the digits that the band leaves meaningful."""
+    reach = 1.96 * std
+    digits = max(0, 1 - math.floor(math.log10(reach))) if reach > 0.0 else 1
+    return f"{value:.{digits}f} ± {reach:.{digits}f}{unit}"
+
+
+def kwh(energy: float) -> str:
+    """An energy [J] in kilowatt hours; a dash for one that is not known."""
+    return "-" if energy != energy else f"{energy / JOULES_PER_KWH:.2f} kWh"
+
+
+def overspeed(speed: float) -> str:
+    """A speed over the limit [m/s] in words; what a person does not see is none."""
+    return f"{KMH * speed:.1f} km/h" if KMH * speed >= 0.05 else "none"
+
+
+# -------------------------------------------------------------------------------------- tables
+
+
+@dataclass(eq=False, repr=False)
+class WordTable:
+    """A table: what its columns are, and a row of cells each.
+
+    In a terminal that is too narrow for the words of all columns the least important columns are
+    left out, and named under the table.
+
+    Attributes
+    ----------
+    title : str
+    forms : tuple of Column
+    name : str
+        In JSON; default: the first words of the title, or the first heading.
+    plain : bool
+        Whether its cells are words alone; else they are numbers in SI units, too.
+    show_header : bool
+    caption : str, optional
+        Stands under the table.
+    frame : DataFrame, optional
+        What the rows are taken from: JSON and CSV have all of its columns.
+    usual : bool
+        Whether it is shown without being asked for.
+    rows : list of tuple of Cell
+    ends : set of int
+        Rows behind which a part of the table ends.
+    """
+
+    title: str
+    forms: tuple[Column, ...]
+    name: str = ""
+    plain: bool = False
+    show_header: bool = True
+    caption: str | None = None
+    frame: pd.DataFrame | None = None
+    usual: bool = True
+    rows: list[tuple[Cell, ...]] = field(default_factory=list)
+    ends: set[int] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        title = self.title.split(" of ")[0]
+        first = as_key(self.forms[0].heading) if self.forms else ""
+        self.name = self.name or as_key(title) or first or "rows"
+
+    def __repr__(self) -> str:
+        return f"Table {self.title!r}: {len(self.rows)} rows of {', '.join(self.heads)}"
+
+    def add_cells(self, *cells: Cell) -> None:
+        """Add a row of numbers in SI units and of words, a cell a column."""
+        if len(cells) != len(self.forms):
+            raise ValueError(f"{len(cells)} cells in a row of {len(self.forms)} columns")
+        self.rows.append(cells)
+
+    def add_row(self, *cells: Cell) -> None:
+        """Add a row whose last cells may be left out."""
+        self.add_cells(*cells, *[""] * (len(self.forms) - len(cells)))
+
+    def add_rows(self, rows: Iterable[Any]) -> WordTable:
+        """Add a row for each of some things: its cells are as the columns state (`Column.of`)."""
+        for row in rows:
+            self.add_cells(*(form.cell(row) for form in self.forms))
+        return self
+
+    def add_section(self) -> None:
+        """End a part of the table behind the last row."""
+        self.ends.add(len(self.rows) - 1)
+
+    @property
+    def heads(self) -> list[str]:
+        """The headings, with units."""
+        return [form.title for form in self.forms]
+
+    @property
+    def words(self) -> list[list[str]]:
+        """The rows as they are shown."""
+        return [
+            [form.words(cell) for form, cell in zip(self.forms, row, strict=True)]
+            for row in self.rows
+        ]
+
+    @property
+    def data(self) -> list[dict[str, Any]]:
+        """The rows as JSON has them, by the keys of the columns."""
+        if self.frame is not None:
+            return plain_rows(self.frame)
+        if self.plain:
+            keys = [form.name or f"column_{n}" for n, form in enumerate(self.forms, 1)]
+            return [
+                {key: " ".join(cell.split()) for key, cell in zip(keys, row, strict=True)}
+                for row in self.words
+            ]
+        return [
+            {
+                key: value
+                for form, cell in zip(self.forms, row, strict=True)
+                for key, value in form.data(cell).items()
+            }
+            for row in self.rows
+        ]
+
+    def shown_as(self, unit: str, zone: str) -> WordTable:
+        """The table in words, with speeds in another unit and times in another zone."""
+
+        def words(cell: str) -> str:
+            return in_zone(in_speed_unit(cell, unit), zone)
+
+        forms = [each.in_speed_unit(unit) for each in self.forms]
+        told = replace(self, forms=tuple(forms))
+        heads = tuple(replace(each, heading=words(each.title), each=True) for each in forms)
+        rows: list[tuple[Cell, ...]] = [
+            tuple(Said(None, words(cell)) for cell in row) for row in told.words
+        ]
+        caption = words(self.caption or "")
+        return replace(self, title=words(self.title), forms=heads, rows=rows, caption=caption)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """The table as wide as its words ask for, or as the page allows."""
+        unit, zone = getattr(console, "shown_as", ("km/h", "UTC"))
+        shown = self if (unit, zone) == ("km/h", "UTC") else self.shown_as(unit, zone)
+        yield from shown._laid_out(console, options.max_width)
+
+    def _laid_out(self, console: Console, width: int) -> RenderResult:
+        """Give every column the least it needs, and a like part of what else it asks for.
+
+        Headings are broken between their words first, then the rows but for the names in the first
+        column, then those. Where that is not enough long names are cut in their middles, and
+        columns are left out; inside words only a page is broken that is narrower than a name.
+        """
+        from rich.box import SIMPLE_HEAD
+        from rich.table import Table
+        from rich.text import Text
+
+        heads, rows = self.heads, self.words
+        kept = list(range(len(heads)))
+        least = [self._longest([heads[n], *(row[n] for row in rows)]) for n in kept]
+
+        def over() -> int:
+            return sum(least[n] for n in kept) + PADDING * len(kept) + 1 - width
+
+        self._cut(least, kept, over, LONG_NAME)
+        order = sorted(kept[1:], key=lambda n: (self.forms[n].rank, n))
+        while over() > 0 and order:
+            kept.remove(order.pop())
+        self._cut(least, kept, over, SHORTEST_NAME)
+        if not self.plain:
+            rows = [[_shortened(cell, least[n]) for n, cell in enumerate(row)] for row in rows]
+        widths = self._widths(
+            [heads[n] for n in kept], [[row[n] for n in kept] for row in rows], width
+        )
+        table = Table(box=SIMPLE_HEAD, show_header=self.show_header)
+
+        def literal(words: str, style: str = "") -> Text:
+            """Words of files, in which brackets and colons mean themselves."""
+            return console.render_str(words, style=style, markup=False, emoji=False)
+
+        for n, each in zip(kept, widths, strict=True):
+            table.add_column(literal(heads[n]), overflow="fold", width=each)
+        for number, row in enumerate(rows):
+            table.add_row(*(literal(row[n]) for n in kept), end_section=number in self.ends)
+        if self.title:
+            yield literal(self.title, "bold")
+        yield table
+        if self.caption:
+            yield literal(self.caption)
+        if len(kept) < len(heads):
+            left = [heads[n].replace("\n", " ") or "unnamed" for n in range(len(heads))]
+            names = ", ".join(left[n] for n in range(len(heads)) if n not in kept)
+            yield Text(f"  not shown in {width} columns: {names}", style="dim")
+
+    def _cut(
+        self, least: list[int], kept: list[int], over: Callable[[], int], shortest: int
+    ) -> None:
+        """Take letters of the longest names while the table is too wide.
+
+        Columns of numbers are left whole: a number that is cut is another one.
+        """
+        if self.plain:
+            return
+        named = [n for n in kept if self.forms[n].quantity is None]
+        while over() > 0:
+            widest = max(named, key=lambda n: least[n], default=None)
+            if widest is None or least[widest] <= shortest:
+                return
+            least[widest] -= 1
+
+    def _longest(self, texts: Sequence[str]) -> int:
+        """Letters of the longest word; of a table of words one that is as long is broken."""
+        longest = _longest_word(texts)
+        return min(longest, LONGEST_WORD) if self.plain else longest
+
+    def _widths(self, heads: list[str], rows: list[list[str]], width: int) -> list[int | None]:
+        """Of each column; None where all that it asks for is there."""
+        columns = [[row[n] for row in rows] for n in range(len(heads))]
+        words = [self._longest([head, *cells]) for head, cells in zip(heads, columns, strict=True)]
+        whole = [
+            max([word, *map(_longest_line, cells)])
+            for word, cells in zip(words, columns, strict=True)
+        ]
+        wishes = [max(_longest_line(head), row) for head, row in zip(heads, whole, strict=True)]
+        space = width - PADDING * len(heads) - 1
+        leasts = (whole, [*whole[:1], *words[1:]], words)
+        least = next((each for each in leasts if sum(each) <= space), None)
+        if least is None or sum(wishes) <= space:
+            return [None] * len(heads)
+        more, spare = sum(wishes) - sum(least), space - sum(least)
+        return [
+            given + spare * (wish - given) // more
+            for given, wish in zip(least, wishes, strict=True)
+        ]
+
+    def _repr_html_(self) -> str:
+        """The table as HTML, as a notebook shows it."""
+        heads = "".join(f"<th style='text-align:left'>{escape(each)}</th>" for each in self.heads)
+        head = f"<thead><tr>{heads}</tr></thead>" if self.show_header else ""
+        rows = "".join(
+            "<tr>"
+            + "".join(
+                f"<td style='text-align:left'>{escape(cell).replace(chr(10), '<br>')}</td>"
+                for cell in row
+            )
+            + "</tr>"
+            for row in self.words[:MOST_ROWS]
+        )
+        more = len(self.rows) - MOST_ROWS
+        below = [f"and {more:,} more rows"] * (more > 0) + [self.caption or ""] * bool(self.caption)
+        words = "".join(f"<p>{escape(each)}</p>" for each in below)
+        title = f"<caption style='text-align:left'><b>{escape(self.title)}</b></caption>"
+        return f"<table>{title if self.title else ''}{head}<tbody>{rows}</tbody></table>{words}"
+
+    def schema(self) -> dict[str, Any]:
+        """JSON Schema of the rows."""
+        rows = self.data
+        if not rows and not self.plain and self.frame is None:
+            rows = [{key: None for form in self.forms for key in form.data(None)}]
+        keys = list(dict.fromkeys(key for row in rows for key in row))
+        held = {key: [row[key] for row in rows if key in row] for key in keys}
+        properties = {
+            key: _schema_of(next((one for one in values if one is not None), None))
+            for key, values in held.items()
+        }
+        return {"type": "array", "items": {"type": "object", "properties": properties}}
+
+    def to_csv(self) -> str:
+        """The rows as CSV: numbers in SI units, which end the names of the columns."""
+        rows = self.data
+        names = list(dict.fromkeys(key for row in rows for key in row))
+        text = StringIO()
+        writer = csv.DictWriter(text, names, restval="", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        return text.getvalue()
+
+    def to_frame(self) -> pd.DataFrame:
+        """The rows as a frame, with the SI units of its columns in ``attrs["units"]``."""
+        import pandas as pd
+
+        found = pd.DataFrame(self.data)
+        found.attrs["units"] = {
+            key: form.quantity.suffix.replace("_", "/")
+            for form in self.forms
+            if form.quantity is not None and form.quantity.suffix
+            for key in form.data(None)
+        }
+        return found
+
+
+def _longest_word(texts: Sequence[str]) -> int:
+    from rich.cells import cell_len
+
+    return max((cell_len(word) for text in texts for word in text.split()), default=0)
+
+
+def _longest_line(text: str) -> int:
+    from rich.cells import cell_len
+
+    return max(map(cell_len, text.split("\n")), default=0)
+
+
+def _shortened(cell: str, most: int) -> str:
+    """A cell whose words have so many letters at most; the middles of others are left out."""
+    end = (most - 1) // 2
+    return re.sub(
+        rf"\S{{{most + 1},}}", lambda found: f"{found[0][: most - 1 - end]}…{found[0][-end:]}", cell
+    )
+
+
+def new_table(
+    title: str,
+    *columns: str | Column,
+    name: str = "",
+    show_header: bool = True,
+    caption: str | None = None,
+    frame: pd.DataFrame | None = None,
+    usual: bool = True,
+) -> WordTable:
+    """An empty table.
+
+    Parameters
+    ----------
+    title : str
+    *columns : str or Column
+        Headings, of a table of words; or columns that state what their numbers are, and which is
+        data, too.
+    name : str
+        In JSON; default: the first words of the title.
+    show_header, caption, frame, usual
+        See `WordTable`.
+
+    Examples
+    --------
+    >>> table = new_table("Trips", Column("trip"), Column("top speed", SPEED), name="trips")
+    >>> table.add_cells("a", 20.0)
+    >>> table.data
+    [{'trip': 'a', 'top_speed_m_s': 20.0}]
+    >>> print(table.to_csv())
+    trip,top_speed_m_s
+    a,20.0
+    <BLANKLINE>
+    """
+    return WordTable(
+        title,
+        tuple(Column(each) if isinstance(each, str) else each for each in columns),
+        name,
+        plain=not any(isinstance(each, Column) for each in columns),
+        show_header=show_header,
+        caption=caption,
+        frame=frame,
+        usual=usual,
+    )
+
+
+def frame_table(name: str, frame: pd.DataFrame) -> WordTable:
+    """A frame that is a part of a result as data alone."""
+    return new_table("", *(Column(str(each)) for each in frame.columns), name=name, frame=frame)
+
+
+def facts_table(title: str, rows: Mapping[str, str], name: str = "summary") -> WordTable:
+    """A table of a fact a row: its name, and its words."""
+    table = new_table(title, "quantity", "value", name=name, show_header=False)
+    for each, words in rows.items():
+        table.add_cells(each, words)
+    return table
+
+
+def plain_rows(rows: pd.DataFrame) -> list[dict[str, Any]]:
+    """The rows in JSON's own types; None where nothing is known."""
+    columns: dict[str, list[Any]] = {}
+    for name, column in rows.items():
+        values = column.dt.strftime("%Y-%m-%d") if column.dtype.kind == "M" else column
+        known = column.notna().tolist()
+        columns[str(name)] = [
+            value if there else None
+            for value, there in zip(values.tolist(), known, strict=True)
+        ]  # fmt: skip
+    return [
+        dict(zip(columns, each, strict=True)) for each in zip(*columns.values(), strict=True)
+    ]  # fmt: skip
+
+
+def _schema_of(value: Any) -> dict[str, Any]:
+    """JSON Schema of a value and others of its kind; null stands for what is not known."""
+    if value is None:
+        return {}
+    if isinstance(value, bool | np.bool_):
+        return {"type": ["boolean", "null"]}
+    if isinstance(value, int | float | np.number):
+        return {"type": ["number", "null"]}
+    if isinstance(value, Mapping):
+        return {"type": ["object", "null"]}
+    if isinstance(value, list | tuple | np.ndarray):
+        return {"type": ["array", "null"]}
+    return {"type": ["string", "null"]}
+
+
+# ------------------------------------------------------------------------------------- results
+
+
+class Presented:
+    """A result that states what it shows; all its forms follow.
+
+    A class gives its `title`, and some of `summary`, `facts`, `tables`, `sentence` and `notes`.
+    Of a dataclass that derives from it ``repr`` and ``eq`` are off.
+
+    Examples
+    --------
+    >>> @dataclass(eq=False, repr=False)
+    ... class Run(Presented):
+    ...     speed: float
+    ...
+    ...     @property
+    ...     def title(self) -> str:
+    ...         return "A run"
+    ...
+    ...     def summary(self) -> dict[str, str]:
+    ...         return {"speed": SPEED.words(self.speed)}
+    ...
+    ...     def facts(self) -> dict[str, float]:
+    ...         return {"speed_m_s": self.speed}
+    >>> Run(20.0)
+    A run
+      speed  72.0 km/h
+    >>> Run(20.0).data()
+    {'speed_m_s': 20.0}
+    >>> Run(20.0) == Run(20.0)
+    True
+    """
+
+    @property
+    def title(self) -> str:
+        """One line."""
+        raise NotImplementedError
+
+    def summary(self) -> Mapping[str, str]:
+        """The few facts that a prompt shows, in words, by name."""
+        return {}
+
+    def facts(self) -> Mapping[str, Any]:
+        """What JSON states beside the tables, by key: numbers in SI units, which end the keys."""
+        return {}
+
+    def tables(self) -> Sequence[WordTable]:
+        """What a terminal, a notebook and a report show; default: the summary."""
+        rows = self.summary()
+        return [facts_table(self.title, rows)] if rows else []
+
+    @property
+    def sentence(self) -> str:
+        """What came out, if one sentence states it."""
+        return ""
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """Sentences beside the tables."""
+        return ()
+
+    def sketch(self) -> str:
+        """A small SVG for a notebook; empty for none."""
+        return ""
+
+    # What follows from these.
+
+    def __repr__(self) -> str:
+        return as_text(self.title, self.summary())
+
+    def _repr_html_(self) -> str:
+        tables = self.tables()
+        rows = [] if tables and tables[0].name == "summary" else [facts_table("", self.summary())]
+        shown = "".join(each._repr_html_() for each in (*rows, *tables) if each.rows)
+        said = filter(None, (self.sentence, *self.notes))
+        words = "".join(f"<p>{escape(each)}</p>" for each in said)
+        return f"<div><b>{escape(self.title)}</b>{self.sketch()}{shown}{words}</div>"
+
+    def __eq__(self, other: object) -> bool:
+        return same_values(self, other) if type(other) is type(self) else NotImplemented
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def shown(self, *also: str) -> list[WordTable | str]:
+        """What a terminal shows: the tables that have rows, and the sentences beside them.
+
+        Parameters
+        ----------
+        *also : str
+            Names of tables that are shown on request.
+        """
+        every = [each for each in self.tables() if each.usual or each.name in also]
+        tables = [each for each in every if each.rows]
+        return [*tables, *filter(None, (self.sentence, *self.notes))]
+
+    def data(self) -> dict[str, Any]:
+        """The result as JSON has it: its facts, the rows of its tables by name, its sentences."""
+        found = dict(self.facts())
+        for table in self.tables():
+            if not (found and table.name == "summary"):
+                found.setdefault(table.name, []).extend(table.data)
+        said = {"sentence": self.sentence} if self.sentence else {}
+        return found | said | {"notes": list(self.notes)}
+
+    def schema(self) -> dict[str, Any]:
+        """JSON Schema of `data`."""
+        tables = {table.name: table.schema() for table in self.tables()}
+        properties = {
+            key: tables.get(key) or _schema_of(value) for key, value in self.data().items()
+        }
+        return {"type": "object", "properties": properties, "required": sorted(properties)}
+
+    def to_frame(self, name: str = "") -> pd.DataFrame:
+        """One of the tables, the first unless it is named, with SI units in ``attrs["units"]``."""
+        return self._table(name).to_frame()
+
+    def to_csv(self, path: str | Path | None = None, name: str = "") -> str:
+        """One of the tables as CSV, the first unless it is named; written if a path is given."""
+        text = self._table(name).to_csv()
+        if path is not None:
+            Path(path).write_text(text, encoding="utf-8")
+        return text
+
+    def _table(self, name: str) -> WordTable:
+        tables = self.tables()
+        found = [each for each in tables if name in ("", each.name)]
+        if not found:
+            names = ", ".join(each.name for each in tables) or "none"
+            raise KeyError(f"{type(self).__name__} has no table '{name}'; it has {names}")
+        return found[0]
+
+
+def as_page(*parts: Any) -> str:
+    """Tables and words as HTML, as a notebook shows them."""
+    flat = [each for part in parts for each in getattr(part, "renderables", [part])]
+    return "".join(
+        each._repr_html_() if isinstance(each, WordTable) else f"<p>{escape(str(each))}</p>"
+        for each in flat
+    )
