@@ -193,7 +193,7 @@ def test_sections_planned_one_by_one_stand_as_long_as_is_asked_for(
     found = journey_advice(unaware, line.reversed(), dwell=60.0)
     assert found.departures[1] == pytest.approx(sections[0].running_time + 60.0)
     table = stations_table(found)
-    cells = [list(column.cells) for column in table.columns]
+    cells = [list(each) for each in zip(*table.words, strict=True)]
     assert cells[0] == ["Wil", "Uzwil", "Flawil", "Gossau SG"]
     assert all((cells[2][1], cells[3][1]))
     # Without the line the places are kilometres.

@@ -235,9 +235,9 @@ def test_a_trip_that_goes_wrong_is_listed_and_stops_no_other(place: Path) -> Non
             "trip-002": "failed",
         }
     table = problems_table(found.problems, most=1)
-    assert table.row_count == 2, "of more trips those of one reason are counted"
+    assert len(table.rows) == 2, "of more trips those of one reason are counted"
     many = [replace(found.problems[0], key=str(each), reason=f"trip '{each}'") for each in range(9)]
-    assert problems_table(many).row_count == 1
+    assert len(problems_table(many).rows) == 1
     assert updated(place, WRONG).trips == 0
     assert updated(place, WRONG, retry=True).trips == 2
 

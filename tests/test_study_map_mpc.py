@@ -208,9 +208,9 @@ def test_tables_and_pictures_are_made(
 ) -> None:
     three = [outcomes[name, PUBLISHED_TRAIN.mass] for name in BY_NAME]
     for table in (tracking_table, lateness_table, gain_table):
-        assert table(three).row_count == 3
-    assert references_table(known.plan).row_count == 1
-    assert days_table(days).row_count == 2
+        assert len(table(three).rows) == 3
+    assert len(references_table(known.plan).rows) == 1
+    assert len(days_table(days).rows) == 2
     assert "day 2: 0.0" in counted_on(days)
     pictures = draw_study(known, three, tmp_path)
     draw_days(days, tmp_path / "days.png")
@@ -245,7 +245,7 @@ def test_days_read_with_different_risk_are_tabled_and_drawn(days: Days, tmp_path
     blind = Days((days.days[0], replace(days.days[0], number=2)), days.stops)
     driven = {"no map": blind, "risk 0.05": days}
     table = risks_table(driven)
-    columns = [list(column.cells) for column in table.columns]
+    columns = [list(each) for each in zip(*table.words, strict=True)]
     assert columns[0] == ["no map", "risk 0.05"]
     assert columns[1] == ["2", "2"]
     assert [int(cell) for cell in columns[2]] == [
@@ -299,7 +299,7 @@ def test_as_published_a_late_train_takes_the_bounds_of_where_it_ought_to_be(
     assert found.worst[0] > 0.5
     assert found.late[0] < 1.0
     table = difference_table([good, other])
-    assert [column.header for column in table.columns][-1] == "78.2 t"
+    assert table.heads[-1] == "78.2 t"
 
 
 def test_where_no_map_can_be_made_the_days_driven_are_reported(

@@ -355,10 +355,10 @@ class WordTable:
             return in_zone(in_speed_unit(cell, unit), zone)
 
         forms = [each.in_speed_unit(unit) for each in self.forms]
-        told = replace(self, forms=tuple(forms))
+        shown = replace(self, forms=tuple(forms))
         heads = tuple(replace(each, heading=words(each.title), each=True) for each in forms)
         rows: list[tuple[Cell, ...]] = [
-            tuple(Said(None, words(cell)) for cell in row) for row in told.words
+            tuple(Said(None, words(cell)) for cell in row) for row in shown.words
         ]
         caption = words(self.caption or "")
         return replace(self, title=words(self.title), forms=heads, rows=rows, caption=caption)
