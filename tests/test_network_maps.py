@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -138,6 +139,41 @@ def test_a_second_update_adds_nothing_and_an_interrupted_one_is_finished(
         assert [each["sha256"] for each in track.trips] == [
             each["sha256"] for each in other[name].trips
         ]
+
+
+@pytest.mark.parametrize(
+    ("edge", "stem", "earlier"),
+    [
+        ("Zürich HB: 3", "Zürich HB_ 3 e7a72f45", "Z%C3%BCrich HB%3A 3"),
+        ("Sursee", "Sursee", "Sursee"),
+    ],
+)
+def test_an_edge_has_one_map_by_whatever_it_is_written(
+    edge: str, stem: str, earlier: str, tmp_path: Path
+) -> None:
+    """The map of a fleet and that of given logs had names of their own."""
+    line = replace(WHOLE, name=edge)
+    log = on_line("nonstop.mcap", line, tmp_path / "trip.mcap")
+    folder = tmp_path / "maps"
+    folder.mkdir()
+    old, new = folder / f"{earlier}.map", folder / f"{stem}.map"
+    assert edge_map_path(folder, edge) == new
+    update_map(log, old)
+    assert edge_map_path(folder, edge) == old
+    assert update_network_map(log, folder).of("held")
+    assert [each.name for each in folder.glob("*.map")] == [old.name]
+    if old == new:
+        return
+    shutil.copy(old, new)
+    parts = " ".join(map(str, condition_parts(folder)))
+    assert f"edge '{edge}' has two maps, '{old.name}' and '{new.name}'" in parts
+    for reading in (
+        lambda: network_map(folder),
+        lambda: edge_map_path(folder, edge),
+        lambda: update_network_map(log, folder),
+    ):
+        with pytest.raises(InputError, match=r"has two maps, .* 'trainlog map merge'"):
+            reading()
 
 
 def test_trips_on_ordinary_lines_go_to_the_edge_of_their_name(tmp_path: Path) -> None:

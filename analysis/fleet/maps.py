@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from analysis.adhesion.empty_map import empty_map_of
-from trainlog.formats.files import made_folder, sha256, write_bytes
+from analysis.network.maps import edge_map_path
+from trainlog.formats.files import made_folder, write_bytes
 from trainlog.formats.mapfile import MapFile
 from trainlog.formats.packed import unpack
 from trainlog.formats.recordings import Recording
@@ -75,19 +76,6 @@ def maps_folder(catalogue: Catalogue) -> Path:
     'maps'
     """
     return catalogue.results_folder.with_name(MAPS)
-
-
-def map_path(folder: Path, edge: str) -> Path:
-    """The file of an edge's map.
-
-    Examples
-    --------
-    >>> map_path(Path("maps"), "850 Wil - Gossau").name
-    '850 Wil - Gossau.map'
-    """
-    plain = "".join("_" if each in '/\\:*?"<>|\0' else each for each in edge).lstrip(".")
-    ending = "" if plain == edge else f" {sha256(edge.encode())[:8]}"
-    return folder / f"{plain}{ending}.map"
 
 
 def update_maps(catalogue: Catalogue, adhesion: FleetAnalysis, code: str) -> MapsUpdate:
@@ -163,7 +151,7 @@ class _Maps:
         for edge, part in rows.groupby("edge", sort=True):
             first = part.iloc[0]
             empty = empty_map_of(str(edge), float(first["edge_length"]), float(first["bin_length"]))
-            with MapFile(map_path(folder, str(edge)), empty) as file:
+            with MapFile(edge_map_path(folder, str(edge)), empty) as file:
                 file.append_all([_recording(each) for _, each in part.groupby(["key", "trip"])])
         return set(rows["edge"])
 

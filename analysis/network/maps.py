@@ -23,7 +23,14 @@ from trainlog.condition import estimated, known_before
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError, LogError
 from trainlog.formats.condition import read_map
-from trainlog.formats.files import logs_of, made_folder, read_bytes, sha256_of, write_bytes
+from trainlog.formats.files import (
+    logs_of,
+    made_folder,
+    read_bytes,
+    sha256,
+    sha256_of,
+    write_bytes,
+)
 from trainlog.formats.mapfile import MapFile
 from trainlog.formats.network import network_from_bytes, network_to_bytes
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
@@ -43,15 +50,50 @@ NETWORK_FILE = "network.json"
 SUFFIX = ".map"
 
 
-def edge_map_path(folder: str | Path, edge: str) -> Path:
-    """The file of an edge's map in a folder.
+def edge_stem(edge: str) -> str:
+    """The name of an edge's files, without ending.
+
+    It is the edge's name. Characters that names of files cannot have are replaced, and a digest
+    of the whole name is appended then, so that no two edges share a file.
 
     Examples
     --------
-    >>> edge_map_path("maps", "850 Wil/Gossau").name
-    '850 Wil%2FGossau.map'
+    >>> edge_stem("850 Wil - Gossau"), edge_stem("850 Wil/Gossau")
+    ('850 Wil - Gossau', '850 Wil_Gossau 4d0db3ee')
     """
-    return Path(folder) / f"{quote(edge, safe=' ()+,')}{SUFFIX}"
+    plain = "".join("_" if each in '/\\:*?"<>|\0' else each for each in edge).lstrip(".")
+    return plain if plain == edge else f"{plain} {sha256(edge.encode())[:8]}"
+
+
+def edge_map_path(folder: str | Path, edge: str) -> Path:
+    """The file of an edge's map in a folder; one that an earlier version named stays in use.
+
+    Raises
+    ------
+    InputError
+        If the folder holds both.
+
+    Examples
+    --------
+    >>> edge_map_path("maps", "850 Wil - Gossau").name
+    '850 Wil - Gossau.map'
+    """
+    path = Path(folder) / f"{edge_stem(edge)}{SUFFIX}"
+    earlier = path.with_name(f"{quote(edge, safe=' ()+,')}{SUFFIX}")
+    if earlier == path or not earlier.is_file():
+        return path
+    if path.is_file():
+        raise two_maps(edge, earlier, path)
+    return earlier
+
+
+def two_maps(edge: str, first: Path, second: Path) -> InputError:
+    """That two files of a folder are maps of one edge."""
+    return InputError(
+        f"edge '{edge}' has two maps, '{first.name}' and '{second.name}'",
+        file=first.parent,
+        remedy="make one of them with 'trainlog map merge', and take both out of the folder",
+    )
 
 
 @dataclass(frozen=True, repr=False)
@@ -129,7 +171,7 @@ def network_map(folder: str | Path) -> NetworkMap:
     Raises
     ------
     InputError
-        If it is no folder with maps, or one of them cannot be read.
+        If it is no folder with maps, one of them cannot be read, or two are of one edge.
 
     Examples
     --------
@@ -138,7 +180,7 @@ def network_map(folder: str | Path) -> NetworkMap:
     trainlog.errors.InputError: docs: holds no track-condition maps (*.map); ...
     """
     place = Path(folder)
-    files = sorted(place.glob(f"*{SUFFIX}")) if place.is_dir() else []
+    files = map_files(place)
     if not files:
         raise InputError(
             f"holds no track-condition maps (*{SUFFIX})",
@@ -146,11 +188,19 @@ def network_map(folder: str | Path) -> NetworkMap:
             remedy="add trips with 'trainlog map update LOGS --network NETWORK --map FOLDER'",
         )
     network = _network_of(place)
-    maps = {}
+    maps: dict[str, TrackConditionMap] = {}
+    read: dict[str, Path] = {}
     for path in files:
         track = read_map(path)
-        maps[track.line] = track
+        if track.line in maps:
+            raise two_maps(track.line, read[track.line], path)
+        maps[track.line], read[track.line] = track, path
     return NetworkMap(place, network, maps)
+
+
+def map_files(folder: Path) -> list[Path]:
+    """The maps in a folder, without those that are being written."""
+    return sorted(folder.glob(f"[!.]*{SUFFIX}")) if folder.is_dir() else []
 
 
 def _network_of(folder: Path) -> Network | None:
@@ -301,7 +351,7 @@ def update_network_map(
 def _amount(folder: Path) -> tuple[int, int]:
     """How many trips the maps of a folder count, each once, and of how many days."""
     found: dict[str, set[int]] = {}
-    for path in sorted(folder.glob(f"*{SUFFIX}")):
+    for path in map_files(folder):
         with MapFile(path) as file:
             for trip, (first, last) in file.trip_days().items():
                 found.setdefault(trip, set()).update(range(first, last + 1))
@@ -483,8 +533,7 @@ def forecasts_of_network(
     found = {}
     for name, track in maps.known_before(when).maps.items():
         if layer is None or layer in track.layers:
-            path = edge_map_path("", name).with_suffix(".csv").name
-            found[path] = forecast_of(track, when, layer=layer, hours=hours)
+            found[f"{edge_stem(name)}.csv"] = forecast_of(track, when, layer=layer, hours=hours)
     if not found:
         raise InputError(
             f"no edge has evidence of a day before {when:%Y-%m-%d}"

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from analysis.adhesion.condition_table import bins_table
+from analysis.network.maps import map_files, two_maps
 from analysis.reports.page import Part, Warned
 from analysis.reports.pictures import drawn
 from trainlog.condition import known_before
@@ -17,7 +18,7 @@ from trainlog.display import counted
 from trainlog.errors import TrainlogError
 from trainlog.formats.condition import read_map
 from trainlog.presentation import NUMBER, POSITION, SHARE, Column, Quantity, WordTable, new_table
-from trainlog.railway import Network
+from trainlog.railway import Network, TrackConditionMap
 
 ADHESION = Quantity("", "", 1.0, 3)
 
@@ -42,15 +43,22 @@ def condition_parts(
     at : Timestamp, optional
         Only evidence of days before its day counts (UTC). Default: right after the last evidence.
     """
-    paths = sorted(folder.glob("[!.]*.map")) if folder.is_dir() else []
+    paths = map_files(folder)
     if not paths:
         return ["No trip's evidence is in a map yet: 'trainlog fleet update' adds it."]
-    tracks, bad = [], list[Part]()
+    read, bad = dict[str, tuple[TrackConditionMap, Path]](), list[Part]()
+    several = set[str]()
     for path in paths:
         try:
-            tracks.append(read_map(path))
+            track = read_map(path)
         except TrainlogError as error:
             bad.append(Warned(f"{path.name} could not be read: {error}."))
+            continue
+        if track.line in read:
+            several.add(track.line)
+            bad.append(Warned(f"{two_maps(track.line, read[track.line][1], path)}; left out."))
+        read[track.line] = track, path
+    tracks = [track for edge, (track, _) in read.items() if edge not in several]
     last = max(
         (
             int(layer.evidence.days.max(initial=-1))
