@@ -33,7 +33,7 @@ import sample_logs/CH_Stadler_FLIRT_TPF.train.json --mass-model homogeneous_stri
 ingest sample_logs/gnss.csv -o recorded
 check sample_logs
 recover cut.mcap -o whole.mcap
-simulate --count 1 -o trips
+simulate --line sample --train sample --count 1 -o trips
 simulate --network drawn:1 --trains 1 --days 1 --count 1 --jobs 1 -o fleet
 fit sample_logs -o parameters.json
 estimate sample_logs/nonstop.mcap -o estimated
@@ -53,7 +53,7 @@ network export one.network.json -o one.geojson
 map merge wil.map sample_logs/CH_StGallen_Wil.map -o both.map
 map remove wil.map trip-01
 map compact both.map --before 2024-10-08
-optimise parameters.json --cells 30 -o trajectory.json
+optimise parameters.json --line sample --train sample --cells 30 -o trajectory.json
 settings show
 show sample_logs/nonstop.mcap
 cut sample_logs/nonstop.mcap -o part.mcap --km 3:5

@@ -277,6 +277,29 @@ class TestCommand:
         assert (found["added"], found["held"], found["trips"], found["days"]) == (0, 3, 3, 1)
         assert {each["outcome"] for each in found["logs"]} == {"held"}
 
+    def test_a_layer_is_known_or_given_as_new_and_what_it_overrides_is_stated(
+        self, written: Path, tmp_path: Path
+    ) -> None:
+        log, path = written / "trip-01.mcap", tmp_path / "wil.map"
+        recorded = trainlog.read(log).metadata["weather"]
+        with pytest.raises(InputError, match="'nass' is not known; known: dry, wet, damp, "):
+            self.run("map", "update", log, "--map", path, "--layer", "nass")
+        assert not path.exists()
+        status, shown, _ = self.run("map", "update", log, "--map", path, "--layer", "new:nass")
+        assert status == 0
+        assert f"added to 'nass', though it states '{recorded}'" in shown
+        assert f"1 trip that states '{recorded}' counts as 'nass', as given" in shown
+        # Then it is known, and what agrees with the log is no matter.
+        other = tmp_path / "other.map"
+        assert self.run("map", "update", log, "--map", path, "--layer", "nass")[0] == 0
+        assert (
+            "states" not in self.run("map", "update", log, "--map", other, "--layer", recorded)[1]
+        )
+        folder = tmp_path / "maps"
+        folder.mkdir()
+        _, shown, _ = self.run("map", "update", log, "--map", folder, "--layer", "new:nass")
+        assert f"1 trip that states '{recorded}' counts as 'nass', as given" in shown
+
     def test_a_log_that_stays_bad_is_reported_once(self, logs: Path, path: Path) -> None:
         """Every night the same folder: a mail on the first, and when something changes."""
         bad, words = logs / "bad.mcap", ("map", "update", logs, "--map", path)

@@ -53,7 +53,7 @@ from trainlog.presentation import new_table
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.line import Line
-from trainlog.railway.weather import Weather
+from trainlog.railway.weather import Weather, given_condition
 from trainlog.trip import Trip
 
 SPOT_SEPARATION = 250.0
@@ -217,7 +217,8 @@ def adhesion_map(
     known : TrackConditionMap, optional
         Default: a new one, on the line of the first trip.
     layer : str, optional
-        Rail condition of all trips; default: what each states (metadata ``weather``).
+        Rail condition of all trips, one that is known or ``"new:grease"``; default: what each
+        states (metadata ``weather``).
     weather : Weather, optional
         At the line: the rail's condition where neither the call nor the trip states it. Where it
         changes on the way, what was seen counts for the condition that held then. Temperature,
@@ -234,6 +235,8 @@ def adhesion_map(
     >>> [(each.layer, each.trips) for each in found.layers]
     [('dry', 1)]
     """
+    if layer is not None:
+        layer = given_condition(layer, () if known is None else known.layers)
     track = known
     pieces: list[Evidence] = []
     held: list[tuple[str, str]] = []

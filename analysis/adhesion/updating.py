@@ -9,6 +9,7 @@ from __future__ import annotations
 import pickle
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, astuple, dataclass, replace
@@ -22,6 +23,7 @@ from trainlog.errors import InputError, LogError, NotRecordedError, TrainlogErro
 from trainlog.formats.files import logs_of, refuse_reading, sha256, sha256_of
 from trainlog.formats.mapfile import MapFile
 from trainlog.formats.recordings import Recording, Refusal
+from trainlog.railway.weather import given_condition, stated_condition
 from trainlog.version import code_version
 
 if TYPE_CHECKING:
@@ -58,6 +60,8 @@ class LogOutcome:
         Trips that counted until now, of which this is a fuller recording.
     damage : str
         What of the log is lost; empty if it is whole.
+    recorded : str
+        Rail condition that the trip itself states, where another was given; else empty.
     """
 
     log: str
@@ -67,6 +71,7 @@ class LogOutcome:
     reason: str = ""
     replaced: tuple[str, ...] = ()
     damage: str = ""
+    recorded: str = ""
 
     @property
     def sentence(self) -> str:
@@ -75,7 +80,8 @@ class LogOutcome:
         if self.outcome == "added":
             more = f", in place of {', '.join(self.replaced)}" if self.replaced else ""
             lost = f"; the log {self.damage}" if self.damage else ""
-            return f"{name} added to '{self.layer}'{more}{lost}"
+            other = f", though it states '{self.recorded}'" if self.recorded else ""
+            return f"{name} added to '{self.layer}'{other}{more}{lost}"
         if self.outcome == "held":
             return f"{name}: in the map already, not counted again" + (
                 f"; {self.reason}" if self.reason else ""
@@ -151,6 +157,12 @@ class MapUpdate:
             parts += [f"{number} {words}"] if number else []
             if outcome == "held" and self.elsewhere:
                 parts[-1] += f" ({len(self.elsewhere)} under another rail condition)"
+        stated = Counter((each.recorded, each.layer) for each in self.logs if each.recorded)
+        parts += [
+            f"{counted(number, 'trip')} that state{'s' * (number == 1)} '{recorded}'"
+            f" count{'s' * (number == 1)} as '{layer}', as given"
+            for (recorded, layer), number in sorted(stated.items())
+        ]
         held = f"the map holds {counted(self.trips, 'trip')} of {counted(self.days, 'day')}"
         return f"{', '.join(parts)}; {held if self.made else 'no map was made'}"
 
@@ -200,7 +212,8 @@ def update_map(
     path : path
         The map's file (``.map``); begun on the line of the first log if it does not exist.
     layer : str, optional
-        Rail condition of all trips; default: what each states (metadata ``weather``).
+        Rail condition of all trips, one that is known or ``"new:grease"``; default: what each
+        states (metadata ``weather``). That it is another than a trip states is reported.
     weather : Weather, optional
         At the line: the rail's condition where neither the call nor the trip states it, and what
         is kept with each trip.
@@ -230,6 +243,8 @@ def update_map(
     >>> again.sentence
     '0 trips added, 1 held already; the map holds 2 trips of 1 day'
     """
+    if layer is not None:
+        layer = given_condition(layer, known_layers(Path(path)))
     update = FileUpdate(Path(path), layer, weather, retry)
     outcomes: list[LogOutcome] = []
     try:
@@ -244,6 +259,13 @@ def update_map(
     finally:
         update.close()
     return MapUpdate(update.path, tuple(outcomes), trips, days, made=update.file is not None)
+
+
+def known_layers(path: Path) -> Iterator[str]:
+    """The rail conditions of a map's file, read when they are asked for; none without a file."""
+    if path.exists():
+        with MapFile(path) as file:
+            yield from file.contents()
 
 
 class FileUpdate:
@@ -299,7 +321,15 @@ class FileUpdate:
         if _has_changed(log, state):
             return _changed(log, piece)
         self.file = self.file or MapFile(self.path, track)
-        return _added(self.file, log, piece, damage)
+        recorded = self.stated(log) if self.layer is not None else ""
+        found = _added(self.file, log, piece, damage)
+        return found if recorded in ("", self.layer) else replace(found, recorded=recorded)
+
+    def stated(self, log: Path) -> str:
+        """The rail condition that the trip of a log states itself; empty if it states none."""
+        from trainlog.mcap import read_log
+
+        return stated_condition(read_log(log, topics=[]).metadata)
 
     def analysed(self, log: Path, digest: str) -> tuple[Evidence, TrackConditionMap, str]:
         """The evidence of a log, the map that it is for, without trips, and what of it is lost.

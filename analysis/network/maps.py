@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from analysis.adhesion.updating import FileUpdate, LogOutcome, MapUpdate
+from analysis.adhesion.updating import FileUpdate, LogOutcome, MapUpdate, known_layers
 from trainlog.condition import estimated, known_before
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError, LogError
@@ -37,6 +37,7 @@ from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.line import Leg, Line
 from trainlog.railway.network import Network
+from trainlog.railway.weather import given_condition, stated_condition
 
 if TYPE_CHECKING:
     from analysis.adhesion.evidence import Evidence
@@ -330,6 +331,9 @@ def update_network_map(
         If a map cannot be read or written, the folder is of another network, or no log is given.
     """
     place = made_folder(folder)
+    if layer is not None:
+        layers = (each for path in map_files(place) for each in known_layers(path))
+        layer = given_condition(layer, layers)
     known = _kept_network(place, network)
     edges: dict[str, _EdgeUpdate] = {}
     outcomes: list[LogOutcome] = []
@@ -458,6 +462,12 @@ class _EdgeUpdate(FileUpdate):
             )
             found = self.log.evidence_on(edge, track, self.layer, self.weather, digest)
         return found, track, "; ".join(losses)
+
+    def stated(self, log: Path) -> str:
+        """The rail condition that the trip of a log states itself for the edge."""
+        assert self.log is not None
+        assert self.log.path == log
+        return stated_condition(self.log.trip.metadata, self.edge)
 
 
 def _outcome(

@@ -477,7 +477,7 @@ def line_or_network(
 
 def pairs(given: list[str]) -> dict[str, str]:
     """Metadata given as ``key=value``."""
-    from trainlog.railway.weather import check_condition
+    from trainlog.railway.weather import given_condition
 
     found = {}
     for word in given:
@@ -487,7 +487,7 @@ def pairs(given: list[str]) -> dict[str, str]:
         if key not in FACTS:
             raise InputError(f"'{key}' is no known fact", remedy=f"known: {', '.join(FACTS)}")
         if key == "weather":
-            check_condition(value)
+            value = given_condition(value)
         found[key] = _load(value) if key == "load" else value
         if key == "start_position" and value != "stations":
             found[key] = f"{_metres(value):g}"

@@ -23,7 +23,10 @@ from trainlog.units import NANOSECONDS
 CONDITIONS = (
     "dry", "wet", "damp", "leaves", "frost", "ice", "snow", "dew", "oil", "rust", "sand",
 )  # fmt: skip
-"""Rail conditions that are often distinguished; any other label may be used as well."""
+"""Rail conditions that are often distinguished; others are given as new, see `given_condition`."""
+
+NEW = "new:"
+"""Before a rail condition that is given and not known yet: ``"new:grease"``."""
 
 LONGEST_HOLD = 3 * 3600 * NANOSECONDS
 """A row whose end is not stated holds at most so long [ns]: stations report every three hours."""
@@ -106,6 +109,45 @@ def check_condition(label: str, known: Iterable[str] = ()) -> str:
     if close:
         raise InputError(
             f"rail condition '{label}' is not known", remedy=f"did you mean '{close[0]}'?"
+        )
+    return label
+
+
+def given_condition(word: str, known: Iterable[str] = ()) -> str:
+    """The rail condition that a person gives: one that is known, or a new one after ``new:``.
+
+    Labels made of a known one are known, too: ``"wet-leaves"``.
+
+    Parameters
+    ----------
+    word : str
+    known : iterable of str
+        Labels in use, beside `CONDITIONS`.
+
+    Raises
+    ------
+    InputError
+        If it is not known and not given as new, or as `check_condition`.
+
+    Examples
+    --------
+    >>> given_condition("wet"), given_condition("new:grease"), given_condition("grease", ["grease"])
+    ('wet', 'grease', 'grease')
+    >>> given_condition("nass")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: rail condition 'nass' is not known; known: dry, wet, damp, leaves, \
+frost, ice, snow, dew, oil, rust, sand; a new one is given as new:nass
+    """
+    label = word.removeprefix(NEW)
+    words = {label, *re.split("[_-]", label)}
+    if words & set(CONDITIONS):
+        return check_condition(label)
+    every = list(dict.fromkeys((*known, *CONDITIONS)))
+    check_condition(label, every)
+    if label == word and not words & set(every):
+        raise InputError(
+            f"rail condition '{word}' is not known",
+            remedy=f"known: {', '.join(every)}; a new one is given as {NEW}{word}",
         )
     return label
 
