@@ -490,3 +490,17 @@ def test_trains_obey_the_limits_of_their_direction(
         assert frame[column].max() > 60.0 / 3.6
     # A comparison finds the same limits: its line is that of the log.
     assert line_of(back).speed_limits == line.reversed().speed_limits
+
+
+def test_a_network_states_all_its_stations() -> None:
+    """OSRD and railML have junctions for nodes; the stations lie within edges."""
+    edges = (
+        Edge("east", WHOLE.section(0.0, 10_000.0), "East", "Mid"),
+        Edge("west", WHOLE.section(10_000.0, WHOLE.length), "Mid", "West"),
+    )
+    nodes = tuple(Node(name, "junction") for name in ("East", "Mid", "West"))
+    found = Network("cut", nodes, edges)
+    stations = {each.name for edge in edges for each in edge.line.stations}
+    assert len(stations) == len(WHOLE.stations)
+    assert f"stations  {len(stations)}, at nodes and within edges" in repr(found)
+    assert "3, 3 junctions among them" in repr(found)

@@ -196,10 +196,11 @@ class Network:
             )
 
     def __repr__(self) -> str:
-        stations = sum(node.kind == "station" for node in self.nodes)
+        stations = sum(any(each.station for each in points) for points in self.places.values())
+        junctions = sum(node.kind == "junction" for node in self.nodes)
         rows = {
-            "nodes": f"{counted(stations, 'station')},"
-            f" {counted(len(self.nodes) - stations, 'junction')}",
+            "stations": f"{stations}, at nodes and within edges",
+            "nodes": f"{len(self.nodes)}, {counted(junctions, 'junction')} among them",
             "edges": f"{len(self.edges)}: {', '.join(each.name for each in self.edges[:4])}"
             + ", ..." * (len(self.edges) > 4),
         }
