@@ -1,11 +1,13 @@
 """The one table of topics: what a trip can hold, in which unit, and how to interpolate it.
 
 The protobuf schemas in the log, the columns of the frames, the units in ``DataFrame.attrs``, the
-documentation and the replay are all made from this table.
+limits of ingested values, the fields that a profile is proposed for, the curves of the replay and
+the documentation are all made from this table.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -27,6 +29,87 @@ SCHEMA_VERSION = 1
 
 
 @dataclass(frozen=True, slots=True)
+class Bounds:
+    """What a recorded value can be, and how fast it can change, in SI units.
+
+    Attributes
+    ----------
+    low, high : float
+        Smallest and largest possible value: others are errors of the recorder or of the unit.
+    rate, tolerance : float
+        Two values differ by at most ``tolerance + rate * (time between them)``, else one of them
+        is a spike; an infinite rate means that spikes are not sought.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    rate: float = math.inf
+    tolerance: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """How recorders call a field and write it: by this a profile is proposed for unknown columns.
+
+    Attributes
+    ----------
+    words : str
+        Names of the quantity in English, German and French, without accents, separated by blanks;
+        the first one names it. Fields with the same first word share all their words. Words of up
+        to three letters must be whole words of a column's name.
+    qualifier : str
+        Words of which a column's name must hold one as well; the first one names them.
+    plausible : tuple of float
+        Smallest and largest value [SI] that nearly all of a column must have; default: the bounds.
+    integers : float
+        Scale in which receivers write the field as integers, such as 0.001; 0 if they do not.
+    """
+
+    words: str
+    qualifier: str = ""
+    plausible: tuple[float, float] | None = None
+    integers: float = 0.0
+
+
+Colour = Literal[
+    "limit", "measured", "satellites", "estimated", "planned", "true", "traction",
+    "motor braking", "friction braking", "demand", "used", "terrain",
+]  # fmt: skip
+"""What a curve shows: curves of the same kind have the same colour."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """How the replay draws a field: a line in the field's usual unit.
+
+    Attributes
+    ----------
+    curve : str
+        Panel and name, ``"efforts/demand"``; fields of a topic with the same curve are drawn
+        together. A panel that `trainlog.replay.curves` does not list is added below the others.
+    legend : str
+        With ``{}`` for the number of the axle or coupler, each of which then has its own colour.
+    colour : str
+    down : bool
+        Drawn downwards, as braking efforts are.
+    std : str
+        Field with the standard deviation, drawn as a band; none if empty.
+    magnitude : bool
+        Drawn without its sign.
+    width : float
+        Of the line [points].
+    """
+
+    curve: str
+    legend: str
+    colour: Colour
+    down: bool = False
+    std: str = ""
+    magnitude: bool = False
+    width: float = 1.5
+
+
+@dataclass(frozen=True, slots=True)
 class Field:
     """One quantity of a topic.
 
@@ -41,6 +124,14 @@ class Field:
     interpolation : {"linear", "previous", "none"}
     each : {"", "powered axle", "vehicle", "coupler"}
         What has a value of its own: the frame then has columns ``name_1 … name_n``, front first.
+    usual : str
+        Unit in which people state it and recorders mostly write it; the SI unit if empty.
+    bounds : Bounds
+        What a recorded value can be; unbounded by default.
+    recorded : Recorded, optional
+        How recorders call it, where its name alone shows what a column holds.
+    drawn : Drawn, optional
+        How the replay draws it; not at all if absent.
 
     Examples
     --------
@@ -54,6 +145,15 @@ class Field:
     meaning: str
     interpolation: Interpolation = "linear"
     each: Each = ""
+    usual: str = ""
+    bounds: Bounds = Bounds()
+    recorded: Recorded | None = None
+    drawn: Drawn | None = None
+
+    @property
+    def usual_unit(self) -> str:
+        """Unit in which it is shown to people."""
+        return self.usual or self.unit or "1"
 
     @property
     def per_axle(self) -> bool:
@@ -98,10 +198,26 @@ TRAIN_STATE = Topic(
     "What the train's own odometry says.",
     (
         Field(
-            "position", "m", "chainage of the train's front, positive in the direction of travel"
+            "position",
+            "m",
+            "chainage of the train's front, positive in the direction of travel",
+            bounds=Bounds(-1e6, 1e7, rate=150.0, tolerance=20.0),
         ),
-        Field("speed", "m/s", "speed over ground from the wheels"),
-        Field("acceleration", "m/s^2", "longitudinal acceleration"),
+        Field(
+            "speed",
+            "m/s",
+            "speed over ground from the wheels",
+            usual="km/h",
+            bounds=Bounds(-1.0, 150.0, rate=5.0, tolerance=2.0),
+            drawn=Drawn("speed/measured", "wheels", "measured", width=2.5),
+        ),
+        Field(
+            "acceleration",
+            "m/s^2",
+            "longitudinal acceleration",
+            bounds=Bounds(-6.0, 6.0),
+            recorded=Recorded("acceleration accel beschleunigung beschl a acc"),
+        ),
     ),
 )
 
@@ -110,12 +226,59 @@ TRAIN_CONTROLS = Topic(
     "trainlog.TrainControls",
     "What the driver asked for and what the train gave.",
     (
-        Field("lever", "1", "combined lever: 1 full traction, -1 full service braking", "previous"),
-        Field("tractive_effort_demand", "N", "tractive effort asked for", "previous"),
-        Field("braking_effort_demand", "N", "braking effort asked for", "previous"),
-        Field("tractive_effort", "N", "tractive effort at the wheel rims"),
-        Field("dynamic_braking_effort", "N", "braking effort of the traction motors"),
-        Field("pneumatic_braking_effort", "N", "braking effort of the friction brakes"),
+        Field(
+            "lever",
+            "1",
+            "combined lever: 1 full traction, -1 full service braking",
+            "previous",
+            bounds=Bounds(-1.05, 1.05),
+            recorded=Recorded(
+                "lever handle fahrhebel fahrschalter fahrbremshebel hebel hebelstellung throttle "
+                "manipulateur manip controller commande fahrstufe notch cran"
+            ),
+        ),
+        Field(
+            "tractive_effort_demand",
+            "N",
+            "tractive effort asked for",
+            "previous",
+            usual="kN",
+            bounds=Bounds(0.0, 3e6),
+            drawn=Drawn("efforts/demand", "demanded", "demand", width=1.0),
+        ),
+        Field(
+            "braking_effort_demand",
+            "N",
+            "braking effort asked for",
+            "previous",
+            usual="kN",
+            bounds=Bounds(0.0, 6e6),
+            drawn=Drawn("efforts/demand", "demanded", "demand", down=True, width=1.0),
+        ),
+        Field(
+            "tractive_effort",
+            "N",
+            "tractive effort at the wheel rims",
+            usual="kN",
+            bounds=Bounds(0.0, 3e6),
+            drawn=Drawn("efforts/measured", "traction", "traction"),
+        ),
+        Field(
+            "dynamic_braking_effort",
+            "N",
+            "braking effort of the traction motors",
+            usual="kN",
+            bounds=Bounds(0.0, 3e6),
+            drawn=Drawn("efforts/measured", "motor braking", "motor braking", down=True),
+        ),
+        Field(
+            "pneumatic_braking_effort",
+            "N",
+            "braking effort of the friction brakes",
+            usual="kN",
+            bounds=Bounds(0.0, 6e6),
+            drawn=Drawn("efforts/measured", "friction braking", "friction braking", down=True),
+        ),
     ),
 )
 
@@ -124,12 +287,21 @@ TRAIN_AXLES = Topic(
     "trainlog.TrainAxles",
     "The powered axles, one value each.",
     (
-        Field("wheel_speed", "m/s", "circumferential speed of the wheels", each="powered axle"),
+        Field(
+            "wheel_speed",
+            "m/s",
+            "circumferential speed of the wheels",
+            each="powered axle",
+            usual="km/h",
+            bounds=Bounds(-1.0, 150.0, rate=40.0, tolerance=5.0),
+        ),
         Field(
             "wheel_effort",
             "N",
             "motor torque over wheel radius, positive in traction, negative in braking",
             each="powered axle",
+            usual="kN",
+            bounds=Bounds(-3e5, 3e5),
         ),
     ),
 )
@@ -168,7 +340,14 @@ TRAIN_COUPLERS = Topic(
     "trainlog.TrainCouplers",
     "The couplers of a consist from front to rear, one value each.",
     (
-        Field("force", "N", "in-train force, positive when pulled apart", each="coupler"),
+        Field(
+            "force",
+            "N",
+            "in-train force, positive when pulled apart",
+            each="coupler",
+            usual="kN",
+            drawn=Drawn("couplers", "coupler {}", "measured", width=1.0),
+        ),
         Field(
             "stretch",
             "m",
@@ -183,11 +362,47 @@ GNSS_FIX = Topic(
     "foxglove.LocationFix",
     "Satellite position (WGS 84).",
     (
-        Field("latitude", "deg", "geodetic latitude, north positive"),
-        Field("longitude", "deg", "geodetic longitude, east positive"),
-        Field("altitude", "m", "height above the ellipsoid or sea level, as the receiver gives it"),
-        Field("horizontal_accuracy", "m", "standard deviation of each horizontal axis"),
-        Field("vertical_accuracy", "m", "standard deviation of the altitude"),
+        Field(
+            "latitude",
+            "deg",
+            "geodetic latitude, north positive",
+            bounds=Bounds(-90.0, 90.0),
+            recorded=Recorded("latitude lat breitengrad breite nord"),
+        ),
+        Field(
+            "longitude",
+            "deg",
+            "geodetic longitude, east positive",
+            bounds=Bounds(-180.0, 180.0),
+            recorded=Recorded("longitude lon lng long laengengrad laenge ost"),
+        ),
+        Field(
+            "altitude",
+            "m",
+            "height above the ellipsoid or sea level, as the receiver gives it",
+            bounds=Bounds(-500.0, 9000.0, rate=20.0, tolerance=100.0),
+            recorded=Recorded(
+                "altitude alt elevation ele height hoehe hauteur seehoehe",
+                plausible=(-450.0, 5500.0),
+                integers=1e-3,
+            ),
+        ),
+        Field(
+            "horizontal_accuracy",
+            "m",
+            "standard deviation of each horizontal axis",
+            bounds=Bounds(0.0, 1e5),
+            recorded=Recorded(
+                "hacc accuracy genauigkeit precision", plausible=(0.0, 2000.0), integers=1e-3
+            ),
+        ),
+        Field(
+            "vertical_accuracy",
+            "m",
+            "standard deviation of the altitude",
+            bounds=Bounds(0.0, 1e5),
+            recorded=Recorded("vacc", plausible=(0.0, 2000.0), integers=1e-3),
+        ),
     ),
 )
 
@@ -196,10 +411,39 @@ GNSS_MOTION = Topic(
     "trainlog.GnssMotion",
     "Satellite speed over ground and the receiver's own quality figures.",
     (
-        Field("speed", "m/s", "speed over ground (Doppler)"),
-        Field("speed_accuracy", "m/s", "standard deviation of the speed"),
-        Field("satellites", "1", "satellites used", "previous"),
-        Field("pdop", "1", "position dilution of precision", "previous"),
+        Field(
+            "speed",
+            "m/s",
+            "speed over ground (Doppler)",
+            usual="km/h",
+            bounds=Bounds(0.0, 150.0, rate=5.0, tolerance=3.0),
+            drawn=Drawn("speed/satellites", "satellites", "satellites"),
+        ),
+        Field(
+            "speed_accuracy",
+            "m/s",
+            "standard deviation of the speed",
+            bounds=Bounds(0.0, 1e4),
+            recorded=Recorded("sacc speedacc", plausible=(0.0, 50.0), integers=1e-3),
+        ),
+        Field(
+            "satellites",
+            "1",
+            "satellites used",
+            "previous",
+            bounds=Bounds(0.0, 200.0),
+            recorded=Recorded(
+                "satellites satelliten sats nsat numsv numsat anzahlsat", plausible=(0.0, 80.0)
+            ),
+        ),
+        Field(
+            "pdop",
+            "1",
+            "position dilution of precision",
+            "previous",
+            bounds=Bounds(0.0, 100.0),
+            recorded=Recorded("pdop", integers=1e-2),
+        ),
     ),
 )
 
@@ -208,11 +452,50 @@ ENVIRONMENT = Topic(
     "trainlog.Environment",
     "The line under the train and the air around it.",
     (
-        Field("speed_limit", "m/s", "permitted speed at the position", "previous"),
-        Field("gradient", "1", "rise over run at the train's front, uphill positive", "previous"),
-        Field("curvature", "1/m", "signed curvature of the track, as the line file gives it"),
-        Field("air_temperature", "K", "outside air temperature"),
-        Field("head_wind", "m/s", "wind against the direction of travel"),
+        Field(
+            "speed_limit",
+            "m/s",
+            "permitted speed at the position",
+            "previous",
+            usual="km/h",
+            bounds=Bounds(0.0, 150.0),
+            drawn=Drawn("speed/limit", "limit", "limit"),
+        ),
+        Field(
+            "gradient",
+            "1",
+            "rise over run at the train's front, uphill positive",
+            "previous",
+            usual="permil",
+            bounds=Bounds(-0.2, 0.2),
+            recorded=Recorded(
+                "gradient slope grade neigung steigung gefaelle pente declivite rampe",
+                plausible=(-0.08, 0.08),
+            ),
+            drawn=Drawn("gradient", "gradient", "terrain", width=2.0),
+        ),
+        Field(
+            "curvature",
+            "1/m",
+            "signed curvature of the track, as the line file gives it",
+            bounds=Bounds(-0.05, 0.05),
+            recorded=Recorded("curvature kruemmung courbure", plausible=(-0.02, 0.02)),
+        ),
+        Field(
+            "air_temperature",
+            "K",
+            "outside air temperature",
+            usual="degC",
+            bounds=Bounds(213.15, 333.15),
+            recorded=Recorded(
+                "temperature temperatur temp t",
+                qualifier="outside ambient aussen exterieure exterieur ext external",
+                plausible=(228.0, 333.0),
+            ),
+        ),
+        Field(
+            "head_wind", "m/s", "wind against the direction of travel", bounds=Bounds(-60.0, 60.0)
+        ),
     ),
 )
 
@@ -222,7 +505,15 @@ EVENTS = Topic(
     "What happened, as text.",
     (
         Field("level", "", "foxglove.Log level: 1 debug, 2 info, 3 warning, 4 error", "none"),
-        Field("message", "", "what happened", "none"),
+        Field(
+            "message",
+            "",
+            "what happened",
+            "none",
+            recorded=Recorded(
+                "message meldung ereignis event evenement bemerkung remark comment kommentar"
+            ),
+        ),
         Field("name", "", "which part of the train or the software says so", "none"),
     ),
 )
@@ -234,7 +525,13 @@ ESTIMATED_STATE = Topic(
     (
         Field("position", "m", "chainage of the train's front"),
         Field("position_std", "m", "its standard deviation"),
-        Field("speed", "m/s", "speed over ground"),
+        Field(
+            "speed",
+            "m/s",
+            "speed over ground",
+            usual="km/h",
+            drawn=Drawn("speed/estimated", "estimated", "estimated", std="speed_std", width=1.0),
+        ),
         Field("speed_std", "m/s", "its standard deviation"),
         Field("acceleration", "m/s^2", "longitudinal acceleration"),
         Field("acceleration_std", "m/s^2", "its standard deviation"),
@@ -250,7 +547,14 @@ ESTIMATED_RESISTANCE = Topic(
         Field("r1", "N/(m/s)", "linear term", "previous"),
         Field("r2", "N/(m/s)^2", "quadratic term", "previous"),
         Field("mass", "kg", "train mass without the rotating part", "previous"),
-        Field("resistance", "N", "R at the present speed", "previous"),
+        Field(
+            "resistance",
+            "N",
+            "R at the present speed",
+            "previous",
+            usual="kN",
+            drawn=Drawn("resistance/estimated", "estimated", "estimated", std="resistance_std"),
+        ),
         Field("resistance_std", "N", "its standard deviation", "previous"),
     ),
 )
@@ -260,8 +564,21 @@ ESTIMATED_ADHESION = Topic(
     "trainlog.EstimatedAdhesion",
     "Adhesion in use and slip of each powered axle.",
     (
-        Field("adhesion", "1", "force between wheel and rail over axle load", each="powered axle"),
-        Field("slip_speed", "m/s", "wheel speed minus train speed", each="powered axle"),
+        Field(
+            "adhesion",
+            "1",
+            "force between wheel and rail over axle load",
+            each="powered axle",
+            drawn=Drawn("adhesion/used", "in use", "used", magnitude=True, width=1.0),
+        ),
+        Field(
+            "slip_speed",
+            "m/s",
+            "wheel speed minus train speed",
+            each="powered axle",
+            usual="km/h",
+            drawn=Drawn("slip", "axle {}", "measured", width=1.0),
+        ),
     ),
 )
 
@@ -270,9 +587,29 @@ REFERENCE = Topic(
     "trainlog.Reference",
     "The trajectory that the train was asked to follow, at its position.",
     (
-        Field("speed", "m/s", "reference speed"),
-        Field("tractive_effort", "N", "reference tractive effort", "previous"),
-        Field("braking_effort", "N", "reference braking effort", "previous"),
+        Field(
+            "speed",
+            "m/s",
+            "reference speed",
+            usual="km/h",
+            drawn=Drawn("speed/reference", "reference", "planned", width=2.0),
+        ),
+        Field(
+            "tractive_effort",
+            "N",
+            "reference tractive effort",
+            "previous",
+            usual="kN",
+            drawn=Drawn("efforts/reference", "reference", "planned"),
+        ),
+        Field(
+            "braking_effort",
+            "N",
+            "reference braking effort",
+            "previous",
+            usual="kN",
+            drawn=Drawn("efforts/reference", "reference", "planned", down=True),
+        ),
         Field("lateness", "s", "time behind the reference, negative when early"),
     ),
 )
@@ -285,8 +622,19 @@ TRUTH = Topic(
         Field("position", "m", "true chainage of the train's front"),
         Field("speed", "m/s", "true speed over ground"),
         Field("acceleration", "m/s^2", "true acceleration"),
-        Field("running_resistance", "N", "true R(v), without gradient, curves and tunnels"),
-        Field("maximum_adhesion", "1", "true maximum adhesion under the powered axles"),
+        Field(
+            "running_resistance",
+            "N",
+            "true R(v), without gradient, curves and tunnels",
+            usual="kN",
+            drawn=Drawn("resistance/true", "true (simulated)", "true", width=1.0),
+        ),
+        Field(
+            "maximum_adhesion",
+            "1",
+            "true maximum adhesion under the powered axles",
+            drawn=Drawn("adhesion/true", "true maximum (simulated)", "true", width=1.0),
+        ),
         Field("energy", "J", "tractive work at the wheel rims since departure"),
     ),
 )
@@ -296,12 +644,42 @@ IMU = Topic(
     "trainlog.Imu",
     "Inertial measurement unit, in the axes of its own housing.",
     (
-        Field("specific_force_x", "m/s^2", "acceleration less gravity along the first axis"),
-        Field("specific_force_y", "m/s^2", "the same along the second axis"),
-        Field("specific_force_z", "m/s^2", "the same along the third axis"),
-        Field("angular_rate_x", "rad/s", "rate of turn about the first axis"),
-        Field("angular_rate_y", "rad/s", "rate of turn about the second axis"),
-        Field("angular_rate_z", "rad/s", "rate of turn about the third axis"),
+        Field(
+            "specific_force_x",
+            "m/s^2",
+            "acceleration less gravity along the first axis",
+            bounds=Bounds(-200.0, 200.0),
+        ),
+        Field(
+            "specific_force_y",
+            "m/s^2",
+            "the same along the second axis",
+            bounds=Bounds(-200.0, 200.0),
+        ),
+        Field(
+            "specific_force_z",
+            "m/s^2",
+            "the same along the third axis",
+            bounds=Bounds(-200.0, 200.0),
+        ),
+        Field(
+            "angular_rate_x",
+            "rad/s",
+            "rate of turn about the first axis",
+            bounds=Bounds(-40.0, 40.0),
+        ),
+        Field(
+            "angular_rate_y",
+            "rad/s",
+            "rate of turn about the second axis",
+            bounds=Bounds(-40.0, 40.0),
+        ),
+        Field(
+            "angular_rate_z",
+            "rad/s",
+            "rate of turn about the third axis",
+            bounds=Bounds(-40.0, 40.0),
+        ),
     ),
 )
 
@@ -310,8 +688,32 @@ TRAIN_SUPPLY = Topic(
     "trainlog.TrainSupply",
     "What the train draws from the line, at the pantograph or the collector shoe.",
     (
-        Field("line_voltage", "V", "voltage of the line; effective where it alternates"),
-        Field("line_current", "A", "current from the line, negative when fed back"),
+        Field(
+            "line_voltage",
+            "V",
+            "voltage of the line; effective where it alternates",
+            usual="kV",
+            bounds=Bounds(-60e3, 60e3),
+            recorded=Recorded(
+                "voltage spannung tension u volt",
+                qualifier=(
+                    "line catenary catenaire fahrdraht fd pantograph pantographe "
+                    "stromabnehmer ligne oberleitung netz ober overhead"
+                ),
+                plausible=(-100.0, 40e3),
+            ),
+            drawn=Drawn("voltage", "line voltage", "measured"),
+        ),
+        Field(
+            "line_current",
+            "A",
+            "current from the line, negative when fed back",
+            bounds=Bounds(-20e3, 20e3),
+            recorded=Recorded(
+                "current strom courant i ampere", qualifier="line", plausible=(-6e3, 6e3)
+            ),
+            drawn=Drawn("current", "line current", "traction"),
+        ),
     ),
 )
 
@@ -320,8 +722,32 @@ TRAIN_BRAKES = Topic(
     "trainlog.TrainBrakes",
     "Pressures of the pneumatic brake, above that of the air around.",
     (
-        Field("brake_pipe_pressure", "Pa", "pressure in the brake pipe"),
-        Field("brake_cylinder_pressure", "Pa", "pressure in the brake cylinders"),
+        Field(
+            "brake_pipe_pressure",
+            "Pa",
+            "pressure in the brake pipe",
+            usual="bar",
+            bounds=Bounds(-1e5, 1.6e6),
+            recorded=Recorded(
+                "pressure druck pression hll hauptluftleitung bp bc p",
+                qualifier="pipe hll bp cg conduite hauptluftleitung hauptleitung hl",
+                plausible=(-1e5, 1.2e6),
+            ),
+            drawn=Drawn("pressure", "brake pipe", "measured"),
+        ),
+        Field(
+            "brake_cylinder_pressure",
+            "Pa",
+            "pressure in the brake cylinders",
+            usual="bar",
+            bounds=Bounds(-1e5, 1.6e6),
+            recorded=Recorded(
+                "pressure",
+                qualifier="cylinder cylindre bc zylinder bremszylinder cyl cf",
+                plausible=(-1e5, 1.2e6),
+            ),
+            drawn=Drawn("pressure", "brake cylinders", "friction braking"),
+        ),
     ),
 )
 
@@ -329,7 +755,16 @@ TRAIN_DOORS = Topic(
     "/train/doors",
     "trainlog.TrainDoors",
     "The doors.",
-    (Field("release", "1", "1 while the doors are released, 0 while they are not", "previous"),),
+    (
+        Field(
+            "release",
+            "1",
+            "1 while the doors are released, 0 while they are not",
+            "previous",
+            bounds=Bounds(0.0, 1.0),
+            drawn=Drawn("doors", "doors released", "used"),
+        ),
+    ),
 )
 
 TOPICS: dict[str, Topic] = {

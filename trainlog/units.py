@@ -66,12 +66,14 @@ def _registry() -> UnitRegistry[Any]:
 
 
 _FACTORS = {
-    (unit, unit): 1.0 for unit in ("%", "1", "deg", "m", "m/s", "m/s^2", "m^2", "s", "kg", "N")
+    (unit, unit): 1.0 for unit in ("%", "1", "A", "deg", "m", "m/s", "m/s^2", "m^2", "s", "kg", "N")
 } | {
     ("%", "1"): 0.01,
+    ("bar", "Pa"): 100000.0,
     ("km", "m"): 1000.0,
     ("km/h", "m/s"): 0.2777777777777778,
     ("kN", "N"): 1000.0,
+    ("kV", "V"): 1000.0,
     ("kN/(km/h)", "N/(m/s)"): 3600.0,
     ("kN/(km/h)^2", "N/(m/s)^2"): 12960.0,
     ("kW", "W"): 1000.0,

@@ -15,7 +15,6 @@ from scipy.ndimage import median_filter
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.ingest.clock import Result, gap_threshold
-from trainlog.ingest.limits import limit_of, si_rate
 from trainlog.ingest.profile_parts import Limits
 from trainlog.ingest.recording import Table
 from trainlog.ingest.spikes import GNSS_SPEED, SPEED
@@ -141,7 +140,8 @@ def _counter(table: Table, position: FloatArray, known: BoolArray, limits: Limit
     seconds = (table.time[known] - table.time[0]) / NANOSECONDS
     column = position[known]
     step, took = np.diff(column), np.diff(seconds)
-    rate, tolerance = si_rate(limit_of(POSITION, limits), POSITION)
+    bounds = limits.of(POSITION)
+    rate, tolerance = bounds.rate, bounds.tolerance
     driven = expected = np.full(step.size, np.nan)
     name = next((n for n in (SPEED, GNSS_SPEED) if _present(table, n)), None)
     if name is not None:

@@ -21,14 +21,13 @@ from trainlog.identity import source_of
 from trainlog.ingest.chainage import AgainstLineError
 from trainlog.ingest.estimates import Estimate, estimated_state, position_offset
 from trainlog.ingest.framing import frames
-from trainlog.ingest.limits import LIMITS
 from trainlog.ingest.parts import parts_of
 from trainlog.ingest.placing import OVERRUN, placed
 from trainlog.ingest.profile import Profile, parse_profile
 from trainlog.ingest.profile_checks import MismatchError, Quantity
 from trainlog.ingest.profile_columns import own_topics
-from trainlog.ingest.profile_parts import Limits, TripOptions
-from trainlog.ingest.recording import Finding, Recording, Table
+from trainlog.ingest.profile_parts import Limit, Limits, TripOptions
+from trainlog.ingest.recording import Finding, Recording, Table, field_of
 from trainlog.ingest.registry import Format, format_called, format_of, is_registered, own_profile
 from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report, changes
 from trainlog.ingest.routes import (
@@ -652,10 +651,13 @@ def bounded_limits(limits: Limits, line: Line | None, train: Train | None) -> Li
     if not allowed:
         return limits
     fastest = SPEED_MARGIN * min(allowed)
-    bounded = {
-        name: LIMITS[name].model_copy(update={"max": fastest})
-        for name in ("/train/state.speed", "/gnss/motion.speed")
-    }
+    bounded = {}
+    for name in ("/train/state.speed", "/gnss/motion.speed"):
+        item = field_of(name)[2]
+        usual = item.bounds
+        bounded[name] = Limit(
+            unit=item.unit, min=usual.low, max=fastest, rate=usual.rate, tolerance=usual.tolerance
+        )
     return limits.model_copy(update={"columns": bounded | limits.columns})
 
 

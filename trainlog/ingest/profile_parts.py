@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import math
 import re
 from collections.abc import Iterable
 from typing import Literal, Self
@@ -19,7 +20,10 @@ from trainlog.ingest.profile_checks import (
     problem_of,
     refuse,
 )
+from trainlog.ingest.recording import base_name, field_of
 from trainlog.railway.weather import check_condition
+from trainlog.topics import Bounds
+from trainlog.units import factor
 
 _PLAUSIBLE = {"load": TRAIN["max_load"], "mass": TRAIN["mass"]}
 """What a trip can state of the train."""
@@ -350,13 +354,26 @@ class TripOptions(Strict):
 
 
 class Limit(Strict):
-    """What a field can be: bounds, and how fast it can change (`unit`; `rate` in `unit`/s)."""
+    """What a field can be: bounds, and how fast it can change (`unit`; `rate` in `unit`/s).
+
+    The table of topics has the same in SI: `trainlog.topics.Bounds`.
+    """
 
     unit: str
     min: float | None = None
     max: float | None = None
     rate: float | None = Field(default=None, gt=0.0)
     tolerance: float | None = Field(default=None, ge=0.0)
+
+    def bounds(self, si: str) -> Bounds:
+        """The same in the SI unit."""
+        slope, offset = factor(self.unit, si or "1")
+        return Bounds(
+            -math.inf if self.min is None else self.min * slope + offset,
+            math.inf if self.max is None else self.max * slope + offset,
+            math.inf if self.rate is None else self.rate * slope,
+            (self.tolerance or 0.0) * slope,
+        )
 
 
 class Limits(Strict):
@@ -373,7 +390,7 @@ class Limits(Strict):
     not_before : date, optional
         Day before which this recorder did not exist: earlier dates are 1024 weeks off, or twice.
     columns : dict of str to Limit
-        By ``"/topic.field"``, in place of the built-in ones (docs/ingest.md).
+        By ``"/topic.field"``, in place of the bounds in the table of topics.
     """
 
     sort_within: float = Field(default=10.0, ge=0.0)
@@ -386,6 +403,12 @@ class Limits(Strict):
     def _known(self) -> Self:
         refuse(problem_of(_check_limit, name, limit) for name, limit in self.columns.items())
         return self
+
+    def of(self, name: str) -> Bounds:
+        """Bounds [SI] of a column ``"/topic.column"``: the profile's, else the topic table's."""
+        limit = self.columns.get(base_name(name))
+        item = field_of(name)[2]
+        return item.bounds if limit is None else limit.bounds(item.unit)
 
 
 def _check_limit(name: str, limit: Limit) -> None:

@@ -18,7 +18,6 @@ from trainlog.ingest.clock import Result, gap_threshold, has_fix
 from trainlog.ingest.clock_steps import suspect_clock_steps, undo_clock_steps
 from trainlog.ingest.counters import report_steps, unwrap_counters
 from trainlog.ingest.frozen import blank_frozen
-from trainlog.ingest.limits import limit_of, si_bounds, si_rate
 from trainlog.ingest.profile_parts import Limits, Repair
 from trainlog.ingest.recording import METRES_PER_DEGREE, Finding, Raw, Table, base_name, field_of
 from trainlog.ingest.report import changes
@@ -56,9 +55,8 @@ def blank_out_of_limits(table: Table, limits: Limits) -> Result:
     """
     findings: list[Finding] = []
     for name, values in table.signals.items():
-        limit = limit_of(name, limits)
-        low, high = si_bounds(limit, name)
-        out = (values < low) | (values > high)
+        bounds = limits.of(name)
+        out = (values < bounds.low) | (values > bounds.high)
         count, present = np.count_nonzero(out), np.count_nonzero(np.isfinite(values))
         if not count:
             continue
@@ -67,7 +65,7 @@ def blank_out_of_limits(table: Table, limits: Limits) -> Result:
             first = int(np.argmax(out))
             raise InputError(
                 f"{base_name(name)}: {count} of {present} values are impossible, the first is"
-                f" {values[first]:.6g} {unit}, limits {low:.6g} to {high:.6g}",
+                f" {values[first]:.6g} {unit}, limits {bounds.low:.6g} to {bounds.high:.6g}",
                 place=f"row {table.rows[first]}",
                 remedy="check the unit, scale and sign of its column in the profile",
             )
@@ -158,8 +156,8 @@ def _distance_ratio(
     step = np.diff(seconds)
     whole = step <= gap_threshold(table.time, limits)
     moves = np.diff(position[known])
-    rate, tolerance = si_rate(limit_of(POSITION, limits), POSITION)
-    leaps = whole & (np.abs(moves) > tolerance + rate * step)
+    bounds = limits.of(POSITION)
+    leaps = whole & (np.abs(moves) > bounds.tolerance + bounds.rate * step)
     if np.count_nonzero(leaps) <= FEW * np.count_nonzero(whole):
         # Steps to another chainage are no unit.
         whole &= ~leaps

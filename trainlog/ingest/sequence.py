@@ -16,7 +16,6 @@ import pandas as pd
 
 from trainlog.arrays import BoolArray, IntArray
 from trainlog.ingest.clock import has_fix, same_as_previous
-from trainlog.ingest.limits import limit_of, si_bounds
 from trainlog.ingest.profile_parts import Limits, Repair
 from trainlog.ingest.recording import NO_TIME, Table, base_name
 from trainlog.ingest.rules import blank_without_fix
@@ -240,8 +239,8 @@ class Sequence:
 
     def _within_limits(self, table: Table) -> Table:
         for name, values in table.signals.items():
-            low, high = si_bounds(limit_of(name, self._limits), name)
-            out = (values < low) | (values > high)
+            bounds = self._limits.of(name)
+            out = (values < bounds.low) | (values > bounds.high)
             key = ("out_of_limits", base_name(name))
             self.met["", name] += int(np.count_nonzero(np.isfinite(values)))
             if not out.any():

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from trainlog.ingest.clock import Result
-from trainlog.ingest.limits import limit_of, si_bounds, si_rate
 from trainlog.ingest.profile_parts import Limits
 from trainlog.ingest.recording import METRES_PER_DEGREE, Finding, Table, base_name
 from trainlog.units import NANOSECONDS
@@ -74,10 +75,10 @@ def blank_spikes(table: Table, limits: Limits) -> Result:
     findings: list[Finding] = []
     seconds = (table.time - table.time[0]) / NANOSECONDS
     for name, values in table.signals.items():
-        limit = limit_of(name, limits)
-        if limit.rate is None:
+        bounds = limits.of(name)
+        if math.isinf(bounds.rate):
             continue
-        spike = spikes(seconds, values, *si_rate(limit, name))
+        spike = spikes(seconds, values, bounds.rate, bounds.tolerance)
         findings += table.found("spikes", spike, base_name(name))
         if spike.any():
             table = table.without(name, spike)
@@ -187,7 +188,7 @@ def leaping_fixes(table: Table, limits: Limits, seconds: FloatArray) -> BoolArra
     known = stated[np.isfinite(stated) & np.isfinite(places)]
     usual = min(float(np.median(known)), LARGEST_USUAL) if known.size else USUAL_ACCURACY
     tolerance = FIX_TOLERANCE + FIX_STDS * usual
-    fastest = si_bounds(limit_of(GNSS_SPEED, limits), GNSS_SPEED)[1]
+    fastest = limits.of(GNSS_SPEED).high
     rate = _fastest(table, seconds, fastest)
     leaps = spikes(seconds, places, rate, tolerance)
     if np.count_nonzero(leaps) > MOST_JUMPS * np.count_nonzero(np.isfinite(places)):

@@ -28,8 +28,9 @@ from trainlog.mcap.selection import position_span
 from trainlog.presentation import WordTable, new_table
 from trainlog.railway.kilometres import in_km
 from trainlog.railway.line import Line
-from trainlog.topics import EVENTS, TOPICS, TRAIN_STATE, Field, Topic
+from trainlog.topics import EVENTS, TOPICS, TRAIN_STATE, Bounds, Field, Topic
 from trainlog.trip import LINE_ATTACHMENT, Trip
+from trainlog.units import factor
 
 GAP = 3.0
 """An interval longer than this many median intervals is a gap."""
@@ -449,7 +450,7 @@ def _holds(field: Field, columns: set[str]) -> bool:
 
 
 def topics_table() -> str:
-    """Every topic with its fields, units, meanings and interpolation, as Markdown."""
+    """Every topic with its fields, units, meanings, interpolation and limits, as Markdown."""
     return "\n".join(_section(topic) for topic in TOPICS.values())
 
 
@@ -462,11 +463,32 @@ def _section(topic: Topic) -> str:
         "| field | unit | meaning | between samples |",
         "|---|---|---|---|",
     ]
+    limited = any(item.bounds != Bounds() for item in topic.fields)
+    if limited:
+        rows[-2] += " limits |"
+        rows[-1] += "---|"
     for item in topic.fields:
         name = f"`{item.name}`, one for each {item.each}" if item.each else f"`{item.name}`"
         meaning = item.meaning.replace("|", "\\|")
-        rows.append(f"| {name} | {item.unit or '–'} | {meaning} | {item.interpolation} |")
+        row = f"| {name} | {item.unit or '–'} | {meaning} | {item.interpolation} |"
+        rows.append(f"{row} {_limits(item)} |" if limited else row)
     return "\n".join(rows) + "\n"
+
+
+def _limits(item: Field) -> str:
+    """What a recorded value can be, in its usual unit."""
+    if item.bounds == Bounds():
+        return ""
+    unit, bounds = item.usual_unit, item.bounds
+    slope, offset = factor(unit, item.unit)
+    low, high = (f"{(each - offset) / slope:g}" for each in (bounds.low, bounds.high))
+    shown = "" if unit == "1" else f" {unit}"
+    text = f"{low} to {high}{shown}"
+    if math.isfinite(bounds.rate):
+        text += (
+            f"; {bounds.rate / slope:g}{shown} per second over {bounds.tolerance / slope:g}{shown}"
+        )
+    return text
 
 
 # -------------------------------------------------------------------------------- for a terminal

@@ -16,14 +16,14 @@ from trainlog.railway.condition import ConditionLayer, PassingSpot
 from trainlog.railway.kilometres import km_words
 from trainlog.replay.chart import Chart
 from trainlog.replay.clock import Clock, Instants, Nanoseconds
-from trainlog.replay.curves import LIMIT, PLANNED, TRUE, Colour
+from trainlog.replay.curves import COLOURS, Colour
 from trainlog.replay.samples import Samples, path_of, send_curve, send_dots
 from trainlog.units import DAY, NANOSECONDS
 
 LAYERS: dict[str, Colour] = {"dry": (245, 205, 70), "wet": (90, 180, 240)}
 """Colours of the layers of a track-condition map; others are white."""
 
-EXPECTED, SPOT = PLANNED, LIMIT
+EXPECTED, SPOT = COLOURS["planned"], COLOURS["limit"]
 """Colours of the expected condition and of passing spots."""
 
 LIKELY = 0.05
@@ -114,7 +114,7 @@ def draw_lasting(recording: Any, entity: str, passage: Passage) -> bool:
     value = known.maximum_adhesion
     edges = np.arange(track.bins + 1, dtype=np.float64) * track.bin_length
     levels = _Levels(edges[:-1], edges[1:], value, value * known.log_std)
-    colour = LAYERS.get(passage.layer, TRUE)
+    colour = LAYERS.get(passage.layer, COLOURS["true"])
     return _draw(recording, entity, passage, levels, f"map, {passage.layer}", colour)
 
 

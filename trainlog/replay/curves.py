@@ -1,55 +1,36 @@
-"""What the replay draws: one table of curves, one of panels.
+"""What the replay draws: the curves of the table of topics, and a table of panels.
 
-A curve takes its samples from one topic; whether it is held between samples is the topic table's
-rule. Speeds are shown in km/h, efforts in kN, gradients per mille; braking points downwards.
+A curve takes its samples from one topic; which fields are drawn, how, in which unit, and whether a
+value is held between samples, is in the table of topics (`trainlog.topics.Drawn`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from trainlog.topics import (
-    ENVIRONMENT,
-    ESTIMATED_ADHESION,
-    ESTIMATED_RESISTANCE,
-    ESTIMATED_STATE,
-    GNSS_MOTION,
-    RECORDED,
-    REFERENCE,
-    TRAIN_BRAKES,
-    TRAIN_CONTROLS,
-    TRAIN_COUPLERS,
-    TRAIN_DOORS,
-    TRAIN_STATE,
-    TRAIN_SUPPLY,
-    TRUTH,
-    Topic,
-    topic_of_frame,
-)
+from trainlog.topics import RECORDED, TOPICS, Drawn, Field, Topic, topic_of_frame
 from trainlog.trip import Trip
-from trainlog.units import KMH, PER_MILLE
+from trainlog.units import factor
 
 Colour = tuple[int, int, int]
 """Red, green, blue, each 0 to 255."""
 
-KILO = 1e-3
-"""Kilonewtons in one newton."""
+COLOURS: dict[str, Colour] = {
+    "limit": (235, 90, 90),
+    "measured": (90, 180, 240),
+    "satellites": (0, 190, 160),
+    "estimated": (245, 205, 70),
+    "planned": (190, 140, 255),
+    "true": (160, 160, 160),
+    "traction": (90, 205, 120),
+    "motor braking": (250, 160, 60),
+    "friction braking": (235, 90, 90),
+    "demand": (150, 150, 165),
+    "used": (0, 200, 140),
+    "terrain": (200, 165, 120),
+}
+"""Of each kind of curve (`trainlog.topics.Drawn`)."""
 
-BAR = 1e-5
-"""Bar in one pascal."""
-
-LIMIT: Colour = (235, 90, 90)
-MEASURED: Colour = (90, 180, 240)
-SATELLITES: Colour = (0, 190, 160)
-ESTIMATED: Colour = (245, 205, 70)
-PLANNED: Colour = (190, 140, 255)
-TRUE: Colour = (160, 160, 160)
-TRACTION: Colour = (90, 205, 120)
-MOTOR_BRAKING: Colour = (250, 160, 60)
-FRICTION_BRAKING: Colour = (235, 90, 90)
-DEMAND: Colour = (150, 150, 165)
-USED: Colour = (0, 200, 140)
-TERRAIN: Colour = (200, 165, 120)
 AXLES: tuple[Colour, ...] = (
     (90, 180, 240),
     (245, 160, 50),
@@ -58,8 +39,8 @@ AXLES: tuple[Colour, ...] = (
 )
 TRIPS: tuple[Colour, ...] = (
     *AXLES,
-    ESTIMATED,
-    PLANNED,
+    COLOURS["estimated"],
+    COLOURS["planned"],
     (170, 205, 90),
     (120, 220, 220),
     (255, 140, 120),
@@ -89,14 +70,15 @@ class Stroke:
         Legend; lines of one name share an entry. Axles with ``{}`` in it, for the axle's number,
         each have their own entry and one of the colours `AXLES`.
     colour : Colour
-    scale : float
-        Shown over stored value.
+    scale, offset : float
+        What is shown is ``scale`` times the stored value, plus ``offset``.
     """
 
     field: str
     name: str
     colour: Colour
     scale: float = 1.0
+    offset: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,86 +123,28 @@ class Curve:
         return self.topic.field(self.strokes[0].field).per_axle
 
 
-CURVES: tuple[Curve, ...] = (
-    Curve("speed/limit", ENVIRONMENT, (Stroke("speed_limit", "limit", LIMIT, KMH),)),
-    Curve("speed/reference", REFERENCE, (Stroke("speed", "reference", PLANNED, KMH),), width=2.0),
-    Curve("speed/satellites", GNSS_MOTION, (Stroke("speed", "satellites", SATELLITES, KMH),)),
-    Curve("speed/measured", TRAIN_STATE, (Stroke("speed", "wheels", MEASURED, KMH),), width=2.5),
-    Curve(
-        "speed/estimated",
-        ESTIMATED_STATE,
-        (Stroke("speed", "estimated", ESTIMATED, KMH),),
-        std="speed_std",
-        width=1.0,
-    ),
-    Curve(
-        "efforts/demand",
-        TRAIN_CONTROLS,
-        (
-            Stroke("tractive_effort_demand", "demanded", DEMAND, KILO),
-            Stroke("braking_effort_demand", "demanded", DEMAND, -KILO),
-        ),
-        width=1.0,
-    ),
-    Curve(
-        "efforts/reference",
-        REFERENCE,
-        (
-            Stroke("tractive_effort", "reference", PLANNED, KILO),
-            Stroke("braking_effort", "reference", PLANNED, -KILO),
-        ),
-    ),
-    Curve(
-        "efforts/measured",
-        TRAIN_CONTROLS,
-        (
-            Stroke("tractive_effort", "traction", TRACTION, KILO),
-            Stroke("dynamic_braking_effort", "motor braking", MOTOR_BRAKING, -KILO),
-            Stroke("pneumatic_braking_effort", "friction braking", FRICTION_BRAKING, -KILO),
-        ),
-    ),
-    Curve("couplers", TRAIN_COUPLERS, (Stroke("force", "coupler {}", AXLES[0], KILO),), width=1.0),
-    Curve("slip", ESTIMATED_ADHESION, (Stroke("slip_speed", "axle {}", AXLES[0], KMH),), width=1.0),
-    Curve(
-        "adhesion/used",
-        ESTIMATED_ADHESION,
-        (Stroke("adhesion", "in use", USED),),
-        magnitude=True,
-        width=1.0,
-    ),
-    Curve(
-        "adhesion/true",
-        TRUTH,
-        (Stroke("maximum_adhesion", "true maximum (simulated)", TRUE),),
-        width=1.0,
-    ),
-    Curve(
-        "resistance/true",
-        TRUTH,
-        (Stroke("running_resistance", "true (simulated)", TRUE, KILO),),
-        width=1.0,
-    ),
-    Curve(
-        "resistance/estimated",
-        ESTIMATED_RESISTANCE,
-        (Stroke("resistance", "estimated", ESTIMATED, KILO),),
-        std="resistance_std",
-    ),
-    Curve(
-        "gradient", ENVIRONMENT, (Stroke("gradient", "gradient", TERRAIN, PER_MILLE),), width=2.0
-    ),
-    Curve("voltage", TRAIN_SUPPLY, (Stroke("line_voltage", "line voltage", MEASURED, KILO),)),
-    Curve("current", TRAIN_SUPPLY, (Stroke("line_current", "line current", TRACTION),)),
-    Curve(
-        "pressure",
-        TRAIN_BRAKES,
-        (
-            Stroke("brake_pipe_pressure", "brake pipe", MEASURED, BAR),
-            Stroke("brake_cylinder_pressure", "brake cylinders", FRICTION_BRAKING, BAR),
-        ),
-    ),
-    Curve("doors", TRAIN_DOORS, (Stroke("release", "doors released", USED),)),
-)
+def _stroke(field: Field, drawn: Drawn) -> Stroke:
+    """A field in its usual unit."""
+    slope, offset = factor(field.usual_unit, field.unit)
+    scale = round(1.0 / slope, 9) * (-1.0 if drawn.down else 1.0)
+    return Stroke(field.name, drawn.legend, COLOURS[drawn.colour], scale, -offset * scale)
+
+
+def _curves(topic: Topic) -> list[Curve]:
+    """The curves of a topic: fields that are drawn under the same name are one."""
+    groups: dict[str, list[tuple[Field, Drawn]]] = {}
+    for field in topic.fields:
+        if field.drawn is not None:
+            groups.setdefault(field.drawn.curve, []).append((field, field.drawn))
+    found = []
+    for entity, fields in groups.items():
+        strokes = tuple(_stroke(field, drawn) for field, drawn in fields)
+        first = fields[0][1]
+        found.append(Curve(entity, topic, strokes, first.std or None, first.magnitude, first.width))
+    return found
+
+
+CURVES: tuple[Curve, ...] = tuple(curve for topic in TOPICS.values() for curve in _curves(topic))
 """Every curve of the table of topics that a trip can have."""
 
 
@@ -269,6 +193,20 @@ PANELS: tuple[Panel, ...] = (
 """The plots of a trip from top to bottom; those without data are left out."""
 
 
+def _further_panels() -> tuple[Panel, ...]:
+    """Panels that curves name and `PANELS` does not list: titled by name and unit."""
+    listed = {panel.entity for panel in PANELS}
+    units = {
+        curve.panel: curve.topic.field(curve.strokes[0].field).usual_unit
+        for curve in CURVES
+        if curve.panel not in listed
+    }
+    return tuple(
+        Panel(name, f"{name.replace('_', ' ').capitalize()} [{unit}]", 1.0, beside=True)
+        for name, unit in units.items()
+    )
+
+
 def curves_of(trip: Trip) -> tuple[Curve, ...]:
     """Every curve that a trip can have, those of a recorder's own topics among them."""
     own = _own_fields(trip)
@@ -283,10 +221,11 @@ def curves_of(trip: Trip) -> tuple[Curve, ...]:
 
 def panels_of(trip: Trip) -> tuple[Panel, ...]:
     """The plots of a trip from top to bottom; of a recorder's own topics one a unit."""
-    return PANELS + tuple(
+    own = (
         Panel(f"recorded_{number}", f"Recorded [{unit}]", 1.0, beside=True)
         for number, unit in enumerate(_units(_own_fields(trip)), start=1)
     )
+    return (*PANELS, *_further_panels(), *own)
 
 
 def _own_fields(trip: Trip) -> list[tuple[Topic, str]]:

@@ -22,9 +22,8 @@ from trainlog.replay.condition import (
     observed,
 )
 from trainlog.replay.curves import (
+    COLOURS,
     PHASES,
-    PLANNED,
-    SATELLITES,
     SPEEDS_SHOWN,
     Colour,
     Curve,
@@ -124,7 +123,7 @@ def _send_span(
         instants,
         Samples(instants.time, middle[:, None], half[:, None] ** 2),
         names=["trajectory"],
-        colours=[PLANNED],
+        colours=[COLOURS["planned"]],
     )
 
 
@@ -340,7 +339,7 @@ class Drawing:
         if "place/satellites" in self._entities:
             self._chart.move(*drawn)
             return
-        self._chart.moving(*drawn, colour=SATELLITES, radius=SMALL)
+        self._chart.moving(*drawn, colour=COLOURS["satellites"], radius=SMALL)
         self._entities.add("place/satellites")
 
     def _draw_places(self) -> FloatArray | None:

@@ -87,6 +87,7 @@ def shown_values(curve: Curve, trip: Trip) -> FloatArray | None:
     if not names:
         return None
     values = _block(frame, names) * [stroke.scale for stroke in curve.strokes]
+    values += [stroke.offset for stroke in curve.strokes]
     return np.abs(values) if curve.magnitude else values
 
 

@@ -18,7 +18,7 @@ from trainlog.railway import Line
 from trainlog.railway.kilometres import in_km
 from trainlog.railway.line import StepProfile
 from trainlog.replay.clock import Clock, Instants, Nanoseconds, nanoseconds
-from trainlog.replay.curves import LIMIT, TERRAIN, Colour
+from trainlog.replay.curves import COLOURS, Colour
 from trainlog.replay.samples import (
     Samples,
     from_whole_kilometre,
@@ -73,8 +73,8 @@ def draw_profile(
     """
     drawn = set()
     profiles: list[tuple[str, StepProfile, float, str, Colour]] = [
-        ("speed/limit", line.speed_limits, KMH, "limit", LIMIT),
-        ("gradient", line.gradients, PER_MILLE, "gradient", TERRAIN),
+        ("speed/limit", line.speed_limits, KMH, "limit", COLOURS["limit"]),
+        ("gradient", line.gradients, PER_MILLE, "gradient", COLOURS["terrain"]),
     ]
     for entity, profile, scale, name, colour in profiles:
         if entity in known or clock.position.size == 0 or clock.covered[0] == clock.covered[1]:

@@ -13,7 +13,7 @@ from trainlog.ingest.proposal.efforts import EFFORTS, place_torques, place_wheel
 from trainlog.ingest.proposal.vocabulary import plain, split_unit
 from trainlog.ingest.proposal.work import Proposed, Work
 from trainlog.ingest.recording import field_of
-from trainlog.topics import RECORDED
+from trainlog.topics import RECORDED, Recorded
 from trainlog.units import KMH, factor, si_unit
 
 USUAL_SPEEDS = ("km/h", "m/s", "mph", "knot")
@@ -269,57 +269,16 @@ def _place_acceleration(work: Work, name: str) -> None:
     )  # fmt: skip
 
 
-USUAL = {
-    "/gnss/fix.altitude": ("m", 1.0),
-    "/gnss/fix.horizontal_accuracy": ("m", 1.0),
-    "/gnss/fix.vertical_accuracy": ("m", 1.0),
-    "/gnss/motion.speed_accuracy": ("m/s", 1.0),
-    "/gnss/motion.satellites": ("1", 1.0),
-    "/gnss/motion.pdop": ("1", 1.0),
-    "/environment.gradient": ("permil", 1.0),
-    "/environment.air_temperature": ("degC", 1.0),
-    "/environment.curvature": ("1/m", 1.0),
-    "/train/supply.line_voltage": ("kV", 1.0),
-    "/train/supply.line_current": ("A", 1.0),
-    "/train/brakes.brake_pipe_pressure": ("bar", 1.0),
-    "/train/brakes.brake_cylinder_pressure": ("bar", 1.0),
-}
-"""Units that are taken where the file states none."""
-
-
-BOUNDS = {
-    "/gnss/fix.altitude": (-450.0, 5500.0),
-    "/gnss/fix.horizontal_accuracy": (0.0, 2000.0),
-    "/gnss/fix.vertical_accuracy": (0.0, 2000.0),
-    "/gnss/motion.speed_accuracy": (0.0, 50.0),
-    "/gnss/motion.satellites": (0.0, 80.0),
-    "/gnss/motion.pdop": (0.0, 100.0),
-    "/environment.gradient": (-0.08, 0.08),
-    "/environment.air_temperature": (228.0, 333.0),
-    "/environment.curvature": (-0.02, 0.02),
-    "/train/supply.line_voltage": (-100.0, 40e3),
-    "/train/supply.line_current": (-6e3, 6e3),
-    "/train/brakes.brake_pipe_pressure": (-1e5, 1.2e6),
-    "/train/brakes.brake_cylinder_pressure": (-1e5, 1.2e6),
-}
-"""SI values between which a quantity is plausible."""
-
-
-INTEGERS = {"/gnss/fix.altitude": 1e-3, "/gnss/fix.horizontal_accuracy": 1e-3,
-            "/gnss/fix.vertical_accuracy": 1e-3, "/gnss/motion.speed_accuracy": 1e-3,
-            "/gnss/motion.pdop": 1e-2}  # fmt: skip
-"""Scales in which receivers write integers: millimetres, hundredths."""
-
-
 def _place_plain(work: Work, target: str, name: str) -> None:
     """A field that is plausible in its unit, or not used."""
     gnss = target.startswith("/gnss/fix")
     if gnss and roles.LATITUDE not in work.proposed:
         work.left[name] = "belongs to a satellite position, and there is none"
         return
-    si = field_of(target)[2].unit or "1"
+    item = field_of(target)[2]
+    recorded, si = item.recorded or Recorded(""), item.unit or "1"
     stated = work.meanings[name].unit or ""
-    unit, scale = stated or USUAL[target][0], 1.0
+    unit, scale = stated or item.usual_unit, 1.0
     values = work.numbers[name]
     known = values[np.isfinite(values)]
     pure = ("satellites", "pdop", "accuracy")
@@ -327,17 +286,17 @@ def _place_plain(work: Work, target: str, name: str) -> None:
     why = "the file states the unit" if stated else "the usual unit"
     whole = bool(np.all(known == np.round(known)))
     # Large integers of a receiver are thousandths or hundredths.
-    if not stated and whole and target in INTEGERS and float(np.median(np.abs(known))) > 60.0:
+    if not stated and whole and recorded.integers and float(np.median(np.abs(known))) > 60.0:
         big = 20_000.0 if target.endswith("altitude") else 60.0
         beside = work.proposed.get(roles.LATITUDE)
         if float(np.median(np.abs(known))) > big and beside is not None and beside.scale != 1.0:
-            scale, why = INTEGERS[target], "integers, as the receiver's positions"
+            scale, why = recorded.integers, "integers, as the receiver's positions"
             other = ""
     dilution = work.meanings[name].quantity == "horizontal_dilution"
     if dilution:
         unit, why, other = "m", "HDOP; an axis has 3 m at an HDOP of 1", "another accuracy"
         scale = 0.03 if whole and float(np.median(known)) > 20.0 else 3.0
-    low, high = BOUNDS[target]
+    low, high = recorded.plausible or (item.bounds.low, item.bounds.high)
     try:
         slope, offset = factor(unit, si)
     except InputError:

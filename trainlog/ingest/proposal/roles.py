@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from trainlog.ingest.proposal.vocabulary import Meaning
-from trainlog.topics import TOPICS
+from trainlog.ingest.proposal.vocabulary import Meaning, named, recorded_fields
 
 POSITION, SPEED = "/train/state.position", "/train/state.speed"
 ACCELERATION = "/train/state.acceleration"
@@ -33,31 +32,6 @@ BRAKING = "braking effort"
 
 TORQUE = "torque of an axle"
 """Role of a column that becomes a wheel effort by a factor that only the efforts give."""
-
-_PLAIN = {
-    "acceleration": ACCELERATION,
-    "latitude": LATITUDE,
-    "longitude": LONGITUDE,
-    "altitude": "/gnss/fix.altitude",
-    "satellites": "/gnss/motion.satellites",
-    "horizontal_dilution": "/gnss/fix.horizontal_accuracy",
-    "position_dilution": "/gnss/motion.pdop",
-    "horizontal_accuracy": "/gnss/fix.horizontal_accuracy",
-    "vertical_accuracy": "/gnss/fix.vertical_accuracy",
-    "speed_accuracy": "/gnss/motion.speed_accuracy",
-    "gradient": "/environment.gradient",
-    "curvature": "/environment.curvature",
-    "message": "/events.message",
-}
-
-_QUALIFIED = {
-    ("temperature", "outside"): "/environment.air_temperature",
-    ("voltage", "supply"): "/train/supply.line_voltage",
-    ("current", "supply"): "/train/supply.line_current",
-    ("pressure", "pipe"): "/train/brakes.brake_pipe_pressure",
-    ("pressure", "cylinder"): "/train/brakes.brake_cylinder_pressure",
-}
-"""Fields of quantities that need a qualifier."""
 
 _UNPLACED = {
     "temperature": f"{NO_FIELD} a temperature, not stated to be the outside air's",
@@ -89,13 +63,20 @@ def role_of(meaning: Meaning) -> tuple[str | None, str]:
         return None, f"its name is hardly known ('{quantity}' is a part of it)"
     if quantity in ("speed", "rotation", "distance", "effort", "torque", "lever"):
         return _composed(quantity, meaning)
-    for (kind, qualifier), target in _QUALIFIED.items():
-        if quantity == kind and qualifier in meaning:
+    meant = {
+        named(recorded.qualifier): target
+        for target, _, recorded in recorded_fields()
+        if quantity == named(recorded.words)
+    }
+    if quantity == "horizontal_dilution":
+        meant = {"": "/gnss/fix.horizontal_accuracy"}
+    for qualifier, target in meant.items():
+        if qualifier and qualifier in meaning:
             return target, ""
     if "deviation" in meaning or "demand" in meaning or "limit" in meaning:
         return None, f"no measured value ({quantity})"
-    if quantity in _PLAIN:
-        return _PLAIN[quantity], ""
+    if "" in meant:
+        return meant[""], ""
     return None, _UNPLACED.get(quantity, f"{NO_FIELD} it ({quantity.replace('_', ' ')})")
 
 
@@ -167,7 +148,7 @@ def roles_of(meanings: dict[str, Meaning]) -> tuple[dict[str, list[str]], dict[s
             role = WHEEL_SPEED
         elif several and role in (SIGNED, TRACTION):
             role = WHEEL_EFFORT
-        if role is None or not _exists(role):
+        if role is None:
             left[name] = why or "no field for it"
         else:
             found.setdefault(role, []).append(name)
@@ -177,9 +158,3 @@ def roles_of(meanings: dict[str, Meaning]) -> tuple[dict[str, list[str]], dict[s
         else:
             names.sort(key=lambda name: -meanings[name].coverage)
     return found, left
-
-
-def _exists(role: str) -> bool:
-    """Whether a field is one of the table of topics; other roles are ours."""
-    topic, _, field = role.rpartition(".")
-    return not topic or (topic in TOPICS and any(f.name == field for f in TOPICS[topic].fields))

@@ -1,6 +1,7 @@
 """What a column's name says, in English, German and French: quantity, qualifiers, axle, unit.
 
-The words stand in ``vocabulary.toml`` beside this module.
+The words of a field are in the table of topics; those of quantities that several fields have, or
+none, are in ``vocabulary.toml`` beside this module.
 """
 
 from __future__ import annotations
@@ -8,74 +9,19 @@ from __future__ import annotations
 import re
 import tomllib
 import unicodedata
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
+
+from trainlog.topics import TOPICS, Field, Recorded
 
 SHORT = 3
 """Letters up to which a stem must be a whole word of the name."""
 
 _JOINED = 3
 """Words of a name that may make one stem together, as ``h Acc``."""
-
-DIMENSION = {
-    "km/h": "speed", "m/s": "speed", "cm/s": "speed", "mm/s": "speed", "mph": "speed",
-    "ft/s": "speed", "knot": "speed",
-    "km": "length", "m": "length", "dm": "length", "cm": "length", "mm": "length",
-    "hm": "length", "mile": "length", "foot": "length",
-    "kN": "force", "N": "force", "daN": "force", "MN": "force", "lbf": "force", "klbf": "force",
-    "rpm": "rotation", "Hz": "rotation", "rad/s": "rotation",
-    "N*m": "torque", "kN*m": "torque",
-    "%": "share", "permil": "share", "1": "share",
-    "deg": "angle", "rad": "angle",
-    "V": "voltage", "kV": "voltage", "A": "current", "bar": "pressure", "kPa": "pressure",
-    "degC": "temperature", "K": "temperature",
-    "s": "time", "ms": "time", "us": "time", "ns": "time", "min": "time", "h": "time",
-    "kW": "power", "MW": "power", "kWh": "energy", "t": "mass", "kg": "mass",
-    "m/s^2": "acceleration",
-    "standard_gravity": "acceleration", "1/m": "curvature", "1/km": "curvature",
-}  # fmt: skip
-"""What each unit of the vocabulary measures."""
-
-DIMENSIONS: dict[str, tuple[str, ...]] = {
-    "speed": ("speed",),
-    "distance": ("length",),
-    "effort": ("force", "share"),
-    "rotation": ("rotation", "speed"),
-    "torque": ("torque",),
-    "acceleration": ("acceleration",),
-    "latitude": ("angle",),
-    "longitude": ("angle",),
-    "altitude": ("length",),
-    "satellites": ("share",),
-    "horizontal_dilution": ("share",),
-    "position_dilution": ("share",),
-    "horizontal_accuracy": ("length",),
-    "vertical_accuracy": ("length",),
-    "speed_accuracy": ("speed",),
-    "lever": ("share",),
-    "gradient": ("share",),
-    "curvature": ("curvature",),
-    "radius": ("length",),
-    "temperature": ("temperature",),
-    "wind": ("speed",),
-    "voltage": ("voltage",),
-    "current": ("current",),
-    "pressure": ("pressure",),
-    "power": ("power",),
-    "energy": ("energy",),
-    "mass": ("mass",),
-    "heading": ("angle",),
-    "clock": ("time",),
-    "date": (),
-    "door_state": (),
-    "state": (),
-    "slip_protection": (),
-    "message": (),
-    "station": (),
-}
-"""Kinds of unit that a quantity can have."""
 
 
 def plain(text: str) -> str:
@@ -97,22 +43,77 @@ def vocabulary() -> dict[str, Any]:
     return tomllib.loads(Path(__file__).with_name("vocabulary.toml").read_text("utf-8"))
 
 
+def recorded_fields() -> Iterator[tuple[str, Field, Recorded]]:
+    """Fields of the topic table that a name alone shows: ``"/topic.field"``, field, its words."""
+    for topic in TOPICS.values():
+        for item in topic.fields:
+            if item.recorded is not None:
+                yield f"{topic.name}.{item.name}", item, item.recorded
+
+
+def named(words: str) -> str:
+    """What words mean: the first of them."""
+    return words.split()[0] if words else ""
+
+
 @cache
 def _stems() -> dict[str, tuple[tuple[str, str], ...]]:
     """What a stem can mean: ("quantity" or "qualifier", which), by stem."""
-    found: dict[str, list[tuple[str, str]]] = {}
-    for kind in ("quantity", "qualifier"):
-        for name, stems in vocabulary()[kind].items():
-            for stem in stems:
-                found.setdefault(plain(stem), []).append((kind, name))
+    found: dict[str, dict[tuple[str, str], None]] = {}
+
+    def add(kind: str, name: str, words: str) -> None:
+        for stem in words.split():
+            found.setdefault(plain(stem), {})[kind, name] = None
+
+    for _, _, recorded in recorded_fields():
+        add("quantity", named(recorded.words), recorded.words)
+    for name, quantity in vocabulary()["quantity"].items():
+        add("quantity", name, quantity["words"])
+    for _, _, recorded in recorded_fields():
+        add("qualifier", named(recorded.qualifier), recorded.qualifier)
+    for name, words in vocabulary()["qualifier"].items():
+        add("qualifier", name, words)
     return {stem: tuple(means) for stem, means in found.items()}
 
 
 @cache
 def _units() -> dict[str, str]:
-    return {
-        spelling: unit for unit, spellings in vocabulary()["unit"].items() for spelling in spellings
+    """Units in the profile's spelling, by the spellings of recorders."""
+    spelled = {
+        spelling: unit
+        for units in vocabulary()["unit"].values()
+        for unit, spellings in units.items()
+        for spelling in spellings
     }
+    for _, item, _ in recorded_fields():
+        spelled.setdefault(item.usual_unit, item.usual_unit)
+    return spelled
+
+
+@cache
+def dimension_of(unit: str) -> str:
+    """What a unit measures; one that the vocabulary does not list measures a kind of its own.
+
+    Examples
+    --------
+    >>> dimension_of("km/h"), dimension_of("lux")
+    ('speed', 'lux')
+    """
+    return next((kind for kind, units in vocabulary()["unit"].items() if unit in units), unit)
+
+
+@cache
+def _dimensions() -> dict[str, frozenset[str]]:
+    """Kinds of unit that a quantity can have; none if it has no number."""
+    found = {
+        name: frozenset(quantity.get("units", ()))
+        for name, quantity in vocabulary()["quantity"].items()
+    }
+    for _, item, recorded in recorded_fields():
+        kinds = {dimension_of(item.usual_unit)} if item.unit else set[str]()
+        name = named(recorded.words)
+        found[name] = found.get(name, frozenset()) | kinds
+    return found
 
 
 def unit_of(text: str) -> str | None:
@@ -230,10 +231,8 @@ def meaning_of(name: str, unit: str | None = None) -> Meaning:
     found = _meaning(name, label, own)
     if own is not None and not sure:
         # What looks like a unit may be a word: "F_t" is no force in tonnes.
-        possible = {
-            dimension for each in found.quantities for dimension in DIMENSIONS.get(each, ())
-        }
-        if found.quantities and DIMENSION[own] not in possible:
+        possible = frozenset[str]().union(*(_dimensions()[each] for each in found.quantities))
+        if found.quantities and dimension_of(own) not in possible:
             return _meaning(name, name, None)
         if not found.quantities:
             whole = _meaning(name, name, None)
@@ -248,15 +247,13 @@ def _meaning(name: str, label: str, unit: str | None) -> Meaning:
     letters = sum(len(word) for word in words if not word.isdigit())
     quantities = [what for kind, what in kinds if kind == "quantity"]
     if unit is not None:
-        fitting = [
-            each
-            for each in quantities
-            if not DIMENSIONS[each] or DIMENSION[unit] in DIMENSIONS[each]
-        ]
+        possible, kind = _dimensions(), dimension_of(unit)
+        fitting = [each for each in quantities if not possible[each] or kind in possible[each]]
         # "n [km/h]" of a wheel is a speed; "Achse 1 [km/h]" has no word for what it measures.
         quantities = fitting or [*_by_unit(unit), *quantities]
     qualifiers = frozenset(what for kind, what in kinds if kind == "qualifier")
-    if not quantities and {"axle", "motor", "pipe", "cylinder", "supply"} & qualifiers:
+    of_fields = {named(recorded.qualifier) for _, _, recorded in recorded_fields()}
+    if not quantities and ({"axle", "motor"} | of_fields) & qualifiers:
         quantities = [*_by_unit(unit)] if unit else []
     if not quantities and {"braking", "traction"} & qualifiers:
         # "Frein pneumatique": of which quantity, the unit or the data say.
@@ -271,20 +268,16 @@ def _meaning(name: str, label: str, unit: str | None) -> Meaning:
     )
 
 
+_BY_UNIT = ("speed", "rotation", "torque", "acceleration", "pressure", "voltage", "current")
+"""Quantities that a unit alone shows."""
+
+
 def _by_unit(unit: str) -> tuple[str, ...]:
     """What a unit alone says."""
-    known = {
-        "speed": "speed",
-        "force": "effort",
-        "rotation": "rotation",
-        "torque": "torque",
-        "acceleration": "acceleration",
-        "pressure": "pressure",
-        "voltage": "voltage",
-        "current": "current",
-    }
-    dimension = DIMENSION[unit]
-    return (known[dimension],) if dimension in known else ()
+    kind = dimension_of(unit)
+    if kind == "force":
+        return ("effort",)
+    return (kind,) if kind in _BY_UNIT else ()
 
 
 def _matched(words: list[str]) -> tuple[list[tuple[str, str]], int]:

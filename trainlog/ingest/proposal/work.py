@@ -10,7 +10,7 @@ from trainlog.ingest.profile_parts import TripColumns
 from trainlog.ingest.proposal.checks import Motion
 from trainlog.ingest.proposal.layout import Layout, Reading
 from trainlog.ingest.proposal.times import Clock
-from trainlog.ingest.proposal.vocabulary import DIMENSION, Meaning
+from trainlog.ingest.proposal.vocabulary import Meaning, dimension_of
 from trainlog.railway.train import Train
 
 
@@ -110,7 +110,7 @@ class Work:
     def stated(self, name: str | None, dimension: str) -> str:
         """The unit of that kind that the file states for a column; empty if none."""
         unit = self.meanings[name].unit if name is not None else None
-        return unit if unit is not None and DIMENSION[unit] == dimension else ""
+        return unit if unit is not None and dimension_of(unit) == dimension else ""
 
     def add(self, proposed: Proposed) -> None:
         """Propose a field; another column that it may come from is an alternative."""
