@@ -21,6 +21,9 @@ Interpolation = Literal["linear", "previous", "none"]
 Each = Literal["", "powered axle", "vehicle", "coupler"]
 """What a field has one value for, if not for the whole train."""
 
+USUAL = {"m/s": "km/h", "N": "kN", "V": "kV", "Pa": "bar", "K": "degC"}
+"""Units in which people state quantities, where it is not the SI unit."""
+
 STANDSTILL = 0.1
 """Recorded speed [m/s] up to which a train stands: wheel speeds of a train at rest are noise."""
 
@@ -125,7 +128,7 @@ class Field:
     each : {"", "powered axle", "vehicle", "coupler"}
         What has a value of its own: the frame then has columns ``name_1 … name_n``, front first.
     usual : str
-        Unit in which people state it and recorders mostly write it; the SI unit if empty.
+        Unit in which people state it and recorders mostly write it; if empty that of `USUAL`.
     bounds : Bounds
         What a recorded value can be; unbounded by default.
     recorded : Recorded, optional
@@ -153,7 +156,7 @@ class Field:
     @property
     def usual_unit(self) -> str:
         """Unit in which it is shown to people."""
-        return self.usual or self.unit or "1"
+        return self.usual or USUAL.get(self.unit, self.unit or "1")
 
     @property
     def per_axle(self) -> bool:
@@ -207,7 +210,6 @@ TRAIN_STATE = Topic(
             "speed",
             "m/s",
             "speed over ground from the wheels",
-            usual="km/h",
             bounds=Bounds(-1.0, 150.0, rate=5.0, tolerance=2.0),
             drawn=Drawn("speed/measured", "wheels", "measured", width=2.5),
         ),
@@ -242,7 +244,6 @@ TRAIN_CONTROLS = Topic(
             "N",
             "tractive effort asked for",
             "previous",
-            usual="kN",
             bounds=Bounds(0.0, 3e6),
             drawn=Drawn("efforts/demand", "demanded", "demand", width=1.0),
         ),
@@ -251,7 +252,6 @@ TRAIN_CONTROLS = Topic(
             "N",
             "braking effort asked for",
             "previous",
-            usual="kN",
             bounds=Bounds(0.0, 6e6),
             drawn=Drawn("efforts/demand", "demanded", "demand", down=True, width=1.0),
         ),
@@ -259,7 +259,6 @@ TRAIN_CONTROLS = Topic(
             "tractive_effort",
             "N",
             "tractive effort at the wheel rims",
-            usual="kN",
             bounds=Bounds(0.0, 3e6),
             drawn=Drawn("efforts/measured", "traction", "traction"),
         ),
@@ -267,7 +266,6 @@ TRAIN_CONTROLS = Topic(
             "dynamic_braking_effort",
             "N",
             "braking effort of the traction motors",
-            usual="kN",
             bounds=Bounds(0.0, 3e6),
             drawn=Drawn("efforts/measured", "motor braking", "motor braking", down=True),
         ),
@@ -275,7 +273,6 @@ TRAIN_CONTROLS = Topic(
             "pneumatic_braking_effort",
             "N",
             "braking effort of the friction brakes",
-            usual="kN",
             bounds=Bounds(0.0, 6e6),
             drawn=Drawn("efforts/measured", "friction braking", "friction braking", down=True),
         ),
@@ -292,7 +289,7 @@ TRAIN_AXLES = Topic(
             "m/s",
             "circumferential speed of the wheels",
             each="powered axle",
-            usual="km/h",
+            # Spinning wheels gain 10 m/s² and more: only what no wheel can do is a spike.
             bounds=Bounds(-1.0, 150.0, rate=40.0, tolerance=5.0),
         ),
         Field(
@@ -300,7 +297,6 @@ TRAIN_AXLES = Topic(
             "N",
             "motor torque over wheel radius, positive in traction, negative in braking",
             each="powered axle",
-            usual="kN",
             bounds=Bounds(-3e5, 3e5),
         ),
     ),
@@ -345,7 +341,6 @@ TRAIN_COUPLERS = Topic(
             "N",
             "in-train force, positive when pulled apart",
             each="coupler",
-            usual="kN",
             drawn=Drawn("couplers", "coupler {}", "measured", width=1.0),
         ),
         Field(
@@ -415,7 +410,6 @@ GNSS_MOTION = Topic(
             "speed",
             "m/s",
             "speed over ground (Doppler)",
-            usual="km/h",
             bounds=Bounds(0.0, 150.0, rate=5.0, tolerance=3.0),
             drawn=Drawn("speed/satellites", "satellites", "satellites"),
         ),
@@ -423,6 +417,7 @@ GNSS_MOTION = Topic(
             "speed_accuracy",
             "m/s",
             "standard deviation of the speed",
+            usual="m/s",
             bounds=Bounds(0.0, 1e4),
             recorded=Recorded("sacc speedacc", plausible=(0.0, 50.0), integers=1e-3),
         ),
@@ -457,7 +452,6 @@ ENVIRONMENT = Topic(
             "m/s",
             "permitted speed at the position",
             "previous",
-            usual="km/h",
             bounds=Bounds(0.0, 150.0),
             drawn=Drawn("speed/limit", "limit", "limit"),
         ),
@@ -485,7 +479,6 @@ ENVIRONMENT = Topic(
             "air_temperature",
             "K",
             "outside air temperature",
-            usual="degC",
             bounds=Bounds(213.15, 333.15),
             recorded=Recorded(
                 "temperature temperatur temp t",
@@ -494,7 +487,11 @@ ENVIRONMENT = Topic(
             ),
         ),
         Field(
-            "head_wind", "m/s", "wind against the direction of travel", bounds=Bounds(-60.0, 60.0)
+            "head_wind",
+            "m/s",
+            "wind against the direction of travel",
+            usual="m/s",
+            bounds=Bounds(-60.0, 60.0),
         ),
     ),
 )
@@ -529,7 +526,6 @@ ESTIMATED_STATE = Topic(
             "speed",
             "m/s",
             "speed over ground",
-            usual="km/h",
             drawn=Drawn("speed/estimated", "estimated", "estimated", std="speed_std", width=1.0),
         ),
         Field("speed_std", "m/s", "its standard deviation"),
@@ -552,7 +548,6 @@ ESTIMATED_RESISTANCE = Topic(
             "N",
             "R at the present speed",
             "previous",
-            usual="kN",
             drawn=Drawn("resistance/estimated", "estimated", "estimated", std="resistance_std"),
         ),
         Field("resistance_std", "N", "its standard deviation", "previous"),
@@ -576,7 +571,6 @@ ESTIMATED_ADHESION = Topic(
             "m/s",
             "wheel speed minus train speed",
             each="powered axle",
-            usual="km/h",
             drawn=Drawn("slip", "axle {}", "measured", width=1.0),
         ),
     ),
@@ -591,7 +585,6 @@ REFERENCE = Topic(
             "speed",
             "m/s",
             "reference speed",
-            usual="km/h",
             drawn=Drawn("speed/reference", "reference", "planned", width=2.0),
         ),
         Field(
@@ -599,7 +592,6 @@ REFERENCE = Topic(
             "N",
             "reference tractive effort",
             "previous",
-            usual="kN",
             drawn=Drawn("efforts/reference", "reference", "planned"),
         ),
         Field(
@@ -607,7 +599,6 @@ REFERENCE = Topic(
             "N",
             "reference braking effort",
             "previous",
-            usual="kN",
             drawn=Drawn("efforts/reference", "reference", "planned", down=True),
         ),
         Field("lateness", "s", "time behind the reference, negative when early"),
@@ -626,7 +617,6 @@ TRUTH = Topic(
             "running_resistance",
             "N",
             "true R(v), without gradient, curves and tunnels",
-            usual="kN",
             drawn=Drawn("resistance/true", "true (simulated)", "true", width=1.0),
         ),
         Field(
@@ -692,7 +682,6 @@ TRAIN_SUPPLY = Topic(
             "line_voltage",
             "V",
             "voltage of the line; effective where it alternates",
-            usual="kV",
             bounds=Bounds(-60e3, 60e3),
             recorded=Recorded(
                 "voltage spannung tension u volt",
@@ -726,7 +715,6 @@ TRAIN_BRAKES = Topic(
             "brake_pipe_pressure",
             "Pa",
             "pressure in the brake pipe",
-            usual="bar",
             bounds=Bounds(-1e5, 1.6e6),
             recorded=Recorded(
                 "pressure druck pression hll hauptluftleitung bp bc p",
@@ -739,7 +727,6 @@ TRAIN_BRAKES = Topic(
             "brake_cylinder_pressure",
             "Pa",
             "pressure in the brake cylinders",
-            usual="bar",
             bounds=Bounds(-1e5, 1.6e6),
             recorded=Recorded(
                 "pressure",
