@@ -12,9 +12,8 @@ import argparse
 from pathlib import Path
 
 from trainlog.formats.train import write_consist
-from trainlog.railway.consist import Consist, Coupler, RollingVehicle, Vehicle
+from trainlog.railway.consist import Consist, ConsistBrake, Coupler, RollingVehicle, Vehicle
 from trainlog.railway.resistance import RunningResistance
-from trainlog.railway.train import Brake
 
 # Amirhosseini et al. (2024), section 5: 350 t, 250 kN, eq. (35).
 PAPER_MASS, PAPER_EFFORT = 350e3, 250e3
@@ -46,7 +45,7 @@ def paper(count: int) -> Consist:
         else f"train of Amirhosseini et al. (2024), {count} wagons",
         (wagon,) * count,
         (coupler,) * (count - 1),
-        brake=Brake(0.0, 0.0),  # acts at once in the paper's simulation
+        brake=ConsistBrake(0.0, 0.0),  # acts at once in the paper's simulation
         source="Amirhosseini et al. (2024), section 5"
         + (": a single particle, eq. (10)" if count == 1 else ": eqs. (2)-(8), equal wagons"),
         assumed=()
@@ -100,8 +99,7 @@ def freight() -> Consist:
         "freight train, 24 wagons",
         vehicles,
         (coupler,) * (len(vehicles) - 1),
-        brake=Brake(0.8, 7.0),
-        brake_propagation=250.0,
+        brake=ConsistBrake(0.8, 7.0, 250.0),
         source="wagon: Facs 124 (25 t, 59 t load, 19.04 m) with Strahl's resistance, as in"
         " railtoolkit's rolling stock; locomotive: class 185 (85 t, 300 kN, 5.6 MW, 18.9 m)."
         " Couplers: side buffers of 105 mm stroke that store 30 kJ each (UIC 526-1, EN 15551,"
@@ -160,8 +158,7 @@ def passenger() -> Consist:
         "passenger train, 8 coaches",
         (locomotive, *(coach,) * 8),
         (coupler,) * 8,
-        brake=Brake(0.5, 1.3),
-        brake_propagation=280.0,
+        brake=ConsistBrake(0.5, 1.3, 280.0),
         source="coach: Twindexx Vario (26.8 m, 50 t, and 8 t of passengers), with Sauthoff's"
         " resistance; locomotive: Traxx P160 (84 t, 300 kN, 5.6 MW, 18.9 m), both as in"
         " railtoolkit's rolling stock. Couplers: screw couplings drawn"
@@ -198,7 +195,7 @@ def multiple_unit() -> Consist:
         "electric multiple unit, 8 cars",
         (trailer, motor, motor, trailer, trailer, motor, motor, trailer),
         (coupler,) * 7,
-        brake=Brake(0.3, 0.4),
+        brake=ConsistBrake(0.3, 0.4),
         source="a long-distance multiple unit with distributed traction: 8 cars of 52 t and 25 m,"
         " 300 kN, 8 MW, electro-pneumatic brake on every car at once",
         assumed=(

@@ -30,7 +30,7 @@ from trainlog.railway import (
     Tunnel,
 )
 from trainlog.railway.condition import ConditionLayer
-from trainlog.railway.consist import Consist, Coupler, Vehicle
+from trainlog.railway.consist import Consist, ConsistBrake, Coupler, Vehicle
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.journey import Journey, TimingPoint
 
@@ -321,8 +321,7 @@ def consists(draw: Callable[..., Any]) -> Consist:
         draw(NAMES),
         tuple(vehicles),
         tuple(draw(st.lists(st.sampled_from(joints), min_size=count, max_size=count))),
-        brake=Brake(draw(FEW), draw(FEW)),
-        brake_propagation=draw(st.just(np.inf) | POSITIVE),
+        brake=ConsistBrake(draw(FEW), draw(FEW), draw(st.just(np.inf) | POSITIVE)),
         source=draw(st.text(max_size=8)),
         assumed=tuple(draw(st.lists(NAMES, max_size=2))),
     )

@@ -242,8 +242,8 @@ class TestFile:
         [
             ({"wheelbase": 0.0}, "wheelbase"),
             ({"link_height": -0.1}, "link_height"),
-            ({"axles_per_bogie": 1}, "1 axles a bogie"),
-            ({"powered_bogies": 3}, "3 powered bogies"),
+            ({"axles_per_bogie": 1}, "axles_per_bogie: 1 is less than 2"),
+            ({"powered_bogies": 3}, "powered_bogies: 3 is not 1 or 2"),
             ({"pivot_distance": np.nan}, "pivot_distance"),
         ],
     )

@@ -10,8 +10,8 @@ from hypothesis import given, settings, strategies as st
 from simulated_line import level_line, steps
 
 from trainlog.errors import InputError
-from trainlog.railway import Brake, CurvatureProfile, RunningResistance, Tunnel
-from trainlog.railway.consist import Consist, Coupler, Vehicle
+from trainlog.railway import CurvatureProfile, RunningResistance, Tunnel
+from trainlog.railway.consist import Consist, ConsistBrake, Coupler, Vehicle
 from trainlog.simulation.consist import ConsistPlant, ConsistState, Variation
 from trainlog.units import GRAVITY
 
@@ -126,7 +126,7 @@ def test_coasting_down_follows_the_closed_form(r0: float, r1: float, r2: float) 
 
 def test_integration_is_of_fourth_order() -> None:
     def speeds(step: float) -> np.ndarray:
-        plant = ConsistPlant(replace(train(5), brake=Brake(0.0, 0.0)), step=step)
+        plant = ConsistPlant(replace(train(5), brake=ConsistBrake(0.0, 0.0)), step=step)
         state = plant.at(0.0, 10.0)
         plant.advance(state, [0.0, 31_250.0, 0.0, 0.0, 0.0], 0.0, round(2.0 / step))
         return state.speeds
@@ -187,7 +187,7 @@ def test_curves_and_tunnels_resist_as_equation_6_says() -> None:
 
 
 def test_the_brake_answers_after_its_dead_time_with_its_lag() -> None:
-    plant = ConsistPlant(replace(train(1), brake=Brake(0.6, 0.4)), step=0.01)
+    plant = ConsistPlant(replace(train(1), brake=ConsistBrake(0.6, 0.4)), step=0.01)
     state = plant.at(0.0, 30.0)
     efforts = []
     for _ in range(300):
@@ -200,7 +200,7 @@ def test_the_brake_answers_after_its_dead_time_with_its_lag() -> None:
 
 def test_the_demand_travels_along_the_train_pipe() -> None:
     """Each brake begins when the demand has come to the middle of its vehicle."""
-    consist = replace(train(8), brake=Brake(0.6, 0.4), brake_propagation=250.0)
+    consist = replace(train(8), brake=ConsistBrake(0.6, 0.4, 250.0))
     plant = ConsistPlant(consist, step=0.005)
     state = plant.at(0.0, 30.0)
     begins = np.full(8, np.nan)
@@ -209,7 +209,7 @@ def test_the_demand_travels_along_the_train_pipe() -> None:
         begins[np.isnan(begins) & (state.braking_effort > 0.0)] = 0.005 * k
     np.testing.assert_allclose(begins, 0.6 + consist.middles / 250.0, atol=0.0026)
     # Meanwhile the rear runs up on the front, which brakes already.
-    plant = ConsistPlant(replace(consist, brake_propagation=50.0), step=0.005)
+    plant = ConsistPlant(replace(consist, brake=ConsistBrake(0.6, 0.4, 50.0)), step=0.005)
     state = plant.at(0.0, 30.0)
     plant.advance(state, 0.0, 320_000.0, 500)
     assert np.all(plant.coupler_forces(state) < -1e3)
@@ -270,9 +270,9 @@ def test_slack_runs_in_and_out() -> None:
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: replace(WAGON, mass=-1.0), "mass -1.0 is not positive"),
-        (lambda: Coupler(0.0), "stiffness 0.0 N/m is not positive"),
-        (lambda: replace(COUPLER, slack=-0.1), "slack -0.1 is negative"),
+        (lambda: replace(WAGON, mass=-1.0), "mass: -0.001 t is not positive"),
+        (lambda: Coupler(0.0), "stiffness: 0 MN/m is not positive"),
+        (lambda: replace(COUPLER, slack=-0.1), "slack: -100 mm is negative"),
         (lambda: Consist("x", (WAGON, WAGON)), "2 vehicles need 1 couplers, given are 0"),
         (lambda: Consist("x", ()), "at least one vehicle"),
         (lambda: ConsistPlant(train(), step=0.1), "too coarse for the couplers.*at most"),

@@ -244,17 +244,17 @@ LINE_CASES = [
     ),
 ]
 TRAIN_CASES = [
-    ("mass.value", -122, "f.json: train 'T': mass -122000.0 is not positive"),
-    ("mass.value", 0, "f.json: train 'T': mass 0.0 is not positive"),
+    ("mass.value", -122, "f.json, mass: -122 t is not positive; give more than 0"),
+    ("mass.value", 0, "f.json, mass: 0 t is not positive"),
     ("mass.unit", "kN", "f.json, mass.unit: unit 'kN' cannot be read as kg"),
-    ("efficiency_traction.value", 900, "f.json: train 'T': efficiency_traction 9.0 is not between"),
-    ("efficiency_traction.value", 0, "f.json: train 'T': efficiency_traction 0.0 is not positive"),
-    ("max_deceleration.value", 0, "f.json: train 'T': max_deceleration 0.0 is not positive"),
-    ("brake.dead_time.value", -1, "f.json, brake.dead_time: must be 0 or more"),
+    ("efficiency_traction.value", 900, "f.json, efficiency_traction: 900 % is not above 0 and at"),
+    ("efficiency_traction.value", 0, "f.json, efficiency_traction: 0 % is not above 0 and at most"),
+    ("max_deceleration.value", 0, "f.json, max_deceleration: 0 m/s^2 is not positive"),
+    ("brake.dead_time.value", -1, "f.json, brake.dead_time: -1 s is negative; give 0 or more"),
     ("running_resistance.r2.value", -9, "f.json, running_resistance: train 'T': running resist"),
-    ("axles.count", 0, "f.json, axles.count: must be greater than 0"),
+    ("axles.count", 0, "f.json, axles.count: 0 is not positive"),
     ("axles.count", 4.5, "f.json, axles.count: must be a valid integer"),
-    ("axles.wheel_radius.value", 0, "f.json, axles.wheel_radius: must be positive"),
+    ("axles.wheel_radius.value", 0, "f.json, axles.wheel_radius: 0 m is not positive"),
     ("running_resistance.r3", 1, "f.json, running_resistance.r3: unknown key 'r3'"),
     ("running_resistance.r1.unit", "kN", "f.json, running_resistance.r1.unit: unit 'kN' cannot"),
     ("max_speed", [160], "f.json, max_speed: must be a valid dictionary"),
@@ -292,8 +292,8 @@ OTHER_CASES = [
 
 
 CONSIST_CASES = [
-    ("vehicles.0.mass.value", -1, "f.json, vehicles[0]: vehicle 'wagon': mass -1000.0 is not"),
-    ("vehicles.0.count", 0, "f.json, vehicles[0].count: must be greater than 0"),
+    ("vehicles.0.mass.value", -1, "f.json, vehicles[0].mass: -1 t is not positive"),
+    ("vehicles.0.count", 0, "f.json, vehicles[0].count: 0 is not between 1 and 1000"),
     (
         "vehicles.0.count",
         9,
@@ -305,18 +305,18 @@ CONSIST_CASES = [
         "t",
         "f.json, vehicles[0].length.unit: unit 't' cannot be read as m",
     ),
-    ("couplers.0.stiffness.value", 0, "f.json, couplers[0]: coupler: stiffness 0.0 N/m is not"),
-    ("couplers.0.slack.value", -3, "f.json, couplers[0]: coupler: slack -0.003 is negative"),
+    ("couplers.0.stiffness.value", 0, "f.json, couplers[0].stiffness: 0 MN/m is not positive"),
+    ("couplers.0.slack.value", -3, "f.json, couplers[0].slack: -3 mm is negative"),
     ("couplers.0.stifness", 1, "f.json, couplers[0].stifness: unknown key 'stifness'"),
     (
         "brake.lag.value",
         -1,
-        "f.json: consist 'train of Amirhosseini et al. (2024), 8 wagons': a brake with a dead",
+        "f.json, brake.lag: -1 s is negative",
     ),
     (
         "brake.propagation",
         {"value": 0, "unit": "m/s"},
-        "f.json: consist 'train of Amirhosseini et",
+        "f.json, brake.propagation: 0 m/s is not positive",
     ),
 ]
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
+from trainlog.declaration import Declared, entries
 from trainlog.formats.line import _JourneyFile
 from trainlog.formats.linefile import LineFile, _Geometry, _Reference
 from trainlog.formats.network import _Edge, _NetworkFile
@@ -22,28 +23,20 @@ from trainlog.formats.parameters import (
 )
 from trainlog.formats.samples import sample
 from trainlog.formats.schema import File
-from trainlog.formats.train import (
-    BRAKING_PARAMETERS,
-    _Axles,
-    _Brake,
-    _BrakingCurves,
-    _ConsistBrake,
-    _ConsistFile,
-    _Coupler,
-    _TrainFile,
-    _Vehicle,
-)
 from trainlog.formats.trajectory import _TrajectoryFile
+from trainlog.railway.axle_loads import AxleGeometry
+from trainlog.railway.consist import Consist, ConsistBrake, Coupler, Vehicle
 from trainlog.railway.evidence import DailyEvidence
+from trainlog.railway.train import BRAKING_PARAMETERS, Axles, Brake, BrakingCurves, Train
 
 TEXT = (Path(__file__).parents[1] / "docs" / "formats.md").read_text("utf-8")
-SECTIONS: list[tuple[str, tuple[type[BaseModel], ...]]] = [
+SECTIONS: list[tuple[str, tuple[type, ...]]] = [
     ("## Line", (LineFile, _Geometry, _Reference)),
     ("## Network", (_NetworkFile, _Edge)),
-    ("## Train", (_TrainFile, _Axles, _Brake, _BrakingCurves)),
+    ("## Train", (Train, Axles, AxleGeometry, Brake, BrakingCurves)),
     (
         "## Consist",
-        (_ConsistFile, _ConsistBrake, _Vehicle, _Coupler),
+        (Consist, ConsistBrake, Vehicle, Coupler),
     ),
     ("## Journey", (_JourneyFile,)),
     ("## Parameters", (_ParametersFile, ConfigurationPart, ResistancePart)),
@@ -53,9 +46,15 @@ SECTIONS: list[tuple[str, tuple[type[BaseModel], ...]]] = [
 
 
 @pytest.mark.parametrize(("title", "models"), SECTIONS, ids=[title for title, _ in SECTIONS])
-def test_every_key_is_described(title: str, models: tuple[type[BaseModel], ...]) -> None:
+def test_every_key_is_described(title: str, models: tuple[type, ...]) -> None:
     section = TEXT.split(f"{title}\n")[1].split("\n## ")[0]
     for model in models:
+        if not issubclass(model, BaseModel):
+            for entry in entries(model):
+                assert f"`{entry.key}`" in section, entry.key
+                if issubclass(model, Declared):
+                    assert (f"*`{entry.key}`*" in section) is not entry.required, entry.key
+            continue
         for name, field in model.model_fields.items():
             assert f"`{name}`" in section, name
             if issubclass(model, File):
@@ -66,7 +65,7 @@ def test_every_key_is_described(title: str, models: tuple[type[BaseModel], ...])
 
 def test_every_format_is_in_the_list() -> None:
     for _, (model, *_others) in SECTIONS:
-        assert issubclass(model, File)
+        assert issubclass(model, (File, Declared))
         assert f"`{model.FORMAT}`" in TEXT
         assert (2 if model.FORMAT in ("trainlog/line", "trainlog/network") else 1) == model.VERSION
 

@@ -219,7 +219,7 @@ def changed(content: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
         (TRACK, "speed limits/values/1/1", 0, ": line 'T': speed limit at km 2.000 is not positi"),
         (TRACK, "speed limits/values/1/0", 0, ", speed limits.values[1]: position 0 m follows 0 m"),
         (TRACK, "curvatures/values/0/1", "inf", ", curvatures.values[0][1]: must be a finite nu"),
-        (TRAIN, "mass/value", -1, ": train 'V': mass -1000.0 is not positive"),
+        (TRAIN, "mass/value", -1, ", mass: -1 t is not positive"),
         (TRAIN, "mass/unit", "m", ", mass.unit: unit 'm' cannot be read as kg"),
         (
             TRAIN,

@@ -14,7 +14,6 @@ from test_ingest_chainage import winding
 
 from trainlog.cli.options import pairs
 from trainlog.errors import InputError
-from trainlog.formats.plausible import check_load
 from trainlog.ingest import (
     Profile,
     ingest,
@@ -25,6 +24,7 @@ from trainlog.ingest import (
     repairs_of,
     report_of,
 )
+from trainlog.railway.train import check_load
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
 

@@ -128,7 +128,12 @@ if TYPE_CHECKING:
         PolachCurve as PolachCurve,
         polach_curve as polach_curve,
     )
-    from trainlog.railway.consist import Consist as Consist, Coupler as Coupler, Vehicle as Vehicle
+    from trainlog.railway.consist import (
+        Consist as Consist,
+        ConsistBrake as ConsistBrake,
+        Coupler as Coupler,
+        Vehicle as Vehicle,
+    )
     from trainlog.railway.weather import Weather as Weather
     from trainlog.replay import (
         ReplayOptions as ReplayOptions,
@@ -187,7 +192,7 @@ _NAMES = {
     "trainlog.railway.adhesion": (
         "AdhesionCharacteristic AdhesionPoints AdhesionTable CreepCurve PolachCurve polach_curve"
     ),
-    "trainlog.railway.consist": "Consist Coupler Vehicle",
+    "trainlog.railway.consist": "Consist ConsistBrake Coupler Vehicle",
     "trainlog.formats.line": "read_line write_line read_journey write_journey",
     "trainlog.formats.network": "read_network write_network",
     "trainlog.formats.train": "read_train write_train read_consist write_consist",

@@ -15,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from trainlog.railway import Brake, RunningResistance
-from trainlog.railway.consist import Consist, Coupler, Vehicle
+from trainlog.railway import RunningResistance
+from trainlog.railway.consist import Consist, ConsistBrake, Coupler, Vehicle
 from trainlog.simulation.consist import ConsistPlant
 
 STEP = 0.01
@@ -94,7 +94,7 @@ def main() -> None:
 
 def speeds(step: float) -> np.ndarray:
     """Of five vehicles of which the second begins to pull, with this step [m/s]."""
-    plant = ConsistPlant(replace(consist(5), brake=Brake(0.0, 0.0)), step=step)
+    plant = ConsistPlant(replace(consist(5), brake=ConsistBrake(0.0, 0.0)), step=step)
     state = plant.at(0.0, 10.0)
     plant.advance(state, [0.0, WAGON.max_tractive_effort, 0.0, 0.0, 0.0], 0.0, round(2.0 / step))
     return state.speeds

@@ -508,7 +508,7 @@ def _metres(word: str) -> float:
 
 def load_of(word: str) -> float:
     """A load [kg], from a number in kg or one with its unit, ``11.7t``."""
-    from trainlog.formats.plausible import check_load
+    from trainlog.railway.train import check_load
 
     number, unit = word.removesuffix("kg"), 1.0
     if number.endswith("t"):

@@ -235,8 +235,8 @@ def optimise(
 def _configurations(parameters: Path | None, train: Train, load: str | None) -> ParameterSet:
     """The observed set; without one the train as its file describes it."""
     from trainlog.formats.parameters import read_parameters
-    from trainlog.formats.plausible import check_load
     from trainlog.railway import Configuration, ParameterSet
+    from trainlog.railway.train import check_load
 
     if parameters is None:
         carried = 0.0 if load is None else load_of(load)

@@ -14,8 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
-import numpy as np
-
+from trainlog.declaration import plain as plain, shortest as shortest
 from trainlog.errors import InputError
 
 _REMEDIES = {
@@ -508,47 +507,6 @@ def to_bytes(value: Any) -> bytes:
     }
     """
     return ("".join(_pieces(value, 0)) + "\n").encode()
-
-
-def plain(value: Any, place: str = "") -> Any:
-    """`value` in JSON's own types: numpy scalars and arrays, tuples and the like replaced.
-
-    Raises
-    ------
-    InputError
-        If it cannot be said in JSON; names the key.
-
-    Examples
-    --------
-    >>> plain({"mass": np.float64(2.0), "speeds": np.arange(2)})
-    {'mass': 2.0, 'speeds': [0, 1]}
-    """
-    if isinstance(value, dict):
-        return {str(key): plain(item, f"{place}.{key}") for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item, f"{place}[{index}]") for index, item in enumerate(value)]
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist(), place)
-    if isinstance(value, float) and not np.isfinite(value):
-        raise InputError(
-            f"{place.lstrip('.') or 'value'}: {value} cannot be written to a file",
-            remedy="give a finite number",
-        )
-    if value is None or isinstance(value, str | bool | int | float):
-        return value
-    raise InputError(
-        f"{place.lstrip('.') or 'value'}: a {type(value).__name__} cannot be written to a file",
-        remedy="give numbers, text, lists or dicts",
-    )
-
-
-def shortest(values: Any) -> Any:
-    """Floats that are whole numbers as integers, which read back as the same doubles."""
-    if isinstance(values, list | tuple):
-        return [shortest(value) for value in values]
-    whole = isinstance(values, float) and values.is_integer() and abs(values) < 2**53
-    # Minus zero has no integer.
-    return int(values) if whole and not (values == 0 and np.signbit(values)) else values
 
 
 def _pieces(value: Any, depth: int) -> Iterator[str]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from trainlog.declaration import check_plausible
 from trainlog.errors import InputError
 from trainlog.formats import (
     line as line_format,
@@ -19,7 +20,7 @@ from trainlog.formats import (
 )
 from trainlog.formats.files import parse_json, read_bytes
 from trainlog.formats.network import write_network
-from trainlog.formats.plausible import check_line, check_train
+from trainlog.formats.plausible import check_line
 from trainlog.formats.schema import built
 from trainlog.formats.track_data import Infrastructure, LimitChoice
 from trainlog.railway import EffortCurve, Journey, Line, Train
@@ -349,7 +350,7 @@ def _write(thing: Thing, target: Path) -> None:
         check_line(thing)
         line_format.write_line(thing, target)
     elif isinstance(thing, Train):
-        check_train(thing)
+        check_plausible(thing)
         train_format.write_train(thing, target)
     else:
         line_format.write_journey(thing, target)

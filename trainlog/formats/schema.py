@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -28,10 +27,18 @@ from pydantic_core import (
 )
 
 from trainlog.arrays import FloatArray
+from trainlog.declaration import (
+    declared,
+    gathered as gathered,
+    plain,
+    readable as readable,
+    shortest,
+)
 from trainlog.errors import InputError
-from trainlog.formats.files import parse_json, plain, shortest, to_bytes
+from trainlog.formats.declared import built as built
+from trainlog.formats.files import parse_json, to_bytes
 from trainlog.formats.toml import as_toml, parse_toml
-from trainlog.units import factor, to_si
+from trainlog.units import to_si
 
 
 class Part(BaseModel):
@@ -200,32 +207,6 @@ def dumped(part: Part) -> dict[str, Any]:
     return content
 
 
-def built(make: Callable[[], Result], file: str | Path) -> Result:
-    """`make()`, with the file's name added to the InputError it may raise."""
-    try:
-        # Numbers near the end of the doubles overflow in the checks, which then refuse them.
-        with np.errstate(over="ignore", invalid="ignore"):
-            return make()
-    except InputError as error:
-        if error.file is not None:
-            raise
-        raise InputError.listing(error.each, file=file) from error
-
-
-def gathered(*makes: Callable[[], Any]) -> list[Any]:
-    """What each of `makes` gives; if several raise, one InputError that lists all of it."""
-    made: list[Any] = []
-    problems: list[InputError] = []
-    for make in makes:
-        try:
-            made.append(make())
-        except InputError as error:
-            problems += error.each
-    if problems:
-        raise InputError.listing(problems)
-    return made
-
-
 def error_of(error: ValidationError, file: str | Path) -> InputError:
     """All complaints of pydantic as one InputError."""
     return InputError.listing(problems_of(error), file=file)
@@ -298,39 +279,6 @@ MISSING: tuple[None, float] = (None, np.nan)
 
 _NUMBER = core_schema.float_schema(strict=True, allow_inf_nan=False)
 _TEXT = core_schema.str_schema(strict=True)
-
-
-def declared(values: ArrayLike, unit: str, si: str) -> Any:
-    """SI values in a file's unit, as plain numbers that read back as they were."""
-    slope, offset = factor(unit, si)
-    numbers = np.asarray(values, dtype=np.float64)
-    if (slope, offset) == (1.0, 0.0):
-        return shortest(numbers.tolist())
-    written = readable(numbers, (numbers - offset) / slope, lambda x: to_si(x, unit, si))
-    return shortest(written.tolist())
-
-
-def readable(
-    values: FloatArray, converted: FloatArray, read: Callable[[FloatArray], FloatArray]
-) -> FloatArray:
-    """`converted` with as few digits, from 12 on, as `read` needs to return `values` exactly.
-
-    Where no double reads back exactly it has 14 digits, which read and write to themselves.
-    """
-    written = _rounded(converted, 14)
-    exact = np.zeros(values.shape, dtype=np.bool_)
-    for digits in (12, 14, 15, 16, 17):
-        candidate = _rounded(converted, digits)
-        found = ~exact & (read(candidate) == values)
-        written = np.where(found, candidate, written)
-        exact |= found
-        if np.all(exact):
-            break
-    return written
-
-
-def _rounded(values: FloatArray, digits: int) -> FloatArray:
-    return np.array([float(f"{x:.{digits}g}") for x in values.ravel()]).reshape(values.shape)
 
 
 def _to_si(values: ArrayLike, unit: str, si: str, where: str = "unit") -> FloatArray:

@@ -6,6 +6,7 @@ has comments, so that templates are TOML.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -14,14 +15,16 @@ from typing import Any, Literal
 import numpy as np
 
 from trainlog.arrays import FloatArray
+from trainlog.declaration import Declared, content_beside, entries, example, meanings
 from trainlog.errors import InputError
-from trainlog.formats import line as line_format, train as train_format
+from trainlog.formats import line as line_format
+from trainlog.formats.declared import file_content
 from trainlog.formats.files import write_bytes
 from trainlog.formats.headed import HeadedTable, read_headed
 from trainlog.formats.plausible import check_line
 from trainlog.formats.schema import built, gathered
 from trainlog.formats.toml import as_toml
-from trainlog.railway import Axles, Brake, Line, RunningResistance, Station, StepProfile, Train
+from trainlog.railway import Line, Station, StepProfile, Train
 from trainlog.railway.journey import Journey, TimingPoint
 from trainlog.railway.line import CurvatureProfile, Geometry, LineReference
 from trainlog.units import KMH, to_si
@@ -42,27 +45,6 @@ LINE = Line(
     source="template: replace every value by your line's",
 )
 """The line of the template."""
-
-TRAIN = Train(
-    name="Example unit",
-    mass=120_000.0,
-    rotating_mass_factor=0.08,
-    resistance=RunningResistance(2_300.0, 61.2, 12.0),
-    max_tractive_effort=200e3,
-    max_traction_power=2.6e6,
-    max_dynamic_braking_effort=150e3,
-    max_dynamic_braking_power=2.6e6,
-    max_pneumatic_braking_effort=200e3,
-    max_speed=160.0 / KMH,
-    efficiency_traction=0.87,
-    efficiency_regeneration=0.8,
-    max_load=20_000.0,
-    length=75.0,
-    axles=Axles(4, 68_000.0, 0.43, 1_500.0),
-    brake=Brake(0.6, 0.5),
-    source="template: replace every value by your train's",
-)
-"""The train of the template."""
 
 JOURNEY = Journey(
     "Example journey",
@@ -91,25 +73,6 @@ COMMENTS = {
         "curvatures": "Radii at begin and end of each element, positive to the right;"
         ' straight track: "infinity".',
         "geometry": "Coordinates (WGS 84) by position; chainage is found from fixes with them.",
-    },
-    "train": {
-        "": "A train. Units can be replaced by any of the same kind: kg for t, m/s for km/h.\n"
-        "docs/formats.md describes every key. Check it:\n"
-        "trainlog simulate --train THIS --line sample -o trips",
-        "assumed": "Names of the keys that your source does not give.",
-        "mass": "Empty, without the rotating part.",
-        "rotating_mass_factor": "Inertia of all rotating parts over the empty mass.",
-        "max_load": "Heaviest load of passengers or freight; may be left out.",
-        "running_resistance": "r0 + r1 v + r2 v^2 on straight, level, open track.",
-        "length": 'With the key mass_model = "homogeneous_strip" gradients are averaged over it.',
-        "max_acceleration": "What the train's control allows, of effort over inertia; with\n"
-        'acceleration_limits = "net" of the train\'s own acceleration.',
-        "max_tractive_effort": "Efforts and powers are at the wheel rims.",
-        "max_dynamic_braking_effort": "Of the motors; 0 if there is no such brake.",
-        "max_pneumatic_braking_effort": "Of the friction brake.",
-        "efficiency_traction": "Between the wheel rims and the line (or the tank).",
-        "axles": "The powered axles: the mass on all of them together, the rotating mass of one.",
-        "brake": "The friction brake follows its demand after a dead time, then with a lag.",
     },
     "journey": {
         "": "A journey: when and how fast a train may be where. docs/formats.md has every key.",
@@ -143,21 +106,6 @@ MORE = {
 # [reference.kilometres]
 # units = { position = "m", km_at_start = "km", km_at_end = "km" }
 # values = [[0, 61.2, 49.2]]
-""",
-    "train": """
-# What may be added:
-#
-# [traction_curve]                    # effort over speed, in place of effort and power alone
-# units = { speed = "km/h", effort = "kN" }
-# values = [[0, 200], [46.8, 200], [100, 93.6], [160, 58.5]]
-#
-# [dynamic_braking_curve]
-# units = { speed = "km/h", effort = "kN" }
-# values = [[0, 0], [8, 150], [62.4, 150], [160, 58.5]]
-#
-# [tunnel_resistance]                 # added to r2, by the tunnel's cross-section
-# units = { cross_section = "m^2", coefficient = "kN/(km/h)^2" }
-# values = [[45, 0.0004]]
 """,
     "journey": "",
 }
@@ -228,12 +176,46 @@ def template(kind: Kind, *, line: Line | None = None) -> str:
     """
     if kind == "profile":
         return PROFILE
+    if kind == "train":
+        return template_of(Train)
     content: dict[str, Callable[[], dict[str, Any]]] = {
         "line": lambda: line_format.line_content(line or LINE),
-        "train": lambda: train_format.train_content(TRAIN),
         "journey": lambda: line_format.journey_content(JOURNEY),
     }
     return as_toml(content[kind](), COMMENTS[kind]) + ("" if line is not None else MORE[kind])
+
+
+def template_of(kind: type[Declared], thing: Declared | None = None) -> str:
+    """The text of a new file of a declared thing, with what its docstring says of each key.
+
+    Parameters
+    ----------
+    kind : type
+    thing : optional
+        What the file holds; default: the usual values, and at the end, as comments, those of the
+        tables that may be added.
+    """
+    word, meant = kind.__name__.lower(), meanings(kind)
+    head = (
+        f"A {word}. Units can be replaced by any of the same kind: kg for t, km for m, m/s for"
+        " km/h.\ndocs/formats.md describes every key."
+    )
+    if word in ("line", "train"):
+        other = "train" if word == "line" else "line"
+        head += f" Check it:\ntrainlog simulate --{word} THIS --{other} sample -o trips"
+    notes: dict[str, str] = {}
+    for entry in entries(kind):
+        words = "\n".join(textwrap.wrap(meant.get(entry.names[0], ""), 96))
+        # What is said of several keys stands before the first.
+        notes[entry.key] = "" if words in notes.values() else words
+    text = as_toml(file_content(thing or example(kind)), {"": head} | notes)
+    added = {} if thing is not None else content_beside(kind)
+    if not added:
+        return text
+    lines = as_toml(added, notes).splitlines()
+    return (
+        text + "\n# What may be added:\n" + "".join(f"# {each}".rstrip() + "\n" for each in lines)
+    )
 
 
 def write_template(kind: Kind, path: str | Path, *, table: str | Path | None = None) -> Path:

@@ -17,7 +17,7 @@ from pydantic import ConfigDict, Field
 
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
-from trainlog.formats import line as line_format, linefile, train as train_format
+from trainlog.formats import line as line_format, linefile
 from trainlog.formats.files import read_json, to_bytes, write_bytes
 from trainlog.formats.schema import (
     INFINITY,
@@ -246,7 +246,7 @@ class Etcs(Part):
             for name, field in Etcs.model_fields.items()
             if name not in ("emergency", "service") and getattr(self, name) is not None
         }
-        emergency, service = train_format.pairs(self.emergency), train_format.pairs(self.service)
+        emergency, service = _pairs(self.emergency), _pairs(self.service)
         return BrakingCurves(emergency, service, constants)
 
     @staticmethod
@@ -260,11 +260,21 @@ class Etcs(Part):
                     remedy=f"known are {', '.join(sorted(published))}",
                 )
         by_key: dict[str, Any] = {
-            "A_brake_emergency": train_format.columns(curves.emergency),
-            "A_brake_service": train_format.columns(curves.service),
+            "A_brake_emergency": _columns(curves.emergency),
+            "A_brake_service": _columns(curves.service),
             **curves.parameters,
         }
         return Etcs.model_construct(None, **by_key)
+
+
+def _pairs(table: _Columns | None) -> tuple[tuple[float, float], ...]:
+    """The rows of a table of two columns."""
+    return () if table is None else tuple((float(x), float(y)) for x, y in zip(*table, strict=True))
+
+
+def _columns(rows: tuple[tuple[float, float], ...]) -> _Columns | None:
+    """The two columns of a table, or None if it has no rows."""
+    return tuple(zip(*rows, strict=True)) or None
 
 
 class TrainLayout(Layout):
@@ -309,7 +319,7 @@ class TrainLayout(Layout):
             resistance=RunningResistance(
                 self.rolling_resistance_r0, self.rolling_resistance_r1, self.rolling_resistance_r2
             ),
-            tunnel_resistance=train_format.pairs(self.tunnel_resistance),
+            tunnel_resistance=_pairs(self.tunnel_resistance),
             braking_curves=None if self.etcs is None else self.etcs.curves(),
             seats=_whole("num seats", self.num_seats),
             coaches=_whole("num coaches", self.num_coaches),
@@ -353,7 +363,7 @@ class TrainLayout(Layout):
             rolling_resistance_r0=train.resistance.r0,
             rolling_resistance_r1=train.resistance.r1,
             rolling_resistance_r2=train.resistance.r2,
-            tunnel_resistance=train_format.columns(train.tunnel_resistance),
+            tunnel_resistance=_columns(train.tunnel_resistance),
             etcs=None if train.braking_curves is None else Etcs.of(train.braking_curves),
             **known,
         )
@@ -397,6 +407,8 @@ def assumed_axles(mass: float, effort: float, rotating: float) -> Axles:
     """
     count = max(2, math.ceil(effort / (_ADHESION_IN_USE * GRAVITY * _AXLE_LOAD)))
     usual = Axles()
+    if not mass > 0.0:
+        return usual  # such a train is refused
     share = _POWERED_SHARE * rotating * mass / count
     return Axles(
         count=count,

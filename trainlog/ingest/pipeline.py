@@ -15,7 +15,6 @@ from trainlog import __version__
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import read_bytes, sha256, sha256_of
 from trainlog.formats.line import line_to_bytes
-from trainlog.formats.plausible import check_load
 from trainlog.formats.train import train_to_bytes
 from trainlog.identity import source_of
 from trainlog.ingest.chainage import AgainstLineError
@@ -43,7 +42,7 @@ from trainlog.progress import note
 from trainlog.railway.kilometres import km_words
 from trainlog.railway.line import Line
 from trainlog.railway.network import Network
-from trainlog.railway.train import Train
+from trainlog.railway.train import Train, check_load
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 from trainlog.version import code_version
 

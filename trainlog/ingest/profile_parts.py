@@ -11,7 +11,7 @@ from typing import Literal, Self
 import pydantic
 from pydantic import Field
 
-from trainlog.formats.plausible import TRAIN
+from trainlog.declaration import form_for
 from trainlog.ingest.profile_checks import (
     Quantity,
     Strict,
@@ -21,12 +21,13 @@ from trainlog.ingest.profile_checks import (
     refuse,
 )
 from trainlog.ingest.recording import base_name, field_of
+from trainlog.railway.train import Train
 from trainlog.railway.weather import check_condition
 from trainlog.topics import Bounds
 from trainlog.units import factor
 
-_PLAUSIBLE = {"load": TRAIN["max_load"], "mass": TRAIN["mass"]}
-"""What a trip can state of the train."""
+_PLAUSIBLE = {"load": "max_load", "mass": "mass"}
+"""What a trip can state of the train, and the field of the train that bounds it."""
 
 MISSING = ("", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", "-", "--", "---")
 """Cells that mean "no value" unless the profile lists others."""
@@ -346,9 +347,9 @@ class TripOptions(Strict):
         refuse(problems)
         refuse(
             str(problem)
-            for name, plausible in _PLAUSIBLE.items()
+            for name, field in _PLAUSIBLE.items()
             if (quantity := getattr(self, name)) is not None
-            and (problem := plausible.problem(quantity.si("kg"), name)) is not None
+            for problem in form_for(Train, field).implausible(quantity.si("kg"), name)
         )
         return self
 

@@ -18,17 +18,27 @@ shows: on a gradient that a train climbs steadily, all of it is the gradient.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray
+from trainlog.declaration import NOT_NEGATIVE, POSITIVE, Must, Quantity, Whole, check
 from trainlog.errors import InputError
 
 LEAST_LOAD = 0.05
 """Share of its static load that an axle keeps at least: a wheel does not lift off."""
+
+
+TWO_OR_MORE = Must("is less than 2", "a bogie has two axles at least", low=2.0)
+ONE_OR_TWO = Must("is not 1 or 2", "a vehicle has one or two powered bogies", low=1.0, high=2.0)
+
+
+def _length(low: float, high: float, whose: str, must: Must = NOT_NEGATIVE) -> Quantity:
+    """A length [m] with its plausible range."""
+    return Quantity("m", "m", (low, high, whose), must=must)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,38 +73,16 @@ class AxleGeometry:
     2
     """
 
-    wheelbase: float
-    pivot_distance: float
-    link_height: float
-    coupler_height: float
-    centre_height: float
-    axles_per_bogie: int = 2
-    powered_bogies: int = 2
+    wheelbase: Annotated[float, _length(1, 6, "bogies have", POSITIVE)]
+    pivot_distance: Annotated[float, _length(3, 25, "vehicles have", POSITIVE)]
+    link_height: Annotated[float, _length(0.05, 2, "bodies are pulled at")]
+    coupler_height: Annotated[float, _length(0.3, 2, "couplers are at")]
+    centre_height: Annotated[float, _length(0.5, 3, "vehicles have their mass at")]
+    axles_per_bogie: Annotated[int, Whole(must=TWO_OR_MORE, stated="written")] = 2
+    powered_bogies: Annotated[int, Whole(must=ONE_OR_TWO, stated="written")] = 2
 
     def __post_init__(self) -> None:
-        problems = list(self._problems())
-        if problems:
-            raise InputError.listing(problems)
-
-    def _problems(self) -> Iterator[InputError]:
-        for name in ("wheelbase", "pivot_distance"):
-            if not getattr(self, name) > 0.0:
-                yield InputError(
-                    f"{name} {getattr(self, name)} m of the axles' geometry is not positive",
-                    remedy="give what this train has",
-                )
-        for name in ("link_height", "coupler_height", "centre_height"):
-            if not getattr(self, name) >= 0.0:
-                yield InputError(
-                    f"{name} {getattr(self, name)} m of the axles' geometry is negative",
-                    remedy="give the height above the rail",
-                )
-        if self.axles_per_bogie < 2 or self.powered_bogies not in (1, 2):
-            yield InputError(
-                f"{self.axles_per_bogie} axles a bogie and {self.powered_bogies} powered bogies a"
-                " vehicle cannot be",
-                remedy="a bogie has two axles at least, a vehicle one or two powered bogies",
-            )
+        check(self)
 
     def vehicles(self, axles: int) -> int:
         """Number of powered vehicles that `axles` powered axles make.

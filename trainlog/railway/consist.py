@@ -8,17 +8,29 @@ are quadratic in speed, so that each is a `RunningResistance` with coefficients 
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import reduce
 from operator import add
-from typing import Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray
-from trainlog.display import as_html, as_text
+from trainlog.declaration import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    Declared,
+    Many,
+    Must,
+    Part,
+    Quantity,
+    Text,
+    check,
+)
 from trainlog.errors import InputError
 from trainlog.railway.effort import EffortCurve
 from trainlog.railway.resistance import RunningResistance
@@ -32,6 +44,17 @@ REFERENCE_SPEED = 100.0 / KMH
 
 HEAD_WIND = 15.0 / KMH
 """Wind that is added to the speed in the air resistance of coaches and traction units [m/s]."""
+
+
+_LARGEST = sys.float_info.max
+_FINITE = Must("is not a finite number", "give one", low=-_LARGEST, high=_LARGEST)
+_STIFF = Must(
+    "is not positive and finite",
+    "vehicles that are not coupled are not a consist",
+    high=_LARGEST,
+    above=True,
+)
+_NONLINEAR = Quantity("1/m^2", "1/m^2", must=_FINITE, stated="required")
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,27 +82,17 @@ class Coupler:
     array([-10000.,      0.,  10000.])
     """
 
-    stiffness: float
-    nonlinearity: float = 0.0
-    damping: float = 0.0
-    slack: float = 0.0
-    buffing_stiffness: float | None = None
-    buffing_nonlinearity: float | None = None
+    stiffness: Annotated[float, Quantity("MN/m", "N/m", must=_STIFF)]
+    nonlinearity: Annotated[float, _NONLINEAR] = 0.0
+    damping: Annotated[
+        float, Quantity("kN*s/m", "N/(m/s)", must=NOT_NEGATIVE, stated="required")
+    ] = 0.0
+    slack: Annotated[float, Quantity("mm", "m", must=NOT_NEGATIVE, stated="required")] = 0.0
+    buffing_stiffness: Annotated[float | None, Quantity("MN/m", "N/m", must=_STIFF)] = None
+    buffing_nonlinearity: Annotated[float | None, Quantity("1/m^2", "1/m^2", must=_FINITE)] = None
 
     def __post_init__(self) -> None:
-        for name in (each.name for each in fields(self)):
-            value = getattr(self, name)
-            if value is not None and not np.isfinite(value):
-                raise InputError(f"coupler: {name} must be a finite number")
-        for name, (stiffness, _) in (("stiffness", self.draft), ("buffing_stiffness", self.buff)):
-            if not stiffness > 0.0:
-                raise InputError(
-                    f"coupler: {name} {stiffness} N/m is not positive",
-                    remedy="vehicles that are not coupled are not a consist",
-                )
-        for name in ("damping", "slack"):
-            if getattr(self, name) < 0.0:
-                raise InputError(f"coupler: {name} {getattr(self, name)} is negative")
+        check(self)
 
     @property
     def draft(self) -> tuple[float, float]:
@@ -125,6 +138,9 @@ class Coupler:
         return beyond, np.where(x < 0.0, k_buff, k), np.where(x < 0.0, eps_buff, eps)
 
 
+_POSITIVE = Must("is not positive and finite", "give what it has", high=_LARGEST, above=True)
+
+
 @dataclass(frozen=True, slots=True)
 class Vehicle:
     """A locomotive, a wagon or a coach.
@@ -154,26 +170,22 @@ class Vehicle:
     82000.0
     """
 
-    name: str
-    mass: float
-    length: float
-    resistance: RunningResistance
-    rotating_mass: float = 0.0
-    max_tractive_effort: float = 0.0
-    max_traction_power: float = np.inf
-    max_braking_effort: float = 0.0
+    ORDER: ClassVar[tuple[str, ...]] = ("name", "mass", "rotating_mass")
+
+    name: Annotated[str, Text(least=1)]
+    mass: Annotated[float, Quantity("t", "kg", must=_POSITIVE)]
+    length: Annotated[float, Quantity("m", "m", must=_POSITIVE)]
+    resistance: Annotated[RunningResistance, Part(key="running_resistance")]
+    rotating_mass: Annotated[float, Quantity("t", "kg", must=NOT_NEGATIVE, stated="required")] = 0.0
+    max_tractive_effort: Annotated[float, Quantity("kN", "N", must=NOT_NEGATIVE)] = 0.0
+    max_traction_power: Annotated[float, Quantity("kW", "W", must=POSITIVE)] = np.inf
+    max_braking_effort: Annotated[float, Quantity("kN", "N", must=NOT_NEGATIVE)] = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("mass", "length"):
-            if not (getattr(self, name) > 0.0 and np.isfinite(getattr(self, name))):
-                raise InputError(
-                    f"vehicle '{self.name}': {name} {getattr(self, name)} is not positive"
-                )
-        for name in ("rotating_mass", "max_tractive_effort", "max_braking_effort"):
-            if not getattr(self, name) >= 0.0:
-                raise InputError(f"vehicle '{self.name}': {name} {getattr(self, name)} is negative")
-        if not self.max_traction_power > 0.0:
-            raise InputError(f"vehicle '{self.name}': traction power must be positive")
+        check(self)
+
+    def __str__(self) -> str:
+        return self.name
 
     @property
     def inertia(self) -> float:
@@ -181,8 +193,27 @@ class Vehicle:
         return self.mass + self.rotating_mass
 
 
-@dataclass(frozen=True, repr=False)
-class Consist:
+@dataclass(frozen=True, slots=True)
+class ConsistBrake(Brake):
+    """Dead time and lag [s] of every vehicle's brake, and how its demand reaches the vehicle.
+
+    Attributes
+    ----------
+    propagation : float [m/s]
+        How fast the demand travels from the front along the train pipe; infinite where it is
+        electric.
+
+    Examples
+    --------
+    >>> ConsistBrake(dead_time=1.0, lag=0.8, propagation=280.0).propagation
+    280.0
+    """
+
+    propagation: Annotated[float, Quantity("m/s", "m/s", must=POSITIVE)] = np.inf
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Consist(Declared):
     """Vehicles from the front to the rear, and the couplers between them.
 
     Attributes
@@ -191,11 +222,8 @@ class Consist:
     vehicles : tuple of Vehicle
     couplers : tuple of Coupler
         One fewer than vehicles.
-    brake : Brake
-        Dead time and lag of every vehicle's brake; Amirhosseini et al. (2024), eq. (1).
-    brake_propagation : float [m/s]
-        How fast the demand travels from the front along the train pipe; infinite where it is
-        electric.
+    brake : ConsistBrake
+        Amirhosseini et al. (2024), eq. (1).
     source : str
     assumed : tuple of str
         Fields that the source does not give: they hold assumptions.
@@ -210,45 +238,31 @@ class Consist:
     True
     """
 
-    name: str
-    vehicles: tuple[Vehicle, ...]
-    couplers: tuple[Coupler, ...] = ()
-    brake: Brake = field(default_factory=Brake)
-    brake_propagation: float = np.inf
-    source: str = ""
+    FORMAT: ClassVar[str] = "trainlog/consist"
+    ORDER: ClassVar[tuple[str, ...]] = ("name", "source", "assumed", "brake")
+
+    name: Annotated[str, Text(least=1)]
+    vehicles: Annotated[tuple[Vehicle, ...], Many(least=1, runs=True)]
+    couplers: Annotated[tuple[Coupler, ...], Many(stated="required", runs=True)] = ()
+    brake: Annotated[ConsistBrake, Part(stated="required")] = ConsistBrake()
+    source: Annotated[str, Text(stated="written")] = ""
     assumed: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
+    def problems(self) -> Iterator[InputError]:
+        """What no consist can be, besides fields beyond their bounds."""
         if not self.vehicles:
-            raise InputError(f"consist '{self.name}': needs at least one vehicle")
-        if len(self.couplers) != len(self.vehicles) - 1:
-            raise InputError(
+            yield InputError(f"consist '{self.name}': needs at least one vehicle")
+        elif len(self.couplers) != len(self.vehicles) - 1:
+            yield InputError(
                 f"consist '{self.name}': {len(self.vehicles)} vehicles need"
                 f" {len(self.vehicles) - 1} couplers, given are {len(self.couplers)}"
             )
-        brake = self.brake
-        if not (0.0 <= brake.dead_time < np.inf and 0.0 <= brake.lag < np.inf):
-            raise InputError(
-                f"consist '{self.name}': a brake with a dead time of {brake.dead_time} s and a lag"
-                f" of {brake.lag} s cannot be",
-                remedy="give times that are not negative",
-            )
-        if not self.brake_propagation > 0.0:
-            raise InputError(
-                f"consist '{self.name}': brake_propagation {self.brake_propagation} m/s is not"
-                " positive"
-            )
 
-    def __repr__(self) -> str:
-        return as_text(f"Consist '{self.name}'", self._summary())
-
-    def _repr_html_(self) -> str:
-        return as_html(f"Consist '{self.name}'", self._summary())
-
-    def _summary(self) -> dict[str, str]:
-        counted = Counter(vehicle.name for vehicle in self.vehicles)
+    def summary(self) -> dict[str, str]:
+        """Vehicles, and what they have together."""
+        counts = Counter(vehicle.name for vehicle in self.vehicles)
         return {
-            "vehicles": ", ".join(f"{count} x {name}" for name, count in counted.items()),
+            "vehicles": ", ".join(f"{count} x {name}" for name, count in counts.items()),
             "mass": f"{self.mass / 1e3:.1f} t on {self.length:.1f} m",
             "efforts": f"{self.max_tractive_effort / 1e3:.0f} kN tractive,"
             f" {self.max_braking_effort / 1e3:.0f} kN braking",
@@ -273,7 +287,7 @@ class Consist:
     @property
     def dead_times(self) -> FloatArray:
         """Of each vehicle's brake [s]: its own, and what the demand takes from the front to it."""
-        return np.asarray(self.brake.dead_time + self.middles / self.brake_propagation)
+        return np.asarray(self.brake.dead_time + self.middles / self.brake.propagation)
 
     def as_one(self) -> Consist:
         """The single-particle model (10): one vehicle with all masses, resistances and efforts.
@@ -293,7 +307,8 @@ class Consist:
             max_traction_power=sum(each.max_traction_power for each in pulling) or np.inf,
             max_braking_effort=self.max_braking_effort,
         )
-        brake = replace(self.brake, dead_time=float(np.average(self.dead_times, weights=weights)))
+        late = float(np.average(self.dead_times, weights=weights))
+        brake = ConsistBrake(late, self.brake.lag)
         return Consist(f"{self.name}, as one", (vehicle,), brake=brake, source=self.source)
 
     @property

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray, IntArray
+from trainlog.declaration import Column, Declared
 from trainlog.errors import InputError
 
 _PARTS = 8
@@ -23,8 +25,8 @@ _SLOW = 0.05
 """Speed [m/s] below which the envelope is that of the largest effort there."""
 
 
-@dataclass(frozen=True, eq=False)
-class EffortCurve:
+@dataclass(frozen=True, eq=False, repr=False)
+class EffortCurve(Declared):
     """Effort over speed, on lines between its points; beyond the last at the power of the last.
 
     Attributes
@@ -46,8 +48,8 @@ class EffortCurve:
     [90000.0, 50000.0, 10000.0]
     """
 
-    speeds: FloatArray
-    efforts: FloatArray
+    speeds: Annotated[FloatArray, Column("speed", "km/h", "m/s")]
+    efforts: Annotated[FloatArray, Column("effort", "kN", "N")]
 
     def __post_init__(self) -> None:
         for name in ("speeds", "efforts"):
@@ -70,16 +72,6 @@ class EffortCurve:
             )
         if not np.all(self.efforts >= 0.0):
             raise InputError("tractive effort: an effort is negative", remedy="give 0 or more")
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, EffortCurve):
-            return NotImplemented
-        return np.array_equal(self.speeds, other.speeds) and np.array_equal(
-            self.efforts, other.efforts
-        )
-
-    def __hash__(self) -> int:
-        return hash((self.speeds.tobytes(), self.efforts.tobytes()))
 
     def __call__(self, speed: ArrayLike) -> FloatArray:
         """Largest effort [N] at each speed [m/s]."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, overload
+from typing import Annotated, Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray
+from trainlog.declaration import Quantity
 from trainlog.errors import InputError
 
 CurveFormula = Literal["proportional", "roeckl", "roeckl_small_radius"]
@@ -54,9 +55,9 @@ class RunningResistance:
     array([2000., 3000., 5000.])
     """
 
-    r0: float
-    r1: float
-    r2: float
+    r0: Annotated[float, Quantity("kN", "N")]
+    r1: Annotated[float, Quantity("kN/(km/h)", "N/(m/s)")]
+    r2: Annotated[float, Quantity("kN/(km/h)^2", "N/(m/s)^2")]
 
     def __post_init__(self) -> None:
         if not all(np.isfinite((self.r0, self.r1, self.r2))):
@@ -84,6 +85,9 @@ class RunningResistance:
         v = np.asarray(speed, dtype=np.float64)
         value = np.asarray(self.r0 + (self.r1 + self.r2 * v) * v)
         return value if value.ndim else np.float64(value)
+
+    def __str__(self) -> str:
+        return f"{self.r0:.0f} N + {self.r1:.1f} N/(m/s) v + {self.r2:.2f} N/(m/s)² v²"
 
     def __add__(self, other: RunningResistance) -> RunningResistance:
         """Both together."""

@@ -2,14 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray
+from trainlog.declaration import (
+    CONFUSED,
+    NOT_NEGATIVE,
+    POSITIVE,
+    POSITIVE_SHARE,
+    SHARE,
+    Column,
+    Declared,
+    Many,
+    Named,
+    Part,
+    Quantity,
+    Table,
+    Text,
+    Whole,
+    check,
+    form_for,
+)
 from trainlog.display import as_html, as_text, span
 from trainlog.errors import InputError
 from trainlog.railway.axle_loads import AxleGeometry, load_transfer
@@ -26,6 +44,33 @@ POWER_OF_FILE = "train file"
 
 NOMINAL = "nominal"
 """Configuration of a train as its file describes it."""
+
+
+MOST_ADHESION, MOST_BRAKING = 1.0, 2.0
+"""Effort over the weight on the axles that transmit it: of motors, of the friction brake.
+
+Published friction brakes of 10 m/s² stand for "whatever the rail transmits".
+"""
+
+MOST_BESIDE = 10.0
+"""Times the stated largest effort, that a curve of effort reaches at most, and its inverse."""
+
+_EFFORT, _BRAKING = (1, 5e3, "trains have"), (0.1, 5e3, "trains have")
+"""Plausible efforts of motors [kN]."""
+
+_SPECIFIC_POWER = Quantity("W/kg", "W/kg", (0.02, 300, "trains have"))
+"""Traction power over the mass."""
+
+_RESISTANCE_OVER_WEIGHT = Quantity(
+    "permil",
+    "1",
+    (0.2, 300, "the running resistance of trains is, over their weight,"),
+    (*CONFUSED["kN"], (1.0 / KMH, "was the speed in its coefficients m/s, not km/h")),
+)
+"""At the highest speed."""
+
+_DELAY = Quantity("s", "s", (0, 120, "brakes answer after"), must=NOT_NEGATIVE, stated="required")
+"""Dead time and lag of a friction brake."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,11 +95,35 @@ class Axles:
     16000.0
     """
 
-    count: int = 4
-    adhesive_mass: float = 64_000.0
-    wheel_radius: float = 0.43
-    rotating_mass: float = 2_000.0
+    count: Annotated[int, Whole(must=POSITIVE, stated="required")] = 4
+    adhesive_mass: Annotated[float, Quantity("t", "kg", must=POSITIVE, stated="required")] = 64e3
+    wheel_radius: Annotated[
+        float,
+        Quantity(
+            "m", "m", (0.15, 1.3, "wheels have a radius of"), must=POSITIVE, stated="required"
+        ),
+    ] = 0.43
+    rotating_mass: Annotated[
+        float, Quantity("t", "kg", (5e-3, 20, "a powered axle has"), stated="required")
+    ] = 2_000.0
     geometry: AxleGeometry | None = None
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def __str__(self) -> str:
+        return f"{self.count} powered axles"
+
+    @classmethod
+    def implausible(cls, values: Mapping[str, Any]) -> Iterator[InputError]:
+        """What of the values of a file [SI] cannot be meant together."""
+        if "adhesive_mass" in values and "count" in values:
+            each = values["adhesive_mass"] / values["count"]
+            yield from _AXLE_LOAD.implausible(each, "adhesive_mass")
+
+
+_AXLE_LOAD = Quantity("t", "kg", (2, 40, "an axle carries"))
+"""Mass on one powered axle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +136,28 @@ class Brake:
     Brake(dead_time=1.0, lag=0.8)
     """
 
-    dead_time: float = 0.6
-    lag: float = 0.4
+    dead_time: Annotated[float, _DELAY] = 0.6
+    lag: Annotated[float, _DELAY] = 0.4
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+BRAKING_PARAMETERS = {
+    "K_dry_rst": Quantity("1", "1"),
+    "K_wet_rst": Quantity("1", "1"),
+    "T_traction": Quantity("s", "s"),
+    "T_be": Quantity("s", "s"),
+    "v_uncertainty": Quantity("%", "%"),
+    "T_bs": Quantity("s", "s"),
+}
+"""ETCS braking parameters of a train by their published names, in their published units."""
+
+DecelerationCurve = Annotated[
+    tuple[tuple[float, float], ...],
+    Table((Column("speed", "km/h", "m/s"), Column("deceleration", "m/s^2", "m/s^2"))),
+]
+"""Pairs of speed [m/s] and deceleration [m/s²]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,25 +171,16 @@ class BrakingCurves:
         The remaining published constants by their published names, in the file's units.
     """
 
-    emergency: tuple[tuple[float, float], ...] = ()
-    service: tuple[tuple[float, float], ...] = ()
-    parameters: dict[str, float] = field(default_factory=dict)
+    emergency: DecelerationCurve = ()
+    service: DecelerationCurve = ()
+    parameters: Annotated[dict[str, float], Named(BRAKING_PARAMETERS)] = field(default_factory=dict)
 
 
-_POSITIVE = (
-    "mass",
-    "max_tractive_effort",
-    "max_traction_power",
-    "max_speed",
-    "max_acceleration",
-    "max_deceleration",
-    "efficiency_traction",
-)
-
-
-@dataclass(frozen=True, repr=False)
-class Train:
+@dataclass(frozen=True, eq=False, repr=False)
+class Train(Declared):
     """A train.
+
+    Units can be replaced by any of the same kind: kg for t, m/s for km/h.
 
     Attributes
     ----------
@@ -110,25 +190,33 @@ class Train:
     rotating_mass_factor : float
         Inertia of all rotating parts over the empty mass (rho).
     resistance : RunningResistance
+        r0 + r1 v + r2 v^2 on straight, level, open track.
     max_tractive_effort, max_traction_power : float [N], [W]
         At the wheel rims; bounds of the curve where there is one.
     max_dynamic_braking_effort, max_dynamic_braking_power : float [N], [W]
+        Of the motors; 0 if there is no such brake.
     traction_curve, dynamic_braking_curve : EffortCurve or None
         Efforts over speed at the wheel rims; without a curve the effort is limited by the largest
         effort and the power alone.
     max_pneumatic_braking_effort : float [N]
+        Of the friction brake.
     max_speed : float [m/s]
     max_acceleration, max_deceleration : float [m/s²]
         What the train's control allows.
     efficiency_traction, efficiency_regeneration : float
-        Between the wheel rims and the line.
+        Between the wheel rims and the line (or the tank).
     max_load : float [kg]
-        Heaviest load.
+        Heaviest load of passengers or freight.
     length : float [m]
+        Gradients are averaged over it where `mass_model` is "homogeneous_strip".
     tunnel_resistance : tuple of (cross-section [m²], extra quadratic term [N/(m/s)²])
+        Added to r2, by the tunnel's cross-section.
     axles : Axles
+        The powered axles: the mass on all of them together, the rotating mass of one.
     brake : Brake
+        The friction brake follows its demand after a dead time, then with a lag.
     braking_curves : BrakingCurves or None
+        ETCS braking data as published.
     mass_model : {"mass_point", "homogeneous_strip"}
         Where the mass is for gradients and curves: at the train's front, or spread evenly over its
         length, so that they are averaged under it; Brünger and Dahlhaus (2014), in *Railway
@@ -137,6 +225,7 @@ class Train:
         What `max_acceleration` and `max_deceleration` limit: the effort over the inertia, whatever
         resists; or the train's own acceleration, on a gradient and in a curve, too.
     source : str
+        Where the data come from.
     assumed : tuple of str
         Fields that the source does not give: they hold assumptions.
 
@@ -148,75 +237,141 @@ class Train:
     [200000.0, 87000.0]
     """
 
-    name: str
-    mass: float
-    rotating_mass_factor: float
-    resistance: RunningResistance
-    max_tractive_effort: float
-    max_traction_power: float
-    max_dynamic_braking_effort: float = 0.0
-    max_dynamic_braking_power: float = 0.0
-    max_pneumatic_braking_effort: float = 0.0
-    max_speed: float = 100.0
-    max_acceleration: float = 1.0
-    max_deceleration: float = 1.0
-    efficiency_traction: float = 1.0
-    efficiency_regeneration: float = 0.0
-    max_load: float = 0.0
-    length: float = 0.0
-    tunnel_resistance: tuple[tuple[float, float], ...] = ()
-    axles: Axles = Axles()
-    brake: Brake = Brake()
+    FORMAT: ClassVar[str] = "trainlog/train"
+    ORDER: ClassVar[tuple[str, ...]] = (
+        "name", "source", "assumed", "mass", "rotating_mass_factor", "length", "max_load", "seats",
+        "coaches", "running_resistance", "tunnel_resistance", "max_speed", "max_acceleration",
+        "max_deceleration",
+    )  # fmt: skip
+
+    name: Annotated[str, Text(least=1, usual="Example unit")]
+    mass: Annotated[
+        float,
+        Quantity(
+            "t", "kg", (5, 2e4, "trains have"), must=POSITIVE, usual=120e3, shown="mass: {} empty"
+        ),
+    ]
+    rotating_mass_factor: Annotated[
+        float, Quantity("%", "1", (0.1, 60, "rotating parts add"), must=NOT_NEGATIVE, usual=0.08)
+    ]
+    resistance: Annotated[
+        RunningResistance,
+        Part(
+            key="running_resistance",
+            usual=RunningResistance(2_300.0, 61.2, 12.0),
+            shown="resistance",
+        ),
+    ]
+    max_tractive_effort: Annotated[
+        float, Quantity("kN", "N", _EFFORT, must=POSITIVE, usual=200e3, shown="traction")
+    ]
+    max_traction_power: Annotated[
+        float,
+        Quantity("kW", "W", (10, 1e5, "trains have"), must=POSITIVE, usual=2.6e6, shown="traction"),
+    ]
+    max_dynamic_braking_effort: Annotated[
+        float,
+        Quantity(
+            "kN", "N", _BRAKING, must=NOT_NEGATIVE, stated="required", usual=150e3,
+            shown="brakes: {} dynamic",
+        ),
+    ] = 0.0  # fmt: skip
+    max_dynamic_braking_power: Annotated[
+        float,
+        Quantity(
+            "kW", "W", (1, 2e5, "trains have"), must=NOT_NEGATIVE, stated="required", usual=2.6e6
+        ),
+    ] = 0.0
+    max_pneumatic_braking_effort: Annotated[
+        float,
+        Quantity(
+            "kN", "N", (0.1, 5e4, "trains have"), must=NOT_NEGATIVE, stated="required",
+            usual=200e3, shown="brakes: {} pneumatic",
+        ),
+    ] = 0.0  # fmt: skip
+    max_speed: Annotated[
+        float,
+        Quantity(
+            "km/h", "m/s", (5, 650, "trains run"), must=POSITIVE, stated="required",
+            usual=160.0 / KMH, shown="speed: {} at most",
+        ),
+    ] = 100.0  # fmt: skip
+    max_acceleration: Annotated[
+        float,
+        Quantity(
+            "m/s^2", "m/s^2", (0.005, 4, "trains reach"), must=POSITIVE, stated="required",
+            usual=1.0,
+        ),
+    ] = 1.0  # fmt: skip
+    max_deceleration: Annotated[
+        float,
+        Quantity(
+            "m/s^2", "m/s^2", (0.02, 6, "trains reach"), must=POSITIVE, stated="required", usual=1.0
+        ),
+    ] = 1.0
+    efficiency_traction: Annotated[
+        float, Quantity("%", "1", must=POSITIVE_SHARE, stated="required", usual=0.87)
+    ] = 1.0
+    efficiency_regeneration: Annotated[
+        float, Quantity("%", "1", must=SHARE, stated="required", usual=0.8)
+    ] = 0.0
+    max_load: Annotated[
+        float,
+        Quantity(
+            "t", "kg", (0.05, 2e4, "trains carry"), must=NOT_NEGATIVE, usual=20e3,
+            shown="mass: {} load at most",
+        ),
+    ] = 0.0  # fmt: skip
+    length: Annotated[
+        float,
+        Quantity("m", "m", (5, 8e3, "trains have"), must=NOT_NEGATIVE, usual=75.0, shown="length"),
+    ] = 0.0
+    tunnel_resistance: Annotated[
+        tuple[tuple[float, float], ...],
+        Table(
+            (
+                Column("cross_section", "m^2", "m^2"),
+                Column("coefficient", "kN/(km/h)^2", "N/(m/s)^2"),
+            ),
+            usual=((45.0, 5.184),),
+        ),
+    ] = ()
+    axles: Annotated[
+        Axles,
+        Part(stated="required", usual=Axles(4, 68_000.0, 0.43, 1_500.0), shown="length"),
+    ] = Axles()
+    brake: Annotated[Brake, Part(stated="required", usual=Brake(0.6, 0.5))] = Brake()
     braking_curves: BrakingCurves | None = None
-    traction_curve: EffortCurve | None = None
-    dynamic_braking_curve: EffortCurve | None = None
-    seats: int | None = None
-    coaches: int | None = None
-    source: str = ""
-    assumed: tuple[str, ...] = ()
+    traction_curve: Annotated[
+        EffortCurve | None,
+        Part(
+            usual=EffortCurve(
+                [0.0, 13.0, 100.0 / KMH, 160.0 / KMH], [200e3, 200e3, 93.6e3, 58.5e3]
+            ),
+            shown="traction: curve of {} speeds",
+        ),
+    ] = None
+    dynamic_braking_curve: Annotated[
+        EffortCurve | None,
+        Part(
+            usual=EffortCurve(
+                np.array([0.0, 8.0, 62.4, 160.0]) / KMH, np.array([0.0, 150e3, 150e3, 58.5e3])
+            ),
+            shown="brakes: curve of {} speeds",
+        ),
+    ] = None
+    seats: Annotated[int | None, Whole(must=POSITIVE)] = None
+    coaches: Annotated[int | None, Whole(must=POSITIVE)] = None
+    source: Annotated[
+        str, Text(stated="written", usual="template: replace every value by your train's")
+    ] = ""
+    assumed: Annotated[tuple[str, ...], Many(shown="assumed")] = ()
     mass_model: MassModel = "mass_point"
     acceleration_limits: AccelerationLimits = "gross"
 
-    def __post_init__(self) -> None:
-        problems = list(self._problems())
-        if problems:
-            raise InputError.listing(problems)
-
-    def _problems(self) -> Iterator[InputError]:
-        """What no train can be, one by one."""
+    def problems(self) -> Iterator[InputError]:
+        """What no train can be, besides fields beyond their bounds, one by one."""
         where = f"train '{self.name}'"
-        faulty = [name for name in _POSITIVE if not getattr(self, name) > 0.0]
-        # What is assumed follows from what is given.
-        for name in [name for name in faulty if name not in self.assumed] or faulty:
-            yield InputError(
-                f"{where}: {name} {getattr(self, name)} is not positive",
-                remedy="give what this train has",
-            )
-        for name in (
-            "rotating_mass_factor",
-            "max_dynamic_braking_effort",
-            "max_dynamic_braking_power",
-            "max_pneumatic_braking_effort",
-            "max_load",
-            "length",
-        ):
-            if not getattr(self, name) >= 0.0:
-                yield InputError(
-                    f"{where}: {name} {getattr(self, name)} is negative", remedy="give 0 or more"
-                )
-        for name in ("efficiency_traction", "efficiency_regeneration"):
-            share = getattr(self, name)
-            if not 0.0 <= share <= 1.0 and (share > 0.0 or name not in _POSITIVE):
-                yield InputError(
-                    f"{where}: {name} {getattr(self, name)} is not between 0 and 1",
-                    remedy="give it as a share, for example 90 %",
-                )
-        for name, kind in (("mass_model", MassModel), ("acceleration_limits", AccelerationLimits)):
-            if getattr(self, name) not in get_args(kind):
-                yield InputError(
-                    f"{where}: no such {name} '{getattr(self, name)}'",
-                    remedy=f"it is one of {', '.join(get_args(kind))}",
-                )
         if self.mass_model == "homogeneous_strip" and self.length == 0.0:
             yield InputError(
                 f"{where}: a homogeneous_strip has a length, and none is given",
@@ -245,26 +400,28 @@ class Train:
                 remedy="check the signs and units of r0, r1 and r2",
             )
 
-    def __repr__(self) -> str:
-        return as_text(f"Train '{self.name}'", self._summary())
-
-    def _repr_html_(self) -> str:
-        return as_html(f"Train '{self.name}'", self._summary())
-
-    def _summary(self) -> dict[str, str]:
-        r = self.resistance
-        return {
-            "mass": f"{self.mass / 1e3:.1f} t empty, {self.max_load / 1e3:.1f} t load at most",
-            "traction": f"{self.max_tractive_effort / 1e3:.0f} kN,"
-            f" {self.max_traction_power / 1e3:.0f} kW" + _points(self.traction_curve),
-            "brakes": f"{self.max_dynamic_braking_effort / 1e3:.0f} kN dynamic,"
-            f" {self.max_pneumatic_braking_effort / 1e3:.0f} kN pneumatic"
-            + _points(self.dynamic_braking_curve),
-            "resistance": f"{r.r0:.0f} N + {r.r1:.1f} N/(m/s) v + {r.r2:.2f} N/(m/s)² v²",
-            "speed": f"{KMH * self.max_speed:.0f} km/h at most",
-            "length": f"{self.length:.1f} m, {self.axles.count} powered axles"
-            + ", mass spread over it" * (self.strip_length > 0.0),
-        } | ({"assumed": ", ".join(self.assumed)} if self.assumed else {})
+    @classmethod
+    def implausible(cls, values: Mapping[str, Any]) -> Iterator[InputError]:
+        """What of the values of a file [SI] cannot be meant together."""
+        for name, stated in (
+            ("traction_curve", "max_tractive_effort"),
+            ("dynamic_braking_curve", "max_dynamic_braking_effort"),
+        ):
+            curve, effort = values.get(name), values.get(stated) or 0.0
+            if curve is None:
+                continue
+            top = float(np.max(curve.efforts))
+            if effort > 0.0 and not effort / MOST_BESIDE <= top <= effort * MOST_BESIDE:
+                yield InputError(
+                    f"its largest effort, {top / 1e3:.6g} kN, contradicts {stated},"
+                    f" {effort / 1e3:.6g} kN",
+                    place=name,
+                    remedy="check the units of both (N or kN)",
+                )
+            yield from form_for(cls, "max_speed").implausible(float(np.max(curve.speeds)), name)
+        mass = values.get("mass") or 0.0
+        if mass > 0.0:
+            yield from _against_mass(values, mass)
 
     @property
     def strip_length(self) -> float:
@@ -362,9 +519,68 @@ class Train:
         return load_transfer(axles.geometry, axles.count, adhesive_mass)
 
 
-def _points(curve: EffortCurve | None) -> str:
-    """How many points a curve has, in words."""
-    return "" if curve is None else f", curve of {curve.speeds.size} speeds"
+def _against_mass(values: Mapping[str, Any], mass: float) -> Iterator[InputError]:
+    """What does not go with a plausible mass [kg]."""
+    axles, speed = values.get("axles"), values.get("max_speed") or 0.0
+    adhesive = mass if axles is None else axles.adhesive_mass
+    if adhesive > 1.001 * mass:
+        yield InputError(
+            f"{adhesive / 1e3:.6g} t on the powered axles are more than the train's mass of"
+            f" {mass / 1e3:.6g} t",
+            place="axles.adhesive_mass",
+            remedy="give what rests on all powered axles together, train empty",
+        )
+    for name, share, carried, carrier in (
+        ("max_tractive_effort", MOST_ADHESION, adhesive, "the powered axles"),
+        ("max_dynamic_braking_effort", MOST_ADHESION, adhesive, "the powered axles"),
+        ("max_pneumatic_braking_effort", MOST_BRAKING, mass, "the train"),
+    ):
+        effort, weight = values.get(name) or 0.0, GRAVITY * carried
+        if effort > share * weight > 0.0:
+            yield InputError(
+                f"{effort / 1e3:.6g} kN is not plausible: it is {effort / weight:.3g} times the"
+                f" weight on {carrier}, {weight / 1e3:.6g} kN",
+                place=name,
+                remedy="check the effort, the mass and their units (N or kN, kg or t)",
+            )
+    power = (values.get("max_traction_power") or 0.0) / mass
+    yield from _SPECIFIC_POWER.implausible(power, "max_traction_power")
+    if values.get("resistance") is not None and speed > 0.0:
+        over_weight = float(values["resistance"](speed)) / (GRAVITY * mass)
+        yield from _RESISTANCE_OVER_WEIGHT.implausible(over_weight, "running_resistance")
+
+
+_LOAD = Quantity("kg", "kg", (50, 2e7, "trains carry"))
+"""Load of a trip; 0 is an empty train."""
+
+MOST_LOAD = 1.5
+"""Times the mass of the empty train, that a load reaches at most where the train states no more."""
+
+
+def check_load(load: float, train: Train | None = None) -> None:
+    """Refuse a load [kg] that cannot be meant: of any train, or of the one that is known.
+
+    Raises
+    ------
+    InputError
+        That names the load, what is plausible, and the likely cause.
+
+    Examples
+    --------
+    >>> check_load(11_700.0)
+    >>> check_load(11.7)  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    trainlog.errors.InputError: load: 11.7 kg is not plausible: trains carry 50 to 2e+07 kg; were...
+    """
+    for problem in _LOAD.implausible(load, "load"):
+        raise problem
+    most = np.inf if train is None else max(MOST_LOAD * train.mass, train.max_load)
+    if not 0.0 <= load <= most:
+        against = f" for a train of {train.mass:.0f} kg" if train is not None else ""
+        raise InputError(
+            f"load {load:.0f} kg is not plausible{against}",
+            remedy="is it the mass of the loaded train, or is its unit another than kg?",
+        )
 
 
 @dataclass(frozen=True, slots=True)

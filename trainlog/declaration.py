@@ -1,0 +1,1418 @@
+"""What a thing is, declared once: the fields of a frozen dataclass and how they stand in its file.
+
+A field's type says what it is; an annotation says how it is written and what it may be:
+
+    mass: Annotated[float, Quantity("t", "kg", must=POSITIVE, plausible=(5, 2e4, "trains have"))]
+
+From the fields follow the file in both directions (`content_of`, `from_content`), what it must and
+what it can be, the commented template of a new file, and the summary that is printed. Inside, all
+values are in SI units. The sentence on each field is that of the class's docstring.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import cache
+from itertools import groupby
+from types import NoneType, UnionType
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)  # fmt: skip
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from trainlog.arrays import FloatArray
+from trainlog.display import as_html, as_text, counted
+from trainlog.errors import InputError
+from trainlog.units import KMH, factor, to_si
+
+Thing = TypeVar("Thing")
+Result = TypeVar("Result")
+
+Stated = Literal["", "written", "required", "read", "never"]
+"""When a field that has a default stands in the file: where it differs from it; always, and it may
+be left out; always; it may, and is not written; never. One without a default always does."""
+
+
+def _once(make: Callable[[Any], Result]) -> Callable[[Any], Result]:
+    """A function of a type whose results are kept."""
+    return cache(make)
+
+
+# ------------------------------------------------------------------ what values may be
+
+
+@dataclass(frozen=True, slots=True)
+class Must:
+    """The range in which a number must lie, whatever it describes.
+
+    Examples
+    --------
+    >>> POSITIVE.holds(0.0), NOT_NEGATIVE.holds(0.0)
+    (False, True)
+    """
+
+    otherwise: str
+    remedy: str
+    low: float = 0.0
+    high: float = np.inf
+    above: bool = False
+    """Whether `low` itself is refused."""
+
+    def holds(self, value: float) -> bool:
+        """Whether a value is in the range; NaN is not."""
+        return (value > self.low if self.above else value >= self.low) and value <= self.high
+
+
+POSITIVE = Must("is not positive", "give more than 0", above=True)
+NOT_NEGATIVE = Must("is negative", "give 0 or more")
+SHARE = Must("is not between 0 and 100 %", "give it as a share, for example 90 %", high=1.0)
+POSITIVE_SHARE = Must(
+    "is not above 0 and at most 100 %", "give it as a share, for example 90 %", high=1.0, above=True
+)
+
+Confused = tuple[tuple[float, str], ...]
+"""Factors by which a value is off when its unit is confused, each with the confusion."""
+
+
+def _thousand(large: str, small: str) -> Confused:
+    """The confusions of a unit with a thousandth of it."""
+    return (
+        (1e3, f"were {large} meant where the unit states {small}"),
+        (1e-3, f"were {small} meant where the unit states {large}"),
+    )
+
+
+TONNES, NEWTONS, WATTS = _thousand("t", "kg"), _thousand("kN", "N"), _thousand("kW", "W")
+
+CONFUSED: dict[str, Confused] = {
+    "t": TONNES,
+    "kg": TONNES,
+    "kN": NEWTONS,
+    "kW": WATTS,
+    "W/kg": (*WATTS, *TONNES),
+    "m": tuple(reversed(_thousand("m", "mm"))),
+    "km": _thousand("km", "m"),
+    "km/h": (
+        (KMH, "were m/s meant where the unit states km/h"),
+        (1.0 / KMH, "were km/h meant where the unit states m/s"),
+    ),
+    "%": ((0.01, "was the percentage given as a pure number"),),
+}
+"""By the unit of a file."""
+
+# ------------------------------------------------------------------ how values are written
+
+
+@dataclass(frozen=True, kw_only=True)
+class Form:
+    """How a field stands in the file.
+
+    Attributes
+    ----------
+    key : str
+        Its key there; empty: its name.
+    stated : {"", "written", "required", "read", "never"}
+        See `Stated`.
+    usual : object
+        Value of the template.
+    shown : str
+        Row of the summary and, after a colon, the words in which ``{}`` is the value.
+    must : Must, optional
+    """
+
+    key: str = ""
+    stated: Stated = ""
+    usual: Any = None
+    shown: str = ""
+    must: Must | None = None
+
+    def read(self, found: Any, kind: Any) -> Any:  # noqa: ARG002
+        """The value, of type `kind`, that stands in the file as `found`; InputError if none."""
+        return found
+
+    def write(self, value: Any, in_si: bool = False) -> Any:  # noqa: ARG002
+        """The value as it stands in the file, perhaps in SI units; None: it is left out."""
+        return plain(value, self.key)
+
+    def words(self, value: Any) -> str:
+        """The value in a summary."""
+        return str(value)
+
+    def refused(self, value: Any, place: str, kind: Any = None) -> InputError | None:  # noqa: ARG002
+        """Why the value of a field of type `kind` cannot be."""
+        if self.must is None or value is None or self.must.holds(value):
+            return None
+        problem = f"{self.words(value)} {self.must.otherwise}"
+        return InputError(problem, place=place, remedy=self.must.remedy)
+
+    def implausible(self, value: Any, place: str) -> Iterator[InputError]:  # noqa: ARG002
+        """Why the value cannot be meant."""
+        yield from ()
+
+
+def _valid(found: Any, kinds: tuple[type, ...], what: str) -> Any:
+    """`found` if it is of one of the types; JSON's true and false are no numbers."""
+    if type(found) not in kinds:
+        raise InputError(f"must be a valid {what}")
+    return found
+
+
+@dataclass(frozen=True)
+class Text(Form):
+    """Text of at least so many characters."""
+
+    least: int = 0
+
+    def read(self, found: Any, kind: Any) -> str:  # noqa: ARG002
+        """The text."""
+        text: str = _valid(found, (str,), "string")
+        if len(text) < self.least:
+            raise InputError(f"must have at least {counted(self.least, 'character')}")
+        return text
+
+
+@dataclass(frozen=True)
+class Choice(Form):
+    """One of the words of a Literal."""
+
+    def read(self, found: Any, kind: Any) -> str:
+        """The word."""
+        words = get_args(kind)
+        if found not in words or not isinstance(found, str):
+            *most, last = (f"'{word}'" for word in words)
+            raise InputError(f"must be {', '.join(most)} or {last}" if most else f"must be {last}")
+        return found
+
+    def refused(self, value: Any, place: str, kind: Any = None) -> InputError | None:
+        """Why the value is none of the words."""
+        if value in get_args(kind):
+            return None
+        remedy = f"it is one of {', '.join(get_args(kind))}"
+        return InputError(f"no such {place} '{value}'", place=place, remedy=remedy)
+
+
+@dataclass(frozen=True)
+class Whole(Form):
+    """A whole number."""
+
+    def read(self, found: Any, kind: Any) -> int:  # noqa: ARG002
+        """The number."""
+        number: int = _valid(found, (int,), "integer")
+        return number
+
+
+@dataclass(frozen=True)
+class Flag(Form):
+    """True or false."""
+
+    def read(self, found: Any, kind: Any) -> bool:  # noqa: ARG002
+        """Which of them."""
+        flag: bool = _valid(found, (bool,), "boolean")
+        return flag
+
+
+@dataclass(frozen=True)
+class Number(Form):
+    """A number without a unit; where there are gaps NaN stands for what is not known."""
+
+    gaps: bool = False
+
+    def read(self, found: Any, kind: Any) -> float:  # noqa: ARG002
+        """The number."""
+        return np.nan if found is None and self.gaps else _number(found)
+
+    def write(self, value: Any, in_si: bool = False) -> Any:  # noqa: ARG002
+        """The number; None where there is none."""
+        return None if self.gaps and np.isnan(value) else plain(value, self.key)
+
+
+def _number(found: Any) -> float:
+    """A finite number."""
+    _valid(found, (int, float), "number")
+    try:
+        number = float(found)
+    except OverflowError:
+        number = np.inf
+    if not np.isfinite(number):
+        raise InputError("is not a finite number", remedy="give one")
+    return number
+
+
+@dataclass(frozen=True)
+class Quantity(Form):
+    """A number with its unit: ``{"value": 122, "unit": "t"}``; a float in `si` inside.
+
+    Attributes
+    ----------
+    unit : str
+        What it is written in.
+    si : str
+    plausible : (float, float, str), optional
+        Least and greatest value [unit] of what is meant, and whose values these are.
+    confused : tuple of (float, str), optional
+        Instead of the confusions of the unit.
+
+    Examples
+    --------
+    >>> mass = Quantity("t", "kg")
+    >>> mass.write(122e3), mass.read({"value": 500, "unit": "kg"}, float)
+    ({'value': 122, 'unit': 't'}, 500.0)
+    """
+
+    unit: str
+    si: str
+    plausible: tuple[float, float, str] | None = None
+    confused: Confused | None = None
+
+    def read(self, found: Any, kind: Any) -> float:  # noqa: ARG002
+        """The number in SI."""
+        if type(found) in (int, float, str):
+            example = {"value": 1 if isinstance(found, str) else found, "unit": self.unit}
+            raise InputError(
+                f"{found!r} has no unit",
+                remedy=f"give value and unit, for example {json.dumps(example)}",
+            )
+        value, unit = _keys(found, value=_number, unit=Text())
+        return float(in_si(value, unit, self.si))
+
+    def write(self, value: Any, in_si: bool = False) -> Any:
+        """The number with its unit."""
+        unit = self.si if in_si else self.unit
+        return {"value": declared(value, unit, self.si), "unit": unit}
+
+    def words(self, value: Any) -> str:
+        """The number in the unit of the file."""
+        return f"{self._of_file(value):.6g} {self._named}".removesuffix(" 1")
+
+    def implausible(self, value: Any, place: str) -> Iterator[InputError]:
+        """Why the number cannot be meant; what is not positive is not judged."""
+        if self.plausible is None or value is None or not np.isfinite(value) or value <= 0.0:
+            return
+        low, high, whose = self.plausible
+        found = self._of_file(value)
+        slack = 1e-12
+        if low * (1.0 - slack) <= found <= high * (1.0 + slack):
+            return
+        confused = CONFUSED.get(self.unit, ()) if self.confused is None else self.confused
+        likely = [cause for by, cause in confused if low <= found * by <= high]
+        yield InputError(
+            f"{found:.6g} {self._named} is not plausible: {whose} {low:g} to {high:g}"
+            f" {self._named}",
+            place=place,
+            remedy=f"{likely[0]}?" if likely else "check the value and its unit",
+        )
+
+    def _of_file(self, value: float) -> float:
+        slope, offset = _factor(self.unit, self.si)
+        return (value - offset) / slope
+
+    @property
+    def _named(self) -> str:
+        return {"permil": "per mille"}.get(self.unit, self.unit)
+
+
+def _factor(unit: str, si: str) -> tuple[float, float]:
+    return (1.0, 0.0) if unit == si else factor(unit, si)
+
+
+def in_si(values: ArrayLike, unit: str, si: str, where: str = "unit") -> FloatArray:
+    """Numbers of a file in SI; a wrong unit is reported at the place `where`."""
+    try:
+        with np.errstate(over="ignore"):
+            converted = to_si(values, unit, si)
+    except InputError as error:
+        raise InputError(error.problem, place=where, remedy=error.remedy) from error
+    if not np.all(np.isfinite(converted)):
+        raise InputError("is not a finite number", remedy="give one")
+    return converted
+
+
+def _keys(found: Any, **forms: Form | Callable[[Any], Any]) -> list[Any]:
+    """What stands under the keys of an object that has exactly these."""
+    _valid(found, (dict,), "dictionary")
+    problems = [_unknown(key) for key in found if key not in forms]
+    values = []
+    for key, form in forms.items():
+        if key not in found:
+            problems.append(_missing(key))
+            continue
+        try:
+            each = found[key]
+            values.append(form.read(each, None) if isinstance(form, Form) else form(each))
+        except InputError as error:
+            problems += placed(error, key)
+    if problems:
+        raise InputError.listing(problems)
+    return values
+
+
+def _unknown(key: str) -> InputError:
+    return InputError(f"unknown key '{key}'", place=key, remedy="correct its spelling or remove it")
+
+
+def _missing(key: str) -> InputError:
+    return InputError(f"'{key}' is missing", place=key, remedy="add it")
+
+
+def placed(error: InputError, before: str) -> list[InputError]:
+    """The problems of an error with `before` in front of their places.
+
+    Examples
+    --------
+    >>> [each.place for each in placed(InputError("is wrong", place="[3].unit"), "rows")]
+    ['rows[3].unit']
+    """
+    return [
+        InputError(
+            each.problem if each.file is None else f"{each.file}: {each.problem}",
+            place=before
+            if not each.place
+            else f"{before}{'' if each.place.startswith('[') else '.'}{each.place}",
+            remedy=each.remedy,
+        )
+        for each in error.each
+    ]
+
+
+Gap = tuple[str | None, float]
+
+INFINITY: Gap = ("infinity", np.inf)
+"""Radii of straight track."""
+
+NOT_SET: Gap = (None, np.nan)
+"""Values that are not set."""
+
+
+@dataclass(frozen=True)
+class Column(Form):
+    """One column of a table.
+
+    Attributes
+    ----------
+    name : str
+    unit, si : str
+        The unit it is written in and the one it holds inside; without units it is text.
+    instead : (word, float), optional
+        A word that may stand in place of a number, and the number that it is inside.
+    inverse : bool
+        Whether the file has the inverse of what is held: a radius, where inside it is curvature.
+    table : str
+        Key of the table, where the thing's file has others beside it.
+    """
+
+    name: str = ""
+    unit: str = ""
+    si: str = ""
+    instead: Gap | None = None
+    inverse: bool = False
+    table: str = ""
+
+    def problems(self, cells: Sequence[Any]) -> Iterator[tuple[int, InputError]]:
+        """What is wrong with cells, each with the number of its row."""
+        kinds = set(map(type, cells))
+        if not self.unit:
+            if kinds - {str}:
+                for row, cell in enumerate(cells):
+                    if type(cell) is not str:
+                        yield row, InputError("must be a valid string")
+            return
+        word = self.instead[0] if self.instead else 0
+        if not kinds - {float, int} and all(map(np.isfinite, map(_as_float, cells))):
+            return
+        for row, cell in enumerate(cells):
+            if self.instead and cell == word and type(cell) is type(word):
+                continue
+            try:
+                _number(cell)
+            except InputError as error:
+                yield (
+                    row,
+                    error
+                    if not isinstance(word, str)
+                    else InputError(f"must be a finite number or '{word}'"),
+                )
+
+    def read_cells(self, cells: Sequence[Any], unit: str) -> Any:
+        """The column in SI units."""
+        if not self.unit:
+            return tuple(cells)
+        word, value = self.instead or NOT_SET
+        is_word = np.array([cell == word for cell in cells], dtype=np.bool_)
+        numbers = [0.0 if cell == word else cell for cell in cells]
+        converted = np.where(is_word, value, in_si(numbers, unit, self.si, f"units.{self.name}"))
+        if not self.inverse:
+            return converted
+        if np.any(converted == 0.0):
+            raise InputError(
+                f"the {self.name.partition('_')[0]} is 0 {self.si}",
+                place=f"values[{int(np.argmax(converted == 0.0))}]",
+                remedy=f"straight track has the radius '{word}'",
+            )
+        return 1.0 / converted
+
+    def write_cells(self, values: Any, in_si: bool = False) -> list[Any]:
+        """The column's cells."""
+        if not self.unit:
+            return list(values)
+        numbers = np.asarray(values, dtype=np.float64)
+        if self.inverse:
+            with np.errstate(divide="ignore", over="ignore"):
+                numbers = readable(numbers, 1.0 / numbers, lambda inverse: 1.0 / inverse)
+        unit = self.si if in_si else self.unit
+        if self.instead is None:
+            return list(declared(numbers, unit, self.si))
+        word, _ = self.instead
+        written = declared(np.where(np.isfinite(numbers), numbers, 0.0), unit, self.si)
+        return [w if f else word for w, f in zip(written, np.isfinite(numbers), strict=True)]
+
+
+def _as_float(number: Any) -> float:
+    try:
+        return float(number)
+    except OverflowError:
+        return np.inf
+
+
+@dataclass(frozen=True)
+class Table(Form):
+    """Rows with declared units: ``{"units": {"position": "m", ...}, "values": [[...], ...]}``.
+
+    Inside, a dataclass with an array for each column, a tuple of dataclasses or of tuples.
+
+    Attributes
+    ----------
+    columns : tuple of Column
+        Empty: those of the dataclass.
+    from_start : bool
+        Whether the first column increases from 0.
+    """
+
+    columns: tuple[Column, ...] = ()
+    from_start: bool = False
+
+    def read(self, found: Any, kind: Any) -> Any:
+        """What the rows describe."""
+        columns = self.columns or columns_of(_row_of(kind))
+        content = self._columns_read(found, columns)
+        if kind is None:
+            return content
+        if is_dataclass(kind):
+            return kind(*content)  # type: ignore[operator]
+        cells = [c if isinstance(c, tuple) else c.tolist() for c in content]
+        for number, column in enumerate(columns):
+            if column.instead is NOT_SET:
+                cells[number] = [None if np.isnan(each) else each for each in cells[number]]
+        rows = zip(*cells, strict=True)
+        row = _row_of(kind)
+        if not is_dataclass(row):
+            return tuple(rows)
+        return tuple(each_of(row, enumerate(rows), "values"))
+
+    def _columns_read(self, found: Any, columns: tuple[Column, ...]) -> tuple[Any, ...]:
+        names = [column.name for column in columns if column.unit]
+
+        def rows_of(values: Any) -> list[Any]:
+            rows: list[Any] = _valid(values, (list,), "list")
+            _check_rows(rows, columns)
+            return rows
+
+        units, rows = _keys(
+            found,
+            units=lambda each: dict(
+                zip(names, _keys(each, **{name: Text() for name in names}), strict=True)
+            ),
+            values=rows_of,
+        )
+        cells = list(zip(*rows, strict=True)) or [()] * len(columns)
+        read = gathered(
+            *(
+                lambda column=column, given=given: column.read_cells(
+                    given, units.get(column.name, "")
+                )
+                for column, given in zip(columns, cells, strict=True)
+            )
+        )
+        if self.from_start:
+            check_from_start(read[0])
+        return tuple(read)
+
+    def write(self, value: Any, in_si: bool = False) -> Any:
+        """The table."""
+        if isinstance(value, tuple) and value and is_dataclass(value[0]):
+            columns = self.columns or columns_of(type(value[0]))
+            names = [each.name for each in fields(value[0])]
+            content: Any = [[getattr(row, name) for row in value] for name in names]
+            content = [[np.nan if x is None else x for x in column] for column in content]
+        elif is_dataclass(value):
+            columns = self.columns or columns_of(type(value))
+            content = [getattr(value, each.name) for each in fields(value)]
+        elif self.key:  # columns that are fields beside others
+            columns, content = self.columns, value
+        else:
+            columns = self.columns
+            content = list(zip(*value, strict=True)) or [()] * len(columns)
+        cells = [
+            column.write_cells(values, in_si)
+            for column, values in zip(columns, content, strict=True)
+        ]
+        units = {c.name: c.si if in_si else c.unit for c in columns if c.unit}
+        return {"units": units, "values": [list(row) for row in zip(*cells, strict=True)]}
+
+    def words(self, value: Any) -> str:
+        """How many rows there are."""
+        if is_dataclass(value):
+            return str(len(getattr(value, fields(value)[0].name)))
+        return str(len(value))
+
+
+def _row_of(kind: Any) -> Any:
+    """The type of a table's rows: of ``tuple[Station, ...]`` the Station."""
+    return get_args(kind)[0] if get_origin(kind) is tuple else kind
+
+
+def _check_rows(rows: list[Any], columns: tuple[Column, ...]) -> None:
+    """Refuse rows of a table that are no rows, or have wrong cells."""
+    problems: list[tuple[int, int, InputError]] = []
+    ragged = {i for i, row in enumerate(rows) if type(row) is not list or len(row) != len(columns)}
+    for i in sorted(ragged):
+        row = rows[i]
+        if type(row) is not list:
+            problems.append((i, 0, InputError("must be a valid list", place=f"[{i}]")))
+        elif len(row) > len(columns):
+            words = f"must have at most {counted(len(columns), 'item')}, not {len(row)}"
+            problems.append((i, 0, InputError(words, place=f"[{i}]")))
+        else:
+            for j in range(len(row), len(columns)):
+                lacking = InputError(f"'{j}' is missing", place=f"[{i}][{j}]", remedy="add it")
+                problems.append((i, j, lacking))
+    whole = [i for i in range(len(rows)) if i not in ragged]
+    for j, column in enumerate(columns):
+        for at, error in column.problems([rows[i][j] for i in whole]):
+            problems.append((whole[at], j, placed(error, f"[{whole[at]}][{j}]")[0]))
+    if problems:
+        problems.sort(key=lambda each: each[:2])
+        raise InputError.listing([error for _, _, error in problems])
+
+
+def check_from_start(positions: FloatArray) -> None:
+    """Refuse rows whose positions [m] do not increase from 0; errors name the row."""
+    problems = [
+        InputError(
+            f"position {positions[row + 1]:.12g} m follows {positions[row]:.12g} m",
+            place=f"values[{row + 1}]",
+            remedy="positions must increase",
+        )
+        for row in np.flatnonzero(np.diff(positions) <= 0.0)
+    ]
+    if positions.size == 0 or positions[0] != 0.0:
+        first = InputError(
+            "the first row is not at position 0",
+            place="values",
+            remedy="give what holds from the line's start",
+        )
+        problems.insert(0, first)
+    if problems:
+        raise InputError.listing(problems)
+
+
+@dataclass(frozen=True)
+class Array(Form):
+    """Numbers with one unit: ``{"unit": "m/s", "values": [[...], ...]}``; an array inside.
+
+    Attributes
+    ----------
+    si : str
+        What it is written in, exactly, and what it holds.
+    dimensions : {1, 2}
+    gaps : bool
+        Whether values may be missing: ``null`` in the file, NaN inside.
+    """
+
+    si: str = "1"
+    dimensions: int = 1
+    gaps: bool = False
+
+    def read(self, found: Any, kind: Any) -> FloatArray:  # noqa: ARG002
+        """The array in SI."""
+        unit, rows = _keys(found, unit=Text(), values=lambda each: self._rows(each, 1))
+        if self.dimensions == 2 and len({len(row) for row in rows}) > 1:
+            raise InputError("rows differ in length")
+        numbers = np.array(rows, dtype=np.float64)
+        missing = np.isnan(numbers)
+        converted = in_si(np.where(missing, 0.0, numbers), unit, self.si)
+        return np.where(missing, np.nan, converted)
+
+    def _rows(self, found: Any, depth: int) -> list[Any]:
+        """Finite numbers in lists of lists."""
+        if depth < self.dimensions:
+            return _items(found, lambda each: self._rows(each, depth + 1))
+        return _items(found, lambda each: Number(gaps=self.gaps).read(each, None))
+
+    def write(self, value: Any, in_si: bool = False) -> Any:  # noqa: ARG002
+        """The numbers with their unit."""
+        values = shortest(np.asarray(value, dtype=np.float64).tolist())
+        return {"unit": self.si, "values": _with_gaps(values) if self.gaps else values}
+
+
+def _with_gaps(values: Any) -> Any:
+    if isinstance(values, list):
+        return [_with_gaps(value) for value in values]
+    return None if np.isnan(values) else values
+
+
+def _items(found: Any, read: Callable[[Any], Any], least: int = 0) -> list[Any]:
+    """What `read` makes of each item of a list."""
+    _valid(found, (list,), "list")
+    if len(found) < least:
+        raise InputError("has too few entries", remedy=f"give at least {counted(least, 'item')}")
+    values, problems = [], []
+    for number, each in enumerate(found):
+        try:
+            values.append(read(each))
+        except InputError as error:
+            problems += placed(error, f"[{number}]")
+    if problems:
+        raise InputError.listing(problems)
+    return values
+
+
+@dataclass(frozen=True, eq=False)
+class Named(Form):
+    """Numbers under published names, each a `Quantity`; a dict of float inside."""
+
+    quantities: Mapping[str, Quantity]
+
+    def read(self, found: Any, kind: Any) -> dict[str, float]:  # noqa: ARG002
+        """The numbers that are there."""
+        _valid(found, (dict,), "dictionary")
+        known = {name: each for name, each in self.quantities.items() if name in found}
+        unknown = [_unknown(key) for key in found if key not in self.quantities]
+        values = gathered(
+            lambda: raised(unknown), lambda: _keys({k: found[k] for k in known}, **known)
+        )[1]
+        return dict(zip(known, values, strict=True))
+
+    def write(self, value: Any, in_si: bool = False) -> Any:
+        """The numbers with their units, in the order in which they are declared."""
+        for name in value:
+            if name not in self.quantities:
+                raise InputError(
+                    f"parameter '{name}' is not known, so its unit is not either",
+                    remedy=f"known are {', '.join(self.quantities)}",
+                )
+        return {n: q.write(value[n], in_si) for n, q in self.quantities.items() if n in value}
+
+
+@dataclass(frozen=True)
+class Ends(Form):
+    """Two numbers of one unit, the lowest and the highest; a tuple inside."""
+
+    quantity: Quantity
+
+    def read(self, found: Any, kind: Any) -> tuple[float, ...]:  # noqa: ARG002
+        """Both."""
+        return tuple(_keys(found, lowest=self.quantity, highest=self.quantity))
+
+    def write(self, value: Any, in_si: bool = False) -> Any:
+        """Both, each with its unit."""
+        lowest, highest = (self.quantity.write(each, in_si) for each in value)
+        return {"lowest": lowest, "highest": highest}
+
+
+@dataclass(frozen=True)
+class Json(Form):
+    """What was noted beside a result: an object of any JSON."""
+
+    def read(self, found: Any, kind: Any) -> dict[str, Any]:  # noqa: ARG002
+        """The object."""
+        noted: dict[str, Any] = _valid(found, (dict,), "dictionary")
+        return noted
+
+
+@dataclass(frozen=True)
+class Part(Form):
+    """A thing within a thing, perhaps written in SI units whatever its own declaration states."""
+
+    in_si: bool = False
+
+    def read(self, found: Any, kind: Any) -> Any:
+        """The thing."""
+        if isinstance(found, kind):
+            return found
+        if is_table(kind):
+            return Table().read(found, kind)
+        return from_content(kind, found)
+
+    def write(self, value: Any, in_si: bool = False) -> Any:
+        """What describes it."""
+        if is_table(type(value)):
+            return Table().write(value, in_si or self.in_si)
+        return content_of(value, in_si or self.in_si)
+
+    def words(self, value: Any) -> str:
+        """Of a table the number of rows."""
+        return Table().words(value) if is_table(type(value)) else str(value)
+
+    def implausible(self, value: Any, place: str) -> Iterator[InputError]:
+        """What of the thing cannot be meant."""
+        if value is not None and not is_table(type(value)):
+            for problem in implausible(type(value), vars_of(value)):
+                yield placed(problem, place)[0]
+
+
+@dataclass(frozen=True)
+class Many(Form):
+    """A list of things of one form.
+
+    Attributes
+    ----------
+    least : int
+        How many there are at least.
+    runs : bool
+        Whether equal neighbours share an entry, which then has a `count`.
+    """
+
+    least: int = 0
+    runs: bool = False
+
+    def read(self, found: Any, kind: Any) -> Any:
+        """The things, in the type that holds them."""
+        inner, form = self._inner(kind)
+        if not self.runs:
+            values = _items(found, lambda each: form.read(each, inner), self.least)
+            return values if get_origin(kind) is list else tuple(values)
+        things: list[Any] = []
+
+        def run(each: Any) -> None:
+            _valid(each, (dict,), "dictionary")
+            rest = {key: value for key, value in each.items() if key != "count"}
+            count, thing = gathered(lambda: _run_length(each), lambda: form.read(rest, inner))
+            things.extend([thing] * count)
+
+        _items(found, run, self.least)
+        return tuple(things)
+
+    def write(self, value: Any, in_si: bool = False) -> Any:
+        """What describes each of them."""
+        written = [form_of(type(each)).write(each, in_si) for each in value]
+        if not self.runs:
+            return written
+        entries = []
+        for entry, group in groupby(written):
+            count = {"count": len(list(group))}
+            name = {"name": entry["name"]} if "name" in entry else {}
+            entries.append(name | count | entry)
+        return entries
+
+    def _inner(self, kind: Any) -> tuple[Any, Form]:
+        inner = get_args(kind)[0]
+        return without_none(inner), form_of(inner)
+
+
+def _run_length(entry: dict[str, Any]) -> int:
+    """How many equal things an entry stands for."""
+    try:
+        count = Whole().read(entry.get("count", 1), int)
+        if not 0 < count <= 1000:
+            raise InputError(f"{count} is not between 1 and 1000", remedy="give how many there are")
+    except InputError as error:
+        raise InputError.listing(placed(error, "count")) from error
+    return count
+
+
+@dataclass(frozen=True)
+class ByName(Form):
+    """Things of one form under names; a dict inside."""
+
+    def read(self, found: Any, kind: Any) -> dict[str, Any]:
+        """The things by their names."""
+        inner = get_args(kind)[1]
+        form = form_of(inner)
+        _valid(found, (dict,), "dictionary")
+        read = _keys(found, **{name: lambda each: form.read(each, inner) for name in found})
+        return dict(zip(found, read, strict=True))
+
+    def write(self, value: Any, in_si: bool = False) -> Any:
+        """What describes each of them."""
+        return {name: form_of(type(each)).write(each, in_si) for name, each in value.items()}
+
+
+def form_of(hint: Any) -> Form:
+    """The form of a type: what an annotation states, else what follows from the type alone."""
+    for stated in getattr(hint, "__metadata__", ()):
+        if isinstance(stated, Form):
+            return stated
+    kind = without_none(hint)
+    if kind is not hint and get_origin(kind) is Annotated:
+        return form_of(kind)
+    if is_dataclass(kind):
+        return Part()
+    origin = get_origin(kind)
+    if origin in (tuple, list):
+        return Many()
+    if origin is not None and isinstance(origin, type) and issubclass(origin, Mapping):
+        return Json() if get_args(kind)[1] is Any else ByName()
+    if origin is Literal:
+        return Choice()
+    known: dict[Any, Form] = {
+        str: Text(),
+        int: Whole(),
+        bool: Flag(),
+        float: Number(),
+        dict: Json(),
+    }
+    return known.get(kind, Form())
+
+
+def without_none(hint: Any) -> Any:
+    """The type of what may be None, without annotations."""
+    if get_origin(hint) is Annotated:
+        return without_none(get_args(hint)[0])
+    if get_origin(hint) in (Union, UnionType):
+        rest = [each for each in get_args(hint) if each is not NoneType]
+        if len(rest) == 1:
+            return without_none(rest[0]) if get_origin(rest[0]) is not Annotated else rest[0]
+    return hint
+
+
+# ------------------------------------------------------------------ the entries of a thing's file
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One key of a thing's file.
+
+    Attributes
+    ----------
+    key : str
+    names : tuple of str
+        Of the fields that it describes: one, or those that are columns of one table.
+    form : Form
+    kind : type
+        Of the field, without None.
+    default : object
+        What holds where the key is left out; MISSING: it may not be.
+    """
+
+    key: str
+    names: tuple[str, ...]
+    form: Form
+    kind: Any
+    default: Any
+
+    @property
+    def required(self) -> bool:
+        """Whether the file must have the key."""
+        return self.default is MISSING or self.form.stated == "required"
+
+    @property
+    def always_written(self) -> bool:
+        """Whether the key is written where it holds the default, too."""
+        return self.default is MISSING or self.form.stated in ("written", "required")
+
+
+@_once
+def entries(kind: type) -> tuple[Entry, ...]:
+    """The keys of a thing's file, in their order there."""
+    hints = get_type_hints(kind, include_extras=True)
+    made: dict[str, Entry] = {}
+    for field in fields(kind):
+        hint = hints[field.name]
+        form = form_of(hint)
+        if form.stated == "never":
+            continue
+        default = field.default
+        if field.default_factory is not MISSING:
+            default = field.default_factory()
+        if isinstance(form, Column) and form.table:
+            before = made.get(form.table)
+            columns = (*before.form.columns, form) if before is not None else (form,)  # type: ignore[attr-defined]
+            names = (*before.names, field.name) if before is not None else (field.name,)
+            table = Table(columns, key=form.table, from_start=columns[0].must is not None)
+            made[form.table] = Entry(form.table, names, table, None, MISSING)
+            continue
+        key = form.key or field.name
+        if isinstance(form, Number) and form.gaps and default is MISSING:
+            default = np.nan
+        made[key] = Entry(key, (field.name,), form, _bare(hint), default)
+    first = getattr(kind, "ORDER", ())
+    return tuple([made[key] for key in first] + [e for k, e in made.items() if k not in first])
+
+
+def _bare(hint: Any) -> Any:
+    """The type of a field without annotations and None."""
+    kind = without_none(hint)
+    return without_none(kind) if get_origin(kind) is Annotated else kind
+
+
+@_once
+def is_table(kind: type) -> bool:
+    """Whether the file of a thing is nothing but a table of its fields."""
+    if not is_dataclass(kind):
+        return False
+    hints = get_type_hints(kind, include_extras=True)
+    forms = [form_of(hints[each.name]) for each in fields(kind)]
+    return all(isinstance(form, Column) and not form.table for form in forms)
+
+
+@_once
+def columns_of(kind: type) -> tuple[Column, ...]:
+    """The columns of a table that has the fields of a dataclass."""
+    hints = get_type_hints(kind, include_extras=True)
+    made = []
+    for field in fields(kind):
+        form = form_of(hints[field.name])
+        gap = NOT_SET if field.default is None else None
+        if isinstance(form, Column):
+            made.append(form)
+        elif isinstance(form, Quantity):
+            made.append(Column(field.name, form.unit, form.si, gap))
+        else:
+            made.append(Column(field.name))
+    return tuple(made)
+
+
+def form_for(kind: type, name: str) -> Form:
+    """The form of a thing's field.
+
+    Examples
+    --------
+    >>> from trainlog.railway.train import Train
+    >>> form_for(Train, "mass").unit
+    't'
+    """
+    return next(entry.form for entry in entries(kind) if name in entry.names)
+
+
+def gathered(*makes: Callable[[], Any]) -> list[Any]:
+    """What each of `makes` gives; if several raise, one InputError that lists all of it."""
+    made: list[Any] = []
+    problems: list[InputError] = []
+    for make in makes:
+        try:
+            made.append(make())
+        except InputError as error:
+            problems += error.each
+    raised(problems)
+    return made
+
+
+def raised(problems: Sequence[InputError]) -> None:
+    """Raise one InputError that lists all problems, if there are any."""
+    if problems:
+        raise InputError.listing(problems)
+
+
+def each_of(kind: Any, rows: Iterator[tuple[int, Any]], place: str) -> list[Any]:
+    """The things that rows of values describe; errors name the row."""
+    made, problems = [], []
+    for number, row in rows:
+        try:
+            made.append(kind(*row))
+        except InputError as error:
+            problems += placed(error, f"{place}[{number}]")
+    raised(problems)
+    return made
+
+
+# ------------------------------------------------------------------ both directions
+
+
+def from_content(kind: type[Thing], content: Any, judged: bool = False) -> Thing:
+    """The thing that a file's content describes.
+
+    Parameters
+    ----------
+    kind : type
+    content : dict
+        As JSON and TOML give it, without format and version.
+    judged : bool
+        Whether values that cannot be meant are refused, too.
+
+    Raises
+    ------
+    InputError
+        That lists all that is wrong, each with its place and the remedy.
+
+    Examples
+    --------
+    >>> from trainlog.railway.train import Brake
+    >>> seconds = {"value": 400, "unit": "ms"}
+    >>> from_content(Brake, {"dead_time": {"value": 1, "unit": "s"}, "lag": seconds}).lag
+    0.4
+    """
+    _valid(content, (dict,), "dictionary")
+    known = {entry.key: entry for entry in entries(kind)}
+    problems = [_unknown(key) for key in content if key not in known]
+    values: dict[str, Any] = {}
+    unread = False
+    for key, entry in known.items():
+        found = content.get(key)
+        if key not in content or (found is None and not entry.always_written):
+            if entry.required:
+                problems.append(_missing(key))
+                unread = True
+            elif entry.form.stated != "never" and len(entry.names) == 1:
+                values.setdefault(entry.names[0], entry.default)
+            continue
+        try:
+            read = entry.form.read(found, entry.kind)
+        except InputError as error:
+            problems += placed(error, key)
+            unread = True
+            continue
+        values.update(zip(entry.names, read if len(entry.names) > 1 else [read], strict=True))
+    thing: Any = None
+    if not unread:
+        try:
+            # Numbers near the end of the doubles overflow in the checks, which then refuse them.
+            with np.errstate(over="ignore", invalid="ignore"):
+                thing = kind(**values)
+        except InputError as error:
+            problems += error.each
+    if judged:
+        problems += implausible(kind, values)
+    problems.sort(key=lambda each: not each.problem.startswith("unknown key "))
+    raised(problems)
+    return thing  # type: ignore[no-any-return]
+
+
+def content_of(thing: Any, in_si: bool = False) -> dict[str, Any]:
+    """What describes a thing in its file, in plain values; `in_si`: in SI units throughout.
+
+    Examples
+    --------
+    >>> from trainlog.railway.train import Brake
+    >>> content_of(Brake(0.5, 0.25))["lag"]
+    {'value': 0.25, 'unit': 's'}
+    """
+    content: dict[str, Any] = {}
+    for entry in entries(type(thing)):
+        held = [getattr(thing, name) for name in entry.names]
+        value = held[0] if len(held) == 1 else held
+        if value is None or entry.form.stated == "read":
+            continue
+        if not entry.always_written and same(value, entry.default):
+            continue
+        written = entry.form.write(value, in_si)
+        if written is not None:
+            content[entry.key] = written
+    return content
+
+
+# ------------------------------------------------------------------ checks
+
+
+def implausible(kind: type, values: Mapping[str, Any]) -> list[InputError]:
+    """What of a thing's `values` [SI], perhaps not of all its fields, cannot be meant."""
+    problems: list[InputError] = []
+    sound = dict(values)
+    for entry in entries(kind):
+        name = entry.names[0]
+        if len(entry.names) > 1 or values.get(name) is None:
+            continue
+        found = list(entry.form.implausible(values[name], entry.key))
+        if found:
+            sound.pop(name)
+        problems += found
+    more = getattr(kind, "implausible", None)
+    return problems + (list(more(sound)) if more is not None else [])
+
+
+def check_plausible(thing: Any) -> None:
+    """Refuse a thing that cannot be meant; fields that are assumed are not judged.
+
+    Raises
+    ------
+    InputError
+        That lists each field with its value, what is plausible, and the likely cause.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> import trainlog
+    >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> check_plausible(train)
+    >>> check_plausible(replace(train, mass=122.0, max_load=0.0))  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    trainlog.errors.InputError: mass: 0.122 t is not plausible: trains have 5 to 20000 t; were t...
+    """
+    assumed = getattr(thing, "assumed", ())
+    raised(
+        [
+            problem
+            for problem in implausible(type(thing), vars_of(thing))
+            if str(problem.place).partition(".")[0] not in assumed
+        ]
+    )
+
+
+def vars_of(thing: Any) -> dict[str, Any]:
+    """The values of a thing by the names of its fields."""
+    return {each.name: getattr(thing, each.name) for each in fields(thing)}
+
+
+def check(thing: Any) -> None:
+    """Refuse a thing with fields beyond what they must be, or with what its `problems` state.
+
+    Raises
+    ------
+    InputError
+        That lists all of it.
+
+    Examples
+    --------
+    >>> from trainlog.railway.train import Brake
+    >>> Brake(dead_time=-1.0)
+    Traceback (most recent call last):
+    trainlog.errors.InputError: dead_time: -1 s is negative; give 0 or more
+    """
+    more = getattr(thing, "problems", None)
+    problems = [*_beyond(thing), *(more() if more is not None else ())]
+    if problems:
+        raise InputError.listing(problems)
+
+
+class Declared:
+    """What every declared thing has: checks when it is made, equality, and a summary.
+
+    A class adds what its bounds do not say in `problems`, what cannot be meant in a class method
+    `implausible`, and its title in `title`.
+    """
+
+    __slots__ = ()
+
+    FORMAT: ClassVar[str] = ""
+    """Of its file, such as ``"trainlog/train"``; empty: it is only a part of others."""
+
+    VERSION: ClassVar[int] = 1
+    """The newest version of the file that is read; all older ones are, too."""
+
+    ORDER: ClassVar[tuple[str, ...]] = ()
+    """Keys that come first in the file; the others follow in the order of the fields."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    @property
+    def version_needed(self) -> int:
+        """The oldest version in which all that the file states is known; it is written."""
+        return 1
+
+    def problems(self) -> Iterator[InputError]:
+        """What the thing cannot be, one by one."""
+        yield from ()
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and all(
+            same(value, getattr(other, name)) for name, value in vars_of(self).items()
+        )
+
+    def __hash__(self) -> int:
+        return hash(tuple(_hashed(value) for value in vars_of(self).values()))
+
+    @property
+    def title(self) -> str:
+        """What the thing is, in one line."""
+        name = getattr(self, "name", "")
+        return f"{type(self).__name__} '{name}'" if name else type(self).__name__
+
+    def summary(self) -> dict[str, str]:
+        """The rows of the summary."""
+        return summary_of(self)
+
+    def __repr__(self) -> str:
+        return as_text(self.title, self.summary())
+
+    def _repr_html_(self) -> str:
+        return as_html(self.title, self.summary())
+
+
+def _beyond(thing: Any) -> list[InputError]:
+    """Fields whose values are beyond what they must be."""
+    found = []
+    for entry in _bounded(type(thing)):
+        name = entry.names[0]
+        problem = entry.form.refused(getattr(thing, name), entry.key, entry.kind)
+        if problem is not None:
+            found.append((name, problem))
+    # What is assumed follows from what is given.
+    assumed = getattr(thing, "assumed", ())
+    return [problem for name, problem in found if name not in assumed] or [p for _, p in found]
+
+
+@_once
+def _bounded(kind: type) -> tuple[Entry, ...]:
+    """The fields that have bounds, or are one of some words."""
+    return tuple(
+        entry
+        for entry in entries(kind)
+        if len(entry.names) == 1 and (entry.form.must is not None or isinstance(entry.form, Choice))
+    )
+
+
+def same(first: Any, second: Any) -> bool:
+    """Whether two values of a field are equal, arrays number for number."""
+    if isinstance(first, np.ndarray) or isinstance(second, np.ndarray):
+        return np.array_equal(first, second)
+    return type(first) is type(second) and bool(first == second)
+
+
+def _hashed(value: Any) -> Any:
+    return value.tobytes() if isinstance(value, np.ndarray) else value
+
+
+# ------------------------------------------------------------------ what is shown, and templates
+
+
+def summary_of(thing: Any) -> dict[str, str]:
+    """Rows of what a thing's fields declare to be shown, those of one row together.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> summary_of(train)["mass"]
+    '122 t empty, 25 t load at most'
+    """
+    rows: dict[str, list[str]] = {}
+    for entry in entries(type(thing)):
+        row, _, words = entry.form.shown.partition(": ")
+        value = getattr(thing, entry.names[0])
+        if row and not (value is None or (same(value, entry.default) and not entry.always_written)):
+            rows.setdefault(row, []).append((words or "{}").format(entry.form.words(value)))
+    return {row: ", ".join(words) for row, words in rows.items()}
+
+
+@_once
+def meanings(kind: type) -> dict[str, str]:
+    """The sentence on each field of a dataclass, from its docstring.
+
+    Examples
+    --------
+    >>> from trainlog.railway.axle_loads import AxleGeometry
+    >>> meanings(AxleGeometry)["wheelbase"]
+    'Between the first and the last axle of a bogie.'
+    """
+    found: dict[str, str] = {}
+    _, _, section = inspect.getdoc(kind).partition("Attributes\n----------\n")  # type: ignore[union-attr]
+    section = re.split(r"\n\n\w+\n-{3,}\n", section)[0]
+    for names, words in re.findall(r"^(\S.*?) : .*\n((?:    .*\n?)*)", section + "\n", re.M):
+        text = " ".join(words.split()).replace("`", "").replace("``", "")
+        found |= dict.fromkeys(names.split(", "), text)
+    return found
+
+
+def example(kind: type[Thing]) -> Thing:
+    """A thing with the usual values of its fields."""
+    usual = {
+        entry.names[0]: entry.form.usual
+        for entry in entries(kind)
+        if entry.form.usual is not None and not _beside(entry)
+    }
+    return kind(**usual)
+
+
+def content_beside(kind: type) -> dict[str, Any]:
+    """What a template offers besides: the usual values of tables that may be left out."""
+    return {
+        entry.key: entry.form.write(entry.form.usual)
+        for entry in entries(kind)
+        if entry.form.usual is not None and _beside(entry)
+    }
+
+
+def _beside(entry: Entry) -> bool:
+    """Whether a template offers a key at its end: tables that may be left out."""
+    return not entry.always_written and isinstance(entry.form, (Table, Part))
+
+
+# ------------------------------------------------------------------ numbers as files have them
+
+
+def declared(values: ArrayLike, unit: str, si: str) -> Any:
+    """SI values in a file's unit, as plain numbers that read back as they were."""
+    slope, offset = factor(unit, si)
+    numbers = np.asarray(values, dtype=np.float64)
+    if (slope, offset) == (1.0, 0.0):
+        return shortest(numbers.tolist())
+    written = readable(numbers, (numbers - offset) / slope, lambda x: to_si(x, unit, si))
+    return shortest(written.tolist())
+
+
+def readable(
+    values: FloatArray, converted: FloatArray, read: Callable[[FloatArray], FloatArray]
+) -> FloatArray:
+    """`converted` with as few digits, from 12 on, as `read` needs to return `values` exactly.
+
+    Where no double reads back exactly it has 14 digits, which read and write to themselves.
+    """
+    written = _rounded(converted, 14)
+    exact = np.zeros(values.shape, dtype=np.bool_)
+    for digits in (12, 14, 15, 16, 17):
+        candidate = _rounded(converted, digits)
+        found = ~exact & (read(candidate) == values)
+        written = np.where(found, candidate, written)
+        exact |= found
+        if np.all(exact):
+            break
+    return written
+
+
+def _rounded(values: FloatArray, digits: int) -> FloatArray:
+    return np.array([float(f"{x:.{digits}g}") for x in values.ravel()]).reshape(values.shape)
+
+
+def plain(value: Any, place: str = "") -> Any:
+    """`value` in JSON's own types: numpy scalars and arrays, tuples and the like replaced.
+
+    Raises
+    ------
+    InputError
+        If it cannot be said in JSON; names the key.
+
+    Examples
+    --------
+    >>> plain({"mass": np.float64(2.0), "speeds": np.arange(2)})
+    {'mass': 2.0, 'speeds': [0, 1]}
+    """
+    if isinstance(value, dict):
+        return {str(key): plain(item, f"{place}.{key}") for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item, f"{place}[{index}]") for index, item in enumerate(value)]
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist(), place)
+    if isinstance(value, float) and not np.isfinite(value):
+        raise InputError(
+            f"{place.lstrip('.') or 'value'}: {value} cannot be written to a file",
+            remedy="give a finite number",
+        )
+    if value is None or isinstance(value, str | bool | int | float):
+        return value
+    raise InputError(
+        f"{place.lstrip('.') or 'value'}: a {type(value).__name__} cannot be written to a file",
+        remedy="give numbers, text, lists or dicts",
+    )
+
+
+def shortest(values: Any) -> Any:
+    """Floats that are whole numbers as integers, which read back as the same doubles."""
+    if isinstance(values, list | tuple):
+        return [shortest(value) for value in values]
+    whole = isinstance(values, float) and values.is_integer() and abs(values) < 2**53
+    # Minus zero has no integer.
+    return int(values) if whole and not (values == 0 and np.signbit(values)) else values

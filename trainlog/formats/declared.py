@@ -1,0 +1,180 @@
+"""The files of declared things: read and written as JSON or TOML, with format and version.
+
+What stands in a file follows from the declaration of the thing, see `trainlog.declaration`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from trainlog.declaration import Declared, content_of, from_content
+from trainlog.errors import InputError
+from trainlog.formats.files import check_written, parse_json, read_bytes, to_bytes, write_bytes
+from trainlog.formats.toml import as_toml, parse_toml
+
+Thing = TypeVar("Thing", bound=Declared)
+Result = TypeVar("Result")
+
+
+def thing_from_bytes(
+    kind: type[Thing], data: bytes, file: str | Path, *, judged: bool = False
+) -> Thing:
+    """The thing in the bytes of its file; `file` is what errors call it.
+
+    Parameters
+    ----------
+    kind : type
+    data : bytes
+    file : path
+    judged : bool
+        Whether values that cannot be meant are refused, too: a train of 122 kg.
+
+    Raises
+    ------
+    InputError
+        If they are not such a file. All that is wrong is listed, each with place and remedy.
+
+    Examples
+    --------
+    >>> from trainlog.railway import Train
+    >>> thing_from_bytes(Train, b"{}", "train.json")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    trainlog.errors.InputError: train.json: is not a trainlog/train file: it has no key 'format'...
+    """
+    return built(lambda: from_content(kind, body_of(kind, data, file), judged), file)
+
+
+def body_of(kind: type[Declared], data: bytes, file: str | Path) -> dict[str, Any]:
+    """What a file states besides its format and version, which are checked."""
+    content = parsed(data, file)
+    name = kind.FORMAT
+    if not isinstance(content, dict) or "format" not in content:
+        raise InputError(
+            f"is not a {name} file: it has no key 'format'",
+            file=file,
+            remedy="bring foreign files in with 'trainlog import'",
+        )
+    if content["format"] != name:
+        raise InputError(
+            f"is a file of format '{content['format']}', expected '{name}'",
+            file=file,
+            place="format",
+            remedy="check which file is meant",
+        )
+    version = content.get("version")
+    if version not in range(1, kind.VERSION + 1) or isinstance(version, bool):
+        newer = isinstance(version, int) and version > kind.VERSION
+        raise InputError(
+            f"version {version} is {'newer than' if newer else 'not one that'} this trainlog"
+            f" {f'knows ({kind.VERSION})' if newer else 'reads'}",
+            file=file,
+            place="version",
+            remedy="update trainlog"
+            if newer
+            else "expected " + " or ".join(map(str, range(1, kind.VERSION + 1))),
+        )
+    return {key: value for key, value in content.items() if key not in ("format", "version")}
+
+
+def file_content(thing: Declared) -> dict[str, Any]:
+    """What stands in a thing's file, as plain values.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> file_content(train)["mass"]
+    {'value': 122, 'unit': 't'}
+    """
+    return {"format": thing.FORMAT, "version": thing.version_needed} | content_of(thing)
+
+
+def thing_to_bytes(thing: Declared) -> bytes:
+    """The bytes of the thing's file, JSON: the same thing gives the same bytes.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> path = Path("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> thing_to_bytes(trainlog.read_train(path)) == path.read_bytes()
+    True
+    """
+    return to_bytes(file_content(thing))
+
+
+def read_thing(kind: type[Thing], path: str | Path) -> Thing:
+    """Read the file of a thing, JSON or TOML, as a user wrote it.
+
+    Raises
+    ------
+    InputError
+        As `thing_from_bytes`, if the file cannot be read, or if values cannot be meant.
+
+    Examples
+    --------
+    >>> from trainlog.railway import Train
+    >>> train = read_thing(Train, "sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> train.name, train.mass
+    ('CH_Stadler_FLIRT_TPF', 122000.0)
+    """
+    return thing_from_bytes(kind, read_bytes(path), path, judged=True)
+
+
+def write_thing(thing: Declared, path: str | Path, kind: type[Declared]) -> None:
+    """Write the file of a thing, whole or not at all; as TOML if its name ends so.
+
+    Raises
+    ------
+    InputError
+        If `thing` is not of that kind, or the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.railway import Train
+    >>> train = read_thing(Train, "sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_thing(train, Path(folder) / "copy.train.toml", Train)
+    ...     read_thing(Train, Path(folder) / "copy.train.toml") == train
+    True
+    """
+    check_written(thing, kind)
+    content = file_content(thing)
+    write_bytes(path, as_toml(content, {}).encode() if is_toml(path) else to_bytes(content))
+
+
+def is_toml(file: str | Path) -> bool:
+    """Whether the name of a file ends in .toml."""
+    return Path(file).suffix.lower() == ".toml"
+
+
+def parsed(data: bytes, file: str | Path) -> Any:
+    """The content of a file: TOML if its name ends so, else JSON."""
+    return (
+        _without_nan(parse_toml(data, file=file)) if is_toml(file) else parse_json(data, file=file)
+    )
+
+
+def _without_nan(content: Any) -> Any:
+    """TOML's content with None in the place of nan: it has no word for what is not there."""
+    if isinstance(content, dict):
+        return {key: _without_nan(value) for key, value in content.items()}
+    if isinstance(content, list):
+        return [_without_nan(value) for value in content]
+    return None if isinstance(content, float) and np.isnan(content) else content
+
+
+def built(make: Callable[[], Result], file: str | Path) -> Result:
+    """`make()`, with the file's name added to the InputError it may raise."""
+    try:
+        # Numbers near the end of the doubles overflow in the checks, which then refuse them.
+        with np.errstate(over="ignore", invalid="ignore"):
+            return make()
+    except InputError as error:
+        if error.file is not None:
+            raise
+        raise InputError.listing(error.each, file=file) from error
