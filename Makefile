@@ -19,7 +19,7 @@ demo: $(READY)
 
 # A hundred trips over a network, two trains with faults, what a fleet shows of them; minutes.
 fleet-demo: $(READY)
-	$(BIN)/trainlog fleet demo --output results-fleet
+	$(BIN)/trainlog demo --fleet --output results-fleet
 
 test: $(READY) check
 	$(BIN)/python -m pytest -n 2 --dist worksteal

@@ -2,7 +2,7 @@
 
     python sample_logs/make_logs.py -o sample_logs
 
-Everything is simulated: the scenarios are those of ``trainlog simulate --seed 1``.
+Everything is simulated: the scenarios are those of ``trainlog simulate drive --seed 1``.
 """
 
 from __future__ import annotations

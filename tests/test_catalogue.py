@@ -347,10 +347,10 @@ def test_many_files_are_read_by_several_processes_with_the_same_result(
 def test_a_path_that_does_not_exist_makes_no_catalogue(tmp_path: Path) -> None:
     where = ["--catalogue", str(tmp_path / "fleet")]
     with pytest.raises(InputError, match="does not exist"):
-        cli.run(["catalogue", "add", str(tmp_path / "nowhere"), *where])
+        cli.run(["fleet", "add", str(tmp_path / "nowhere"), *where])
     assert not (tmp_path / "fleet").exists()
     with pytest.raises(InputError, match="holds no catalogue"):
-        cli.run(["catalogue", "list", *where])
+        cli.run(["fleet", "show", *where])
 
 
 def test_what_is_no_catalogue_is_refused(tmp_path: Path) -> None:
@@ -369,19 +369,19 @@ def test_what_is_no_catalogue_is_refused(tmp_path: Path) -> None:
 
 
 def test_every_command_that_takes_logs_takes_trips_of_a_catalogue() -> None:
-    named = {"logs", "paths", "files"}
-    without = {"catalogue add", "merge"}
+    named = {"logs", "paths", "files", "sources"}
+    without = {"fleet add"}
     for words, command in commands():
         names = {each.name for each in command.params}
         options = {option for each in command.params for option in each.opts}
         if {"chosen_trips", "catalogue"} <= names:
-            assert options & {"--trips", "--chosen"}, words
+            assert "--trips" in options, words
         elif named & names and words not in without:
             takes = next(each for each in command.params if each.name in named)
             assert ".mcap" not in (takes.help or ""), words
     found = {words for words, command in commands() if "chosen_trips" in _names(command)}
-    asked = "fit estimate coast-down compare replay report check recover show"
-    assert {*asked.split(), "map update", "map score", "line build"} <= found
+    asked = "fit estimate compare replay report convert show new"
+    assert {*asked.split(), "map update", "map score"} <= found
 
 
 def _names(command: Any) -> set[str]:
@@ -396,17 +396,17 @@ def test_commands_take_the_trips_of_an_expression(
     def ran(*words: object) -> tuple[int, str, str]:
         return run(monkeypatch, capsys, *words, "--catalogue", fleet)
 
-    assert ran("catalogue", "list")[0] == 2
-    status, shown, _ = ran("catalogue", "add", logs)
+    assert ran("fleet", "show")[0] == 2
+    status, shown, _ = ran("fleet", "add", logs)
     assert (status, shown) == (0, "2 new trips, 1 other recording of the same drives\n")
-    status, shown, _ = ran("catalogue", "query", "--most", "1")
+    status, shown, _ = ran("fleet", "query", "--most", "1")
     assert "2 trips" in shown
     assert "and 1 more" in shown
-    status, shown, _ = ran("catalogue", "list", "--problems", "--json")
+    status, shown, _ = ran("fleet", "show", "--problems", "--json")
     assert [each["what"] for each in json.loads(shown)["problems"]] == ["same drive"]
-    status, shown, _ = ran("catalogue", "query", "--where", "to_km > 20 and duration_s > '1 s'")
+    status, shown, _ = ran("fleet", "query", "to_km > 20 and duration_s > '1 s'")
     assert status == 0
-    status, _, said = ran("catalogue", "query", "--where", "weather = 'Wet'")
+    status, _, said = ran("fleet", "query", "weather = 'Wet'")
     assert status == 0
     assert "no trip has the weather 'Wet'; did you mean 'wet'?" in " ".join(said.split())
     for words, complaint in (
@@ -414,31 +414,31 @@ def test_commands_take_the_trips_of_an_expression(
         (["--line", "StGallen-Will"], "no trip has the line 'StGallen-Will';"),
         (["--from", "2024-10-09", "--to", "2024-10-07"], "ends before it begins"),
     ):
-        status, _, said = ran("catalogue", "query", *words)
+        status, _, said = ran("fleet", "query", *words)
         assert status == 2
         assert complaint in " ".join(said.split())
-    status, shown, _ = ran("check", "--trips", "weather = 'wet'", "--json")
+    status, shown, _ = ran("show", "--check", "--trips", "weather = 'wet'", "--json")
     assert [each["log"] for each in json.loads(shown)["logs"]] == [
         str(logs / "deep" / "stopping.mcap")
     ]
     page = tmp_path / "map.map"
     assert ran("map", "update", "--trips", "all", "--map", page, "-q")[0] == 0
-    status, shown, _ = ran("show", "--chosen", "weather = 'wet'", "--json")
+    status, shown, _ = ran("show", "--trips", "weather = 'wet'", "--json")
     assert json.loads(shown)["logs"][0]["metadata"]["trip"] == "trip-03"
     for words, complaint in (
         (["--trips", "train = 'none'"], "no trip of the 2 trips of the catalogue is chosen"),
         (["--trips", "wether = 'wet'"], "did you mean 'weather'"),
         ([], "but not which of its trips"),
     ):
-        status, _, said = ran("check", *words)
+        status, _, said = ran("show", "--check", *words)
         assert status == 2
         assert complaint in said
-    assert "--trips" in run(monkeypatch, capsys, "check")[2]
+    assert "--trips" in run(monkeypatch, capsys, "show", "--check")[2]
     (logs / "nonstop.mcap").unlink()
-    status, shown, _ = ran("catalogue", "refresh")
+    status, shown, _ = ran("fleet", "refresh")
     assert status == 1
     assert f"vanished: {logs / 'nonstop.mcap'}" in shown
-    status, _, said = ran("check", "--trips", "all")
+    status, _, said = ran("show", "--check", "--trips", "all")
     assert status == 2
     assert "vanished: trip-01" in said
 
@@ -483,7 +483,7 @@ def test_unknown_labels_and_values_of_passports_are_named(
     assert known[0] in why
     assert catalogue.unmatched(f"label('{known[0]}') = 'x'") == []
     (why,) = catalogue.unmatched("passport('nothing') > 1")
-    assert "trainlog catalogue sql" in why
+    assert "trainlog fleet query" in why
 
 
 def test_logs_below_a_folder_without_logs_are_found(tmp_path: Path) -> None:

@@ -298,32 +298,36 @@ def test_overviews_sum_the_trips_by_what_is_asked(catalogue: Catalogue) -> None:
 
 
 def test_commands_ask_by_statements_and_list_by_edge(
-    place: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    place: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def ran(*words: str) -> tuple[int, str, str]:
-        return run(monkeypatch, capsys, "catalogue", *words, "--catalogue", place)
+    def ran(*words: object) -> tuple[int, str, str]:
+        return run(monkeypatch, capsys, "fleet", *words, "--catalogue", place)
 
     statement = "select train, count(*) as trips from trips group by train order by train"
-    status, shown, _ = ran("sql", statement, "--csv")
+    table = tmp_path / "trains.csv"
+    status, _, _ = ran("query", statement, "-o", table)
     assert status == 0
-    rows = list(csv.reader(io.StringIO(shown)))
+    rows = list(csv.reader(io.StringIO(table.read_text())))
     assert rows[0] == ["train", "trips"]
     assert sum(int(row[1]) for row in rows[1:]) == TRIPS
-    _, shown, _ = ran("sql", statement, "--json")
+    _, shown, _ = ran("query", statement, "--json")
     found = json.loads(shown)
     assert (found["columns"], found["count"]) == (["train", "trips"], 4)
     assert [[name, str(count)] for name, count in found["rows"]] == rows[1:]
-    _, shown, _ = ran("sql", statement, "--most", "2")
+    _, shown, _ = ran("query", statement, "--most", "2")
     assert "4 rows" in shown
     assert "and 2 more" in shown
-    _, shown, _ = ran("sql")
+    _, shown, _ = ran("query", "tables")
     assert "top speed" in shown
-    status, _, said = ran("sql", "select trian from trips")
+    status, _, said = ran("query", "select trian from trips")
     assert status == 2
     assert "did you mean 'train'" in " ".join(said.split())
-    _, shown, _ = ran("list", "--by", "edge", "--json")
+    _, shown, _ = ran("show", "--by", "edge", "--json")
     edges = json.loads(shown)["edges"]
     assert len(edges) == 10
     assert {"edge", "trips", "trains", "first", "last", "forward", "reverse"} < set(edges[0])
-    _, shown, _ = ran("list", "--by", "day")
+    _, shown, _ = ran("show", "--by", "day")
     assert "2026-01-01" in shown

@@ -164,7 +164,7 @@ def test_a_later_version_is_refused_if_it_must_be_known_and_used_if_not(
 def test_commands_state_that_a_catalogue_was_migrated(
     first_version: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ("catalogue", "list", "--json", "--catalogue", first_version)
+    words = ("fleet", "show", "--json", "--catalogue", first_version)
     for migrated in (True, False):
         status, shown, said = run(monkeypatch, capsys, *words)
         assert status == 0

@@ -172,7 +172,7 @@ def test_the_command_writes_line_and_picture(
 ) -> None:
     for trip in trips(2):
         write_log(trip, tmp_path / f"{trip.name}.mcap")
-    assert run(["line", "build", str(tmp_path), "-o", str(tmp_path / "valley.json")]) == 0
+    assert run(["new", "line", "--from", str(tmp_path), "-o", str(tmp_path / "valley.json")]) == 0
     line = read_line(tmp_path / "valley.json")
     assert line.name == "valley"
     assert line.geometry is not None

@@ -269,13 +269,35 @@ def test_tables_that_would_mislead_are_refused(tmp_path: Path, text: str, messag
 def test_a_train_speed_is_named_as_it_was_given(tmp_path: Path, speed: str, stated: str) -> None:
     path = written(tmp_path, "creepage [%];adhesion\n1;0.2\n2;0.3\n")
     with pytest.raises(InputError, match=f"--speed: {stated} km/h is not between 0 and 720 km/h"):
-        run(["adhesion", "fit", str(path), "-o", str(tmp_path / "a.json"), "--speed", speed])
+        run(
+            [
+                "fit",
+                "--method",
+                "adhesion",
+                str(path),
+                "-o",
+                str(tmp_path / "a.json"),
+                "--speed",
+                speed,
+            ]
+        )
 
 
 def test_a_train_speed_beside_those_of_the_points_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path, "creepage [%];adhesion;speed [km/h]\n1;0.2;72\n2;0.3;72\n")
     with pytest.raises(InputError, match="the points state their train speeds, and one is given"):
-        run(["adhesion", "fit", str(path), "-o", str(tmp_path / "a.json"), "--speed", "80"])
+        run(
+            [
+                "fit",
+                "--method",
+                "adhesion",
+                str(path),
+                "-o",
+                str(tmp_path / "a.json"),
+                "--speed",
+                "80",
+            ]
+        )
 
 
 def test_from_measured_points_to_a_trip_on_that_rail(
@@ -286,7 +308,7 @@ def test_from_measured_points_to_a_trip_on_that_rail(
     rows = "\n".join(f"{s:.3f};{mu:.5f};72" for s, mu in zip(slips, adhesions, strict=True))
     path = written(tmp_path, f"creepage [%];adhesion;speed [km/h]\n{rows}\n")
     output = tmp_path / "rail.json"
-    assert run(["adhesion", "fit", str(path), "-o", str(output)]) == 0
+    assert run(["fit", "--method", "adhesion", str(path), "-o", str(output)]) == 0
     shown = capsys.readouterr().out
     stated = re.search(r"maximum adhesion +([0-9.]+) ± ", shown)
     assert stated is not None
@@ -301,7 +323,16 @@ def test_from_measured_points_to_a_trip_on_that_rail(
     scenarios = draw_scenarios(hilly_line(), flirt(), 3, seed=1)[2:]
     monkeypatch.setattr("trainlog.simulation.draw_scenarios", lambda *_, **__: scenarios)
     folder = tmp_path / "trips"
-    arguments = ["simulate", "--count", "1", "--characteristic", str(output), "-o", str(folder)]
+    arguments = [
+        "simulate",
+        "drive",
+        "--count",
+        "1",
+        "--characteristic",
+        str(output),
+        "-o",
+        str(folder),
+    ]
     arguments += ["--line", "sample", "--train", "sample"]
     assert run(arguments) == 0
     (log,) = folder.glob("*.mcap")

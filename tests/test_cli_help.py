@@ -15,8 +15,9 @@ from trainlog.cli import main as cli
 
 DIFFERENT = {
     "--configurations": "how many a fit gives; which a simulation drives",
+    "--count": "trips of drivers; of a fleet, where --trips-per-day may stand in their place",
     "--days": "of a simulation, a study, a history",
-    "--dwell": "0 s in both; optimise takes it with a journey alone",
+    "--dwell": "0 s in both; plan takes it with a journey alone",
     "--from": "a time; a file to begin with; where a recorder sends",
     "--km": "a part of a line; one place",
     "--line": "a file; of the catalogue, a name",
@@ -25,7 +26,7 @@ DIFFERENT = {
     "--output": "a file or a folder",
     "--speed": "of a study's train; of measured points",
     "--train": "a file; of the catalogue, a name",
-    "--trips": "of a catalogue; of a map, whether they are listed",
+    "--trips-per-day": "on one line; of a fleet, where --count may stand in their place",
     "--weather": "of a simulated trip; a table of times",
 }
 """Options whose values are not of one kind in all commands."""
@@ -65,7 +66,7 @@ def test_help_of_every_command_has_an_example(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for words, command in commands():
-        assert f"trainlog {words}" in (command.help or "") or words == "info", words
+        assert f"trainlog {words}" in (command.help or ""), words
 
 
 def test_the_same_option_is_the_same_everywhere() -> None:
@@ -84,7 +85,7 @@ def test_the_same_option_is_the_same_everywhere() -> None:
     assert seen["--quiet"] == {(("-q",), "")}
 
 
-@pytest.mark.parametrize("words", [[], ["map"], ["study"], ["adhesion"]])
+@pytest.mark.parametrize("words", [[], ["map"], ["study"], ["simulate"]])
 def test_a_word_alone_shows_the_help_of_its_commands(
     words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -98,8 +99,12 @@ def test_a_word_alone_shows_the_help_of_its_commands(
     [
         (["fit", "x"], "Missing option '--output' / '-o'; for example: trainlog fit results/trips"),
         (["map", "update", "x"], "for example: trainlog map update results/trips --map"),
-        (["advise"], "Missing argument 'LOG'; for example: trainlog advise trip.mcap"),
-        (["optimize", "x"], "No such command 'optimize'. Did you mean 'optimise'?"),
+        (["advice"], "Missing argument 'TRAJECTORIES'; for example: trainlog advice results/"),
+        (["pln", "x"], "No such command 'pln'. Did you mean 'plan'?"),
+        (["optimise", "x"], "'optimise' is now 'trainlog plan'"),
+        (["catalogue", "list"], "'catalogue list' is now 'trainlog fleet show'"),
+        (["fleet", "status"], "'fleet status' is now 'trainlog fleet show'"),
+        (["simulate", "--count", "2"], "'simulate' is now 'trainlog simulate drive"),
         (["map", "udate"], "Did you mean 'update'?; see 'trainlog map --help'"),
         (["fit", "x", "--cvr", "3"], "No such option: --cvr (Possible options: --cover)"),
     ],

@@ -27,73 +27,73 @@ SCHEMAS = CHECKOUT / "docs" / "command-line.schemas.json"
 PAGE = CHECKOUT / "docs" / "command-line.md"
 
 COMMANDS = """
-samples sample_logs
+new samples -o sample_logs
 new line -o my.line.toml
 import sample_logs/CH_Stadler_FLIRT_TPF.train.json --mass-model homogeneous_strip -o imported
 ingest sample_logs/gnss.csv -o recorded
-check sample_logs
-recover cut.mcap -o whole.mcap
-simulate --line sample --train sample --count 1 -o trips
-simulate --network drawn:1 --trains 1 --days 1 --count 1 --jobs 1 -o fleet
+show sample_logs --check
+convert cut.mcap -o whole.mcap
+simulate drive --count 1 -o trips
+simulate fleet drawn:1 --trains 1 --days 1 --count 1 --jobs 1 -o fleet
 fit sample_logs -o parameters.json
 estimate sample_logs/nonstop.mcap -o estimated
-coast-down sample_logs -o coast-down.json
-adhesion fit curve.csv -o wet.json
+fit sample_logs --method coasting -o coast-down.json
+fit curve.csv --method adhesion -o wet.json
 map update sample_logs --map wil.map
 map show sample_logs/CH_StGallen_Wil.map --at 2024-10-09T06:00Z --model
 map forecast sample_logs/CH_StGallen_Wil.map -o forecast.csv
 map score forecast.csv sample_logs
 map diff wil.map sample_logs/CH_StGallen_Wil.map
-map history sample_logs/CH_StGallen_Wil.map --km 12.3 --layer wet --days 2
+map show sample_logs/CH_StGallen_Wil.map --km 12.3 --layer wet --days 2
 map export wil.map -o map.csv
-network build sample_logs/CH_StGallen_Wil.line.json -o one.network.json
-network show one.network.json
-network route one.network.json Flawil Uzwil -o route.line.json
-network export one.network.json -o one.geojson
+new network --from sample_logs/CH_StGallen_Wil.line.json -o one.network.json
+show one.network.json
+new line --from one.network.json#Flawil,Uzwil -o route.line.json
+show one.network.json#Flawil,Uzwil
+convert one.network.json -o one.geojson
 map merge wil.map sample_logs/CH_StGallen_Wil.map -o both.map
 map remove wil.map trip-01
 map compact both.map --before 2024-10-08
-optimise parameters.json --line sample --train sample --cells 30 -o trajectory.json
-settings show
+plan parameters.json --cells 30 -o trajectory.json
+settings
 show sample_logs/nonstop.mcap
-cut sample_logs/nonstop.mcap -o part.mcap --km 3:5
-cut sample_logs/nonstop.mcap -o rest.mcap --km 5:8
-merge part.mcap rest.mcap -o whole-again.mcap
+convert sample_logs/nonstop.mcap -o part.mcap --km 3:5
+convert sample_logs/nonstop.mcap -o rest.mcap --km 5:8
+convert part.mcap rest.mcap -o whole-again.mcap
 convert part.mcap -o part.parquet
-catalogue add sample_logs --catalogue fleet
-catalogue list --catalogue fleet
-catalogue list --catalogue fleet --problems
-catalogue list --catalogue fleet --by train
-catalogue list --catalogue fleet --by kind
-catalogue list --catalogue fleet --by line
-catalogue list --catalogue fleet --by edge
-catalogue list --catalogue fleet --by day
-catalogue list --catalogue fleet --by weather
-catalogue sql --catalogue fleet
-catalogue sql --catalogue fleet select/**/key,duration/**/from/**/trips
-catalogue query --catalogue fleet --where weather='wet'
-catalogue export trips.csv --catalogue fleet
-catalogue refresh --catalogue fleet
-check --trips all --catalogue fleet
+fleet add sample_logs --catalogue fleet
+fleet show --catalogue fleet
+fleet show --catalogue fleet --problems
+fleet show --catalogue fleet --by train
+fleet show --catalogue fleet --by kind
+fleet show --catalogue fleet --by line
+fleet show --catalogue fleet --by edge
+fleet show --catalogue fleet --by day
+fleet show --catalogue fleet --by weather
+fleet query tables --catalogue fleet
+fleet query --catalogue fleet select/**/key,duration/**/from/**/trips
+fleet query --catalogue fleet weather='wet'
+fleet query -o trips.csv --catalogue fleet
+fleet refresh --catalogue fleet
+show --check --trips all --catalogue fleet
 fleet update --catalogue fleet --workers 0
-fleet status --catalogue fleet --problems
 fleet diff now now --catalogue fleet --analysis checks
 fleet trains --catalogue fleet -o trains
-fleet report --catalogue fleet -o fleet.html
-catalogue remove --catalogue fleet --where weather='wet'
+report fleet -o fleet.html
+fleet remove --catalogue fleet weather='wet'
 compare sample_logs
 compare sample_logs/nonstop.mcap --calculated sample_logs/CH_Stadler_FLIRT_TPF.train.json
-advise sample_logs/nonstop.mcap --trajectory trajectory.json -o advised.mcap
-driver-advice trajectory.json --departure 07:12 -o advice.html
+advice trajectory.json --onto sample_logs/nonstop.mcap -o advised.mcap
+advice trajectory.json --departure 07:12 -o advice.html
 replay part.mcap rest.mcap -o parts.rrd
 report part.mcap -o part.html
 report sample_logs
 record --from file lines.jsonl --idle 0.1 -o live.mcap
-line build sample_logs -o built.line.json
+new line --from sample_logs -o built.line.json
 docs --list
 docs adhesion --path
 demo -o demonstrated
-fleet demo -o demonstrated-fleet
+demo --fleet -o demonstrated-fleet
 """
 """Run one after the other, with the samples at hand."""
 
@@ -115,7 +115,10 @@ NAMED = {
 }
 """Keys of objects whose own keys are names that the data give."""
 
-STEPS = [["samples", "copied"], ["check", "cut.mcap", "sample_logs/nonstop.mcap"]]
+STEPS = [
+    ["new", "samples", "-o", "copied"],
+    ["show", "--check", "cut.mcap", "sample_logs/nonstop.mcap"],
+]
 """Commands of the demos, of which the last finds damage; those of their own take minutes."""
 
 COMMON = ("command", "status", "notes", "written")
@@ -223,7 +226,7 @@ def test_every_command_prints_one_object_of_its_documented_form(
     renew = request.config.getoption("--renew-golden")
     known = {} if renew else json.loads(SCHEMAS.read_text("utf-8"))
     monkeypatch.setattr("trainlog.cli.demo.commands", lambda _: STEPS)
-    monkeypatch.setattr("trainlog.cli.fleet_demo.commands", lambda *_, **__: STEPS)
+    monkeypatch.setattr("trainlog.cli.demo.fleet_commands", lambda *_, **__: STEPS)
     for line in COMMANDS.split("\n")[1:-1]:
         status, printed, complaint = run(monkeypatch, capsys, *line.split(), "--json")
         assert status in (0, 1), (line, complaint)
@@ -305,7 +308,7 @@ def test_quiet_prints_errors_only(
     (folder / "two").mkdir()
     shutil.copy(folder / "cut.mcap", folder / "two" / "cut.mcap")
     (folder / "two" / "empty.mcap").touch()
-    status, printed, complaint = run(monkeypatch, capsys, "check", "two", "-q")
+    status, printed, complaint = run(monkeypatch, capsys, "show", "--check", "two", "-q")
     assert (status, printed) == (1, "")
     assert complaint.count("\n") == 1
     assert "empty.mcap" in complaint

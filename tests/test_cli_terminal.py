@@ -114,7 +114,8 @@ def test_ctrl_c_ends_the_demo_as_a_whole_and_states_what_was_finished_once(
 
 def test_progress_shows_rate_and_remaining_time_and_leaves_nothing(tmp_path: Path) -> None:
     seen = typed(
-        ["simulate", "--line=sample", "--train=sample", "--count=2", "-o", "trips"], tmp_path
+        ["simulate", "drive", "--line=sample", "--train=sample", "--count=2", "-o", "trips"],
+        tmp_path,
     )
     assert seen.status == 0
     assert re.search(r"1 of 2 trips", seen.words)

@@ -332,7 +332,7 @@ def test_the_command_converts_and_cuts(
 ) -> None:
     folder, part = tmp_path / "trip.parquet", tmp_path / "part.mcap"
     assert run(["convert", str(log), "-o", str(folder)]) == 0
-    words = ["cut", str(folder), "-o", str(part), "--km", "1.2:1.5", "--to", "end-1s"]
+    words = ["convert", str(folder), "-o", str(part), "--km", "1.2:1.5", "--to", "end-1s"]
     assert run([*words, "--topic", TRAIN_STATE.name]) == 0
     assert "31 rows in 1 topic" in capsys.readouterr().out
     # A section that is none is stated as it was given, in kilometres.

@@ -57,7 +57,7 @@ def test_every_command_is_shown_and_the_next_ones_are_named(results: Path) -> No
     assert reported.rstrip().splitlines()[-4].startswith("Everything is in")
     assert [line.split()[:2] for line in reported.rstrip().splitlines()[-3:]] == [
         ["trainlog", "replay"],
-        ["trainlog", "optimise"],
+        ["trainlog", "plan"],
         ["trainlog", "ingest"],
     ]
 
@@ -228,4 +228,4 @@ def test_ctrl_c_in_one_command_ends_the_whole_chain(tmp_path: Path) -> None:
     with pytest.raises(typer.Exit) as ended:
         demo.run_demo(tmp_path / "results", Console(quiet=True), interrupted_at_simulate)
     assert ended.value.exit_code == 130
-    assert ran == ["samples", "simulate"]
+    assert ran == ["new", "simulate"]

@@ -140,7 +140,7 @@ def test_page_and_table_state_the_same(
     for section, file in zip(sections, files, strict=True):
         write_trajectory(section, file)
     output = tmp_path / "advice.html"
-    words = ("driver-advice", *files, "--departure", "07:12", "-o", output)
+    words = ("advice", *files, "--departure", "07:12", "-o", output)
     status, printed, _ = run(monkeypatch, capsys, *words)
     assert status == 0
     with output.with_suffix(".csv").open(encoding="utf-8") as file:

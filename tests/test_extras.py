@@ -57,8 +57,8 @@ main()
     ("words", "extra"),
     [
         (["replay", str(sample("nonstop.mcap")), "-o", "out.rrd"], "replay"),
-        (["optimise", "fit.json", "-o", "out.json"], "plan"),
-        (["simulate", *SAMPLES, "--trajectory", "out.json", "-o", "driven"], "plan"),
+        (["plan", "fit.json", "-o", "out.json"], "plan"),
+        (["simulate", "follow", "out.json", *SAMPLES, "-o", "driven"], "plan"),
         (["study", "robust-minimax", "-o", "study"], "plan"),
     ],
 )

@@ -9,24 +9,24 @@ import typer
 from rich.console import Console
 from test_cli_help import commands as every_command
 
-from trainlog.cli import demo, fleet_demo, main as cli
+from trainlog.cli import demo, main as cli
 
 
 def test_its_commands_are_public_and_two_trains_have_faults() -> None:
     known = dict(every_command())
-    for words in fleet_demo.commands(Path("out")):
+    for words in demo.fleet_commands(Path("out")):
         name = " ".join(words[:2]) if " ".join(words[:2]) in known else words[0]
         command = known[name]
         context = typer.Context(command, info_name=name)
         options = {each for one in command.get_params(context) for each in one.opts}
         assert {word for word in words if word.startswith("--")} <= options, words
-    assert len({fault.partition(",")[0] for fault in fleet_demo.FAULTS}) == 2
+    assert len({fault.partition(",")[0] for fault in demo.FAULTS}) == 2
 
 
 @pytest.mark.long
 def test_the_commands_run_one_after_the_other(tmp_path: Path) -> None:
     results = tmp_path / "results"
-    steps = fleet_demo.commands(results, trips=24)
-    demo.run_demo(results, Console(quiet=True), cli.run, steps, fleet_demo.following(results))
+    steps = demo.fleet_commands(results, trips=24)
+    demo.run_demo(results, Console(quiet=True), cli.run, steps, demo.fleet_following(results))
     for name in ("trajectory.json", "fleet.html", "trains/trains.json"):
         assert (results / name).is_file()

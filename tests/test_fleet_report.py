@@ -202,17 +202,17 @@ def test_the_command_writes_one_page_that_asks_for_nothing(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    words = ("fleet", "report", "--catalogue", place, "--network", network, "-o", tmp_path / "new")
+    words = ("report", place, "--network", network, "-o", tmp_path / "fleet.html")
     status, shown, _ = run(monkeypatch, capsys, *words)
     assert status == 0
     assert "fleet.html" in shown
-    html = (tmp_path / "new" / "fleet.html").read_text("utf-8")
+    html = (tmp_path / "fleet.html").read_text("utf-8")
     assert "coloured by the maximum adhesion that is expected on wet rail" in html
     assert "rail; grey" not in html
     links = re.findall(r'(?:src|href)="([^"]*)"', html)
     assert all(each.startswith(("#", "data:")) for each in links)
     assert re.search(r"script-src 'none'|script-src 'sha256-", html)
-    wrong = ("fleet", "report", "--catalogue", place, "--trips", "train = 'none'")
+    wrong = ("report", place, "--where", "train = 'none'")
     status, _, complaint = run(monkeypatch, capsys, *wrong, "-o", tmp_path / "a.html")
     assert (status, complaint.count("\n")) == (2, 1)
     assert "no trip is chosen" in complaint

@@ -209,7 +209,7 @@ def test_names_of_packages_that_load_on_first_use_are_followed(
 
 
 def test_to_state_what_is_computed_loads_nothing_that_computes(place: Path) -> None:
-    words = ["fleet", "status", "--catalogue", str(place)]
+    words = ["fleet", "show", "--catalogue", str(place)]
     script = (
         f"import sys; from trainlog.cli import main; code = main.run({words!r});"
         "heavy = ('numba', 'scipy', 'pint', 'analysis.adhesion.slip', 'trainlog.mcap.reader');"
@@ -309,7 +309,7 @@ def test_the_command_states_what_it_did(place: Path, capsys: pytest.CaptureFixtu
     (counts,) = found["analyses"]
     assert counts["done"] + counts["refused"] == TRIPS
     assert len(found["problems"]) == counts["refused"]
-    assert cli.run(["fleet", "status", *known]) == 0
+    assert cli.run(["fleet", "show", *known]) == 0
     (state,) = json.loads(capsys.readouterr().out)["analyses"]
     assert (state["pending"], state["done"]) == (0, counts["done"])
 
@@ -323,9 +323,9 @@ def test_trips_whose_logs_are_gone_are_counted_apart(
         catalogue.refresh()
         assert fleet_status(catalogue, ["checks"]).gone == catalogue.gone() == 1
     known = ["--catalogue", str(place), "--analysis", "checks"]
-    assert cli.run(["fleet", "status", *known]) == 0
+    assert cli.run(["fleet", "show", *known]) == 0
     assert "1 trip: its log is gone" in capsys.readouterr().out
-    assert cli.run(["fleet", "status", *known, "--json"]) == 0
+    assert cli.run(["fleet", "show", *known, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["gone"] == 1
     assert cli.run(["fleet", "update", "--workers", "0", *known]) == 0
     out = capsys.readouterr().out

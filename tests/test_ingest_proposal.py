@@ -326,7 +326,7 @@ def test_a_receiver_under_other_names_is_read_as_the_known_one(tmp_path: Path) -
 def test_a_user_at_a_terminal_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = drive()
     path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "s [m]": run.s})
-    monkeypatch.setattr("trainlog.cli.proposing._at_terminal", lambda: True)
+    monkeypatch.setattr("trainlog.cli.ingest._at_terminal", lambda: True)
     refused = CliRunner().invoke(app, ["ingest", str(path), "-o", str(tmp_path / "out")], "n\n")
     assert refused.exit_code == 1
     assert "with " + str(tmp_path / "out" / "run.profile.toml") in " ".join(refused.output.split())

@@ -178,17 +178,17 @@ def test_a_part_of_a_log_is_chosen_by_the_same_kilometres(
     folder, _, expected = counted
     log, out = folder / "trip.mcap", folder / "part.mcap"
     part = f"{expected(9_286.1):.3f}:{expected(FLAWIL):.3f}"
-    assert run(monkeypatch, capsys, "cut", log, "-o", out, "--km", part)[0] == 0
+    assert run(monkeypatch, capsys, "convert", log, "-o", out, "--km", part)[0] == 0
     chosen = read_log(out)["/train/state"]["position"]
     assert (chosen.min(), chosen.max()) == pytest.approx((9_286.1, FLAWIL), abs=10.0)
     replayed = [each["/train/state"]["position"] for each in part_of(log, None, None, part, 10**6)]
     assert replayed[0].min() == chosen.min()
     assert replayed[-1].max() == chosen.max()
     commands = (
-        ("cut", log, "-o", folder / "none.mcap", "--km", "3:7"),
+        ("convert", log, "-o", folder / "none.mcap", "--km", "3:7"),
         ("replay", log, "-o", folder / "none.rrd", "--km", "3:7"),
         (
-            *("optimise", "--line", folder / "own.line.json", "--train", "sample"),
+            *("plan", "--line", folder / "own.line.json", "--train", "sample"),
             *("-o", folder / "t.json", "--km", "3:7"),
         ),
     )

@@ -328,7 +328,7 @@ def test_the_commands_draw_list_and_end_as_diff_does(
     with pytest.raises(InputError, match="both maps count the same trips"):
         run(["map", "diff", str(path), str(path), "--picture", str(tmp_path / "no.png")])
     assert not (tmp_path / "no.png").exists()
-    words = ["map", "history", str(path), "--km", "3.9", "--line", str(line), "--days", "2"]
+    words = ["map", "show", str(path), "--km", "3.9", "--line", str(line), "--days", "2"]
     assert run([*words, "--picture", str(tmp_path / "place.png")]) == 0
     shown = " ".join(capsys.readouterr().out.split())
     assert "A-B, km 3.900 to 3.925, at Mitte, wet" in shown

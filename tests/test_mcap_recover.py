@@ -464,18 +464,18 @@ def test_check_and_recover_from_the_command_line(
     logs.mkdir()
     (logs / "cut.mcap").write_bytes(whole.data[:-50])
     (logs / "whole.mcap").write_bytes(whole.data)
-    status, printed, _ = run(monkeypatch, capsys, "check", logs)
+    status, printed, _ = run(monkeypatch, capsys, "show", "--check", logs)
     assert status == 1
     assert "cut.mcap: is damaged: 120 messages are readable" in printed
     assert "whole.mcap: is whole: 120 messages in 3 chunks" in printed
-    status, printed, _ = run(monkeypatch, capsys, "recover", logs, "-o", tmp_path / "again")
+    status, printed, _ = run(monkeypatch, capsys, "convert", logs, "-o", tmp_path / "again")
     assert status == 0
     assert "wrote" in printed
-    status, printed, _ = run(monkeypatch, capsys, "check", tmp_path / "again")
+    status, printed, _ = run(monkeypatch, capsys, "show", "--check", tmp_path / "again")
     assert status == 0
     assert printed.count("is whole") == 2
     single = tmp_path / "one.mcap"
-    status, _, _ = run(monkeypatch, capsys, "recover", logs / "cut.mcap", "-o", single)
+    status, _, _ = run(monkeypatch, capsys, "convert", logs / "cut.mcap", "-o", single)
     assert status == 0
     assert account_of(single).whole
 
@@ -487,7 +487,7 @@ def test_one_file_that_is_no_log_does_not_keep_the_others_from_being_rebuilt(
     logs.mkdir()
     (logs / "a.mcap").write_bytes(b"")
     write_log(trip_of(rows=30), logs / "b.mcap")
-    status, printed, complaint = run(monkeypatch, capsys, "recover", logs, "-o", tmp_path / "again")
+    status, printed, complaint = run(monkeypatch, capsys, "convert", logs, "-o", tmp_path / "again")
     assert status == 1
     assert "a.mcap" in complaint
     assert "is empty" in complaint
@@ -495,7 +495,7 @@ def test_one_file_that_is_no_log_does_not_keep_the_others_from_being_rebuilt(
     assert read_log(tmp_path / "again" / "b.mcap")
     assert [path.name for path in (tmp_path / "again").iterdir()] == ["b.mcap"]
     status, _, complaint = run(
-        monkeypatch, capsys, "recover", logs, "-o", tmp_path / "one.mcap"
+        monkeypatch, capsys, "convert", logs, "-o", tmp_path / "one.mcap"
     )  # fmt: skip
     assert status == 2
     assert "name of one log, and there are 2" in complaint

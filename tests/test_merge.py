@@ -134,9 +134,9 @@ def test_the_commands_cut_and_merge(
     monkeypatch.setattr(module, "ROWS", 20_000)
     log = "sample_logs/nonstop.mcap"
     parts = [str(tmp_path / f"{number}.mcap") for number in range(2)]
-    assert run(["cut", log, "-o", parts[0], "--to", "600s"]) == 0
-    assert run(["cut", log, "-o", parts[1], "--from", "600s"]) == 0
-    assert run(["merge", *parts, "-o", str(tmp_path / "again.mcap")]) == 0
+    assert run(["convert", log, "-o", parts[0], "--to", "600s"]) == 0
+    assert run(["convert", log, "-o", parts[1], "--from", "600s"]) == 0
+    assert run(["convert", *parts, "-o", str(tmp_path / "again.mcap")]) == 0
     shown = capsys.readouterr().out
     assert "1 row of /train/state in two logs alike: kept once" in shown
     again, whole = trainlog.read(tmp_path / "again.mcap"), trainlog.read(log)
@@ -144,4 +144,4 @@ def test_the_commands_cut_and_merge(
     assert again.attachments == whole.attachments
     assert np.all(again[STATE].index == whole[STATE].index)
     with pytest.raises(InputError, match="give --from, --to, --km or --topic"):
-        run(["cut", log, "-o", parts[0]])
+        run(["convert", log, "-o", parts[0]])

@@ -473,7 +473,16 @@ def test_trains_obey_the_limits_of_their_direction(
     assert read_line(tmp_path / "one.line.json").reversed().speed_limits.values.tolist() == (
         pytest.approx([70.0 / 3.6, 50.0 / 3.6])
     )
-    words = ("simulate", "--train", "sample", "--line", tmp_path / "one.line.json", "--count", 2)
+    words = (
+        "simulate",
+        "drive",
+        "--train",
+        "sample",
+        "--line",
+        tmp_path / "one.line.json",
+        "--count",
+        2,
+    )
     status, _, problems = run(monkeypatch, capsys, *words, "--seed", 4, "-o", tmp_path)
     assert status == 0, problems
     there, back = (trainlog.read(tmp_path / f"trip-0{number}.mcap") for number in (1, 2))

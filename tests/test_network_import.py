@@ -698,22 +698,25 @@ def test_a_planner_imports_a_network_shows_routes_and_exports_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def command(*words: object) -> str:
-        status, printed, problems = run(monkeypatch, capsys, "network", *words)
+        status, printed, problems = run(monkeypatch, capsys, *words)
         assert status == 0, problems
         return printed
 
-    net, route, places = (tmp_path / n for n in ("s.network.json", "r.line.json", "s.geojson"))
-    assert "signals: 106" in command("import", OSRD / "infras" / "small_infra.json", "-o", net)
+    names = ("small_infra.network.json", "r.line.json", "s.geojson")
+    net, route, places = (tmp_path / name for name in names)
+    assert "signals: 106" in command("import", OSRD / "infras" / "small_infra.json", "-o", tmp_path)
     shown = command("show", net, "--json", "--picture", tmp_path / "s.png")
     assert (tmp_path / "s.png").stat().st_size > 10_000
     edges = {each["edge"]: each for each in json.loads(shown)["edges"]}
     assert edges["TA6"]["length_m"] == 10_000.0
     assert edges["TA6"]["rise_m"] == pytest.approx(4.2)
     words = ["North_East_station", "West_station"]
-    assert "45.800 km" in command("route", net, *words, "-o", route)
+    where = f"{net}#{','.join(words)}"
+    assert "45.800 km" in command("show", where)
+    assert "45.800 km" in command("new", "line", "--from", where, "-o", route)
     assert read_line(route) == read_network(net).route(*words).line
-    assert read_line(f"{net}#{','.join(words)}").legs == read_line(route).legs
-    assert "left out without coordinates: edge 'TA3'" in command("export", net, "-o", places)
+    assert read_line(where).legs == read_line(route).legs
+    assert "left out without coordinates: edge 'TA3'" in command("convert", net, "-o", places)
     features = json.loads(places.read_text())["features"]
     kinds = [each["properties"]["kind"] for each in features]
     assert kinds.count("node") == len(read_network(net).nodes)
@@ -733,7 +736,7 @@ def test_a_train_of_osrd_is_driven_along_a_route_and_stops_at_its_station(
     (train,) = import_file(stock, tmp_path)
     line = f"{tmp_path / 'small_infra.network.json'}#Mid_East_station,South_East_station"
     words = ("--line", line, "--train", train.path, "--count", 1, "--seed", 3)
-    assert run(monkeypatch, capsys, "simulate", *words, "-o", tmp_path)[0] == 0
+    assert run(monkeypatch, capsys, "simulate", "drive", *words, "-o", tmp_path)[0] == 0
     trip = trainlog.read(tmp_path / "trip-01.mcap")
     assert trip["/truth"]["position"].iloc[-1] == pytest.approx(19_400.0, abs=5.0)
     assert "arrival at South_East_station" in set(trip["/events"]["message"])

@@ -1,4 +1,4 @@
-"""`trainlog optimise`: what can be asked of one run at the keyboard."""
+"""`trainlog plan`: what can be asked of one run at the keyboard."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def asked(parameters: Path, folder: Path, *words: object) -> Trajectory:
     """The trajectory that the command writes."""
     output = folder / "trajectory.json"
     own = shutil.copy(parameters, folder)
-    given = ("optimise", own, *SAMPLES, "--cells", 60, *words, "-o", output)
+    given = ("plan", own, *SAMPLES, "--cells", 60, *words, "-o", output)
     assert cli.run([str(word) for word in given]) == 0
     return read_trajectory(output)
 
@@ -162,7 +162,7 @@ def test_bad_input_is_refused_before_anything_is_written(
 ) -> None:
     output = tmp_path / "t.json"
     with pytest.raises(InputError) as refusal:
-        cli.run([str(word) for word in ("optimise", observed, *SAMPLES, *words, "-o", output)])
+        cli.run([str(word) for word in ("plan", observed, *SAMPLES, *words, "-o", output)])
     assert message in str(refusal.value)
     assert not output.exists()
 
@@ -224,7 +224,7 @@ def test_a_train_file_alone_is_planned_for_and_the_result_states_it(
     output, trips = tmp_path / "trajectory.json", tmp_path / "trips"
     train = read_train(sample(DEFAULT_TRAIN))
     rail = ("--train", sample(DEFAULT_TRAIN), "--line", sample(DEFAULT_LINE))
-    words = ("optimise", *rail, "--load", "8t", "--km", ":4", "--cells", 60, "-o", output)
+    words = ("plan", *rail, "--load", "8t", "--km", ":4", "--cells", 60, "-o", output)
     assert cli.run([str(word) for word in words]) == 0
     assert "without a band of observed trips" in " ".join(capsys.readouterr().out.split())
     found = read_trajectory(output)
@@ -234,13 +234,13 @@ def test_a_train_file_alone_is_planned_for_and_the_result_states_it(
     # The same in Python, and the trajectory can be followed.
     asked_for = TrajectoryProblem.nominal(read_line(rail[3]), train, load=8e3, end=4e3)
     assert asked_for.configurations == found.configurations
-    assert cli.run(["simulate", *SAMPLES, "--trajectory", str(output), "-o", str(trips)]) == 0
+    assert cli.run(["simulate", "follow", str(output), *SAMPLES, "-o", str(trips)]) == 0
     assert (trips / "driven-nominal.mcap").is_file()
 
 
 def test_a_load_is_of_the_train_file_alone(observed: Path, tmp_path: Path) -> None:
     output = ("-o", str(tmp_path / "t.json"))
     with pytest.raises(InputError, match="the parameter set holds the masses"):
-        cli.run(["optimise", str(observed), *SAMPLES, "--load", "8t", *output])
+        cli.run(["plan", str(observed), *SAMPLES, "--load", "8t", *output])
     with pytest.raises(InputError, match="is not plausible for a train of 122000 kg"):
-        cli.run(["optimise", *SAMPLES, "--load", "800t", *output])
+        cli.run(["plan", *SAMPLES, "--load", "800t", *output])

@@ -25,7 +25,7 @@ def test_settings_are_set_shown_and_taken_back(
     settings: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     settings.write_text("# mine\nresults = 'out'\n")
-    assert run(monkeypatch, capsys, "settings", "set", "speed", "mph") == (
+    assert run(monkeypatch, capsys, "settings", "speed", "mph") == (
         0, f"wrote {settings}\n", "",
     )  # fmt: skip
     assert read_settings() == Settings(speed="mph", results="out")
@@ -34,7 +34,7 @@ def test_settings_are_set_shown_and_taken_back(
     assert status == 0
     assert all(key in shown for key in MEANINGS)
     assert "mph" in shown
-    run(monkeypatch, capsys, "settings", "unset", "speed")
+    run(monkeypatch, capsys, "settings", "--unset", "speed")
     assert read_settings() == Settings(results="out")
 
 
@@ -58,7 +58,7 @@ def test_what_is_wrong_is_one_error_with_file_line_and_remedy(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     settings.write_text(text)
-    status, _, complaint = run(monkeypatch, capsys, "check", sample("nonstop.mcap"))
+    status, _, complaint = run(monkeypatch, capsys, "show", "--check", sample("nonstop.mcap"))
     assert (status, complaint.count("\n")) == (2, 1)
     assert complaint.startswith(f"trainlog: {settings}")
     assert message in complaint
@@ -84,10 +84,10 @@ def test_units_and_zone_change_what_is_shown_and_no_file(
     for unit, zone in (("km/h", "UTC"), ("mph", "Europe/Zurich")):
         set_setting("speed", unit)
         set_setting("zone", zone)
-        _, out, _ = run(monkeypatch, capsys, "coast-down", log, "-o", made)
+        _, out, _ = run(monkeypatch, capsys, "fit", "--method", "coasting", log, "-o", made)
         shown.append(out)
         files.append([made.read_bytes(), made.with_suffix(".png").read_bytes()])
-        _, out, _ = run(monkeypatch, capsys, "check", log, "--json")
+        _, out, _ = run(monkeypatch, capsys, "show", "--check", log, "--json")
         printed.append(out)
     assert files[0] == files[1]
     assert printed[0] == printed[1]
@@ -108,7 +108,7 @@ def test_a_line_that_is_set_is_taken_where_none_is_given(
     own.write_text(sample(DEFAULT_LINE).read_text("utf-8").replace("CH_StGallen_Wil", "OWN"))
     set_setting("line", str(own))
     set_setting("train", "sample")
-    run(monkeypatch, capsys, "simulate", "--count", "1", "-o", tmp_path / "trips")
+    run(monkeypatch, capsys, "simulate", "drive", "--count", "1", "-o", tmp_path / "trips")
     _, out, _ = run(monkeypatch, capsys, "show", tmp_path / "trips" / "trip-01.mcap")
     assert "OWN" in out
 

@@ -111,7 +111,11 @@ def test_a_damaged_log_is_shown_and_ends_with_1(
     cut.write_bytes(content[: int(share * len(content))])
     readable = share > 0.0
     alone, shown, complaint = command.run(monkeypatch, capsys, "show", cut)
-    assert alone == command.run(monkeypatch, capsys, "check", cut)[0] == (1 if readable else 2)
+    assert (
+        alone
+        == command.run(monkeypatch, capsys, "show", "--check", cut)[0]
+        == (1 if readable else 2)
+    )
     assert ("/train/state" in shown) == readable
     assert readable or "is empty" in complaint
     assert command.run(monkeypatch, capsys, "show", tmp_path / "logs")[0] == 1

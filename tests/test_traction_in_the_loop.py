@@ -283,7 +283,16 @@ def test_simulate_command_drives_with_a_map(tmp_path: Path) -> None:
     scenario = draw_scenarios(line, TRAIN, 1)[0]
     track = adhesion_map([simulate(scenario)]).track
     write_map(track, tmp_path / "short.map")
-    command = ["simulate", "--count", "1", "-o", str(tmp_path / "out"), "--traction", "cooperative"]
+    command = [
+        "simulate",
+        "drive",
+        "--count",
+        "1",
+        "-o",
+        str(tmp_path / "out"),
+        "--traction",
+        "cooperative",
+    ]
     command += ["--line", str(tmp_path / "short.line.json")]
     command += ["--train", "sample_logs/CH_Stadler_FLIRT_TPF.train.json"]
     result = CliRunner().invoke(app, [*command, "--map", str(tmp_path / "short.map")])
@@ -299,12 +308,12 @@ def test_simulate_command_drives_with_a_map(tmp_path: Path) -> None:
 
 
 def test_a_map_without_a_use_is_refused(tmp_path: Path) -> None:
-    command = ["simulate", "-o", str(tmp_path / "out"), "--map", "sample_logs/no.map"]
+    command = ["simulate", "drive", "-o", str(tmp_path / "out"), "--map", "sample_logs/no.map"]
     command += ["--line", "sample", "--train", "sample"]
     result = CliRunner().invoke(app, [*command, "--traction", "readhesion"])
     assert isinstance(result.exception, InputError)
-    assert "--map goes with --trajectory" in str(result.exception)
-    assert "--traction cooperative" in str(result.exception)
+    assert "--map goes with --traction cooperative" in str(result.exception)
+    assert "trainlog simulate follow" in str(result.exception)
 
 
 @pytest.mark.parametrize("field", ["cut", "period", "patience"])

@@ -229,13 +229,13 @@ def test_commands_write_sections_a_front_and_advice(
     write_journey(Journey("one stop", "CH_StGallen_Wil", tuple(points)), journey)
     samples = ("--line", "sample", "--train", "sample")
     options = (*samples, "--dwell", 30, "--cells", 60, "--reserve", 15)
-    run("optimise", parameters, "--journey", journey, *options, "-o", tmp_path / "a.json")
+    run("plan", parameters, "--journey", journey, *options, "-o", tmp_path / "a.json")
     for number in (1, 2):
         for suffix in ("json", "png", "csv"):
             assert (tmp_path / f"a-{number}.{suffix}").exists()
     assert "Journey one stop" in capsys.readouterr().out
     expected = (*samples, "--reverse", "--cells", 60, "--objective", "expected")
-    run("optimise", parameters, *expected, "-o", tmp_path / "b.json")
+    run("plan", parameters, *expected, "-o", tmp_path / "b.json")
     settings = read_trajectory(tmp_path / "b.json").provenance["settings"]
     assert read_trajectory(tmp_path / "b.json").direction == "reverse"
     assert settings["weights"] == [1.0]  # the trip that the set was observed on

@@ -64,8 +64,8 @@ def installed_works(python: Path, folder: Path) -> None:
         env=OUTSIDE,
     )
     assert str(CHECKOUT) not in where.stdout
-    assert "optimise" in trainlog(python, "--help", cwd=folder)
-    trainlog(python, "samples", "samples", cwd=folder)
+    assert "plan" in trainlog(python, "--help", cwd=folder)
+    trainlog(python, "new", "samples", "-o", "samples", cwd=folder)
     logs = sorted((folder / "samples").glob("*.mcap"))
     assert logs
     assert "/train/state" in trainlog(python, "show", str(logs[0]), cwd=folder)

@@ -207,7 +207,7 @@ def _check_coordinates(track: TrackConditionMap, line: Line | None, path: str | 
         raise InputError(
             f"line '{line.name}' has no coordinates",
             file=path,
-            remedy="add them from satellite fixes with 'trainlog line build', or export .csv",
+            remedy="add them from fixes with 'trainlog new line --from LOGS', or export .csv",
         )
 
 

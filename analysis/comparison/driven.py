@@ -428,7 +428,7 @@ class _Reduction:
             raise LogError(
                 f"trip '{self.bare.name}' runs backwards by {2.0 * moved[worst]:.0f} m",
                 place=km_words(self.line, float(recorded[worst])),
-                remedy="cut it into trips of one direction (trainlog cut --from --to), or"
+                remedy="cut it into trips of one direction (trainlog convert --from --to), or"
                 " ingest it again with its line: a counter that starts anew is repaired there",
             )
         notes = []

@@ -207,7 +207,7 @@ def punctuality(followed: Sequence[Recorded]) -> Punctuality:
         if found is None:
             raise LogError(
                 f"trip '{described(trip).name}' followed no trajectory: it has no /reference",
-                remedy="give the trips of 'trainlog simulate --trajectory'",
+                remedy="give the trips of 'trainlog simulate follow'",
             )
         late.append(found)
         slips.append(_slips(trip))
@@ -374,7 +374,7 @@ def _masses(driver: TripCost, followed: TripCost) -> str:
 
 def _that_followed(trips: Sequence[tuple[Trip, Recorded]]) -> list[tuple[Trip, Recorded]]:
     """The trips, each with its description first, that state the configuration they drove with."""
-    remedy = "give trips recorded by 'trainlog simulate --trajectory' or analysis.follow"
+    remedy = "give trips recorded by 'trainlog simulate follow' or analysis.follow"
     if not trips:
         raise LogError("no trip that followed a trajectory was given", remedy=remedy)
     followed = [each for each in trips if each[0].metadata.get("configuration")]

@@ -353,7 +353,7 @@ def follow(
     """Drive simulated trains along a trajectory by map-based model predictive control.
 
     Each trip is in one configuration, which its driver does not know; position and speed are known
-    as far as the train's own instruments measure them. ``trainlog simulate --trajectory`` does the
+    as far as the train's own instruments measure them. ``trainlog simulate follow`` does the
     same.
 
     Parameters

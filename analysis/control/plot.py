@@ -60,7 +60,7 @@ def draw_following(trips: Sequence[Trip], path: str | Path) -> None:
         if "/reference" not in trip:
             raise LogError(
                 f"trip '{trip.name}' followed no trajectory: it has no /reference",
-                remedy="give the trips of 'trainlog simulate --trajectory'",
+                remedy="give the trips of 'trainlog simulate follow'",
             )
     forward = trips[0].metadata.get("direction", "forward") == "forward"
     line = line_of(trips[0]) if forward else line_of(trips[0]).reversed()
@@ -115,7 +115,7 @@ def draw_traction(
         if topic not in trip:
             raise LogError(
                 f"trip '{trip.name}' has no {topic}",
-                remedy="give a trip of 'trainlog simulate --traction'",
+                remedy="give a trip of 'trainlog simulate drive --traction'",
             )
     truth = trip["/truth"]
     found = slip(trip)

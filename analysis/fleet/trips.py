@@ -314,7 +314,7 @@ def parts_of(path: Path, held: int, rows: int) -> list[tuple[int, int]]:
         raise LogError(
             f"is too long to be read at once ({held:,} rows) and knows no position",
             file=path,
-            remedy="cut it into trips (trainlog cut), or ingest it again with its line",
+            remedy="cut it into trips (trainlog convert), or ingest it again with its line",
         )
     clock = np.concatenate(course.clock)
     most = max(1, int(rows * course.samples / held))

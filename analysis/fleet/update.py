@@ -522,10 +522,10 @@ def gone_words(number: int) -> str:
     Examples
     --------
     >>> gone_words(2)
-    "2 trips: their logs are gone ('trainlog catalogue refresh FOLDER' finds those that moved)"
+    "2 trips: their logs are gone ('trainlog fleet refresh FOLDER' finds those that moved)"
     """
     whose = "its log is" if number == 1 else "their logs are"
-    moved = "'trainlog catalogue refresh FOLDER' finds those that moved"
+    moved = "'trainlog fleet refresh FOLDER' finds those that moved"
     return f"{counted(number, 'trip')}: {whose} gone ({moved})"
 
 

@@ -93,7 +93,7 @@ def export_network(network: Network, path: str | Path) -> Exported:
         raise InputError(
             f"nothing of network '{network.name}' has coordinates",
             file=path,
-            remedy="add geometry to its lines, such as from fixes with 'trainlog line build'",
+            remedy="add geometry to its lines, such as from fixes with 'trainlog new line --from'",
         )
     about = {
         "network": network.name,

@@ -78,7 +78,7 @@ def _check_table(table: Path) -> None:
         begins = file.readline(1000).decode("utf-8", "replace").strip()
     if begins.split(",")[:5] != list(HEADER[:5]):
         raise InputError(
-            "exists, and is no advice of a journey: 'trainlog optimise' writes such a file beside"
+            "exists, and is no advice of a journey: 'trainlog plan' writes such a file beside"
             " its plan",
             file=table,
             remedy="give the page another name: the table takes it",
@@ -131,7 +131,7 @@ def _parts(found: JourneyAdvice, line: Line | None, files: Sequence[Path]) -> li
 def _command(found: JourneyAdvice, files: Sequence[Path]) -> str:
     names = " ".join(shlex.quote(path.name) for path in files)
     start = "" if found.start is None else f" --departure {found.time(0.0)}"
-    return f"trainlog driver-advice {names}{start} -o advice.html"
+    return f"trainlog advice {names}{start} -o advice.html"
 
 
 def _chart(found: JourneyAdvice, line: Line | None) -> Chart:

@@ -481,13 +481,13 @@ def origin(files: Sequence[Path], folder: Path, command: str) -> Section:
 
 
 _COMMANDS = {
-    "simulate": "trainlog simulate --line LINE --train TRAIN -o FOLDER  # {}",
+    "simulate": "trainlog simulate drive --line LINE --train TRAIN -o FOLDER  # {}",
     "ingest": "trainlog ingest RECORDING -o FOLDER  # {}",
     "estimate": "trainlog estimate LOG -o FOLDER  # {}",
     "fit": "trainlog fit LOGS -o {}",
-    "coast-down": "trainlog coast-down LOGS -o {}",
-    "optimise": "trainlog optimise PARAMETERS --line LINE --train TRAIN -o {}",
-    "advise": "trainlog advise LOG --trajectory TRAJECTORY -o {}",
+    "coast-down": "trainlog fit LOGS --method coasting -o {}",
+    "optimise": "trainlog plan PARAMETERS --line LINE --train TRAIN -o {}",
+    "advise": "trainlog advice TRAJECTORY --onto LOG -o {}",
     "map update": "trainlog map update LOGS --map {}",
 }
 """Command of each step of provenance."""

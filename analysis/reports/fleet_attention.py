@@ -141,7 +141,7 @@ def _results(facts: FleetFacts) -> Iterator[Row]:
             yield "all", f"{name}: {words}", "", pending, "'trainlog fleet update' computes it"
         failed = outcomes[outcomes["state"] == "failed"]
         if len(failed):
-            todo = "'trainlog fleet status --problems' lists them; a fault of trainlog: report it"
+            todo = "'trainlog fleet show --problems' lists them; a fault of trainlog: report it"
             yield _named(failed["train"]), f"{name}: failed", "", len(failed), todo
         done = (outcomes["state"] == "done").groupby(outcomes["train"].fillna("")).any()
         lacking = outcomes[outcomes["train"].fillna("").isin(done.index[~done])]
@@ -157,7 +157,7 @@ def _recordings(facts: FleetFacts) -> Iterator[Row]:
     if rows.empty:
         return
     doubts = {
-        "damaged log": (rows["damage"] != "", "recover it: 'trainlog recover'"),
+        "damaged log": (rows["damage"] != "", "recover it: 'trainlog convert'"),
         "a channel repeats its value while the train moves": (
             rows["frozen"] != "", "check the sensor; its values are not used",
         ),

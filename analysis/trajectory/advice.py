@@ -258,7 +258,7 @@ def journey_advice(
     ----------
     sections : sequence of Trajectory
         From stop to stop, in any order; a single one is a journey, too. Those that
-        ``trainlog optimise --journey`` wrote know when they depart.
+        ``trainlog plan --journey`` wrote know when they depart.
     line : Line or None
         As travelled; None leaves out the names of the stations.
     start : float [s], optional
@@ -320,7 +320,7 @@ def _departures(sections: Sequence[Trajectory], dwell: float) -> FloatArray:
         if np.any(times[1:] < ends[:-1] - 1.0):
             raise InputError(
                 "the sections are of different plans: one departs before the one before arrives",
-                remedy="give the sections that one 'trainlog optimise --journey' wrote",
+                remedy="give the sections that one 'trainlog plan --journey' wrote",
             )
         return np.asarray(times - times[0])
     lasts = [each.running_time + dwell for each in sections[:-1]]

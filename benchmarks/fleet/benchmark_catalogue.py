@@ -219,11 +219,11 @@ def commands(place: str) -> None:
     print(
         f"  reading a log of {Path(log).stat().st_size / 1e6:.1f} MB to register it: {cpu:.1f} ms"
     )
-    words = [sys.executable, "-m", "trainlog", "catalogue", "query", "--catalogue", place]
+    words = [sys.executable, "-m", "trainlog", "fleet", "query", "--catalogue", place]
     words += ["--train", "flirt-03", "--line", "line 3", "--from", DAY, "--to", DAY]
     for name, asked in (
         ("the first query by the command line", words),
-        ("a command that does nothing", [sys.executable, "-m", "trainlog", "settings", "show"]),
+        ("a command that does nothing", [sys.executable, "-m", "trainlog", "settings"]),
     ):
         taken = []
         for _ in range(3):

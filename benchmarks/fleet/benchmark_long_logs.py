@@ -5,7 +5,7 @@
 writes logs of so many GB as a recorder that never stops makes them: the sample trips one after the
 other, ten minutes apart, accelerations at 1 kHz, axles at 200 Hz, everything else as it was
 recorded. Nothing but a trip is in memory while they are written. Each is registered and computed by
-the commands ``trainlog catalogue add`` and ``trainlog fleet update``, each in a process of its own:
+the commands ``trainlog fleet add`` and ``trainlog fleet update``, each in a process of its own:
 largest memory (resident), processor time, parts. The logs are deleted afterwards.
 """
 
@@ -154,7 +154,7 @@ def main() -> None:
             hours = written(path, 1e9 * size, given.axles)
             wrote = time.process_time() - began
             at = ("--catalogue", catalogue)
-            added = measured("catalogue", "add", str(path), *at)
+            added = measured("fleet", "add", str(path), *at)
             updated = measured("fleet", "update", "--workers", "0", *at)
             with open_catalogue(catalogue) as opened:
                 known = opened.computations()["analysis"].tolist()

@@ -53,7 +53,7 @@ TICKS = os.sysconf("SC_CLK_TCK")
 
 def simulated(folder: Path, trips: int) -> None:
     """Trips of a fleet on a drawn network."""
-    command = [*TRAINLOG, "simulate", "--network", "drawn", "--count", str(trips), "-o", folder]
+    command = [*TRAINLOG, "simulate", "fleet", "drawn", "--count", str(trips), "-o", folder]
     subprocess.run([str(each) for each in command], check=True, stdout=subprocess.DEVNULL)
 
 

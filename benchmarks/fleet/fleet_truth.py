@@ -17,7 +17,7 @@ PARAMETERS = ("r0", "r1", "r2")
 
 
 def drawn_again(folder: Path) -> Fleet:
-    """The fleet of a folder of `trainlog simulate --network`.
+    """The fleet of a folder of `trainlog simulate fleet`.
 
     Raises
     ------

@@ -3,7 +3,7 @@
     python benchmarks/fleet/judge_fleet.py FOLDER --catalogue WHERE [--part trips|resistance|...]
                                            [--keep FOLDER]
 
-FOLDER is that of `trainlog simulate --network`, WHERE a catalogue of its trips after `trainlog
+FOLDER is that of `trainlog simulate fleet`, WHERE a catalogue of its trips after `trainlog
 fleet update`. The fleet is drawn anew from its seed: trains, faults, rail. Parts:
 
 - ``trips``: what there is, and what became of it by analysis, kind and reason;

@@ -55,19 +55,19 @@ def commands(log: Path, folder: Path) -> dict[str, list[str]]:
     return {
         "import alone": ["--version"],
         "show": ["show", str(log)],
-        "check": ["check", str(log)],
-        "recover": ["recover", str(log), "-o", str(folder / "recovered.mcap")],
+        "check": ["show", "--check", str(log)],
+        "recover": ["convert", str(log), "-o", str(folder / "recovered.mcap")],
         "convert to Parquet": ["convert", str(log), "-o", str(parquet)],
         "convert to a log": ["convert", str(parquet), "-o", str(folder / "again.mcap")],
         "convert a stretch": [
-            "cut", str(log), "-o", str(folder / "part.mcap"), "--km", "3.2:7.5",
+            "convert", str(log), "-o", str(folder / "part.mcap"), "--km", "3.2:7.5",
         ],
         "convert a minute": [
-            "cut", str(log), "-o", str(folder / "min.mcap"), "--from", "end-1min",
+            "convert", str(log), "-o", str(folder / "min.mcap"), "--from", "end-1min",
         ],
         "compare": ["compare", str(log), "--with", str(driven)],
         "optimise": [
-            "optimise", str(folder / "parameters.json"), "-o", str(folder / "trajectory.json"),
+            "plan", str(folder / "parameters.json"), "-o", str(folder / "trajectory.json"),
             "--line", "sample", "--train", "sample", "--as-fast-as", str(log),
         ],
         "fit": ["fit", str(log), "-o", str(folder / "parameters.json")],

@@ -82,7 +82,7 @@ COMMANDS = {
         "{folder}/m.map",
     ],
     "optimise": [
-        *("optimise", "{folder}/fit.json", "--line", "sample", "--train", "sample"),
+        *("plan", "{folder}/fit.json", "--line", "sample", "--train", "sample"),
         *("-o", "{folder}/trajectory.json"),
     ],
     "replay": ["replay", "sample_logs/stopping.mcap", "-o", "{folder}/r.rrd", "--no-viewer"],

@@ -43,7 +43,7 @@ def open_catalogue(
     where : path or str, optional
         A folder, which holds the database (SQLite) and the results, or the URL of a PostgreSQL
         database: ``postgresql://user@host/database``, with ``?schema=name`` for a schema of its
-        own. Default: as set (``trainlog settings set catalogue``), else the folder ``catalogue``.
+        own. Default: as set (``trainlog settings catalogue``), else the folder ``catalogue``.
     results : path, optional
         Folder of the results of a new catalogue in PostgreSQL.
     create : bool

@@ -132,7 +132,7 @@ class Database:
                 raise InputError(
                     "holds no catalogue",
                     file=where,
-                    remedy="make one with 'trainlog catalogue add', or name another",
+                    remedy="make one with 'trainlog fleet add', or name another",
                 )
             if create:
                 made_folder(self.folder)

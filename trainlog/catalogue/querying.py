@@ -137,7 +137,7 @@ def unmatched(
             continue
         what = "label" if column == "labels" else "value in its passport named"
         known = f"known: {', '.join(keys)}" if keys else "none states any"
-        estimated = "; what the analysis passport estimated is asked by 'trainlog catalogue sql'"
+        estimated = "; what the analysis passport estimated is asked by 'trainlog fleet query'"
         also = estimated if column == "passport" else ""
         found.append(f"no trip has a {what} '{key}'; {known}{also}")
     return found
@@ -173,7 +173,7 @@ def paths(database: Database, limits: Limits) -> list[Path]:
             f"no trip of the {counted(every, 'trip')} of the catalogue is chosen"
             + "".join(f"; {each}" for each in why),
             file=database.place,
-            remedy="'trainlog catalogue list' shows which trains and lines there are",
+            remedy="'trainlog fleet show' shows which trains and lines there are",
         )
     gone = found[found["path"].isna()]
     if len(gone):

@@ -49,7 +49,7 @@ _COLUMNS = {each.name: each for each in TRIP_COLUMNS}
 _AS_JSON = {
     f"{each.name}_{each.unit}": each for each in TRIP_COLUMNS if each.unit in ("s", "m", "kg")
 } | {"from_km": _COLUMNS["km_from"], "to_km": _COLUMNS["km_to"]}
-"""Columns by the keys that ``catalogue query --json`` gives them."""
+"""Columns by the keys that ``fleet query --json`` gives them."""
 
 _WORDS = [each.name for each in TRIP_COLUMNS if each.kind != "json"]
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-z]+)?\s*")

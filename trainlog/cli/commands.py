@@ -6,11 +6,14 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable
 from copy import copy
-from functools import wraps
+from functools import cache, wraps
+from importlib import import_module
+from keyword import iskeyword
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -57,6 +60,136 @@ STATUSES = {
 """Exit statuses of all commands, with what they mean."""
 
 
+class Word(NamedTuple):
+    """A word of the program.
+
+    Attributes
+    ----------
+    module : str
+        Of `trainlog.cli`, with a function of the word's name, or the word's commands as ``X_app``.
+    panel, help : str
+        Where the program's help lists it, and in which words.
+    """
+
+    module: str
+    panel: str
+    help: str
+
+
+START, FILES, LOOK, LEARN, PLAN = "Start here", "Record", "Look", "Learn", "Plan and drive"
+
+WORDS = {
+    "demo": Word(
+        "demo", START, "Run the whole chain on St.Gallen-Wil: record, fit, map, plan, replay."
+    ),
+    "docs": Word("settings", START, "Open the documentation in the browser; it needs no network."),
+    "settings": Word("settings", START, "Show or set units, time zone and files of your own."),
+    "import": Word(
+        "files",
+        FILES,
+        "Turn lines, trains, journeys and networks of other programs into trainlog's files.",
+    ),
+    "new": Word(
+        "files", FILES, "Begin a line, network, train, journey or profile, or copy the samples."
+    ),
+    "ingest": Word(
+        "ingest",
+        FILES,
+        "Turn recorded logs into trips; what was repaired is counted and kept in the log.",
+    ),
+    "record": Word(
+        "live",
+        FILES,
+        "Record what a recorder sends while the train runs: UDP, a pipe, or a file that grows.",
+    ),
+    "convert": Word(
+        "files", FILES, "Write logs anew: as Parquet, CSV or MDF, in part, joined, rebuilt."
+    ),
+    "show": Word(
+        "files", LOOK, "State what a file holds, whatever it is; it is recognised by its content."
+    ),
+    "compare": Word(
+        "look",
+        LOOK,
+        "Compare trips over a line by position: times, where time was"
+        " lost and why, energy, driving.",
+    ),
+    "replay": Word(
+        "look", LOOK, "Show trips in the Rerun viewer, by time and by position; or a part of them."
+    ),
+    "report": Word(
+        "look",
+        LOOK,
+        "Write a report as one HTML page that needs no network: to send, to read, to print.",
+    ),
+    "fit": Word("learn", LEARN, "Fit running resistance to trips, or adhesion to measured points."),
+    "estimate": Word(
+        "learn",
+        LEARN,
+        "Add estimates to logs: smoothed motion, running resistance, adhesion, slip.",
+    ),
+    "map": Word("map", LEARN, "The track-condition map: maximum adhesion."),
+    "fleet": Word("fleet", LEARN, "The catalogue of a fleet, and what is computed of its trips."),
+    "plan": Word(
+        "plan",
+        PLAN,
+        "Find the trajectory of least energy that every observed configuration can follow.",
+    ),
+    "advice": Word(
+        "plan", PLAN, "Write the driver's advice for a whole journey, or add it to a recorded trip."
+    ),
+    "simulate": Word(
+        "simulate", PLAN, "Simulate drivers, trips along a trajectory, days, a fleet."
+    ),
+    "study": Word(
+        "study", PLAN, "Run a published system beside its paper, or the dynamics inside a train."
+    ),
+}
+"""The words of the program, in the order of its help."""
+
+FORMER = {
+    "samples": "new samples",
+    "info": "show",
+    "check": "show --check",
+    "recover": "convert",
+    "cut": "convert --km",
+    "merge": "convert",
+    "line": "new line --from",
+    "line build": "new line --from",
+    "network": "show",
+    "network import": "import",
+    "network build": "new network --from",
+    "network show": "show",
+    "network route": "show 'NET#A,B'",
+    "network export": "convert NET.network.json -o NET.geojson",
+    "coast-down": "fit --method coasting",
+    "adhesion": "fit --method adhesion",
+    "adhesion fit": "fit --method adhesion",
+    "map history": "map show --km 12.3",
+    "optimise": "plan",
+    "optimize": "plan",
+    "driver-advice": "advice",
+    "advise": "advice --onto",
+    "catalogue": "fleet",
+    "catalogue add": "fleet add",
+    "catalogue list": "fleet show",
+    "catalogue query": "fleet query",
+    "catalogue sql": "fleet query",
+    "catalogue export": "fleet query -o",
+    "catalogue refresh": "fleet refresh",
+    "catalogue remove": "fleet remove",
+    "fleet status": "fleet show",
+    "fleet report": "report CATALOGUE",
+    "fleet demo": "demo --fleet",
+    "simulate": "simulate drive', 'follow', 'days' or 'fleet",
+    "settings show": "settings",
+    "settings set": "settings KEY VALUE",
+    "settings unset": "settings KEY --unset",
+    "settings edit": "settings --edit",
+}
+"""Former names of commands, and what is called today."""
+
+
 def end_in_part(failed: int, of: int) -> None:
     """End a command some of whose inputs failed: status 1, or 2 if all of them did."""
     if failed:
@@ -79,11 +212,6 @@ def prepared(panel: typer.Typer) -> None:
             command.callback = _with_trips(command.callback)
         if command.callback is not None:
             command.callback = _with_output(command.callback)
-    for group in panel.registered_groups:
-        group.cls = Group
-        if group.typer_instance is not None:
-            group.typer_instance.info.cls = Group
-            prepared(group.typer_instance)
 
 
 def _with_trips(callback: Callable[..., Any]) -> Callable[..., Any]:
@@ -98,9 +226,7 @@ def _with_trips(callback: Callable[..., Any]) -> Callable[..., Any]:
     if needed:
         known.help = f"{known.help} Or --trips."
     optional = logs.replace(annotation=Annotated[list[Path] | None, known], default=None)
-    # A command may have a flag of that name, which lists the trips of a map.
-    option = "--trips" if "trips" not in signature.parameters else "--chosen"
-    wanted = Annotated[str | None, typer.Option(option, metavar="WHERE", help=TRIPS)]
+    wanted = Annotated[str | None, typer.Option("--trips", metavar="WHERE", help=TRIPS)]
     added = {"chosen_trips": wanted, "catalogue": CatalogueOption}
 
     @wraps(callback)
@@ -109,17 +235,19 @@ def _with_trips(callback: Callable[..., Any]) -> Callable[..., Any]:
     ) -> Any:
         given = rest[logs.name]
         if chosen_trips is not None:
-            chosen = chosen_summaries if TakesSummaries in _notes(logs) else chosen_logs
+            # Summaries of fits stand for the logs of other fits alone.
+            summed_up = TakesSummaries in _notes(logs) and rest.get("method") == "efforts"
+            chosen = chosen_summaries if summed_up else chosen_logs
             rest[logs.name] = [*(given or ()), *chosen(chosen_trips, catalogue)]
         elif catalogue is not None:
             raise InputError(
                 f"--catalogue {catalogue} is given, but not which of its trips",
-                remedy=f"choose them with {option} \"weather = 'wet'\", or {option} all",
+                remedy="choose them with --trips \"weather = 'wet'\", or --trips all",
             )
         elif needed and not given:
             raise InputError(
                 "no logs are given",
-                remedy=f"name logs or folders, or choose trips of a catalogue with {option}",
+                remedy="name logs or folders, or choose trips of a catalogue with --trips",
             )
         return callback(*parts, **rest)
 
@@ -162,7 +290,7 @@ def _with_output(callback: Callable[..., Any]) -> Callable[..., Any]:
         if own:
             rest["as_json"], as_json = as_json, False
         with output_of(words, as_json=as_json, quiet=quiet) as output, progress_shown() as display:
-            if words.partition(" ")[0] != "settings":  # which states what is wrong with them itself
+            if words != "settings":  # which states what is wrong with them itself
                 known = read_settings()
                 console.shown_as = known.speed, known.zone
             try:
@@ -220,10 +348,71 @@ class Group(_Described, TyperGroup):
     """Commands under one word; the word alone shows their help."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Show the help where nothing else is asked for, or what the group shows by itself."""
-        if self.invoke_without_command and (not args or args[0] in ("--json", "--quiet", "-q")):
-            args = ["show", *args]
+        """Show the help where nothing else is asked for."""
         if not args and not ctx.resilient_parsing:
             print(ctx.get_help(), end="")
             ctx.exit()
         return super().parse_args(ctx, args)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command that is called; of a former name one line states the new one."""
+        words = [*ctx.command_path.split()[1:], *args, ""]
+        for former in (" ".join(words[:2]), words[0]):
+            asked = former not in WORDS or re.match(r"-(?!h$|-help$)", words[1])
+            if former in FORMER and asked:
+                ctx.fail(f"'{former}' is now 'trainlog {FORMER[former]}'")
+        return super().resolve_command(ctx, args)
+
+
+class Words(Group):
+    """The words of the program; the module of a word is imported when it is called."""
+
+    def __init__(self, **known: Any) -> None:
+        super().__init__(**known)
+        self.commands = _Modules()
+
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
+        """The words, in the order of the help."""
+        return list(WORDS)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Print the help; no module of a command is imported for it."""
+        self.commands = {
+            word: TyperCommand(word, help=each.help, rich_help_panel=each.panel)
+            for word, each in WORDS.items()
+        }
+        super().format_help(ctx, formatter)
+
+
+class _Modules(dict[str, Any]):
+    """Commands by their words, each made when it is asked for."""
+
+    def __init__(self) -> None:
+        super().__init__(dict.fromkeys(WORDS))
+
+    def __getitem__(self, word: str) -> Any:
+        if super().__getitem__(word) is None:
+            self[word] = _command(word)
+        return super().__getitem__(word)
+
+    def get(self, word: str, default: Any = None) -> Any:
+        return self[word] if word in WORDS else default
+
+    def items(self) -> Any:
+        return [(word, self[word]) for word in self]
+
+
+@cache
+def _command(word: str) -> Any:
+    """A command, or the commands under one word, from its module."""
+    module = import_module(f"trainlog.cli.{WORDS[word].module}")
+    found = getattr(module, f"{word}_app", None)
+    if found is None:
+        found = typer.Typer(add_completion=False)
+        found.command(word)(getattr(module, f"{word}_" if iskeyword(word) else word))
+    else:
+        found.info.cls = Group
+    prepared(found)
+    made = typer.main.get_command(found)
+    made.name = word
+    return made

@@ -1,26 +1,31 @@
-"""Commands of a fleet: what is computed of the trips of a catalogue.
-
-Other modules add their commands to `fleet_app`, as those of the map do to theirs.
-"""
+"""Commands of a fleet: its catalogue, and what is computed of the trips in it."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+import os
+import re
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from trainlog.cli.options import CatalogueOption
-from trainlog.cli.terminal import console, current, print_error, state
+from trainlog.cli.options import CatalogueOption, ZoneOption, destination
+from trainlog.cli.terminal import console, current, print_error, print_warning, state, wrote
 from trainlog.display import counted
+from trainlog.errors import InputError
+from trainlog.formats.files import atomic_write, output_folder
+from trainlog.progress import task
 
 if TYPE_CHECKING:
-    from analysis.fleet.update import Problem
+    import pandas as pd
 
-app = typer.Typer()
+    from analysis.fleet.update import Problem
+    from trainlog.catalogue import Catalogue, FileOutcome
+
 fleet_app = typer.Typer(
-    no_args_is_help=True, help="A fleet: what is computed of the trips of a catalogue."
+    no_args_is_help=True, help="The catalogue of a fleet, and what is computed of its trips."
 )
-app.add_typer(fleet_app, name="fleet", rich_help_panel="Fleet")
 
 TripsOption = Annotated[
     str | None,
@@ -37,6 +42,298 @@ AnalysesOption = Annotated[
         help="Only this analysis; may be given several times. Default: all of them.",
     ),
 ]
+TrainName = Annotated[
+    str | None, typer.Option("--train", metavar="NAME", help="Only of this train.")
+]
+LineName = Annotated[
+    str | None,
+    typer.Option(
+        "--line",
+        metavar="NAME",
+        help="Only on this line; of a route each line it runs over counts.",
+    ),
+]
+Since = Annotated[
+    str | None,
+    typer.Option("--from", help="Only trips that start then or later: 2026-10-01.", metavar="TIME"),
+]
+Until = Annotated[
+    str | None,
+    typer.Option(
+        "--to", help="Only trips that start until then; a day counts whole.", metavar="TIME"
+    ),
+]
+
+
+@fleet_app.command("add")
+def fleet_add(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(help="Logs (.mcap), or folders: those in them are searched, too."),
+    ],
+    catalogue: CatalogueOption = None,
+    results: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the results of a new catalogue in PostgreSQL."),
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Processes that read; default: one a processor.")
+    ] = None,
+) -> None:
+    """Register logs by their content; the catalogue is made if there is none.
+
+    Of a log its summary and what identifies the drive are read; a file that is known and has not
+    changed is not read again. A file that moved is found by its content. Of several files of one
+    drive the fullest counts. Several processes may add at once; one that is interrupted or killed
+    leaves nothing half.
+
+    Exit status 1 if some files could not be used; 2 if none could.
+
+    Example: trainlog fleet add results/trips
+
+    Example: trainlog fleet add /data/2026 --catalogue postgresql://fleet@server/trains
+    """
+    from trainlog.catalogue import open_catalogue
+    from trainlog.catalogue.adding import logs_below
+
+    logs_below(paths)  # a path that does not exist is named before a catalogue is made
+    done = Counter[str]()
+
+    def report(outcome: FileOutcome, number: int, total: int) -> None:
+        done[outcome.state] += 1
+        step(number, total)
+        if outcome.state == "refused":
+            print_error(f"{outcome.path}: {outcome.reason}")
+
+    output = current()
+    output.finished = lambda: f"{counted(done.total() - done['refused'], 'log')} registered"
+    with (
+        open_catalogue(catalogue, results=results) as opened,
+        task("registering", unit="log") as step,
+    ):
+        added = opened.add(paths, report, jobs=jobs or os.cpu_count() or 1)
+    refused = added.of("refused")
+    content = {
+        "catalogue": opened.place,
+        "counts": added.counts,
+        "damaged": [
+            {"path": each.path, "damage": each.damage} for each in added.outcomes if each.damage
+        ],
+        "refused": [{"path": each.path, "reason": each.reason} for each in refused],
+    }
+    if not state(content):
+        for each in added.outcomes:
+            if each.damage:
+                console.print(
+                    f"damaged: {each.path}: {each.damage}", highlight=False, soft_wrap=True
+                )
+        console.print(added.sentence, highlight=False, soft_wrap=True)
+    if refused:
+        raise typer.Exit(2 if len(refused) == len(added.outcomes) else 1)
+
+
+@fleet_app.command("show")
+def fleet_show(
+    catalogue: CatalogueOption = None,
+    by: Annotated[
+        Literal["route", "train", "kind", "line", "edge", "day", "weather"],
+        typer.Option(
+            help="One row per train and line (route), train, kind of trains, line, edge (each line"
+            " that trips ran over, whatever their route), day, or weather. Their names are what"
+            " fleet query takes."
+        ),
+    ] = "route",
+    problems: Annotated[
+        bool,
+        typer.Option(
+            "--problems",
+            help="List the files that do not count, with the reason (copies, other recordings of a"
+            " drive, older versions, vanished and refused files), damaged logs that count, and the"
+            " trips that gave no result.",
+        ),
+    ] = False,
+    trips: TripsOption = None,
+    analyses: AnalysesOption = None,
+) -> None:
+    """Show how many trips there are, what is computed of them, and what is pending.
+
+    Trips, trains and lines are counted, distance and time driven are summed. Of an edge the
+    distance is that on it; forward and reverse count how often it was run over. --trips and
+    --analysis choose of what the results are counted.
+
+    Example: trainlog fleet show --by edge
+
+    Example: trainlog fleet show --problems
+    """
+    from analysis.catalogue_table import overview_table, problems_table
+    from analysis.fleet import table
+    from analysis.fleet.update import fleet_status, gone_words
+    from trainlog.catalogue import open_catalogue
+
+    with open_catalogue(catalogue, create=False) as opened:
+        counts = opened.counts()
+        shown = problems_table(opened) if problems else overview_table(opened, by)
+        about = {"version": opened.version, "migrated": opened.migrated_from is not None}
+        found = fleet_status(opened, analyses, where=trips)
+        as_json = state({"catalogue": opened.place, **about, "counts": counts, **found.details()})
+    if shown.rows or as_json or not problems:
+        console.print(shown)
+    else:
+        console.print("every file counts, and no log is damaged")
+    words = ", ".join(f"{count:,} {name}" for name, count in counts.items() if count)
+    console.print(words or "no trips", highlight=False)
+    if as_json:
+        return
+    console.print(table.status_table(found))
+    if found.gone:
+        console.print(gone_words(found.gone), highlight=False, soft_wrap=True)
+    if problems and found.problems:
+        console.print(table.problems_table(found.problems, most=len(found.problems)))
+
+
+@fleet_app.command("query")
+def fleet_query(
+    asked: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="EXPRESSION",
+            help="Trips of which it holds: \"weather = 'wet' and duration > '20 min'\"; or a whole"
+            " statement of SQL: \"select ...\"; 'tables' lists its tables and columns. Default: all"
+            " trips.",
+        ),
+    ] = None,
+    catalogue: CatalogueOption = None,
+    train: TrainName = None,
+    line: LineName = None,
+    since: Since = None,
+    until: Until = None,
+    zone: ZoneOption = None,
+    most: Annotated[
+        int | None,
+        typer.Option(min=1, help="List at most so many rows; default: 50 on a terminal."),
+    ] = None,
+    paths: Annotated[
+        bool, typer.Option("--paths", help="Print the paths of the logs alone, one per line.")
+    ] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Table to write, with all rows in SI units (.csv, .parquet); of SQL .csv.",
+        ),
+    ] = None,
+) -> None:
+    """List the trips that are asked for, in the order of their start; or ask by SQL.
+
+    An expression compares columns with values: [bold]train, kind, line, start, duration, km_from,
+    weather, load ...[/bold] by = <> < <= > >= in, like, between, is null, joined by and, or, not.
+    Values with a unit are written with it: '20 min', '15 t'. docs/catalogue.md lists all.
+
+    Tables of SQL: [bold]trips, files, edges[/bold], and one of each analysis ([bold]resistance,
+    driving ...[/bold]) with its latest results of each trip that counts; [bold]key[/bold] joins
+    them. Times are UTC, numbers in SI units but kilometres. Nothing can be changed. DuckDB runs it:
+    its dialect is understood.
+
+    Example: trainlog fleet query --train flirt-03 --from 2026-10-01 --to 2026-10-31
+
+    Example: trainlog fleet query "weather = 'wet' and duration > '20 min'" -o wet.csv
+
+    Example: trainlog fleet query "select train, avg(r0) from resistance join trips using (key)
+    group by train"
+    """
+    from trainlog.catalogue import open_catalogue
+
+    limits: dict[str, Any] = {"train": train, "line": line, "start": since, "end": until}
+    if asked and re.match(r"(?i)\s*(select|with)\b|tables$", asked):
+        chosen = [name for name, value in {**limits, "zone": zone, "paths": paths or None}.items()
+                  if value is not None]  # fmt: skip
+        if chosen:
+            raise InputError(
+                f"--{chosen[0]} is for an expression, not for a whole statement of SQL",
+                remedy="say it in the statement",
+            )
+        _sql(asked, catalogue, most, output)
+        return
+    with open_catalogue(catalogue, create=False) as opened:
+        if paths:
+            logs = opened.paths(asked, zone=zone, **limits)
+            if not state({"paths": logs}):
+                for path in logs:
+                    console.print(str(path), highlight=False, soft_wrap=True)
+            return
+        found = _chosen(opened, asked, zone, limits)
+    if output is not None:
+        from trainlog.catalogue import write_trips
+
+        write_trips(found, output)
+        state({"trips": len(found)})
+        console.print(counted(len(found), "trip"), highlight=False)
+        wrote(output)
+        return
+    from analysis.catalogue_table import trips_as_data, trips_table
+
+    shown = _first(found, most)
+    if state({"trips": trips_as_data(shown), "count": len(found)}):
+        return
+    console.print(trips_table(shown, len(found)))
+    _more(shown, found)
+
+
+def _sql(statement: str, catalogue: str | None, most: int | None, output: Path | None) -> None:
+    """Ask by a statement of SQL."""
+    from analysis.catalogue_table import found_as_data, found_table
+    from trainlog.catalogue import open_catalogue
+
+    with open_catalogue(catalogue, create=False) as opened:
+        found = opened.tables() if statement == "tables" else opened.sql(statement)
+    if output is not None:
+        destination(output, ".csv")
+        with atomic_write(output) as temporary:
+            found.to_csv(temporary, index=False)
+        state({"count": len(found)})
+        console.print(counted(len(found), "row"), highlight=False)
+        wrote(output)
+        return
+    shown = found if statement == "tables" else _first(found, most)
+    if state({**found_as_data(shown), "count": len(found)}):
+        return
+    console.print(found_table(shown, len(found)))
+    _more(shown, found)
+
+
+def _first(found: pd.DataFrame, most: int | None) -> pd.DataFrame:
+    """The rows that are listed."""
+    most = most or (SHOWN if console.is_terminal and not current().as_json else None)
+    return found if most is None else found.iloc[:most]
+
+
+def _more(shown: pd.DataFrame, found: pd.DataFrame) -> None:
+    """State how many rows are not listed."""
+    if len(shown) < len(found):
+        console.print(f"and {len(found) - len(shown):,} more (--most lists more of them)")
+
+
+def _chosen(
+    catalogue: Catalogue, where: str | None, zone: str | None, limits: dict[str, Any]
+) -> pd.DataFrame:
+    """The trips that are asked for; where there is none, a train or line unknown is refused."""
+    found = catalogue.query(where, zone=zone, **limits)
+    if len(found):
+        return found
+    if why := catalogue.unmatched(None, limits["train"], limits["line"]):
+        raise InputError(
+            "; ".join(why),
+            file=catalogue.place,
+            remedy="'trainlog fleet show' shows which trains and lines there are",
+        )
+    for each in catalogue.unmatched(where):
+        print_warning(each)
+    return found
+
+
+SHOWN = 50
+"""Trips that are listed on a terminal."""
 
 
 @fleet_app.command("update")
@@ -83,7 +380,7 @@ def fleet_update(
     after an interruption, however it came, the next update goes on with the rest.
 
     Trips of which an analysis gives no result are listed with the reason; of more than a few those
-    of one reason are counted ('trainlog fleet status --problems' lists each). Exit status 1 if one
+    of one reason are counted ('trainlog fleet show --problems' lists each). Exit status 1 if one
     failed, or a log could not be read.
 
     Example: trainlog fleet update --workers 2
@@ -115,36 +412,195 @@ def fleet_update(
             console.print(problems_table(found.problems))
         more = len(seen) - len({each.key for each in found.problems})
         if more > 0:
-            console.print(f"and {counted(more, 'trip')} more: trainlog fleet status --problems")
+            console.print(f"and {counted(more, 'trip')} more: trainlog fleet show --problems")
         console.print(found.sentence, highlight=False)
     if found.unread or any(each.failed for each in found.counts.values()):
         raise typer.Exit(1)
 
 
-@fleet_app.command("status")
-def fleet_status(
+@fleet_app.command("trains")
+def fleet_trains(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for JSON and pictures.")],
+    catalogue: CatalogueOption = None,
+    kind: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Only trains of this kind.")
+    ] = None,
+    train: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Show only this train, compared with the others."),
+    ] = None,
+    trips: TripsOption = None,
+    false_alarms: Annotated[
+        float,
+        typer.Option(
+            metavar="PERCENT", help="Share (%) of healthy trains that raise an alarm in a month."
+        ),
+    ] = 1.0,
+) -> None:
+    """Show resistance, drift and findings of every train: which ones are not like the others.
+
+    From the results of 'trainlog fleet update'. Each finding names the fault, since when and how
+    large, with its band; what would not be seen is stated by train.
+
+    Example: trainlog fleet trains -o results/fleet-trains
+    """
+    import json
+
+    from analysis.fleet.plot import (
+        channels_over_time,
+        draw_drift,
+        draw_findings,
+        draw_resistance,
+    )
+    from analysis.fleet.trains import trains_in
+    from analysis.fleet.trains_table import trains_data, trains_table
+    from trainlog.catalogue import open_catalogue
+
+    if not 0.0 < false_alarms <= 20.0:
+        raise InputError(
+            f"--false-alarms {false_alarms:g} must be above 0 and at most 20",
+            remedy="give a share in %, such as 1",
+        )
+    with open_catalogue(catalogue) as known:
+        found = trains_in(known, kind=kind, where=trips, rate=false_alarms / 100.0)
+    shown = found if train is None else found.only(train)
+    written = []
+    with output_folder(output):
+        path = output / "trains.json"
+        with atomic_write(path) as temporary:
+            content = json.dumps(trains_data(shown), indent=1, ensure_ascii=False)
+            temporary.write_text(content + "\n", "utf-8")
+        written.append(path)
+        for each in shown.resistance:
+            written.append(output / f"{each.kind}.resistance.png")
+            draw_resistance(each, shown, written[-1])
+            if channels_over_time(each.kind, shown):
+                written.append(output / f"{each.kind}.drift.png")
+                draw_drift(each.kind, shown, written[-1])
+        written.append(output / "findings.png")
+        draw_findings(shown, written[-1])
+    console.print(trains_table(shown))
+    wrote(*written)
+
+
+@fleet_app.command("diff")
+def fleet_diff(
+    first: Annotated[
+        str,
+        typer.Argument(
+            help="now, a revision, a folder with another checkout, the Python of another"
+            " environment, a version of results, or parameters: adhesion.bin_length=50."
+        ),
+    ],
+    second: Annotated[str, typer.Argument(help="The same, of the other side.")],
     catalogue: CatalogueOption = None,
     trips: TripsOption = None,
     analyses: AnalysesOption = None,
-    problems: Annotated[
-        bool,
-        typer.Option("--problems", help="List the trips that gave no result, with the reasons."),
-    ] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Folder for the report and all tables as CSV."),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=0, help="Processes; default: one a processor. 0: this process itself."),
+    ] = None,
 ) -> None:
-    """State what is computed of the trips of the catalogue, and what is pending.
+    """List every estimate that moved between two versions of the code or two sets of parameters.
 
-    Example: trainlog fleet status --problems
+    Both sides compute the same trips; what of either is in the catalogue is not computed again, and
+    what is computed is kept there. An estimate moved beyond its band where the difference exceeds
+    1.96 standard deviations; of many trips the mean shift is judged by its own scatter. Trips that
+    one side alone accepts are listed. Exit status 1 if anything moved beyond its band.
+
+    Example: trainlog fleet diff v0.1.0 now --trips "line = 'Wil - Gossau'" -o changes
+
+    Example: trainlog fleet diff now resistance.largest_std=0.2
     """
-    from analysis.fleet.table import problems_table, status_table
-    from analysis.fleet.update import fleet_status, gone_words
+    from analysis.fleet.diff import fleet_diff as compare
+    from analysis.fleet.diff_table import details, sentence, tables
     from trainlog.catalogue import open_catalogue
 
     with open_catalogue(catalogue, create=False) as opened:
-        found = fleet_status(opened, analyses, where=trips)
-    if state(found.details()):
-        return
-    console.print(status_table(found))
-    if found.gone:
-        console.print(gone_words(found.gone), highlight=False, soft_wrap=True)
-    if problems and found.problems:
-        console.print(problems_table(found.problems, most=len(found.problems)))
+        found = compare(
+            opened, first, second, analyses=analyses, where=trips, place=catalogue, workers=workers
+        )
+    if output is not None:
+        from analysis.reports.fleet_diff import write_diff
+
+        wrote(*write_diff(found, output))
+    if not state(details(found)):
+        console.print(*tables(found), sep="\n")
+        console.print(f"{sentence(found)}.", highlight=False, soft_wrap=True)
+    if found.beyond:
+        raise typer.Exit(1)
+
+
+@fleet_app.command("refresh")
+def fleet_refresh(
+    folders: Annotated[
+        list[Path] | None, typer.Argument(help="Folders that are searched for files that moved.")
+    ] = None,
+    catalogue: CatalogueOption = None,
+) -> None:
+    """Compare the catalogue with the disk: which files vanished, moved, changed or came back.
+
+    Nothing is forgotten: a vanished file is found again by its content once the folder that it
+    moved to is given. Exit status 1 if files have vanished.
+
+    Example: trainlog fleet refresh
+
+    Example: trainlog fleet refresh /archive
+    """
+    from trainlog.catalogue import open_catalogue
+
+    with open_catalogue(catalogue, create=False) as opened:
+        found = opened.refresh(folders or ())
+    refused = [each for each in found.outcomes if each.state == "refused"]
+    content = {
+        "same": found.same,
+        "vanished": found.vanished,
+        "moved": found.moved,
+        "changed": found.changed,
+        "back": found.back,
+        "refused": [{"path": each.path, "reason": each.reason} for each in refused],
+    }
+    if not state(content):
+        listed = {"vanished": found.vanished, "moved": found.moved, "changed": found.changed}
+        for what, paths in listed.items():
+            for path in paths:
+                console.print(f"  {what}: {path}", highlight=False, soft_wrap=True)
+        for each in refused:
+            print_error(f"{each.path}: {each.reason}")
+        console.print(found.sentence, highlight=False, soft_wrap=True)
+    if found.vanished or refused:
+        raise typer.Exit(1)
+
+
+@fleet_app.command("remove")
+def fleet_remove(
+    where: Annotated[
+        str | None, typer.Argument(metavar="EXPRESSION", help="Trips of which it holds.")
+    ] = None,
+    catalogue: CatalogueOption = None,
+    vanished: Annotated[
+        bool, typer.Option("--vanished", help="Only trips whose logs have all vanished.")
+    ] = False,
+) -> None:
+    """Forget trips and what was computed of them; the logs stay as they are.
+
+    A log that still stands in a folder that is added comes back.
+
+    Example: trainlog fleet remove --vanished
+
+    Example: trainlog fleet remove "train = 'test'"
+    """
+    from trainlog.catalogue import open_catalogue
+
+    if where is None and not vanished:
+        raise InputError(
+            "nothing says which trips are to be removed", remedy="give an expression or --vanished"
+        )
+    with open_catalogue(catalogue, create=False) as opened:
+        removed = opened.remove(where, vanished=vanished)
+    if not state({"removed": removed}):
+        console.print(f"{counted(removed, 'trip')} removed", highlight=False)

@@ -1,4 +1,4 @@
-"""Commands that learn from logs: fit, estimate, coast-down."""
+"""Commands that learn from logs: fit, estimate."""
 
 from __future__ import annotations
 
@@ -24,61 +24,132 @@ from trainlog.formats.files import output_folder
 from trainlog.progress import track
 from trainlog.units import KMH
 
-app = typer.Typer()
-adhesion_app = typer.Typer(
-    no_args_is_help=True, help="Adhesion between wheel and rail over slip: characteristics."
-)
-app.add_typer(adhesion_app, name="adhesion", rich_help_panel="Learn")
 
-
-@app.command(rich_help_panel="Learn")
 def fit(
     logs: Annotated[
         list[Path],
         typer.Argument(
-            help="Logs (.mcap), folders of logs, and summaries of earlier fits (.parquet)."
+            help="Logs (.mcap), folders of logs, and summaries of earlier fits (.parquet). For"
+            " adhesion: a CSV of creepage or slip speed, adhesion and, if known, train speed; units"
+            " in the header."
         ),
         ChosenTrips,
         TakesSummaries,
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Observed parameter set (JSON).")],
-    cover: Annotated[
-        float,
-        typer.Option(help="Share of trips (%) whose times and energies the set is to bound."),
-    ] = 95.0,
-    configurations: Annotated[
-        int | None, typer.Option(min=1, help="At most so many configurations.")
-    ] = None,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Parameter set, or other result (JSON).")
+    ],
+    method: Annotated[
+        Literal["efforts", "coasting", "adhesion"],
+        typer.Option(
+            help="Running resistance from recorded efforts, or from where the train coasts; or the"
+            " adhesion characteristic."
+        ),
+    ] = "efforts",
     picture: Annotated[
         Path | None, typer.Option(help="Picture; default: beside the output, .png.")
+    ] = None,
+    cover: Annotated[
+        float | None,
+        typer.Option(
+            help="Of efforts: share of trips (%) whose times and energies the set is to bound;"
+            " default: 95."
+        ),
+    ] = None,
+    configurations: Annotated[
+        int | None, typer.Option(min=1, help="Of efforts: at most so many configurations.")
     ] = None,
     per_trip: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for a picture of each trip fitted: residuals, what was masked, and why one"
-            " was refused."
+            help="Folder for a picture of each trip fitted, of efforts: residuals, what was masked,"
+            " and why one was refused."
         ),
     ] = None,
+    line: Annotated[
+        Path | None, typer.Option(help="Of coasting: line file for logs that carry no line.")
+    ] = None,
+    gradient: Annotated[
+        Literal["line", "unknown"] | None,
+        typer.Option(
+            help="Of coasting: 'unknown' trusts no gradients; coasting is found from the lever"
+            " alone. Default: line."
+        ),
+    ] = None,
+    family: Annotated[
+        Literal["polach", "exponentials"] | None,
+        typer.Option(
+            help="Of adhesion: form of the curve; default: the one that explains the points better."
+        ),
+    ] = None,
+    speed: Annotated[
+        float | None,
+        typer.Option(help="Of adhesion: train speed in km/h, of points that do not state theirs."),
+    ] = None,
 ) -> None:
-    """Fit running resistance by recursive least squares, per trip and together.
+    """Fit running resistance to trips, or adhesion to measured points.
 
-    Writes the observed set of parameter configurations, with uncertainty, a picture, and the
-    summaries of all trips, which stand for their logs in a later fit. Trips that do not determine
-    the resistance are refused with the reason.
+    [bold]efforts[/bold]: recursive least squares, per trip and together. Writes the observed set of
+    parameter configurations, with uncertainty, a picture, and the summaries of all trips, which
+    stand for their logs in a later fit.
+
+    [bold]coasting[/bold]: needs no efforts. Finds the coasting by itself from speed, chainage and
+    the line's gradient, and gives the resistance over the train's inertia, with its band. With the
+    gradient unknown it gives what is left: mostly how resistance grows with speed.
+
+    [bold]adhesion[/bold]: maximum, optimal slip and slopes of an adhesion characteristic; trainlog
+    simulate drive --characteristic drives on it.
+
+    Trips and points that do not determine the result are refused with the reason.
 
     Example: trainlog fit results/trips -o results/parameters.json
+
+    Example: trainlog fit results/recorded --method coasting -o results/coast-down.json
+
+    Example: trainlog fit curve.csv --method adhesion -o wet.json
     """
+    destination(output, ".json")
+    shown = destination(picture or output.with_suffix(".png"), ".png")
+    own: dict[str, dict[str, object]] = {
+        "efforts": {"cover": cover, "configurations": configurations, "per-trip": per_trip},
+        "coasting": {"line": line, "gradient": gradient},
+        "adhesion": {"family": family, "speed": speed},
+    }
+    for of, options in own.items():
+        for name, value in options.items():
+            if of != method and value is not None:
+                raise InputError(
+                    f"--{name} is for --method {of}", remedy=f"leave out --{name}, or choose {of}"
+                )
+    if method == "efforts":
+        _fit_efforts(logs, output, shown, cover, configurations, per_trip)
+    elif method == "coasting":
+        _fit_coasting(logs, output, shown, line, gradient or "line")
+    else:
+        if len(logs) > 1:
+            raise InputError("several tables are given", remedy="fit them one by one")
+        _fit_adhesion(logs[0], output, shown, family, speed)
+
+
+def _fit_efforts(
+    logs: list[Path],
+    output: Path,
+    shown: Path,
+    cover: float | None,
+    configurations: int | None,
+    per_trip: Path | None,
+) -> None:
+    """Fit running resistance from recorded efforts, per trip and together."""
     from analysis.resistance.logs import AllRefusedError, fit as fit_trips
     from analysis.resistance.plot import draw_each, draw_each_refused, draw_fits
     from trainlog.formats.parameters import write_parameters
     from trainlog.formats.summaries import SUFFIX, write_summaries
 
-    destination(output, ".json")
-    shown = destination(picture or output.with_suffix(".png"), ".png")
     kept = destination(output.with_suffix(SUFFIX), SUFFIX)
-    if not 1.0 <= cover < 100.0:
+    share = 95.0 if cover is None else cover
+    if not 1.0 <= share < 100.0:
         raise InputError(
-            f"--cover {cover:g} must be at least 1 and below 100",
+            f"--cover {share:g} must be at least 1 and below 100",
             remedy="give a share in %, such as 95",
         )
     with nullcontext() if per_trip is None else output_folder(per_trip) as drawn:
@@ -86,7 +157,7 @@ def fit(
         paths = sorted(logs_in(logs), key=lambda path: path.suffix != SUFFIX)
         given = track(paths, "fitting", "log")
         try:
-            fits = fit_trips(given, cover=cover / 100.0, most=configurations)
+            fits = fit_trips(given, cover=share / 100.0, most=configurations)
         except AllRefusedError as error:
             if drawn is not None:
                 wrote(*draw_each_refused(error.refused, drawn))
@@ -100,7 +171,58 @@ def fit(
             wrote(*draw_each(fits, drawn))
 
 
-@app.command(rich_help_panel="Learn")
+def _fit_coasting(
+    logs: list[Path], output: Path, shown: Path, line: Path | None, gradient: str
+) -> None:
+    """Fit running resistance from where the train coasts."""
+    from analysis.resistance import coast_down as coasting, plot, unknown_gradient
+    from trainlog.formats.parameters import write_coast_down
+
+    every = track(logs_in(logs), "finding coasting", "log")
+    if gradient == "unknown":
+        result = unknown_gradient.coast_down_without_gradient(every, line)
+    else:
+        found = coasting.coast_down(every, line)
+        result = found.result
+    write_coast_down(result, output)
+    if gradient == "unknown":
+        plot.draw_without_gradient(result, shown)
+        show(result)
+    else:
+        plot.draw_coast_down(found, shown)
+        show(found)
+    wrote(output, shown)
+
+
+def _fit_adhesion(
+    curve: Path,
+    output: Path,
+    shown: Path,
+    family: Literal["polach", "exponentials"] | None,
+    speed: float | None,
+) -> None:
+    """Fit an adhesion characteristic to measured points."""
+    from analysis.adhesion.characteristic import (
+        MOST_SPEED,
+        characteristic_table,
+        fit_adhesion_characteristic,
+    )
+    from analysis.adhesion.plot import draw_characteristic
+    from trainlog.formats.characteristic import write_characteristic
+
+    if speed is not None and not 0.0 < speed < KMH * MOST_SPEED:
+        raise InputError(
+            f"--speed: {speed:g} km/h is not between 0 and {KMH * MOST_SPEED:g} km/h",
+            remedy="give the train's speed in km/h",
+        )
+    found = fit_adhesion_characteristic(curve, family, speed=None if speed is None else speed / KMH)
+    write_characteristic(found.characteristic, output, found.provenance())
+    draw_characteristic(found, shown)
+    if not state({"family": found.family, "fit": found.provenance()}):
+        console.print(characteristic_table(found))
+    wrote(output, shown)
+
+
 def estimate(
     logs: Logs,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the logs.")],
@@ -146,99 +268,3 @@ def estimate(
         console.print(f"{counted(write_slip_table(analysed, table), 'slip event')}")
         wrote(table)
     end_in_part(refused, len(found))
-
-
-@app.command("coast-down", rich_help_panel="Learn")
-def coast_down(
-    logs: Logs,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Result (JSON).")],
-    line: Annotated[
-        Path | None, typer.Option(help="Line file for logs that carry no line.")
-    ] = None,
-    gradient: Annotated[
-        Literal["line", "unknown"],
-        typer.Option(help="'unknown': trust no gradients; coasting is found from the lever alone."),
-    ] = "line",
-    picture: Annotated[
-        Path | None, typer.Option(help="Picture; default: beside the output, .png.")
-    ] = None,
-) -> None:
-    """Learn running resistance from where the train coasts; no efforts are needed.
-
-    Finds the coasting by itself from speed, chainage and the line's gradient, and gives the
-    resistance over the train's inertia, with its band. With the gradient unknown it gives what is
-    left: mostly how resistance grows with speed. Recordings that do not show it are refused with
-    the reason.
-
-    Example: trainlog coast-down results/recorded -o results/coast-down.json
-    """
-    from analysis.resistance import coast_down as coasting, plot, unknown_gradient
-    from trainlog.formats.parameters import write_coast_down
-
-    destination(output, ".json")
-    shown = destination(picture or output.with_suffix(".png"), ".png")
-    every = track(logs_in(logs), "finding coasting", "log")
-    if gradient == "unknown":
-        result = unknown_gradient.coast_down_without_gradient(every, line)
-    else:
-        found = coasting.coast_down(every, line)
-        result = found.result
-    write_coast_down(result, output)
-    if gradient == "unknown":
-        plot.draw_without_gradient(result, shown)
-        show(result)
-    else:
-        plot.draw_coast_down(found, shown)
-        show(found)
-    wrote(output, shown)
-
-
-@adhesion_app.command("fit")
-def adhesion_fit(
-    curve: Annotated[
-        Path,
-        typer.Argument(
-            help="CSV of creepage or slip speed, adhesion and, if known, train speed; units in the"
-            " header."
-        ),
-    ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Characteristic (JSON).")],
-    family: Annotated[
-        Literal["polach", "exponentials"] | None,
-        typer.Option(help="Form of the curve; default: the one that explains the points better."),
-    ] = None,
-    speed: Annotated[
-        float | None, typer.Option(help="Train speed in km/h, of points that do not state theirs.")
-    ] = None,
-    picture: Annotated[
-        Path | None, typer.Option(help="Picture; default: beside the output, .png.")
-    ] = None,
-) -> None:
-    """Fit an adhesion characteristic to measured points: maximum, optimal slip, slopes.
-
-    Points that do not show the maximum are refused with the reason. The result can be driven on:
-    trainlog simulate --characteristic.
-
-    Example: trainlog adhesion fit curve.csv -o wet.json
-    """
-    from analysis.adhesion.characteristic import (
-        MOST_SPEED,
-        characteristic_table,
-        fit_adhesion_characteristic,
-    )
-    from analysis.adhesion.plot import draw_characteristic
-    from trainlog.formats.characteristic import write_characteristic
-
-    destination(output, ".json")
-    shown = destination(picture or output.with_suffix(".png"), ".png")
-    if speed is not None and not 0.0 < speed < KMH * MOST_SPEED:
-        raise InputError(
-            f"--speed: {speed:g} km/h is not between 0 and {KMH * MOST_SPEED:g} km/h",
-            remedy="give the train's speed in km/h",
-        )
-    found = fit_adhesion_characteristic(curve, family, speed=None if speed is None else speed / KMH)
-    write_characteristic(found.characteristic, output, found.provenance())
-    draw_characteristic(found, shown)
-    if not state({"family": found.family, "fit": found.provenance()}):
-        console.print(characteristic_table(found))
-    wrote(output, shown)

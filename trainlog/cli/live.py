@@ -23,13 +23,10 @@ if TYPE_CHECKING:
     from trainlog.ingest.sources import Source
     from trainlog.mcap import Recording
 
-app = typer.Typer()
-
 PORT = "5005"
 """Where datagrams are expected by default."""
 
 
-@app.command(rich_help_panel="Record")
 def record(
     output: Annotated[Path, typer.Option("--output", "-o", help="Log to write; must not exist.")],
     origin: Annotated[

@@ -1,42 +1,489 @@
-"""The command that reads logs to the last byte: check."""
+"""Commands that look at trips: compare, replay, report."""
 
 from __future__ import annotations
 
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated
+
 import typer
 
-from trainlog.cli.commands import end_in_part
-from trainlog.cli.options import Logs, logs_in
-from trainlog.cli.terminal import print_account, print_error, state
-from trainlog.errors import LogError
+from trainlog.cli.options import (
+    AtOption,
+    ChosenTrips,
+    FromOption,
+    KilometreOption,
+    Logs,
+    ToOption,
+    destination,
+    logs_in,
+    moment,
+    part_of,
+)
+from trainlog.cli.terminal import console, print_error, state, working, wrote
+from trainlog.display import counted
+from trainlog.errors import InputError
 from trainlog.progress import track
 
-app = typer.Typer()
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from analysis.comparison.compare import Comparison
+    from trainlog.railway import ParameterSet, Train, Trajectory
+    from trainlog.replay import Replay
 
 
-@app.command(rich_help_panel="Look")
-def check(logs: Logs) -> None:
-    """Read logs to the last byte, verify every checksum, and account for what is lost.
+def compare(
+    logs: Logs,
+    reference: Annotated[
+        Path | None,
+        typer.Option(
+            help="Log or trajectory to compare with. Default: the fastest trip of each direction"
+            " that covers nearly all of the others' part of the line."
+        ),
+    ] = None,
+    followed: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--with",
+            help="Logs or folder of another group of trips, as of those driven by advice; several.",
+        ),
+    ] = None,
+    line: Annotated[
+        Path | None, typer.Option("--line", help="Line file. Default: the line in the logs.")
+    ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            help="Parameters file by whose running resistance energies are normalised. Default: the"
+            " train's file in the logs."
+        ),
+    ] = None,
+    time_of_day: Annotated[
+        bool, typer.Option("--time-of-day", help="Count a later departure as time lost.")
+    ] = False,
+    calculated: Annotated[
+        Path | None,
+        typer.Option(
+            help="Parameters or train file: compare each trip with what that predicts for it"
+            " instead."
+        ),
+    ] = None,
+    wind: Annotated[
+        float | None,
+        typer.Option(
+            help="Standard deviation in m/s of the head wind that calculated bands assume, as for a"
+            " known calm day. Default: 1 where the head wind is recorded, else 5."
+        ),
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Save a picture (.png), one a direction or a trip.")
+    ] = None,
+) -> None:
+    """Compare trips over a line by position: times, where time was lost and why, energy, driving.
 
-    MCAP files of other programs are checked alike. Exit status 1 if any log is damaged, which
-    [bold]trainlog recover[/bold] rebuilds, or any file is no log; 2 if none is.
+    Stopping or not, recorded or simulated, over any part of the line; directions are kept apart.
+    With --with, groups of trips instead: drivers' trips and trips that followed a trajectory,
+    configuration by configuration. With --calculated, each trip beside what a fit or a train's
+    file predicts for it: speed, time and energy with bands, and what of the model is wrong, by each
+    trip and by all together.
 
-    Example: trainlog check results/trips
+    Example: trainlog compare sample_logs --picture compared.png
     """
-    from trainlog.mcap import account_of
+    from analysis.comparison.compare import compare as compare_trips
+    from trainlog.formats.line import read_line
+    from trainlog.formats.parameters import read_parameters
 
-    found, damaged, accounts = logs_in(logs), 0, list[dict[str, object]]()
-    refused = 0
-    for log in track(found, "checking", "log"):
-        try:
-            account = account_of(log)
-        except LogError as error:  # one file that is no log says nothing of the others
-            print_error(str(error))
-            refused += 1
-            continue
-        accounts.append({"log": log, "whole": account.whole, **account.details()})
-        damaged += not account.whole
-        if not state({"logs": accounts}):
-            print_account(log, account)
-    end_in_part(refused, len(found))
-    if damaged:
+    if picture is not None:
+        destination(picture, ".png")
+    if followed:
+        _groups(logs, followed)
+        return
+    if calculated is not None:
+        _calculated(logs, calculated, wind, picture)
+        return
+    found = compare_trips(
+        logs_in(logs),
+        None if reference is None else _reference(reference),
+        line=None if line is None else read_line(line),
+        model=None if model is None else read_parameters(model),
+        by_time_of_day=time_of_day,
+    )
+    _show(found)
+    if picture is not None:
+        _draw(found, picture)
+
+
+def _reference(path: Path) -> Path | Trajectory:
+    """A log stays a path; anything else is read as a trajectory."""
+    from trainlog.formats.trajectory import read_trajectory
+
+    return path if path.suffix == ".mcap" or path.is_dir() else read_trajectory(path)
+
+
+def _show(found: Comparison) -> None:
+    from analysis.comparison.table import comparison_data, comparison_tables
+
+    if not state(comparison_data(found)):
+        for part in comparison_tables(found):
+            console.print(part, highlight=False)
+
+
+def _draw(found: Comparison, picture: Path) -> None:
+    from analysis.comparison.plot import comparison_figure
+    from analysis.plotting import write_figure
+
+    several = len(found.directions) > 1
+    for each in found.directions:
+        path = picture.with_stem(f"{picture.stem}-{each.direction}") if several else picture
+        with working(f"drawing {path.name}"):
+            write_figure(comparison_figure(each), path)
+        wrote(path)
+
+
+def _groups(logs: list[Path], followed: list[Path]) -> None:
+    from analysis.comparison.groups import compare_groups, savings_table
+
+    for each in followed:
+        if len(followed) > 1:
+            console.print(f"with {each}", highlight=False)
+        console.print(savings_table(compare_groups(logs_in(logs), logs_in([each]))))
+
+
+def _calculated(logs: list[Path], file: Path, wind: float | None, picture: Path | None) -> None:
+    from analysis.comparison.calculated import calculate, judged_together
+    from analysis.comparison.calculated_table import (
+        calculation_data,
+        calculation_figure,
+        calculation_tables,
+        diagnosis_data,
+        together_words,
+    )
+    from analysis.plotting import write_figure
+
+    model, trips = _model(file), list(logs_in(logs))
+    every, calculations = [], []
+    for log in track(trips, "calculating", "trip"):
+        found = calculate(log, model, wind_std=wind)
+        calculations.append(found)
+        every.append(calculation_data(found))
+        together = judged_together(calculations)
+        if not state({"trips": every, "together": diagnosis_data(together)}):
+            for part in calculation_tables(found):
+                console.print(part, highlight=False)
+        if picture is not None:
+            several = len(trips) > 1
+            path = picture.with_stem(f"{picture.stem}-{log.stem}") if several else picture
+            write_figure(calculation_figure(found), path)
+            wrote(path)
+    if len(calculations) > 1:
+        console.print(together_words(calculations, together), highlight=False)
+
+
+def _model(path: Path) -> ParameterSet | Train:
+    """A parameters file, or a train's file."""
+    from trainlog.formats.files import read_json, refuse_map
+    from trainlog.formats.parameters import read_parameters
+    from trainlog.formats.train import read_train
+
+    refuse_map(path, "the parameters that 'trainlog fit' wrote, or a train's file, are expected")
+    content = read_json(path) if path.suffix == ".json" else None
+    of_fit = isinstance(content, dict) and content.get("format") == "trainlog/parameters"
+    return read_parameters(path) if of_fit else read_train(path)
+
+
+PIECE = 200_000
+"""Rows that a replay holds at a time, over all topics."""
+
+
+def replay(
+    logs: Logs,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Save the recording (.rrd) instead of opening it."),
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Save a picture (.png) of a view; needs no display.")
+    ] = None,
+    view: Annotated[
+        str | None,
+        typer.Option(
+            help="View shown first: overview, driving, traction, identification, map, recorder."
+        ),
+    ] = None,
+    trajectory: Annotated[Path | None, typer.Option(help="Trajectory file to show.")] = None,
+    condition: Annotated[
+        Path | None, typer.Option("--map", help="Track-condition map to show.")
+    ] = None,
+    reference: Annotated[
+        Path | None,
+        typer.Option(
+            help="Trip (.mcap) or trajectory (.json) with which the trips are compared along the"
+            " line. Default: the trajectory, else the first trip."
+        ),
+    ] = None,
+    line: Annotated[
+        Path | None, typer.Option(help="Line file, for trips that carry no line.")
+    ] = None,
+    start: FromOption = None,
+    end: ToOption = None,
+    km: KilometreOption = None,
+    thin: Annotated[
+        bool | None,
+        typer.Option(
+            "--thin/--full",
+            help="Only the overview, its samples thinned, or all. Default: thinned if there are"
+            " more than 16 trips and no part of them is asked for.",
+        ),
+    ] = None,
+    tiles: Annotated[
+        bool, typer.Option("--tiles", help="Map tiles, which the viewer asks the network for.")
+    ] = False,
+    web: Annotated[bool, typer.Option("--web", help="Open it in the browser.")] = False,
+    viewer: Annotated[
+        bool | None,
+        typer.Option(
+            "--viewer/--no-viewer",
+            help="Open the viewer. Default: unless it is saved or a picture is taken.",
+        ),
+    ] = None,
+) -> None:
+    """Show trips in the Rerun viewer, by time and by position; or a part of them.
+
+    The viewer runs until it is closed, or Ctrl-C ends it; it listens on this machine alone and
+    asks for nothing on the network.
+
+    Example: trainlog replay results/trips/trip-01.mcap
+    """
+    from trainlog.formats.condition import read_map
+    from trainlog.formats.line import read_line
+    from trainlog.formats.trajectory import read_trajectory
+    from trainlog.mcap import read_log
+    from trainlog.replay import ReplayOptions, run_viewer, take_picture, write_replay
+    from trainlog.replay.layout import check_view
+    from trainlog.replay.viewer import check_display, interruptible
+
+    opened = web or (viewer if viewer is not None else output is None and picture is None)
+    if view is not None:
+        check_view(view)
+    if picture is not None:
+        destination(picture, ".png")
+        if tiles:
+            raise InputError(
+                "a picture is taken without the network, hence without map tiles",
+                remedy="leave out --tiles, or --picture",
+            )
+    found = logs_in(logs)
+    if opened and not web:
+        for log in found:
+            read_log(log, topics=[])  # what is no log is refused before the lack of a display
+        check_display()
+    if reference is not None and reference.suffix == ".json":
+        if trajectory is not None and trajectory != reference:
+            raise InputError(
+                "two trajectories are given", remedy="leave out --reference or --trajectory"
+            )
+        trajectory, reference = reference, None
+    whole = (start, end, km) == (None, None, None)
+    options = ReplayOptions(
+        view=view,
+        reference=None if reference is None else _number_of(reference, found),
+        thinned=thin if whole or thin is not None else False,
+        tiles=tiles,
+        line=None if line is None else read_line(line),
+    )
+    part = partial(part_of, start=start, end=end, km=km, rows=PIECE, line=options.line)
+    sources = [partial(part, log) for log in found]
+    with interruptible(), TemporaryDirectory(prefix="trainlog-") as folder:
+        recording = Path(folder) / "replay.rrd" if output is None else output
+        made = write_replay(
+            sources,
+            recording,
+            trajectory=None if trajectory is None else read_trajectory(trajectory),
+            condition_map=None if condition is None else read_map(condition),
+            options=options,
+        )
+        _state_replay(made)
+        if output is not None:
+            wrote(output)
+        if picture is not None:
+            with working(f"taking {picture.name}"):
+                take_picture(recording, picture)
+            wrote(picture)
+        if opened:
+            run_viewer(
+                recording,
+                web=web,
+                tiles=tiles,
+                state=partial(console.print, highlight=False, soft_wrap=True),
+            )
+
+
+def _number_of(reference: Path, logs: list[Path]) -> int:
+    """Which of the logs the reference is; it is added to them if it is none yet."""
+    for number, log in enumerate(logs):
+        if log.resolve() == reference.resolve():
+            return number
+    (log,) = logs_in([reference])
+    logs.append(log)
+    return len(logs) - 1
+
+
+def _state_replay(made: Replay) -> None:
+    """State with what trips are compared, and whether samples were left out."""
+    if state(asdict(made)):
+        return
+    say = partial(console.print, highlight=False, soft_wrap=True)
+    if made.references:
+        say(f"compared along the line with {', '.join(made.references)}")
+    if made.thinned:
+        say(
+            f"{counted(len(made.trips), 'trip')}, thinned: of each 10 m or 0.4 s the lowest and the"
+            " highest speed; every sample with --km, --from, --to, --full, or fewer trips"
+        )
+
+
+def report(
+    results: Annotated[
+        str,
+        typer.Argument(
+            help="A log (.mcap), parameter set, map (.map), trajectory or coast-down, the folder of"
+            " a study, a folder of results, as the demo leaves it, or the catalogue of a fleet (its"
+            " folder or URL)."
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="The page (.html); without it a folder is summed up."),
+    ] = None,
+    line: Annotated[
+        Path | None,
+        typer.Option(
+            "--line", help="Line file of a map or trajectory whose line is not among the samples."
+        ),
+    ] = None,
+    logs: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--logs", help="Logs that a fit was made of, or their folder: shows the residuals."
+        ),
+        ChosenTrips,
+    ] = None,
+    zone: Annotated[
+        str, typer.Option(help="Zone of the timetable, in which times are stated: Europe/Zurich.")
+    ] = "UTC",
+    where: Annotated[
+        str | None,
+        typer.Option(
+            "--where",
+            metavar="EXPRESSION",
+            help="Of a fleet: only trips that this chooses: \"line = 'X' and weather = 'wet'\".",
+        ),
+    ] = None,
+    network: Annotated[
+        Path | None,
+        typer.Option(
+            "--network",
+            help="Of a fleet: network file (.network.json) on which the rail's condition is drawn.",
+        ),
+    ] = None,
+    maps: Annotated[
+        Path | None,
+        typer.Option(
+            "--maps", help="Of a fleet: folder of the maps of edges; default: the catalogue's."
+        ),
+    ] = None,
+    at: AtOption = None,
+) -> None:
+    """Write a report as one HTML page that needs no network: to send, to read, to print.
+
+    Tables, pictures and charts of a result with what it was made of; light or dark as the reader's
+    screen, printed on A4. Of a folder everything that is in it; a file that cannot be read is
+    listed there, and the exit status is 1. Without -o the summary of a folder is printed: fit, map,
+    trajectory, energy; simulated trips against the truth.
+
+    Of a fleet, from the results of 'trainlog fleet update': what the catalogue holds by line, train
+    and month; running resistance of every train against its kind; trains that are not like the
+    others, with the rate of false alarms; drift; the condition of the rail on the network with its
+    forecast; energy by train and edge; what was refused or failed and why; and the quality of the
+    recordings.
+
+    Example: trainlog report results/trips/trip-01.mcap -o trip-01.html
+
+    Example: trainlog report results
+
+    Example: trainlog report catalogue --network results/fleet/network.network.json -o fleet.html
+    """
+    of_fleet = {"--where": where, "--network": network, "--maps": maps, "--at": at}
+    if "://" in results or (Path(results) / "catalogue.sqlite").is_file():
+        if output is None:
+            raise InputError(
+                "is the catalogue of a fleet, whose report is a page",
+                file=results,
+                remedy="name it: -o fleet.html; 'trainlog fleet show' states what it holds",
+            )
+        _fleet_report(results, output, where, network, maps, moment(at, zone))
+        return
+    for option, given in of_fleet.items():
+        if given is not None:
+            raise InputError(
+                f"{option} is for the catalogue of a fleet", remedy=f"leave out {option}"
+            )
+    _report(Path(results), output, line, logs or [], zone)
+
+
+def _report(
+    results: Path, output: Path | None, line: Path | None, logs: list[Path], zone: str
+) -> None:
+    """Write the report on a result, or print the summary of a folder."""
+    if output is None:
+        from analysis.reports.summary import report as summed_up, report_table
+
+        if results.is_file():
+            raise InputError(
+                "is a file; without -o a folder is summed up",
+                file=results,
+                remedy="name the page: -o report.html",
+            )
+        found = summed_up(results)
+        if not state(found.details()):
+            console.print(report_table(found))
+        return
+    destination(output, ".html")
+
+    from analysis.reports.build import ReportOptions, write_report
+    from analysis.reports.trip import known_zone
+
+    known = known_zone(zone)
+    with working(f"report on {results.name}"):
+        page = write_report(results, output, ReportOptions(line, tuple(logs), known))
+    titles = [each.title for each in page.sections]
+    state({"title": page.title, "sections": titles, "problems": page.problems})
+    wrote(output)
+    for words in page.problems:
+        print_error(f"not shown: {words}")
+    if page.problems:
         raise typer.Exit(1)
+
+
+def _fleet_report(
+    catalogue: str,
+    output: Path,
+    where: str | None,
+    network: Path | None,
+    maps: Path | None,
+    at: pd.Timestamp | None,
+) -> None:
+    """Write the report on a fleet."""
+    from analysis.reports.fleet import FleetReportOptions, write_fleet_report
+    from trainlog.catalogue import open_catalogue
+    from trainlog.formats.network import read_network
+
+    known = None if network is None else read_network(network)
+    options = FleetReportOptions(where, known, maps, at)
+    destination(output, ".html")
+    with open_catalogue(catalogue, create=False) as opened, working("report on the fleet"):
+        write_fleet_report(opened, output, options)
+    wrote(output)

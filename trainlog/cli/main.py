@@ -15,37 +15,12 @@ import typer
 from typer.exceptions import TyperException
 
 from trainlog import __version__
-from trainlog.cli import (
-    catalogue,
-    compare,
-    convert,
-    docs,
-    fleet,
-    fleet_demo,
-    fleet_diff,
-    fleet_report,
-    fleet_trains,
-    learn,
-    live,
-    look,
-    map,
-    map_forecast,
-    map_views,
-    network,
-    plan,
-    record,
-    replay,
-    report,
-    settings,
-    show,
-    study,
-)
-from trainlog.cli.commands import INTERRUPTED, Group, prepared
-from trainlog.cli.terminal import console, print_error, print_problems, print_warning, wrote
+from trainlog.cli.commands import INTERRUPTED, Words, prepared
+from trainlog.cli.terminal import console, print_error, print_problems, print_warning
 from trainlog.errors import TrainlogError
 
 app = typer.Typer(
-    cls=Group,
+    cls=Words,
     no_args_is_help=True,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
@@ -69,69 +44,8 @@ def _main(
 
     A first look: [bold]trainlog demo[/bold] runs the whole chain. Then, with your own logs:
     [bold]ingest[/bold] them, [bold]fit[/bold] the running resistance, [bold]map update[/bold] the
-    track condition, [bold]optimise[/bold] the trajectory, [bold]replay[/bold] everything.
+    track condition, [bold]plan[/bold] the trajectory, [bold]replay[/bold] everything.
     """
-
-
-for _panel in (
-    record,
-    network,
-    live,
-    convert,
-    catalogue,
-    show,
-    look,
-    replay,
-    compare,
-    report,
-    learn,
-    map,
-    map_views,
-    map_forecast,
-    fleet,
-    fleet_demo,
-    fleet_diff,
-    fleet_report,
-    fleet_trains,
-    plan,
-    study,
-    docs,
-    settings,
-):
-    app.add_typer(_panel.app)
-
-
-@app.command(rich_help_panel="Start here")
-def demo(
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", "-o", help="Folder for the results; default: as set, else results."
-        ),
-    ] = None,
-) -> None:
-    """Run the whole chain on St.Gallen-Wil: record, fit, map, optimise, replay.
-
-    Example: trainlog demo -o results
-    """
-    from trainlog.cli.demo import run_demo
-    from trainlog.formats.settings import read_settings
-
-    folder = output or Path(read_settings().results).expanduser()
-    run_demo(folder, console, run=lambda arguments: run(arguments))
-
-
-@app.command(rich_help_panel="Start here")
-def samples(
-    output: Annotated[Path, typer.Argument(help="Folder to copy them to.")] = Path("sample_logs"),
-) -> None:
-    """Copy the sample logs, line, train and map that come with trainlog.
-
-    Example: trainlog samples sample_logs
-    """
-    from trainlog.formats.samples import copy_samples
-
-    wrote(*copy_samples(output))
 
 
 # --------------------------------------------------------------------------------- entry point

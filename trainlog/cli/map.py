@@ -1,26 +1,50 @@
-"""Commands of the track-condition map."""
+"""Commands of the track-condition map: update, show, diff, forecast, score, export, merge ..."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from trainlog.cli.options import Logs, MapArgument, destination, logs_in
+from trainlog.cli.options import (
+    AtOption,
+    ChosenTrips,
+    LayersOption,
+    Logs,
+    MapArgument,
+    MapOrFolder,
+    ZoneOption,
+    destination,
+    logs_in,
+    moment,
+    zone_assumed,
+)
 from trainlog.cli.terminal import console, current, print_error, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
-from trainlog.progress import task
+from trainlog.progress import task, track as tracked
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from analysis.adhesion.updating import LogOutcome, MapUpdate
+    import pandas as pd
 
-app = typer.Typer()
+    from analysis.adhesion.updating import LogOutcome, MapUpdate
+    from analysis.verification.scoring import Score
+    from trainlog.railway import Line, TrackConditionMap
+
 map_app = typer.Typer(no_args_is_help=True, help="The track-condition map: maximum adhesion.")
-app.add_typer(map_app, name="map", rich_help_panel="Learn")
+
+CourseOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--line",
+        help="Line file, or a log that carries it: stations, the operator's kilometres,"
+        " coordinates. Default: a sample line of the map's name, or that of its logs.",
+    ),
+]
 
 
 @map_app.command("update")
@@ -116,6 +140,465 @@ def map_update(
         raise typer.Exit(2)
     if result.refused or result.elsewhere:
         raise typer.Exit(1)
+
+
+@map_app.command("show")
+def map_show(
+    condition: MapOrFolder,
+    at: AtOption = None,
+    zone: ZoneOption = None,
+    layer: LayersOption = None,
+    picture: Annotated[Path | None, typer.Option(help="Draw the map here as well.")] = None,
+    km: Annotated[
+        str | None,
+        typer.Option(
+            "--km",
+            help="The operator's kilometres that the picture shows, 8:12; or one place, 12.3, of"
+            " which the evidence over time is shown, and the estimate of each day.",
+        ),
+    ] = None,
+    line: CourseOption = None,
+    model: Annotated[
+        bool, typer.Option("--model", help="List the numbers of the model as well.")
+    ] = False,
+    days: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="With one place: make the estimate as it was known then for so many days at most,"
+            " chosen evenly; each takes as long as that of an update. Default: 12.",
+        ),
+    ] = None,
+) -> None:
+    """Show what a track-condition map knows, and where it knows nothing.
+
+    Lasting beside expected maximum adhesion at the lowest places, passing spots with the
+    probability that they still lie there, and changes of the lasting condition with their dates;
+    with --model the numbers of the model with their uncertainty. Of a past --at the map is shown
+    as it was known then: made of the evidence of the days before alone. Of a network's folder
+    of maps a row an edge and rail condition, and the network drawn by expected adhesion. Of one
+    place the evidence is shown over time; where more than --days days have evidence nearby, it
+    states for how many of them the estimate was made. The pictures of several layers have their
+    names added.
+
+    Example: trainlog map show results/wil.map --at 2026-11-22T06:00+01:00 --picture map.png
+
+    Example: trainlog map show results/wil.map --km 12.3 --layer wet --picture place.png
+    """
+    if picture is not None:
+        destination(picture, ".png")
+    if km is not None and ":" not in km:
+        if at is not None or zone is not None or model:
+            raise InputError(
+                "--at, --zone and --model are for the whole map",
+                remedy="leave them out, or give a part of the line: --km 8:12",
+            )
+        _show_place(condition, km, layer, line, days, picture)
+        return
+    if days is not None:
+        raise InputError("--days is for one place", remedy="give it, as --km 12.3")
+    when, ends = moment(at, zone), _kilometres(km)
+    if ends is not None and picture is None:
+        raise InputError("--km chooses what a picture shows", remedy="name it with --picture")
+
+    if condition.is_dir():
+        if ends is not None or line is not None or model:
+            raise InputError(
+                "--km, --line and --model are for the map of one line",
+                remedy="leave them out, or name the map of an edge",
+            )
+        _show_network(condition, when, layer, picture)
+        return
+
+    from analysis.adhesion.map_state import map_state, state_table
+    from trainlog.formats.condition import read_map
+    from trainlog.railway.kilometres import position_of
+
+    track = read_map(condition)
+    known = course(track, line, condition)
+    shown = map_state(track, when, line=known, layers=layer)
+    assumed = zone_assumed(at, zone)
+    shown = replace(shown, notes=(*shown.notes, assumed)) if assumed else shown
+    if picture is not None:
+        from analysis.adhesion.map_plot import draw_map
+
+        positions = [position_of(known, each) for each in ends or ()]
+        part = (positions[0], positions[1]) if positions else None
+        draw_map(shown.track, picture, line=known, at=when, part=part)
+    if not state(shown.as_json()):
+        console.print(state_table(shown, model=model))
+    if picture is not None:
+        wrote(picture)
+
+
+def _show_place(
+    condition: Path,
+    km: str,
+    layers: list[str] | None,
+    line: Path | None,
+    days: int | None,
+    picture: Path | None,
+) -> None:
+    """Show what a map knows of one place over time: its evidence, and the estimate of each day."""
+    from analysis.adhesion.map_history import MOST_DAYS, history_table, map_history
+    from analysis.adhesion.map_plot import draw_history
+    from trainlog.formats.condition import read_map
+    from trainlog.railway.kilometres import position_of
+
+    try:
+        place = float(km)
+    except ValueError:
+        raise InputError(
+            f"--km '{km}' is not a kilometre", remedy="write 12.3, or a part of the line: 8:12"
+        ) from None
+    track = read_map(condition)
+    known = course(track, line, condition)
+    position = position_of(known, place)
+    names = list(track.layers) if layers is None else layers
+    most = MOST_DAYS if days is None else days
+    found = [map_history(track, position, name, line=known, days=most) for name in names]
+    written = []
+    if picture is not None:
+        for each in found:
+            several = picture.with_stem(f"{picture.stem}-{each.layer}")
+            written.append(several if len(found) > 1 else picture)
+            draw_history(each, written[-1])
+    if not state({"layers": [each.as_json() for each in found]}):
+        for each in found:
+            console.print(history_table(each))
+    wrote(*written)
+
+
+def _show_network(
+    folder: Path, when: pd.Timestamp | None, layers: list[str] | None, picture: Path | None
+) -> None:
+    """Show the maps of a network's folder."""
+    from analysis.network.map_table import draw_network_map, network_rows, network_table
+    from analysis.network.maps import network_map
+
+    maps = network_map(folder)
+    shown = maps if when is None else maps.known_before(when)
+    rows = network_rows(shown, when, layers)
+    if picture is not None:
+        draw_network_map(shown, picture, time=when, layer=None if not layers else layers[0])
+    if not state({"folder": str(folder), "edges": rows}):
+        console.print(network_table(shown, rows))
+    if picture is not None:
+        wrote(picture)
+
+
+def _kilometres(given: str | None) -> tuple[float, float] | None:
+    """Two kilometres as given by ``--km 8:12``."""
+    if given is None:
+        return None
+    try:
+        start, end = (float(each) for each in given.split(":"))
+    except ValueError:
+        start = end = 0.0
+    if not abs(end - start) > 0.0:
+        raise InputError(f"'{given}' is not a part of a line", remedy="write it as --km 8:12")
+    return start, end
+
+
+@map_app.command("diff")
+def map_diff(
+    maps: Annotated[list[Path], typer.Argument(help="Two map files, or one with --from.")],
+    start: Annotated[
+        str | None, typer.Option("--from", help="Day up to which the first evidence counts.")
+    ] = None,
+    end: Annotated[
+        str | None, typer.Option("--to", help="Day up to which the second counts; default: all.")
+    ] = None,
+    layer: LayersOption = None,
+    line: CourseOption = None,
+    rate: Annotated[
+        float, typer.Option(help="Share of the bins called changed that may be so by chance.")
+    ] = 0.05,
+    least: Annotated[
+        float, typer.Option(help="Difference of adhesion whose probability is stated.")
+    ] = 0.01,
+    picture: Annotated[Path | None, typer.Option(help="Draw the difference here as well.")] = None,
+) -> None:
+    """Show what changed between two dates of a map, or between two maps, with significance.
+
+    What only the second one counts is compared with the first, bin by bin. Exit status 0: nothing
+    changed significantly; 1: something did; 2: the comparison could not be made.
+
+    Example: trainlog map diff results/wil.map --from 2026-10-31 --picture diff.png
+    """
+    if picture is not None:
+        destination(picture, ".png")
+    if len(maps) > 2:
+        raise InputError(f"{len(maps)} maps are given", remedy="give two, or one with --from")
+    since, until = _day(start), _day(end)
+
+    from analysis.adhesion.map_difference import difference_table, map_difference
+    from analysis.adhesion.map_plot import draw_difference
+    from trainlog.formats.condition import read_map
+
+    first, *second = [read_map(each) for each in maps]
+    known = course(first, line, maps[0])
+    found = map_difference(
+        first,
+        second[0] if second else None,
+        since=since,
+        until=until,
+        line=known,
+        layers=layer,
+        rate=rate,
+        least=least,
+    )
+    if picture is not None:
+        draw_difference(found, picture, line=known)
+    if not state(found.as_json()):
+        console.print(difference_table(found))
+    if picture is not None:
+        wrote(picture)
+    if found.changed:
+        raise typer.Exit(1)
+
+
+def _day(given: str | None) -> int | None:
+    """A day as given, counted from 1970-01-01 in UTC."""
+    from trainlog.railway.evidence import day_of
+    from trainlog.spans import utc
+
+    return None if given is None else day_of(utc(given))
+
+
+@map_app.command("export")
+def map_export(
+    condition: MapArgument,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", help=".geojson, .gpkg, .parquet, .csv, or .json in TTOBench's layout."
+        ),
+    ],
+    line: CourseOption = None,
+    layer: LayersOption = None,
+    at: AtOption = None,
+    zone: ZoneOption = None,
+) -> None:
+    """Write a track-condition map for other programs, by the suffix of the file.
+
+    GeoJSON and GeoPackage (extra gis) have the bins as lines on the earth, with spots, changes and
+    stations; Parquet and CSV have the bins by chainage; JSON has the sections of one layer as
+    TTOBench lays out a track. What was not observed is empty. Of a past --at the map is written as
+    it was known then: made of the evidence of the days before alone.
+
+    Example: trainlog map export results/wil.map -o results/map.geojson
+    """
+    when = moment(at, zone)
+
+    from analysis.adhesion.export import export_map, exported_suffix
+    from trainlog.condition import left_out
+    from trainlog.formats.condition import read_map
+
+    exported_suffix(output)
+    track = read_map(condition)
+    export_map(track, output, line=course(track, line, condition), at=when, layers=layer)
+    chosen = replace(track, layers={name: track.layer(name) for name in layer or track.layers})
+    for words in filter(None, [left_out(chosen, when), zone_assumed(at, zone)]):
+        console.print(f"  {words}", highlight=False, soft_wrap=True)
+    wrote(output)
+
+
+def course(track: TrackConditionMap, given: Path | None, condition: Path) -> Line | None:
+    """The line of a map, see `analysis.adhesion.map_state.line_of_map`."""
+    from analysis.adhesion.map_state import line_of_map
+
+    return line_of_map(track, given, condition)
+
+
+@map_app.command("forecast")
+def map_forecast(
+    condition: MapOrFolder,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Forecast (CSV); of a network a folder of them.")
+    ],
+    at: AtOption = None,
+    zone: ZoneOption = None,
+    hours: Annotated[float, typer.Option(help="For how long it is said to hold.")] = 24.0,
+    layer: Annotated[
+        str | None, typer.Option(help="Rail condition; default: every one of the map.")
+    ] = None,
+) -> None:
+    """Write what a map expects at a time as a forecast, in the form in which forecasts are scored.
+
+    Only evidence of days before --at (UTC) is used. Where the map was not observed the forecast
+    states nothing. Without --at it holds from the day after the last evidence.
+
+    Example: trainlog map forecast results/wil.map --at 2026-11-22T06:00Z -o results/forecast.csv
+    """
+    from analysis.verification.forecasts import first_free, forecast_of
+    from trainlog.condition import left_out
+    from trainlog.formats.condition import read_map
+    from trainlog.formats.forecast import write_forecast
+
+    if condition.is_dir():
+        _forecast_network(condition, output, moment(at, zone), hours, layer)
+        return
+    track = read_map(condition)
+    destination(output, ".csv")
+    time = moment(at, zone) or first_free(track)
+    forecast = forecast_of(track, time, layer=layer, hours=hours)
+    write_forecast(forecast, output)
+    later = left_out(track, time)
+    content = {
+        "forecast": str(output),
+        "line": forecast.line,
+        "from": time.isoformat(),
+        "hours": hours,
+        "layers": sorted(set(forecast.layer)),
+    }
+    state(content)
+    if later:
+        console.print(f"  forecast {later}", highlight=False, soft_wrap=True)
+    wrote(output)
+
+
+def _forecast_network(
+    folder: Path, output: Path, time: pd.Timestamp | None, hours: float, layer: str | None
+) -> None:
+    """Write a forecast for each edge of a network's folder of maps."""
+    from analysis.network.maps import forecasts_of_network, network_map
+    from trainlog.formats.files import output_folder
+    from trainlog.formats.forecast import write_forecast
+
+    when, found = forecasts_of_network(network_map(folder), time, layer, hours)
+    with output_folder(output) as place:
+        for path, forecast in found.items():
+            write_forecast(forecast, place / path)
+    state({"forecasts": str(output), "edges": len(found), "from": when.isoformat()})
+    wrote(output)
+
+
+@map_app.command("score")
+def map_score(
+    forecast: Annotated[
+        Path,
+        typer.Argument(help="Map file, a network's folder of maps, or a forecast (.csv)."),
+    ],
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Logs (.mcap) of later trips, or folders of logs."),
+        ChosenTrips,
+    ] = None,
+    rolling: Annotated[
+        bool,
+        typer.Option("--rolling", help="Forecast each of the map's days from the days before."),
+    ] = False,
+    layer: Annotated[
+        str | None,
+        typer.Option(help="Rail condition to score; default: what each log states, or all."),
+    ] = None,
+    weather: Annotated[
+        Path | None,
+        typer.Option(help="Weather (CSV): the rail condition of logs that state none."),
+    ] = None,
+    picture: Annotated[Path | None, typer.Option(help="Draw the scores here.")] = None,
+) -> None:
+    """Score a map's forecast, or anyone's, on trips that it does not know.
+
+    Log score of measured and of used adhesion with the gain over the prior, over persistence and
+    over the place alone, reliability, Brier score of slip, slips foreseen against false alarms,
+    coverage; bands by a bootstrap over days. Of a network, all edges together, and each. Where the
+    forecast is unknown it is counted as unknown. What each figure means:
+    docs/adhesion-forecast-verification.md. Exit status 1 if a log could not be used.
+
+    Example: trainlog map score results/wil.map results/later-trips --picture results/score.png
+    """
+    from analysis.network.map_scores import edges_table
+    from analysis.verification.plot import draw_score
+    from analysis.verification.scoring import by_reason
+    from analysis.verification.table import score_table
+
+    if picture is not None:
+        destination(picture, ".png")
+    scored = _scored_network if forecast.is_dir() else _scored
+    found = scored(forecast, logs or [], rolling, layer, weather)
+    for words in found.refused:
+        print_error(words)
+    if picture is not None:
+        draw_score(found, picture)
+    if not state(found.details()):
+        for words in by_reason(found.left_out):
+            console.print(f"  {words}", highlight=False, soft_wrap=True)
+        console.print(score_table(found))
+        if found.edges:
+            console.print(edges_table(found.edges))
+    if picture is not None:
+        wrote(picture)
+    if found.refused:
+        raise typer.Exit(1)
+
+
+def _scored_network(
+    folder: Path, logs: list[Path], rolling: bool, layer: str | None, weather: Path | None
+) -> Score:
+    from analysis.network.map_scores import score_network, score_network_on
+    from analysis.network.maps import network_map
+    from trainlog.formats.weather import read_weather
+
+    _check_scored(logs, rolling, weather)
+    maps = network_map(folder)
+    if logs:
+        sky = None if weather is None else read_weather(weather)
+        return score_network_on(maps, tracked(logs_in(logs), "scoring", "log"), layer, sky)[0]
+    with task("forecasting edge by edge", unit="edge") as step:
+        chosen = None if layer is None else [layer]
+        return score_network(maps, chosen, lambda done, edges: step(done, edges))[0]
+
+
+def _check_scored(
+    logs: list[Path], rolling: bool, weather: Path | None, *, foreign: bool = False
+) -> None:
+    """Refuse what contradicts itself: a map is scored on its own days, or on logs."""
+    if rolling and weather is not None:
+        raise InputError(
+            "--weather gives the rail condition of logs, of which --rolling takes none",
+            remedy="leave out --weather",
+        )
+    if rolling and (logs or foreign):
+        raise InputError(
+            "--rolling scores a map on its own days",
+            remedy="leave out " + ("the logs" if logs else "--rolling, and give logs"),
+        )
+    if not rolling and not logs:
+        raise InputError(
+            "there is nothing to compare the forecast with",
+            remedy="give logs of trips" + ("" if foreign else ", or --rolling"),
+        )
+
+
+def _scored(
+    forecast: Path, logs: list[Path], rolling: bool, layer: str | None, weather: Path | None
+) -> Score:
+    from analysis.verification.scoring import line_of_logs, score_forecast, score_map, score_rolling
+    from trainlog.formats.condition import read_map
+    from trainlog.formats.forecast import read_forecast
+    from trainlog.formats.weather import read_weather
+
+    foreign = forecast.suffix.lower() == ".csv"
+    _check_scored(logs, rolling, weather, foreign=foreign)
+    if rolling:
+        own = read_map(forecast)
+        with task("forecasting day by day", unit="day") as step:
+            return score_rolling(
+                own,
+                None if layer is None else [layer],
+                lambda day, days: step(day - 1, days),
+            )
+    sky = None if weather is None else read_weather(weather)
+    paths = logs_in(logs)
+    stated = read_forecast(forecast, *line_of_logs(paths)) if foreign else None
+    own_map = None if foreign else read_map(forecast)
+    every = tracked(paths, "scoring", "log")
+    if stated is not None:
+        return score_forecast(stated, every, layer, sky)
+    assert own_map is not None
+    return score_map(own_map, every, layer, sky)
 
 
 @map_app.command("remove")

@@ -402,7 +402,7 @@ def line_and_train(line: Path | None, train: Path | None) -> tuple[Line, Train]:
     samples = " ".join(f"--{name} sample" for name in missing)
     raise InputError(
         f"no {' and no '.join(missing)} {'is' if len(missing) == 1 else 'are'} given",
-        remedy=f"give {files}; for a trial {samples}; 'trainlog settings set' sets what is taken"
+        remedy=f"give {files}; for a trial {samples}; 'trainlog settings' sets what is taken"
         " by default",
     )
 

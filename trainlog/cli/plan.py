@@ -1,4 +1,4 @@
-"""Commands that plan: optimise."""
+"""Commands that plan: plan, advice."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from trainlog.cli.options import (
     map_of_run,
     stretch,
 )
-from trainlog.cli.terminal import console, current, working, wrote
+from trainlog.cli.terminal import console, current, state, working, wrote
 from trainlog.errors import InputError
 from trainlog.units import KMH
 
@@ -28,11 +28,8 @@ if TYPE_CHECKING:
     from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
     from trainlog.railway import ParameterSet, Train, Trajectory
 
-app = typer.Typer()
 
-
-@app.command(rich_help_panel="Plan")
-def optimise(
+def plan(
     output: Annotated[Path, typer.Option("--output", "-o", help="Trajectory file (JSON).")],
     parameters: Annotated[
         Path | None,
@@ -154,9 +151,9 @@ def optimise(
     The answer carries its certificate: an independent fine rollout of every configuration and a
     lower bound on the energy. Beside it stand a picture, and the driver's advice as CSV.
 
-    Example: trainlog optimise fitted.json --line sample --train sample -o trajectory.json
+    Example: trainlog plan fitted.json --line sample --train sample -o trajectory.json
 
-    Example: trainlog optimise --train my.train.toml --line A-B.line.json -o trajectory.json
+    Example: trainlog plan --train my.train.toml --line A-B.line.json -o trajectory.json
     """
     from analysis.comparison.groups import fastest_nonstop
     from analysis.trajectory.optimiser import optimise as solve
@@ -308,7 +305,7 @@ def _journey(
         _write(section, problem, file)
     console.print(journey_table(plan, problem.line))
     names = " ".join(map(str, files))
-    words = f"Advice for all of it: trainlog driver-advice {names} --departure 07:12 -o advice.html"
+    words = f"Advice for all of it: trainlog advice {names} --departure 07:12 -o advice.html"
     console.print(words, highlight=False, soft_wrap=True)
 
 
@@ -325,18 +322,80 @@ def _front(problem: TrajectoryProblem, options: OptimiserOptions, output: Path) 
     wrote(picture)
 
 
-@app.command(rich_help_panel="Plan")
-def advise(
-    log: Annotated[Path, typer.Argument(help="Log (.mcap) of a trip over the same section.")],
-    trajectory: Annotated[Path, typer.Option(help="Trajectory file.")],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="The log with the advice (.mcap).")
+def advice(
+    trajectories: Annotated[
+        list[Path],
+        typer.Argument(help="Trajectory file, or those of a journey's sections."),
     ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            help="The page (.html), beside which the CSV is written; with --onto the log (.mcap).",
+        ),
+    ],
+    departure: Annotated[
+        str | None,
+        typer.Option(
+            help="Time of day of the first departure, 07:12; default: times since departure."
+        ),
+    ] = None,
+    line: Annotated[
+        Path | None,
+        typer.Option("--line", help="Line file, where the line is not among the samples."),
+    ] = None,
+    dwell: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0, help="Standing time at stops (s), of sections planned one by one; default: 0."
+        ),
+    ] = None,
+    onto: Annotated[
+        Path | None,
+        typer.Option(
+            help="Log (.mcap) of a trip over the same section: it is written anew with the advice"
+            " beside what was driven, so that a replay shows both."
+        ),
+    ] = None,
 ) -> None:
-    """Lay a trajectory's advice beside a recorded trip, so that a replay shows both.
+    """Write the driver's advice for a whole journey, or add it to a recorded trip.
 
-    Example: trainlog advise trip.mcap --trajectory results/trajectory.json -o advised.mcap
+    One page to print, and one CSV: stations with arrival and departure in the clock of the
+    timetable; where to drive, to hold which speed, to coast and to brake, by kilometre and by the
+    nearest station.
+
+    Example: trainlog advice results/trajectory.json --departure 07:12 -o advice.html
+
+    Example: trainlog advice results/trajectory.json --onto trip.mcap -o advised.mcap
     """
+    if onto is not None:
+        _refuse(
+            "--onto adds the advice to a log",
+            {"--departure": departure, "--line": line, "--dwell": dwell},
+        )
+        if len(trajectories) > 1:
+            raise InputError("several trajectories are given", remedy="with --onto name one")
+        _advise(onto, trajectories[0], output)
+        return
+    destination(output, ".html")
+
+    from analysis.reports.advice import write_driver_advice
+    from analysis.trajectory.advice import driver_table, time_of_day
+
+    start = None if departure is None else time_of_day(departure)
+    table = output.with_suffix(".csv")
+    with working("writing the advice"):
+        found = write_driver_advice(
+            trajectories, output, table, line=line, start=start, dwell=dwell or 0.0
+        )
+    if not state(found.details()):
+        console.print(driver_table(found))
+    wrote(output, table)
+
+
+def _advise(log: Path, trajectory: Path, output: Path) -> None:
+    """Write a log with a trajectory's advice beside what was driven."""
     from analysis.trajectory.phases import with_advice
     from trainlog.formats.trajectory import read_trajectory
     from trainlog.mcap import read_log, write_log

@@ -1,92 +1,133 @@
-"""The command of a user's settings: shown, set, taken back, edited."""
+"""Start here: a user's settings, and the documentation."""
 
 from __future__ import annotations
 
 import os
 import shlex
 import subprocess
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from trainlog.cli.terminal import console, state, wrote
 from trainlog.errors import InputError
 
-app = typer.Typer()
-settings_app = typer.Typer(
-    invoke_without_command=True,
-    help="Units and time zone that are shown, and files that are taken by default.",
-)
-app.add_typer(settings_app, name="settings", rich_help_panel="Start here")
-
-KeyArgument = Annotated[str, typer.Argument(help="speed, zone, line, train or results.")]
+if TYPE_CHECKING:
+    from trainlog.formats.settings import Settings
 
 
-@settings_app.command("show")
-def settings_show() -> None:
-    """List all settings, what each one sets, and the file in which they stand.
+def settings(
+    key: Annotated[
+        str | None,
+        typer.Argument(help="speed, zone, line, train, results or catalogue; default: show all."),
+    ] = None,
+    value: Annotated[str | None, typer.Argument(help="What it is set to.")] = None,
+    unset: Annotated[bool, typer.Option("--unset", help="Set KEY back to its default.")] = False,
+    edit: Annotated[
+        bool,
+        typer.Option(
+            "--edit", help="Open the file in the editor that VISUAL or EDITOR names, and check it."
+        ),
+    ] = False,
+) -> None:
+    """Show or set units, time zone and files of your own.
 
-    Units and zone change what the command line shows; files and --json are in SI units and UTC.
+    Without a KEY all settings are listed with what each one sets, and the file in which they stand.
+    Units and zone change what the command line shows; files and --json are in SI units and UTC. The
+    rest of the file stays as it is.
 
-    Example: trainlog settings show
+    Example: trainlog settings
+
+    Example: trainlog settings speed mph
+
+    Example: trainlog settings speed --unset
     """
-    from trainlog.formats.settings import MEANINGS, read_settings, settings_path
+    from trainlog.formats.settings import read_settings, set_setting
+
+    if edit:
+        _edit()
+    elif unset or value is not None:
+        if key is None or (unset and value is not None):
+            raise InputError(
+                "--unset takes the key alone", remedy="write 'trainlog settings speed --unset'"
+            )
+        wrote(set_setting(key, value))
+    else:
+        _show(key, read_settings())
+
+
+def _show(key: str | None, found: Settings) -> None:
+    """List the settings, or one of them."""
+    from trainlog.formats.settings import MEANINGS, settings_path
     from trainlog.presentation import new_table
 
-    path, found = settings_path(), read_settings()
-    values = {key: getattr(found, key) for key in MEANINGS}
+    path = settings_path()
+    if key is not None and key not in MEANINGS:
+        raise InputError(f"'{key}' is not a setting", remedy=f"known: {', '.join(MEANINGS)}")
+    values = {name: getattr(found, name) for name in MEANINGS if key in (None, name)}
     if state({"file": path, "settings": values}):
         return
     table = new_table("Settings", "key", "value", "sets the")
-    for key, meaning in MEANINGS.items():
-        table.add_row(key, values[key], meaning)
+    for name, value in values.items():
+        table.add_row(name, value, MEANINGS[name])
     there = "" if path.exists() else " (not made yet: all are the defaults)"
     console.print(table, f"in {path}{there}")
 
 
-@settings_app.command("set")
-def settings_set(
-    key: KeyArgument,
-    value: Annotated[str, typer.Argument(help="What it is set to.")],
-) -> None:
-    """Set one of the settings; the rest of the file stays as it is.
-
-    Example: trainlog settings set speed mph
-
-    Example: trainlog settings set zone Europe/Zurich
-    """
-    from trainlog.formats.settings import set_setting
-
-    wrote(set_setting(key, value))
-
-
-@settings_app.command("unset")
-def settings_unset(key: KeyArgument) -> None:
-    """Set one of the settings back to its default.
-
-    Example: trainlog settings unset speed
-    """
-    from trainlog.formats.settings import set_setting
-
-    wrote(set_setting(key, None))
-
-
-@settings_app.command("edit")
-def settings_edit() -> None:
-    """Open the file in the editor that VISUAL or EDITOR names, and check it afterwards.
-
-    Example: trainlog settings edit
-    """
+def _edit() -> None:
     from trainlog.formats.settings import read_settings, settings_path
 
     editor = os.environ.get("VISUAL") or os.environ.get("EDITOR")
     path = settings_path()
     if not editor:
         raise InputError(
-            "no editor is named", file=path, remedy="set EDITOR, or use 'trainlog settings set'"
+            "no editor is named",
+            file=path,
+            remedy="set EDITOR, or use 'trainlog settings KEY VALUE'",
         )
     path.parent.mkdir(parents=True, exist_ok=True)
     path.touch()
     subprocess.run([*shlex.split(editor), str(path)], check=False)
     read_settings()
     console.print(f"{path} is valid", highlight=False, soft_wrap=True)
+
+
+def docs(
+    page: Annotated[
+        str | None,
+        typer.Argument(
+            help="Page, such as replay or tutorials/planner, or a public name, such as"
+            " analysis.fit; default: the first page."
+        ),
+    ] = None,
+    every: Annotated[bool, typer.Option("--list", help="List all pages.")] = False,
+    path: Annotated[bool, typer.Option("--path", help="Print where it is; open nothing.")] = False,
+) -> None:
+    """Open the documentation in the browser; it needs no network.
+
+    Where there is no display, its place is printed.
+
+    Example: trainlog docs tutorials/engineer
+    """
+    import webbrowser
+
+    from trainlog.documentation import REMEDY, documentation
+    from trainlog.replay.viewer import has_display
+
+    found = documentation()
+    if every:
+        from trainlog.presentation import new_table
+
+        table = new_table("Pages", "page", "title")
+        for row in found.titles():
+            table.add_row(*row)
+        console.print(table)
+        return
+    file, anchor = found.place(page)
+    uri = file.as_uri() + (f"#{anchor}" if anchor else "")
+    if state({"page": file, "uri": uri, "built": found.built}):
+        return
+    if path or not (found.built and has_display() and webbrowser.open(uri)):
+        console.print(uri if anchor else file, highlight=False, soft_wrap=True)
+    if not found.built:
+        console.print(f"  {REMEDY}", highlight=False, soft_wrap=True)

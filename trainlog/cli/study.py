@@ -15,12 +15,10 @@ from trainlog.cli.terminal import console, wrote
 if TYPE_CHECKING:
     from analysis.studies.report import StudyReport
 
-app = typer.Typer()
 study_app = typer.Typer(
     no_args_is_help=True,
     help="Run a published system beside its paper, or the dynamics inside a train.",
 )
-app.add_typer(study_app, name="study", rich_help_panel="Reproduce")
 
 
 @contextmanager

@@ -69,6 +69,8 @@ class ImportOptions:
         Share of the heaviest load that is on board of a formation of railtoolkit.
     category : str or None
         Of trains, whose speed limits infrastructure gets; see `networks_in`.
+    limit : float or None [m/s]
+        Of infrastructure, where its file states no speed limit; see `networks_in`.
     """
 
     electrification: str | None = None
@@ -79,6 +81,7 @@ class ImportOptions:
     curve_resistance: CurveFormula | None = None
     loaded: float | None = None
     category: str | None = None
+    limit: float | None = None
 
     @property
     def of_train(self) -> dict[str, Any]:
@@ -260,7 +263,7 @@ def _things(path: str | Path, options: ImportOptions) -> list[_Found]:
             remedy="leave the load out; add it to a plan",
         )
     data = read_bytes(path)
-    if (infra := networks_in(path, data, None, options.category)) is not None:
+    if (infra := networks_in(path, data, options.limit, options.category)) is not None:
         _refuse_electrification(path, options)
         stem = Path(path).stem
         # The file's account stands with its first network.

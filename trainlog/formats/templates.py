@@ -64,7 +64,7 @@ COMMENTS = {
     "line": {
         "": "A line. Units can be replaced by any of the same kind: km for m, % for permil.\n"
         "docs/formats.md describes every key. Check it:\n"
-        "trainlog simulate --line THIS --train sample -o trips",
+        "trainlog simulate drive --line THIS --train sample -o trips",
         "length": "Position (chainage) runs from 0 to the length, in the forward direction.",
         "altitude": "Of the track at position 0; may be left out.",
         "stations": "Name and position, in the order of positions.",

@@ -49,7 +49,7 @@ class CsvTopicWriter:
             if item.name != TIME and str(item.type) not in TYPES:
                 raise LogError(
                     f"{item.name} of {topic} is of the type {item.type}, which CSV has no text for",
-                    remedy="convert to Parquet, or leave the topic out with 'trainlog cut'",
+                    remedy="convert to Parquet, or leave the topic out with 'trainlog convert'",
                 )
         self._names = [TIME, *(name for name in self._schema.names if name != TIME)]
         header = pa.schema(

@@ -176,7 +176,7 @@ class Account:
         return [f"{what}: {number}" for what, number in self.left_out.items() if number]
 
     def assumed_words(self, networks: Sequence[Network] = ()) -> list[str]:
-        """What is assumed, in words, and on which edges of networks as `network show` has it.
+        """What is assumed, in words, and on which edges of networks as `show` has it.
 
         Examples
         --------

@@ -209,8 +209,8 @@ class DamageWarning(UserWarning):
         self.file = file
         self.account = account
         super().__init__(
-            f"{file}: {account.sentence}; 'trainlog check' lists what is lost, "
-            "'trainlog recover' rebuilds the file"
+            f"{file}: {account.sentence}; 'trainlog show --check' lists what is lost, "
+            "'trainlog convert' rebuilds the file"
         )
 
 

@@ -273,7 +273,7 @@ def _apart(
             f" {end:%H:%M:%S}",
             file=other,
             remedy=f"prefer one of the logs, as --prefer {path}, or cut the topic or the time out"
-            " of one with 'trainlog cut'",
+            " of one with 'trainlog convert'",
         )
     return _rows(frame, ~theirs)
 

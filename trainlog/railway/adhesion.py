@@ -477,7 +477,7 @@ class AdhesionPoints:
         if np.any(np.diff(slips) <= 0.0):
             raise InputError(
                 "points of adhesion: several have one slip",
-                remedy="fit a curve to them: trainlog adhesion fit",
+                remedy="fit a curve to them: trainlog fit --method adhesion",
             )
         return AdhesionTable(slips, self.adhesions[order], self.variable)
 

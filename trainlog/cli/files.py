@@ -1,0 +1,742 @@
+"""Commands on files: import, new, show, convert."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
+from datetime import date, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from trainlog.cli.commands import end_in_part
+from trainlog.cli.options import (
+    CategoryOption,
+    ChosenTrips,
+    FromOption,
+    KilometreOption,
+    ToOption,
+    TopicOption,
+    destination,
+    distinct,
+    line_of_log,
+    logs_in,
+    source_span,
+    stretch,
+    times,
+)
+from trainlog.cli.terminal import (
+    console,
+    current,
+    plain,
+    print_account,
+    print_error,
+    print_problems,
+    state,
+    working,
+    wrote,
+)
+from trainlog.display import counted
+from trainlog.errors import InputError, LogError, TrainlogError
+from trainlog.progress import task, track
+from trainlog.units import KMH
+
+if TYPE_CHECKING:
+    from trainlog.mcap.convert import Converted
+    from trainlog.mcap.description import LogDescription
+    from trainlog.presentation import WordTable
+    from trainlog.railway.network import Network, Route
+
+
+def import_(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Of TTOBench or OSRD (JSON), railtoolkit (YAML), railML (XML); or a train file,"
+            " with a curve."
+        ),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the files.")],
+    electrification: Annotated[
+        str | None,
+        typer.Option(help="Whose efforts an OSRD train gets; default: the file's default."),
+    ] = None,
+    traction_curve: Annotated[
+        Path | None,
+        typer.Option(help="CSV with the train's tractive effort over speed, units in the header."),
+    ] = None,
+    braking_curve: Annotated[
+        Path | None, typer.Option(help="The same of its dynamic brake.")
+    ] = None,
+    formation: Annotated[
+        str | None,
+        typer.Option(
+            help="A train of vehicles of these railtoolkit files, by id, from front to rear:"
+            " 'DB_V90, 10 Facs124'."
+        ),
+    ] = None,
+    name: Annotated[str | None, typer.Option(help="With --formation: name of the train.")] = None,
+    loaded: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0, max=100.0, help="Of a railtoolkit train: per cent of its load on board."
+        ),
+    ] = None,
+    mass_model: Annotated[
+        Literal["mass_point", "homogeneous_strip"] | None,
+        typer.Option(help="Of a train: gradients at its front, or averaged over its length."),
+    ] = None,
+    acceleration_limits: Annotated[
+        Literal["gross", "net"] | None,
+        typer.Option(help="Of a train: limits of effort over inertia, or of its own acceleration."),
+    ] = None,
+    curve_resistance: Annotated[
+        Literal["proportional", "roeckl", "roeckl_small_radius"] | None,
+        typer.Option(help="Of a line: 0.6/R; Roeckl's 0.65/(R - 55); 0.5/(R - 30)."),
+    ] = None,
+    category: CategoryOption = None,
+    limit: Annotated[
+        float | None,
+        typer.Option(
+            min=1.0,
+            max=600.0,
+            help="Of a network: speed limit in km/h where the file states none; default: its"
+            " lowest.",
+        ),
+    ] = None,
+) -> None:
+    """Turn lines, trains, journeys and networks of other programs into trainlog's files.
+
+    Tracks, trains and journeys of TTOBench; rolling stock and infrastructure of OSRD; rolling stock
+    and running paths of railtoolkit; infrastructure of railML 2 and 3.
+
+    Of infrastructure it lists what the network holds in part or not at all, and what was assumed;
+    tracks that nothing connects to the others become networks of their own. Line and train files of
+    trainlog are taken with an option that changes them.
+
+    Example: trainlog import CH_StGallen_Wil.json CH_Stadler_FLIRT_TPF.json -o railway
+
+    trainlog import DB_V90.yaml Facs124.yaml --formation "DB_V90, 10 Facs124" -o railway
+    """
+    from trainlog.formats.effort import read_effort_curve
+    from trainlog.formats.files import output_folder
+    from trainlog.formats.imports import ImportOptions, import_file, import_formation
+
+    traction, braking = (
+        None if path is None else read_effort_curve(path)
+        for path in (traction_curve, braking_curve)
+    )
+    options = ImportOptions(
+        electrification, traction, braking, mass_model, acceleration_limits, curve_resistance,
+        None if loaded is None else loaded / 100.0, category,
+        None if limit is None else limit / KMH,
+    )  # fmt: skip
+    if formation is None and name is not None:
+        raise InputError("--name is that of a formation", remedy="give --formation, too")
+    with output_folder(output):
+        if formation is not None:
+            wrote(import_formation(files, formation, output, options, name).path)
+        for file in files if formation is None else ():
+            for each in import_file(file, output, options):
+                wrote(each.path)
+                if each.dropped:
+                    console.print(f"  not taken over: {'; '.join(each.dropped)}", highlight=False)
+                if each.assumed:
+                    console.print(f"  assumed: {'; '.join(each.assumed)}", highlight=False)
+
+
+def _sentence(network: Network) -> str:
+    return (
+        f"{network.name}: {counted(len(network.edges), 'edge')} of {network.length / 1e3:.3f} km,"
+        f" {counted(len(network.nodes), 'node')}"
+    )
+
+
+def new(
+    kind: Annotated[
+        Literal["line", "train", "journey", "profile", "network", "samples"],
+        typer.Argument(
+            help="line, train, journey, profile, network; or samples: those of"
+            " trainlog, copied to a folder."
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            help="File to write, .toml, which must not exist; .json with --from. Of samples a"
+            " folder.",
+        ),
+    ],
+    source: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--from",
+            help="What a line or a network is made from; may be given several times. Of a line:"
+            " a CSV of chainage, gradient, limit and, if known, station, radius, latitude,"
+            " longitude, units in its header; logs along it, for their satellite fixes; or a route"
+            ' in a network, "NET#A,B,C". Of a network: line files.',
+        ),
+        ChosenTrips,
+    ] = None,
+    name: Annotated[
+        str | None, typer.Option(help="Of a line from logs or a network; default: the file's.")
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="Of a line from logs; default: beside the output, .png."),
+    ] = None,
+) -> None:
+    """Begin a line, network, train, journey or profile, or copy the samples.
+
+    Without --from it is a commented file that is valid and ready to edit.
+
+    From logs a line gets its centre line with curvature, in either direction, how well it is known
+    and what it rests on; limits, gradients and stations are not known from fixes. Of a route the
+    shortest one through the places is taken. Lines are joined to a network at the stations that
+    they share: a line is cut where another begins, ends or passes; there trains can pass from any
+    edge to any other; a track that two lines share is taken once.
+
+    Example: trainlog new train -o my.train.toml
+
+    Example: trainlog new line --from A-B.csv -o A-B.line.toml
+
+    Example: trainlog new line --from results/recorded -o results/line.json
+
+    Example: trainlog new network --from A-B.line.json --from B-C.line.json -o my.network.json
+    """
+    from trainlog.formats.templates import write_template
+
+    made_from = source or []
+    if kind == "samples":
+        from trainlog.formats.samples import copy_samples
+
+        wrote(*copy_samples(output))
+    elif kind == "network":
+        _join(made_from, output, name)
+    elif kind == "line" and made_from and "#" in made_from[0].name:
+        _write_route(made_from, output)
+    elif kind == "line" and any(each.is_dir() or each.suffix == ".mcap" for each in made_from):
+        _line_of_fixes(made_from, output, name, picture)
+    elif len(made_from) > 1:
+        raise InputError(f"a {kind} is made from one file", remedy="give --from once")
+    else:
+        wrote(write_template(kind, output, table=made_from[0] if made_from else None))
+
+
+def _join(lines: list[Path], output: Path, name: str | None) -> None:
+    """Join lines to a network."""
+    destination(output, ".json")
+    from trainlog.formats.line import read_line
+    from trainlog.formats.network import write_network
+    from trainlog.railway.line_network import network_of_lines
+
+    if not lines:
+        raise InputError(
+            "a network is made from lines",
+            remedy="name them: trainlog new network --from A-B.line.json --from B-C.line.json",
+        )
+    given = name or output.name.partition(".")[0]
+    found = network_of_lines(given, [read_line(each) for each in lines])
+    write_network(found.network, output)
+    console.print(_sentence(found.network), *found.notes, sep="\n", highlight=False)
+    wrote(output)
+
+
+def _write_route(given: list[Path], output: Path) -> None:
+    """Write the line of the shortest route through places of a network."""
+    from analysis.network.table import route_tables
+    from trainlog.formats.line import write_line
+
+    destination(output, ".json")
+    if len(given) > 1:
+        raise InputError("several routes are given", remedy="give --from once")
+    route = _route(given[0])
+    console.print(route_tables(route))
+    write_line(route.line, output)
+    wrote(output)
+
+
+def _route(given: Path) -> Route:
+    """The route that ``NET#A,B,C`` names."""
+    from trainlog.formats.network import read_network
+
+    file, _, places = str(given).partition("#")
+    return read_network(file).route(*(each.strip() for each in places.split(",")))
+
+
+def _line_of_fixes(logs: list[Path], output: Path, name: str | None, picture: Path | None) -> None:
+    """Build a line from the satellite fixes of trips along it."""
+    from analysis.geometry.centre_line import geometry_of, line_of
+    from analysis.geometry.plot import draw_centre_line
+    from trainlog.formats.line import write_line
+    from trainlog.mcap import read_log
+
+    destination(output, ".json")
+    shown = destination(picture or output.with_suffix(".png"), ".png")
+    topics = ("/gnss/fix", "/gnss/motion", "/train/state")
+    trips = [read_log(log, topics) for log in track(logs_in(logs), "reading", "log")]
+    with working("fitting"):
+        centre_line = geometry_of(trips)
+    write_line(line_of(centre_line, name or output.stem), output)
+    draw_centre_line(centre_line, trips, shown)
+    for sentence in centre_line.lines():
+        console.print(sentence, highlight=False)
+    wrote(output, shown)
+
+
+Files = Annotated[
+    list[Path],
+    typer.Argument(
+        help="Anything that trainlog makes or reads: logs, lines, trains, maps, parameter sets,"
+        " trajectories, profiles, recorders' files; folders of them."
+    ),
+    ChosenTrips,
+]
+
+
+def show(
+    files: Files,
+    check: Annotated[
+        bool,
+        typer.Option(
+            "--check",
+            help="Read logs to the last byte, of any program; verify every checksum and account for"
+            " what is lost.",
+        ),
+    ] = False,
+    every: Annotated[
+        bool, typer.Option("--all", help="List the trips of track-condition maps by name, too.")
+    ] = False,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="Draw a trip, a line or a network into this file (.png, .svg)."),
+    ] = None,
+    browse: Annotated[
+        bool, typer.Option("--open", help="Open a report on it in the browser.")
+    ] = False,
+) -> None:
+    """State what a file holds, whatever it is; it is recognised by its content.
+
+    Of a log topics, units, rates, time and position span, gaps, passport; of a consist its
+    vehicles, couplers and brake; of a network its edges and nodes, and what is not known; of a
+    route in it, NET#A,B,C, its stretches and stations; of a track-condition map its line, layers,
+    trips and days; of a recorder's file what can be read of it; of a folder what each of its files
+    is. Exit status 1 if a log is damaged, which [bold]trainlog convert[/bold] rebuilds, or a file
+    of several cannot be shown; 2 if none can.
+
+    Example: trainlog show results/trips/trip-01.mcap
+
+    Example: trainlog show results/trips --check
+
+    Example: trainlog show my.line.toml --picture line.png
+    """
+    if check:
+        _check(logs_in(files))
+        return
+    if len(files) > 1 and (picture is not None or browse):
+        raise InputError("one file is shown as a picture", remedy="name a single file")
+    damaged = refused = 0
+    for file in files:
+        try:
+            if file.is_dir() and not (file / "trip.json").exists():
+                damaged += _show_folder(file)
+            else:
+                damaged += _show(file, every)
+        except TrainlogError as error:  # one file that cannot be shown says nothing of the others
+            if len(files) == 1:
+                raise
+            print_problems(error)
+            refused += 1
+    if picture is not None:
+        _draw(files[0], picture)
+        wrote(picture)
+    if browse:
+        _open(files[0])
+    end_in_part(refused, len(files))
+    if damaged:
+        raise typer.Exit(1)
+
+
+def _check(logs: list[Path]) -> None:
+    """Read logs to the last byte, and state what is lost of them."""
+    from trainlog.mcap import account_of
+
+    damaged, refused, accounts = 0, 0, list[dict[str, object]]()
+    for log in track(logs, "checking", "log"):
+        try:
+            account = account_of(log)
+        except LogError as error:  # one file that is no log says nothing of the others
+            print_error(str(error))
+            refused += 1
+            continue
+        accounts.append({"log": log, "whole": account.whole, **account.details()})
+        damaged += not account.whole
+        if not state({"logs": accounts}):
+            print_account(log, account)
+    end_in_part(refused, len(logs))
+    if damaged:
+        raise typer.Exit(1)
+
+
+def _show(file: Path, every: bool) -> bool:
+    """State what a file holds; whether it is a log that is damaged."""
+    if "#" in file.name and not file.exists():
+        from analysis.network.table import route_tables
+
+        console.print(route_tables(_route(file)))
+        return False
+    from analysis.contents import contents_of
+
+    found = contents_of(file)
+    if found.kind == "log":
+        _show_log(file, found.value)
+    elif found.kind == "consist":
+        from analysis.consist_table import consist_tables
+
+        console.print(consist_tables(found.value))
+    elif found.kind == "network":
+        from analysis.network.table import network_tables
+
+        console.print(network_tables(found.value))
+    elif found.kind == "track-condition map":
+        console.print(_map_contents(file))
+        if every:
+            console.print(_map_trips(file))
+    else:
+        console.print(f"{file}: {found.kind}", highlight=False, soft_wrap=True)
+        console.print(found.text, highlight=False, markup=False, soft_wrap=True)
+    return found.damaged
+
+
+def _show_log(file: Path, found: LogDescription) -> None:
+    """State what a log holds, and its passport."""
+    from trainlog.formats.attached import passport_of
+    from trainlog.mcap import read_log
+    from trainlog.mcap.description import recorded_fields, render
+    from trainlog.trip import PASSPORT_ATTACHMENT
+
+    recorded = recorded_fields(found)
+    if state({}):
+        current().content.setdefault("logs", []).append(_log_as_data(found, recorded))
+        return
+    console.print(*render(found, recorded))
+    if PASSPORT_ATTACHMENT in (each.name for each in found.attachments):
+        console.print(repr(passport_of(read_log(file, []))), highlight=False, markup=False)
+
+
+def _draw(file: Path, picture: Path) -> None:
+    """Draw what a file holds."""
+    from analysis.contents import contents_of, draw_contents
+    from analysis.network.plot import draw_network
+
+    found = contents_of(file)
+    if found.kind == "network":
+        destination(picture, ".png")
+        draw_network(found.value, picture)
+    else:
+        draw_contents(found, picture)
+
+
+def _log_as_data(found: LogDescription, recorded: Mapping[str, frozenset[str]]) -> dict[str, Any]:
+    """What is in a log, in SI units; of each field whether it holds a value."""
+    start, end = found.position_span or (None, None)
+    topics = [
+        {
+            "name": each.name,
+            "message": each.message,
+            "encoding": each.encoding,
+            "messages": each.count,
+            "rate_Hz": each.rate,
+            "first": each.first,
+            "last": each.last,
+            "median_interval_s": each.median_interval,
+            "largest_gap_s": each.largest_gap,
+            "gaps": each.gaps,
+            "fields": [
+                {
+                    "name": name,
+                    "unit": unit,
+                    "axles": each.axles.get(name),
+                    "recorded": name in recorded.get(each.name, ()),
+                }
+                for name, unit in each.units.items()
+            ],
+        }
+        for each in found.topics
+    ]
+    return {
+        "file": found.path,
+        "kind": "log",
+        "first": found.first,
+        "last": found.last,
+        "position_start_m": start,
+        "position_end_m": end,
+        "messages": found.count,
+        "chunks": found.chunks,
+        "size_bytes": found.size,
+        "schema_version": found.schema_version,
+        "whole": found.complete,
+        "state": found.account.sentence,
+        "problem": found.problem,
+        "topics": topics,
+        "metadata": found.metadata,
+        "provenance": [json.dumps(plain(step), ensure_ascii=False) for step in found.provenance],
+        "attachments": [
+            {
+                "name": each.name,
+                "media_type": each.media_type,
+                "size_bytes": each.size,
+                "sha256": each.sha256,
+            }
+            for each in found.attachments
+        ],
+    }
+
+
+def _show_folder(folder: Path) -> bool:
+    """List what the files of a folder are; whether a log among them is damaged."""
+    from analysis.contents import folder_contents
+    from trainlog.presentation import new_table
+
+    table = new_table(str(folder), "file", "kind", "contents", name="file")
+    rows = folder_contents(folder)
+    for row in rows:
+        table.add_row(row.name, row.kind, row.summary)
+    console.print(table)
+    return any(row.damaged for row in rows)
+
+
+def _open(file: Path) -> None:
+    """Open a report on a file in the browser."""
+    import tempfile
+    import webbrowser
+
+    from analysis.reports.build import ReportOptions, write_report
+
+    page = Path(tempfile.mkdtemp(prefix="trainlog-")) / f"{file.stem}.html"
+    write_report(file, page, ReportOptions())
+    wrote(page)
+    if not webbrowser.open(page.resolve().as_uri()):
+        console.print("no browser here: open the page where there is one", highlight=False)
+
+
+def _map_contents(path: Path) -> WordTable:
+    """What the file of a track-condition map holds; `trainlog map show` makes estimates of it."""
+    from trainlog.formats.mapfile import MapFile
+    from trainlog.presentation import new_table
+
+    with MapFile(path) as file, file.unchanging():
+        track, layers, recordings = file.empty, file.contents(), len(file.trips())
+    table = new_table(path.name, "quantity", "value", name="map", show_header=False)
+    length = f"{track.length / 1e3:.1f} km, {track.bins} bins of {track.bin_length:g} m"
+    table.add_row("line", f"{track.line}, {length}")
+    every = sorted({day for _, days in layers.values() for day in days})
+    counts = sum(trips for trips, _ in layers.values())
+    more = recordings - counts
+    beside = f"; {counted(more, 'recording')} more of drives that count" if more else ""
+    table.add_row("trips", f"{counted(counts, 'trip')}, {_period(every)}{beside}")
+    for layer, (trips, days) in layers.items():
+        table.add_row(f"layer {layer}", f"{counted(trips, 'trip')}, {_period(days)}")
+    return table
+
+
+def _map_trips(path: Path) -> WordTable:
+    """The recordings that the file of a map holds, by the names that `map remove` takes."""
+    from trainlog.condition import day_of_trip
+    from trainlog.formats.mapfile import MapFile
+    from trainlog.presentation import new_table
+
+    with MapFile(path) as file:
+        rows = file.trips()
+    table = new_table("", "trip", "rail\ncondition", "days", "counts")
+    for row in rows:
+        first, last = (date(1970, 1, 1) + timedelta(days=each) for each in row.days)
+        days = " to ".join(dict.fromkeys((str(first), str(last))))
+        if row.first_day is None:  # compacted, or without evidence: the day on which it ran
+            ran = day_of_trip(json.loads(row.entry))
+            days = "not known" if ran is None else str(date(1970, 1, 1) + timedelta(days=ran))
+        table.add_row(row.known.name, row.layer, days, "yes" if row.counted else "no")
+    return table
+
+
+def _period(days: list[int]) -> str:
+    """Days since 1970-01-01: how many, the first and the last."""
+    if not days:
+        return "no evidence"
+    first, last = (date(1970, 1, 1) + timedelta(days=days[end]) for end in (0, -1))
+    return f"{counted(len(days), 'day')}, {first}" + (f" to {last}" if last > first else "")
+
+
+KINDS = (
+    "Ends in .mcap (a log), .mf4 (MDF 4), .parquet or .csv (folders with a file for each topic), of"
+    " a network .geojson; else a folder for rebuilt logs."
+)
+
+
+def convert(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Logs (.mcap) or folders of them, MDF (.mf4), a folder of Parquet or CSV files; or"
+            " a network."
+        ),
+        ChosenTrips,
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help=KINDS)],
+    topic: TopicOption = None,
+    start: FromOption = None,
+    end: ToOption = None,
+    km: KilometreOption = None,
+    prefer: Annotated[
+        Path | None,
+        typer.Option(
+            help="Of joined logs: the one that counts where another has the same topic and time."
+        ),
+    ] = None,
+) -> None:
+    """Write logs anew: as Parquet, CSV or MDF, in part, joined, rebuilt.
+
+    A log becomes Parquet, CSV (a file for each topic with units in its header) or MDF (extra
+    [bold]recorders[/bold]) and back, and nothing is lost either way; logs may be larger than the
+    memory. Logs of other programs become Parquet or CSV, too; they are held in memory as a whole.
+
+    With --from, --to, --km or --topic only a part is written. Metadata and attachments are those of
+    the whole; the provenance states what was cut.
+
+    Several logs of one trip become one: parts that follow each other, or what several recorders
+    wrote. Logs of other trains, lines or directions are refused, and so are different samples of a
+    topic at the same time; --prefer decides between them.
+
+    A whole log as .mcap, or logs into a folder, are rebuilt with every message that is readable,
+    and an account of what is lost; damaged logs of any program stay as they are. A network becomes
+    GeoJSON: edges as lines, nodes and stations as points.
+
+    Example: trainlog convert trip.mcap -o trip.parquet
+
+    Example: trainlog convert trip.mcap -o part.mcap --km 3.2:7.5
+
+    Example: trainlog convert morning.mcap noon.mcap -o day.mcap
+
+    Example: trainlog convert damaged.mcap -o rebuilt/
+    """
+    part = {"--from": start, "--to": end, "--km": km, "--topic": topic or None}
+    asked = [name for name, value in part.items() if value is not None]
+    kind = output.suffix.lower()
+    if prefer is not None and (len(sources) < 2 or kind != ".mcap"):
+        raise InputError("--prefer is one of several logs that are joined", remedy="leave it out")
+    if kind == ".geojson":
+        _refuse_part(asked, "a network is written as a whole")
+        _export_network(sources[0], output)
+        return
+    found = [log for each in sources for log in ([each] if _is_trip(each) else logs_in([each]))]
+    if not kind:
+        _refuse_part(asked, "logs are rebuilt as a whole")
+        _rebuild(found, output)
+    elif len(found) > 1 and kind == ".mcap":
+        _refuse_part(asked, "several logs are joined as a whole")
+        _merge(found, output, prefer)
+    elif len(found) > 1:
+        raise InputError(
+            f"there are {len(found)} logs for one {kind}",
+            file=output,
+            remedy="give one, or name a log (.mcap) in which they are joined",
+        )
+    elif (found[0].suffix, kind) == (".mcap", ".mcap") and not asked:
+        _rebuild(found, output)
+    else:
+        _write(
+            found[0],
+            output,
+            topics=topic or None,
+            time=times(start, end, source_span(found[0])),
+            position=None if km is None else stretch(km, line_of_log(found[0])),
+        )
+
+
+def _is_trip(source: Path) -> bool:
+    """Whether it is one trip: a file, or a folder with a table for each topic."""
+    return not source.is_dir() or (source / "trip.json").exists()
+
+
+def _refuse_part(asked: list[str], why: str) -> None:
+    if asked:
+        raise InputError(f"{' and '.join(asked)} cannot be taken: {why}", remedy="leave them out")
+
+
+def _export_network(file: Path, output: Path) -> None:
+    """Write a network for geographic programs."""
+    from analysis.network.export import export_network
+    from trainlog.formats.network import read_network
+
+    found = export_network(read_network(file), output)
+    console.print(
+        f"{counted(found.edges, 'edge')}, {counted(found.nodes, 'node')},"
+        f" {counted(found.stations, 'station')}",
+        highlight=False,
+    )
+    if found.left_out:
+        console.print(f"left out without coordinates: {', '.join(found.left_out)}", highlight=False)
+    wrote(output)
+
+
+def _merge(logs: list[Path], output: Path, prefer: Path | None) -> None:
+    """Join logs of one trip."""
+    from trainlog.mcap.merge import merge as write
+
+    destination(output, ".mcap")
+    with task("merging", unit="row") as step:
+        done = write(logs, output, prefer=prefer, progress=step)
+    notes = [f"{counted(count, 'row')} of {name} in two logs alike: kept once"
+             for name, count in done.repeated.items() if count]  # fmt: skip
+    notes += [f"{count:,} rows of {name} left out for those of {prefer}"
+              for name, count in done.left_out.items() if count]  # fmt: skip
+    _summary(output, done.rows, [*notes, *done.notes])
+
+
+def _rebuild(logs: list[Path], output: Path) -> None:
+    """Rebuild logs with every message that is readable, and account for what is lost."""
+    from trainlog.formats.files import output_folder
+    from trainlog.mcap import recover as rebuild
+
+    several = len(logs) > 1 or output.suffix != ".mcap"
+    if several:
+        distinct([log.name for log in logs], logs)
+    refused, accounts = 0, list[dict[str, object]]()
+    with output_folder(output) if several else nullcontext():
+        for log in track(logs, "recovering", "log"):
+            target = output / log.name if several else destination(output, ".mcap")
+            try:
+                account = rebuild(log, target)
+            except LogError as error:
+                # One file that is no log does not keep the others from being rebuilt.
+                if not several:
+                    raise
+                refused += 1
+                print_error(str(error))
+                continue
+            accounts.append({"log": log, "rebuilt": target, **account.details()})
+            if not state({"logs": accounts}):
+                print_account(log, account)
+            wrote(target)
+    end_in_part(refused, len(logs))
+
+
+def _write(source: Path, output: Path, **part: Any) -> None:
+    from trainlog.mcap.convert import convert as write
+
+    output.parent.mkdir(parents=True, exist_ok=True)
+    with task("converting", unit="row") as step:
+        done: Converted = write(source, output, progress=step, **part)
+    _summary(output, done.rows, [f"not converted: {reason}" for reason in done.left_out])
+
+
+def _summary(output: Path, rows: Any, notes: Sequence[str]) -> None:
+    if not state({"rows": dict(rows), "notes": list(notes)}):
+        console.print(f"  {rows.total():,} rows in {counted(len(rows), 'topic')}", highlight=False)
+        for note in notes:
+            console.print(f"  {note}", highlight=False, markup=False, soft_wrap=True)
+    wrote(output)

@@ -1,0 +1,254 @@
+"""The command that turns recordings into trips, and the profiles that it proposes."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from trainlog.cli.options import line_or_network, pairs
+from trainlog.cli.progress_bar import paused
+from trainlog.cli.terminal import about, console, current, print_error, state, wrote
+from trainlog.errors import InputError
+
+if TYPE_CHECKING:
+    from trainlog.ingest import Ingested, Proposal
+    from trainlog.railway.line import Line
+    from trainlog.railway.train import Train
+
+
+def ingest(
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(help="Recorded files, and folders of them: docs/ingest.md lists formats."),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the logs.")],
+    profile: Annotated[
+        Path | None, typer.Option(help="TOML profile: columns, units, signs, time format.")
+    ] = None,
+    format: Annotated[
+        str | None, typer.Option(help="Name of the format, such as csv; default: detected.")
+    ] = None,
+    line: Annotated[
+        Path | None,
+        typer.Option(help="Line it was driven on, if known; or a network, as --network."),
+    ] = None,
+    network: Annotated[
+        Path | None,
+        typer.Option(help="Network it was driven on: the route is found in it by the fixes."),
+    ] = None,
+    stations: Annotated[
+        str | None,
+        typer.Option(
+            help="With --network: stations of the route with commas between them, or edge@km."
+        ),
+    ] = None,
+    train: Annotated[Path | None, typer.Option(help="Train that drove, if known.")] = None,
+    reverse: Annotated[
+        bool, typer.Option("--reverse", help="The trip ran against the line's chainage.")
+    ] = False,
+    facts: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="What the file does not state, of all its trips: weather=wet, load=12000 (kg) or"
+            " 12t, start_position=0.2km, or =stations: where the stops match them.",
+        ),
+    ] = None,
+    accept: Annotated[
+        bool,
+        typer.Option(
+            "--accept", "--yes", help="Use the profile that is proposed, where none fits."
+        ),
+    ] = False,
+) -> None:
+    """Turn recorded logs into trips; what was repaired is counted and kept in the log.
+
+    A log is named after its file or, where the file holds several recordings, after its trip. Of
+    several files, or a folder, every one is tried; the end is a table of what became of each. What
+    was made before of the same content in the same way is not made again.
+
+    For a table that no profile fits one is proposed: a commented TOML file in the output folder,
+    to be read, corrected and given with [bold]--profile[/bold], or used at once with
+    [bold]--accept[/bold].
+
+    On a [bold]--network[/bold] each recording is matched to its route, and cut where the train
+    turned back or left the network; a route that the fixes do not determine is refused.
+
+    Exit status 0: every recording became a trip; 1: some did not, or a profile is proposed; 2: the
+    only file given did not, or something else that was given cannot be used.
+
+    Example: trainlog ingest recorder.csv --profile recorder.profile.toml -o results/recorded
+    """
+    from analysis.passports import with_estimated_passport
+    from trainlog.formats.train import read_train
+    from trainlog.ingest import Ingested, Outcome, ingest_all
+
+    alone = len(recordings) == 1 and not recordings[0].is_dir()
+    found: list[Outcome] = []
+    the_train = None if train is None else read_train(train)
+    as_json = current().as_json
+    the_line, routes = line_or_network(line, network, stations)
+    proposals = Proposals(output, the_train, format, accept=accept, quiet=as_json, line=the_line)
+    try:
+        result = ingest_all(
+            recordings,
+            output,
+            profile,
+            format=format,
+            line=the_line,
+            train=the_train,
+            direction="reverse" if reverse else None,
+            metadata=pairs(facts or []),
+            network=routes,
+            each=lambda outcome, done, total: found.append(outcome),  # noqa: ARG005
+            choose=proposals.profile_for,
+            finish=with_estimated_passport if (line or network) and train else None,
+        )
+    except KeyboardInterrupt:
+        _print_ingested(Ingested(output, tuple(found)), alone=False)
+        raise
+    if alone and not as_json and [each.state for each in found] == ["refused"]:
+        if proposals.waiting:
+            print_error(found[0].reason)
+            raise typer.Exit(1)
+        raise InputError(found[0].reason)
+    _print_ingested(result, alone=alone)
+    if result.failed:
+        raise typer.Exit(1)
+
+
+def _print_ingested(result: Ingested, *, alone: bool) -> None:
+    """Print what became of the recordings: of a single file with its report, else as a table."""
+    from analysis.ingest_table import ingest_table
+
+    if state(result.details()):
+        return
+    if not alone:
+        console.print(ingest_table(result))
+        return
+    shown: set[str] = set()
+    for each in result.of("made", "repaired", "unchanged"):
+        assert each.log is not None
+        assert each.report is not None
+        if each.state == "unchanged":
+            console.print(f"  {each.metadata['trip']}: {each.reason}", highlight=False)
+            console.print(f"kept {each.log}", highlight=False, soft_wrap=True)
+            continue
+        console.print(about(each.metadata, each.duration), highlight=False, markup=False)
+        shown_as = {"direction": "direction", "route": f"route {each.metadata.get('line')}:"}
+        for what, words in shown_as.items():
+            if f"{what}_evidence" in each.metadata:
+                words = f"    {words} {each.metadata[f'{what}_evidence']}"
+                console.print(words, highlight=False, markup=False, soft_wrap=True)
+        lines = [line for line in each.report.lines() if line not in shown]
+        console.print(*(f"    {line}" for line in lines), sep="\n", highlight=False, markup=False)
+        # What the file holds besides its trips is shown with the first of them.
+        shown.update(line for line in lines if line.startswith("not used: "))
+        wrote(each.log)
+    for each in result.of("refused"):
+        print_error(each.reason)
+    if len(result.outcomes) > 1:
+        console.print(result.sentence, highlight=False)
+
+
+class Proposals:
+    """The profiles that are proposed while files are ingested, one for each layout.
+
+    Parameters
+    ----------
+    output : Path
+        Folder that they are written to.
+    train : Train, optional
+        Whose mass the efforts must accelerate.
+    format : str, optional
+        Name of the format that the user gives.
+    accept : bool
+        Whether they are used without asking.
+    quiet : bool
+        Nothing is shown, nobody is asked.
+    line : Line, optional
+        On whose stations the trips are put where their counter starts elsewhere.
+    """
+
+    def __init__(
+        self,
+        output: Path,
+        train: Train | None,
+        format: str | None,
+        *,
+        accept: bool,
+        quiet: bool,
+        line: Line | None = None,
+    ) -> None:
+        self._line = line
+        self._output, self._train, self._format = output, train, format
+        self._accept, self._quiet = accept, quiet
+        self._made: list[tuple[Proposal, Path, bool]] = []
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a proposal waits for the user's agreement."""
+        return any(not agreed for _, _, agreed in self._made)
+
+    def profile_for(self, file: Path) -> Path | None:
+        """The profile to read a file with; None where it needs none.
+
+        Raises
+        ------
+        InputError
+            If the file is no recording of a trip, or the user has not agreed to the proposal.
+        """
+        from trainlog.ingest import needs_profile, propose_profile
+
+        if not needs_profile(file, self._format):
+            return None
+        for proposal, path, agreed in self._made:
+            if proposal.fits(file):
+                return self._used(file, path, agreed)
+        proposal = propose_profile(file, self._train, self._line)
+        path = self._written(proposal)
+        agreed = self._accept or self._asked(proposal, path)
+        self._made.append((proposal, path, agreed))
+        return self._used(file, path, agreed)
+
+    def _written(self, proposal: Proposal) -> Path:
+        """Write a proposal; a profile that the user may have corrected stays as it is."""
+        from trainlog.formats.files import write_bytes
+
+        stem, data = proposal.path.stem, proposal.text.encode()
+        path = self._output / f"{stem}.profile.toml"
+        number = 2
+        while path.exists() and path.read_bytes() != data:
+            path = self._output / f"{stem}-{number}.profile.toml"
+            number += 1
+        write_bytes(path, data)
+        if not self._quiet:
+            console.print(f"{proposal.path}: no profile fits, this one is proposed:")
+            for line in proposal.lines():
+                console.print(f"  {line}", highlight=False, soft_wrap=True)
+            wrote(path)
+        return path
+
+    def _asked(self, proposal: Proposal, path: Path) -> bool:
+        """Whether the user, at a terminal, agrees."""
+        if self._quiet or not _at_terminal():
+            return False
+        with paused():
+            return typer.confirm(f"Ingest {proposal.path.name} with {path}?", default=False)
+
+    def _used(self, file: Path, path: Path, agreed: bool) -> Path:
+        if agreed:
+            return path
+        raise InputError(
+            f"no profile fits; one is proposed in {path}",
+            file=file,
+            remedy=f"check it, then: trainlog ingest {file} --profile {path} -o {self._output}",
+        )
+
+
+def _at_terminal() -> bool:
+    """Whether a user can be asked."""
+    return console.is_terminal and sys.stdin.isatty()

@@ -1,0 +1,358 @@
+"""Commands that simulate trips: of drivers, along a trajectory, through days, of a fleet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from trainlog.cli.options import (
+    LineOption,
+    RiskOption,
+    RunTimeOption,
+    Seed,
+    TrainOption,
+    lasting_change,
+    line_and_train,
+    map_of_run,
+)
+from trainlog.cli.terminal import about, console, print_error, state, wrote
+from trainlog.errors import InfeasibleError, InputError
+from trainlog.formats.files import output_folder
+from trainlog.progress import track
+
+if TYPE_CHECKING:
+    from trainlog.railway import Line, TrackConditionMap
+    from trainlog.simulation import Scenario, TractionLoop
+    from trainlog.trip import Trip
+
+simulate_app = typer.Typer(
+    no_args_is_help=True,
+    help="Simulate drivers, trips along a trajectory, days, a fleet.",
+)
+
+LogFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder for the logs.")]
+CharacteristicOption = Annotated[
+    str | None,
+    typer.Option(
+        "--characteristic",
+        help="Adhesion over slip: a file of 'trainlog fit --method adhesion', measured points"
+        " (CSV), polach-dry or polach-wet; default: the curves of Zhao et al. (2025).",
+    ),
+]
+TractionOption = Annotated[
+    Literal["own", "cooperative", "readhesion"],
+    typer.Option(
+        "--traction",
+        help="Which controller sets the axle efforts: the plant's own slip protection, cooperative"
+        " control, best with --map, or re-adhesion control that knows no map. Both take some times"
+        " as long to simulate.",
+    ),
+]
+KnownMapOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--map", help="With --traction cooperative: track-condition map that the train knows."
+    ),
+]
+
+
+@simulate_app.command()
+def drive(
+    output: LogFolder,
+    line: LineOption = None,
+    train: TrainOption = None,
+    count: Annotated[int, typer.Option(min=1, help="Number of trips.")] = 12,
+    seed: Seed = 1,
+    characteristic: CharacteristicOption = None,
+    traction: TractionOption = "own",
+    condition: KnownMapOption = None,
+) -> None:
+    """Simulate trips of drivers and log them.
+
+    Loads, weather, running resistance, drivers and slippery spots vary with the seed; sensors
+    have noise. With [bold]--traction cooperative[/bold] the efforts of all powered axles come from
+    one program that knows the rail ahead from the map (Zhao et al., 2025).
+
+    Example: trainlog simulate drive --line sample --train sample --count 12 -o results/trips
+    """
+    from trainlog.simulation import draw_scenarios
+
+    the_line, the_train = line_and_train(line, train)
+    scenarios = draw_scenarios(the_line, the_train, count=count, seed=seed)
+    _drive(scenarios, output, characteristic, traction, _known_map(condition, traction, the_line))
+
+
+@simulate_app.command()
+def follow(
+    trajectory: Annotated[Path, typer.Argument(help="Trajectory file to follow.")],
+    output: LogFolder,
+    line: LineOption = None,
+    train: TrainOption = None,
+    configurations: Annotated[
+        str,
+        typer.Option(
+            help="'hardest' (most and least resistance, least power), 'all', or names separated by"
+            " commas."
+        ),
+    ] = "hardest",
+    weather: Annotated[Literal["dry", "wet"], typer.Option(help="The rail's condition.")] = "dry",
+    late: Annotated[float, typer.Option(min=0.0, help="Departure delay in seconds.")] = 0.0,
+    condition: Annotated[
+        Path | None,
+        typer.Option("--map", help="Track-condition map that the train knows."),
+    ] = None,
+    risk: RiskOption = None,
+    at: RunTimeOption = None,
+    seed: Seed = 1,
+    characteristic: CharacteristicOption = None,
+    traction: TractionOption = "own",
+) -> None:
+    """Simulate trips that follow a trajectory by model predictive control, one per configuration.
+
+    The train does not know its configuration; it measures its own position and speed.
+
+    Example: trainlog simulate follow plan.json --line sample --train sample -o results/driven
+    """
+    from analysis.control.follow import following_line, following_scenarios
+    from analysis.control.plot import draw_following
+    from analysis.control.route import counted_on
+    from trainlog.formats.trajectory import read_trajectory
+
+    if condition is None and (risk is not None or at is not None):
+        raise InputError(
+            "--risk and --at say how a map is read", remedy="give --map, or leave them out"
+        )
+    the_line, the_train = line_and_train(line, train)
+    the_map, time = (None, None) if condition is None else map_of_run(condition, at, the_line)
+    words = counted_on(the_map, weather, risk, time)
+    console.print(f"  {words}", highlight=False, soft_wrap=True)
+    scenarios = following_scenarios(
+        read_trajectory(trajectory), the_line, the_train,
+        configurations=configurations, weather=weather, late=late,
+        condition_map=the_map, seed=seed, risk=risk, time=time,
+    )  # fmt: skip
+    trips = _drive(scenarios, output, characteristic, traction, the_map, following_line)
+    draw_following(trips, output / "following.png")
+    wrote(output / "following.png")
+
+
+@simulate_app.command()
+def days(
+    output: LogFolder,
+    days: Annotated[int, typer.Option(min=1, help="Number of days.")] = 30,
+    trips_per_day: Annotated[int, typer.Option(min=1, help="From 5:00 to 23:00.")] = 4,
+    start: Annotated[str, typer.Option(help="The first day.")] = "2026-10-01",
+    change: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A lasting change of the rail, as km=10:14,date=2026-10-15,factor=1.3 (adhesion"
+            " there, from then on); spots=0.2: of how often passing spots come."
+        ),
+    ] = None,
+    line: LineOption = None,
+    train: TrainOption = None,
+    seed: Seed = 1,
+    characteristic: CharacteristicOption = None,
+    traction: TractionOption = "own",
+    condition: KnownMapOption = None,
+) -> None:
+    """Simulate days on one line, with passing slippery spots and weather.
+
+    The rail's weather changes from day to day, slippery spots come and go, and permanent changes
+    are given with [bold]--change[/bold]. The weather is written beside the logs. Trains stalled on
+    a slippery gradient are listed; the exit status is then 1.
+
+    Example: trainlog simulate days --line my.line.json --train sample --days 30 -o october
+    """
+    from trainlog.formats.weather import write_weather
+    from trainlog.simulation import Rail, draw_days
+
+    the_line, the_train = line_and_train(line, train)
+    changes = [lasting_change(word, the_line) for word in change or []]
+    rail = Rail.draw(the_line, days, start, seed, changes)
+    scenarios = draw_days(rail, [the_train], trips_per_day)
+    known = _known_map(condition, traction, the_line)
+    stuck = list[InfeasibleError]()
+    _drive(scenarios, output, characteristic, traction, known, stuck=stuck)
+    write_weather(rail.table, output / "weather.csv")
+    wrote(output / "weather.csv")
+    if stuck:
+        raise typer.Exit(1)
+
+
+def _known_map(condition: Path | None, traction: str, line: Line) -> TrackConditionMap | None:
+    """The map that cooperative control knows."""
+    if condition is None:
+        return None
+    if traction != "cooperative":
+        raise InputError(
+            "--map goes with --traction cooperative",
+            remedy="leave it out, or follow a trajectory that knows the map: trainlog simulate"
+            " follow",
+        )
+    return map_of_run(condition, None, line)[0]
+
+
+def _drive(
+    scenarios: Sequence[Scenario],
+    output: Path,
+    characteristic: str | None,
+    traction: Literal["own", "cooperative", "readhesion"],
+    known: TrackConditionMap | None,
+    line_of: Callable[[Trip], str] | None = None,
+    stuck: list[InfeasibleError] | None = None,
+) -> list[Trip]:
+    """Drive the scenarios, write their logs and state each trip; those driven.
+
+    Of days one train may be stopped for good by a slippery climb: it is added to `stuck`.
+    """
+    from trainlog.formats.characteristic import read_characteristic
+    from trainlog.mcap import write_log
+    from trainlog.simulation import drive, recorded
+
+    if characteristic is not None:
+        rail = read_characteristic(characteristic)
+        scenarios = [replace(each, characteristic=rail) for each in scenarios]
+    if traction != "own":
+        from analysis.control.plot import draw_traction
+        from analysis.control.traction import with_traction
+
+        scenarios = with_traction(scenarios, traction, known)
+        if traction == "cooperative" and known is None:
+            console.print("no --map: the cooperative control knows the rail only by its own slips")
+    driven: list[Trip] = []
+    trips: list[dict[str, object]] = []
+    with output_folder(output):
+        for scenario in track(scenarios, "driving", "trip"):
+            try:
+                run = drive(scenario)
+            except InfeasibleError as error:
+                if stuck is None:
+                    raise
+                stuck.append(error)
+                print_error(str(error))
+                continue
+            trip = recorded(scenario, run)
+            log = output / f"{trip.name}.mcap"
+            write_log(trip, log)
+            trips.append({"log": log, "duration_s": trip.duration, "metadata": trip.metadata})
+            if not state({"trips": trips}):
+                console.print(about(trip.metadata, trip.duration), highlight=False, markup=False)
+            if run.traction is not None:
+                words = f"    traction control {traction_line(run.traction)}"
+                console.print(words, highlight=False)
+                draw_traction(trip, output / f"{trip.name}.traction.png", known)
+                wrote(output / f"{trip.name}.traction.png")
+            if line_of is not None:
+                console.print(f"    {line_of(trip)}", highlight=False)
+                driven.append(trip)
+    return driven
+
+
+@simulate_app.command()
+def fleet(
+    network: Annotated[
+        str,
+        typer.Argument(
+            help="Network file (.network.json), or 'drawn' for ten lines drawn with the seed,"
+            " 'drawn:4' for four."
+        ),
+    ],
+    output: LogFolder,
+    trains: Annotated[int, typer.Option(min=1, help="Number of trains, of three kinds.")] = 20,
+    days: Annotated[int, typer.Option(min=1, help="Number of days.")] = 30,
+    count: Annotated[int | None, typer.Option(min=1, help="Number of trips in all.")] = None,
+    trips_per_day: Annotated[
+        int | None, typer.Option(min=1, help="In place of --count: trips of each train.")
+    ] = None,
+    start: Annotated[str, typer.Option(help="The first day.")] = "2026-10-01",
+    faults: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fault",
+            help="Of a train from a day on, as train=flirt-03,mass=3t,from=2026-10-12; or"
+            " dragging-brake=2kN, wheel-diameter=1%, effort-gain=5%, sensor-delay=0.3s. May be"
+            " given several times.",
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Processes; default: one per processor.")
+    ] = None,
+    seed: Seed = 1,
+) -> None:
+    """Simulate a fleet on a network: trains of three kinds on rosters of routes.
+
+    Each train has a running resistance, wheels, brakes and a recorder of its own; all run through
+    the same days of weather. Trips are made in parallel; an interrupted run goes on where it ended.
+    Trains stalled on a slippery gradient are listed; the exit status is then 1.
+
+    Example: trainlog simulate fleet drawn --trains 20 --days 30 --count 1000 -o results/fleet
+    """
+    from trainlog.formats.network import read_network
+    from trainlog.simulation import Fault, draw_fleet, draw_network, write_fleet
+
+    if count is not None and trips_per_day is not None:
+        raise InputError(
+            "--count and --trips-per-day both say how many trips there are",
+            remedy="give one of them",
+        )
+    drawn, _, lines = network.partition(":")
+    if drawn == "drawn":
+        if lines and not lines.isdigit():
+            raise InputError(f"'{network}' is no network", remedy="write it as drawn or drawn:4")
+        the_network = draw_network(seed, int(lines or 10))
+    else:
+        the_network = read_network(network)
+    trips = count if trips_per_day is None else trips_per_day * trains * days
+    fleet = draw_fleet(
+        the_network,
+        trains=trains,
+        days=days,
+        trips=trips,
+        seed=seed,
+        faults=[Fault.of(words) for words in faults or []],
+        start=start,
+    )
+    console.print(f"{fleet}", highlight=False, markup=False)
+    logs = write_fleet(fleet, output, jobs)
+    for each in logs.stuck:
+        print_error(each.reason)
+    wrote(output)
+    stated = {
+        "trips": logs.made,
+        "kept": logs.kept,
+        "stuck": [each.name for each in logs.stuck],
+        "duration_s": logs.duration,
+        "distance_m": logs.distance,
+        "size_bytes": logs.size,
+        "elapsed_s": logs.elapsed,
+    }
+    if not state({"fleet": stated}):
+        speed = logs.duration / max(logs.elapsed, 1e-9)
+        console.print(
+            f"{logs.made} trips made, {logs.kept} kept, {len(logs.stuck)} did not arrive:"
+            f" {logs.duration / 3600.0:.1f} h, {logs.distance / 1e3:.0f} km,"
+            f" {logs.size / 1e9:.2f} GB in {logs.elapsed:.0f} s,"
+            f" {speed:,.0f} times as fast as the trains",
+            highlight=False,
+        )
+        if len(logs.codes) > 1:
+            console.print(
+                f"The logs were made by {len(logs.codes)} versions of the code, as fleet.json"
+                f" states: {', '.join(logs.codes)}.",
+                highlight=False,
+            )
+    if logs.stuck:
+        raise typer.Exit(1)
+
+
+def traction_line(loop: TractionLoop) -> str:
+    """What became of the decisions of a traction control, in words."""
+    return (
+        f"{loop.control.name}: {len(loop.unsolved)} of {loop.steps} decisions unsolved, {loop.late}"
+        f" late (over {1e3 * loop.control.period:g} ms; longest {1e3 * loop.longest:.1f} ms)"
+    )
