@@ -338,6 +338,6 @@ def test_from_measured_points_to_a_trip_on_that_rail(
     (log,) = folder.glob("*.mcap")
     truth = json.loads(trainlog.read(log).attachments["scenario.json"])
     assert truth["characteristic"]["polach"] == content["polach"]
-    assert run([*arguments[:4], "polach-dry", *arguments[5:]]) == 0
+    assert run([*arguments[:5], "polach-dry", *arguments[6:]]) == 0
     with pytest.raises(InputError, match="'icy' is unknown; give a file, or one of polach-dry"):
-        run([*arguments[:4], "icy", *arguments[5:]])
+        run([*arguments[:5], "icy", *arguments[6:]])

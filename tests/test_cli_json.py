@@ -33,7 +33,7 @@ import sample_logs/CH_Stadler_FLIRT_TPF.train.json --mass-model homogeneous_stri
 ingest sample_logs/gnss.csv -o recorded
 show sample_logs --check
 convert cut.mcap -o whole.mcap
-simulate drive --count 1 -o trips
+simulate drive --line sample --train sample --count 1 -o trips
 simulate fleet drawn:1 --trains 1 --days 1 --count 1 --jobs 1 -o fleet
 fit sample_logs -o parameters.json
 estimate sample_logs/nonstop.mcap -o estimated
@@ -54,7 +54,7 @@ convert one.network.json -o one.geojson
 map merge wil.map sample_logs/CH_StGallen_Wil.map -o both.map
 map remove wil.map trip-01
 map compact both.map --before 2024-10-08
-plan parameters.json --cells 30 -o trajectory.json
+plan parameters.json --line sample --train sample --cells 30 -o trajectory.json
 settings
 show sample_logs/nonstop.mcap
 convert sample_logs/nonstop.mcap -o part.mcap --km 3:5

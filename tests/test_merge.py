@@ -143,5 +143,5 @@ def test_the_commands_cut_and_merge(
     assert again == whole
     assert again.attachments == whole.attachments
     assert np.all(again[STATE].index == whole[STATE].index)
-    with pytest.raises(InputError, match="give --from, --to, --km or --topic"):
-        run(["convert", log, "-o", parts[0]])
+    with pytest.raises(InputError, match="--km cannot be taken: several logs are joined"):
+        run(["convert", *parts, "-o", str(tmp_path / "again.mcap"), "--km", "1:2"])
