@@ -320,9 +320,10 @@ def test_stretches_are_kilometres() -> None:
     assert stretch("3.2:7.5") == (3200.0, 7500.0)
     assert stretch("3:") == (3000.0, None)
     assert stretch(":7.5") == (None, 7500.0)
+    assert stretch("3.2 km:7500m") == (3200.0, 7500.0)
     for wrong in ("3.2", "a:b", "1:2:3", "", "nan:3", "1:inf"):
         with pytest.raises(
-            InputError, match="must be a section of the line in km; write kilometres"
+            InputError, match=r"section of the line in km; write|is not a valid kilometre; write"
         ):
             stretch(wrong)
 

@@ -310,7 +310,10 @@ def test_faults_show_in_the_physics_from_their_day_on_and_change_nothing_else(
     ("words", "message"),
     [
         ("train=flirt-01,dragging-brake=2kN", "needs a train, one fault and from"),
-        ("train=flirt-01,dragging-brake=2,from=2026-10-02", "is no dragging brake"),
+        (
+            "train=flirt-01,dragging-brake=2,from=2026-10-02",
+            "dragging-brake '2' is not a valid force; write it as 2000N or 2kN",
+        ),
         ("train=flirt-01,brake=2kN,from=2026-10-02", "'brake=2kN' is not understood"),
         ("train=flirt-01,mass=3t,mass=4t,from=2026-10-02", "given twice"),
         ("train=flirt-01,wheel-diameter=40%,from=2026-10-02", "not between"),

@@ -5,7 +5,23 @@ import re
 import pytest
 
 from trainlog.errors import InputError
-from trainlog.units import _FACTORS, _registry, _spelled, factor, si_unit, to_si
+from trainlog.units import (
+    _FACTORS,
+    DISTANCE,
+    FORCE,
+    KILOMETRE,
+    MASS,
+    PERCENT,
+    SHARE,
+    SPEED,
+    TIME,
+    Measure,
+    _registry,
+    _spelled,
+    factor,
+    si_unit,
+    to_si,
+)
 
 
 @pytest.mark.parametrize(
@@ -57,3 +73,56 @@ def test_units_of_own_files_are_converted_as_all_others(unit: str, si: str) -> N
     registry = _registry()
     source, target = (registry.parse_units(_spelled(each)) for each in (unit, si))
     assert factor(unit, si) == (float(registry.Quantity(1.0, source).to(target).magnitude), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("measure", "written", "value"),
+    [
+        (PERCENT, "7%", 0.07),
+        (PERCENT, "7", 0.07),
+        (SHARE, "7 %", 0.07),
+        (TIME, "17:30", 1_050.0),
+        (TIME, "1:06:40 h", 4_000.0),
+        (TIME, "0.5h", 1_800.0),
+        (TIME, "0", 0.0),
+        (SPEED, "80km/h", 80 / 3.6),
+        (SPEED, "80 kmh", 80 / 3.6),
+        (SPEED, "22m/s", 22.0),
+        (MASS, "12t", 12_000.0),
+        (MASS, "12000", 12_000.0),
+        (KILOMETRE, "10 km", 10.0),
+        (KILOMETRE, "-0.5", -0.5),
+        (KILOMETRE, "500m", 0.5),
+        (FORCE, "2kN", 2_000.0),
+    ],
+)
+def test_values_are_read_as_people_write_them(measure: Measure, written: str, value: float) -> None:
+    assert measure.read(written) == pytest.approx(value, rel=1e-15)
+    assert measure.read(f" {written} ", "--name") == measure.read(measure.read(written))
+
+
+@pytest.mark.parametrize(
+    "written",
+    ["", "soon", "nan", "inf", "1,5", "12 apples", "1:75", "3:2:1:0", "--5", "7%%", "1 2"],
+)
+@pytest.mark.parametrize("measure", [TIME, SPEED, SHARE, MASS, DISTANCE])
+def test_what_is_no_value_is_answered_with_how_it_is_written(
+    measure: Measure, written: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        measure.read(written, "--name")
+    assert str(caught.value).startswith(f"--name '{written}' is not a valid {measure.noun}; write")
+    assert ("decimals after a point" in str(caught.value)) == (written == "1,5")
+
+
+@pytest.mark.parametrize(
+    ("measure", "written", "words"),
+    [
+        (TIME.between(0.0), "-5", "must be at least 0 s"),
+        (SPEED.above(0.0, 100.0), "0", "must be above 0 km/h and at most 360 km/h"),
+        (PERCENT.between(0.01, 0.99), "100%", "must be between 1 % and 99 %"),
+    ],
+)
+def test_bounds_are_stated_in_the_usual_unit(measure: Measure, written: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        measure.read(written)

@@ -2,11 +2,14 @@
 
 Files declare the unit of every quantity. `to_si` converts numbers with such a declared unit and
 refuses units of the wrong dimension. Inside trainlog everything is SI; `KMH` and `PER_MILLE` are
-for showing results in the units railway people use.
+for showing results in the units railway people use. A `Measure` reads values as people write them.
 """
 
 from __future__ import annotations
 
+import math
+import re
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -79,6 +82,11 @@ _FACTORS = {
     ("kW", "W"): 1000.0,
     ("permil", "1"): 0.001,
     ("t", "kg"): 1000.0,
+    ("km", "km"): 1.0,
+    ("m", "km"): 0.001,
+    ("ms", "s"): 0.001,
+    ("min", "s"): 60.0,
+    ("h", "s"): 3600.0,
 }
 """Multipliers of the units in trainlog's own files: reading these must not wait for all others."""
 
@@ -201,6 +209,141 @@ def to_si(value: ArrayLike, unit: str, si: str) -> FloatArray:
     else:
         converted = numbers * slope
     return np.asarray(converted + offset if offset else converted, dtype=np.float64)
+
+
+_NUMBER = re.compile(
+    r"(?P<number>[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>[%‰]|[^\W\d_][\w/^²³*·]*)?"
+)
+_CLOCK = re.compile(r"(?:(?P<h>\d+):(?=\d+:))?(?P<min>\d+):(?P<s>[0-5]\d(?:\.\d+)?)(?: (?:min|h))?")
+"""As `clock` writes durations."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """A kind of value that people give: how it is read, and what it may be.
+
+    Attributes
+    ----------
+    noun : str
+        For messages: ``"speed"``.
+    unit : str
+        Of what is returned.
+    usual : str
+        Unit of a number that is given without one; empty: a unit is required.
+    examples : str
+        How it is written.
+    low, high : float
+        Least and largest value [`unit`].
+    open : bool
+        Whether the least value itself is excluded.
+
+    Examples
+    --------
+    >>> SPEED.read("80km/h") == SPEED.read("80"), MASS.read("12 t"), TIME.read("17:30")
+    (True, 12000.0, 1050.0)
+    >>> SHARE.read("7%"), SHARE.read("0.07"), PERCENT.read("7"), DISTANCE.read("10 km")
+    (0.07, 0.07, 0.07, 10000.0)
+    >>> SPEED.read("12 t", "--speed")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: --speed '12 t' is not a valid speed; write it as 80, 80km/h or 22m/s
+    >>> PERCENT.between(0.0, 1.0).read("-5", "--reserve")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: --reserve '-5' must be between 0 % and 100 %; write it as 7 or 7%
+    """
+
+    noun: str
+    unit: str
+    usual: str
+    examples: str
+    low: float = -math.inf
+    high: float = math.inf
+    open: bool = False
+
+    def between(self, low: float, high: float = math.inf) -> Measure:
+        """The same kind of value, from `low` to `high` [`unit`]."""
+        return replace(self, low=low, high=high)
+
+    def above(self, low: float, high: float = math.inf) -> Measure:
+        """The same kind of value, above `low` and up to `high` [`unit`]."""
+        return replace(self, low=low, high=high, open=True)
+
+    def read(self, given: str | float, name: str = "") -> float:
+        """The value [`unit`] of a text; a number at hand is in that unit already.
+
+        Parameters
+        ----------
+        given : str or float
+        name : str
+            What it is the value of, for messages: ``"--speed"``.
+
+        Raises
+        ------
+        InputError
+            If it is not such a value, or not within the bounds.
+        """
+        named = f"{name} '{given}'".lstrip()
+        value = given if isinstance(given, int | float) else self._parsed(given.strip())
+        if value is None or not math.isfinite(value):
+            comma = isinstance(given, str) and re.search(r"\d,\d", given)
+            raise InputError(
+                f"{named} is not a valid {self.noun}",
+                remedy=f"write it as {self.examples}" + ", decimals after a point" * bool(comma),
+            )
+        if not (self.low < value if self.open else self.low <= value) or value > self.high:
+            raise InputError(
+                f"{named} must be {self._bounds}", remedy=f"write it as {self.examples}"
+            )
+        return float(value)
+
+    def _parsed(self, text: str) -> float | None:
+        text = text.replace("\N{MINUS SIGN}", "-")
+        time = _CLOCK.fullmatch(text) if self.unit == "s" else None
+        if time is not None:
+            hours, minutes, seconds = time["h"] or 0, time["min"], time["s"]
+            return 3600.0 * float(hours) + 60.0 * float(minutes) + float(seconds)
+        found = _NUMBER.fullmatch(text)
+        if found is None or not (found["unit"] or self.usual):
+            return None
+        try:
+            unit = _WRITTEN.get((found["unit"] or "").lower(), found["unit"] or self.usual)
+            return float(to_si(float(found["number"]), unit, self.unit))
+        except InputError:
+            return None
+
+    def shown(self, value: float) -> str:
+        """A value [`unit`] in the usual unit.
+
+        Examples
+        --------
+        >>> SPEED.shown(25.0), SHARE.shown(0.05)
+        ('90 km/h', '0.05')
+        """
+        slope, offset = factor(self.usual, self.unit)
+        unit = "" if self.usual == "1" else f" {self.usual}"
+        return f"{(value - offset) / slope:.6g}{unit}"
+
+    @property
+    def _bounds(self) -> str:
+        low, high = self.shown(self.low), self.shown(self.high)
+        if self.high == math.inf:
+            return f"above {low}" if self.open else f"at least {low}"
+        if self.low == -math.inf:
+            return f"at most {high}"
+        return f"above {low} and at most {high}" if self.open else f"between {low} and {high}"
+
+
+_WRITTEN = {"kmh": "km/h", "kph": "km/h"}
+"""Units as people write them, too."""
+
+TIME = Measure("time", "s", "s", "90, 90s, 15min or 17:30")
+SPEED = Measure("speed", "m/s", "km/h", "80, 80km/h or 22m/s")
+SHARE = Measure("share", "1", "1", "0.07 or 7%")
+PERCENT = Measure("share", "1", "%", "7 or 7%")
+NUMBER = Measure("number", "1", "1", "0.1 or 10%")
+DISTANCE = Measure("distance", "m", "m", "250, 250m or 0.25km")
+KILOMETRE = Measure("kilometre", "km", "km", "12.3, 12.3km or 12300m")
+MASS = Measure("mass", "kg", "kg", "12000, 12000kg or 12t")
+FORCE = Measure("force", "N", "N", "2000, 2000N or 2kN")
 
 
 def _spelled(unit: str) -> str:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +13,7 @@ import typer
 from trainlog.cli.terminal import console
 from trainlog.errors import InputError
 from trainlog.formats.files import logs_of
-from trainlog.units import NANOSECONDS
+from trainlog.units import DISTANCE, KILOMETRE, MASS, NANOSECONDS, NUMBER, Measure
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -126,6 +126,19 @@ KilometreOption = Annotated[
     ),
 ]
 
+
+def option(*names: str, of: Measure, help: str) -> Any:
+    """An option whose value is written as people write it; a command gets it in the unit of `of`.
+
+    A number that the command has for a default is in that unit, too.
+    """
+
+    def read(given: Any) -> float:
+        return of.read(given, names[0])
+
+    return typer.Option(*names, parser=read, metavar=of.noun.upper(), help=help)
+
+
 SECONDS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 _RELATIVE = re.compile(
@@ -171,16 +184,12 @@ def stretch(text: str | None, line: Line | None = None) -> tuple[float | None, f
     if text is None:
         return None
     start, colon, end = text.partition(":")
-    try:
-        if not colon:
-            raise ValueError(text)
-        limits = [float(word) if word.strip() else None for word in (start, end)]
-        if not all(limit is None or math.isfinite(limit) for limit in limits):
-            raise ValueError(text)
-    except ValueError as error:
+    if not colon:
         raise InputError(
             f"'{text}' must be a section of the line in km", remedy="write kilometres as 3.2:7.5"
-        ) from error
+        )
+    named = f"section '{text}': kilometre"
+    limits = [KILOMETRE.read(word, named) if word.strip() else None for word in (start, end)]
     return section_of_km(line, limits[0], limits[1])
 
 
@@ -225,9 +234,12 @@ def lasting_change(word: str, line: Line | None = None) -> Change:
         raise InputError(f"change '{word}': km needs both ends", remedy=remedy)
     try:
         when = utc(given["date"])
-        factor, spots = (float(given.get(name, "1")) for name in ("factor", "spots"))
-    except (ValueError, InputError):
-        raise InputError(f"change '{word}' has no such date or number", remedy=remedy) from None
+    except InputError:
+        raise InputError(f"change '{word}' has no such date", remedy=remedy) from None
+    factor, spots = (
+        NUMBER.read(given.get(name, "1"), f"change '{word}': {name}")
+        for name in ("factor", "spots")
+    )
     return Change(km[0], km[1], int(when.value), factor, spots)
 
 
@@ -490,35 +502,20 @@ def pairs(given: list[str]) -> dict[str, str]:
             value = given_condition(value)
         found[key] = _load(value) if key == "load" else value
         if key == "start_position" and value != "stations":
-            found[key] = f"{_metres(value):g}"
+            found[key] = f"{_START.read(value, key):g}"
     return found
 
 
-def _metres(word: str) -> float:
-    """A distance [m], from a number in metres or one with its unit, ``0.2km``."""
-    number, unit = (word.removesuffix("km"), 1e3) if word.endswith("km") else (word, 1.0)
-    try:
-        return float(number.removesuffix("m")) * unit
-    except ValueError:
-        raise InputError(
-            f"start_position '{word}' is no distance",
-            remedy="give it in m, as 0.2km, or as stations: where the stops match them",
-        ) from None
+_START = replace(
+    DISTANCE, examples="200, 0.2km or stations (where the stops match those of the line)"
+)
 
 
 def load_of(word: str) -> float:
     """A load [kg], from a number in kg or one with its unit, ``11.7t``."""
     from trainlog.railway.train import check_load
 
-    number, unit = word.removesuffix("kg"), 1.0
-    if number.endswith("t"):
-        number, unit = number.removesuffix("t"), 1e3
-    try:
-        load = float(number) * unit
-    except ValueError:
-        load = math.nan
-    if not 0.0 <= load < math.inf:
-        raise InputError(f"load '{word}' is no load", remedy="give it in kg, 0 or more, or as 12t")
+    load = MASS.between(0.0).read(word, "load")
     check_load(load)
     return load
 

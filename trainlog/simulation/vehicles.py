@@ -29,18 +29,23 @@ from trainlog.railway import EffortCurve, RunningResistance, Train
 from trainlog.railway.train import Axles, Brake
 from trainlog.simulation.sensors import Sensors
 from trainlog.spans import utc
-from trainlog.units import DAY, KMH
+from trainlog.units import DAY, FORCE, KMH, MASS, SHARE, TIME, Measure, factor
 
 FaultKind = Literal["dragging brake", "mass", "wheel diameter", "effort gain", "sensor delay"]
 
-UNITS: dict[FaultKind, dict[str, float]] = {
-    "dragging brake": {"N": 1.0, "kN": 1e3},
-    "mass": {"kg": 1.0, "t": 1e3},
-    "wheel diameter": {"%": 0.01, "": 1.0},
-    "effort gain": {"%": 0.01, "": 1.0},
-    "sensor delay": {"s": 1.0, "ms": 1e-3},
+MEASURES: dict[FaultKind, Measure] = {
+    "dragging brake": replace(FORCE, usual="", examples="2000N or 2kN"),
+    "mass": replace(MASS, usual="", examples="3000kg or 3t"),
+    "wheel diameter": replace(SHARE, examples="1% or 0.01"),
+    "effort gain": replace(SHARE, examples="5% or 0.05"),
+    "sensor delay": replace(TIME, usual="", examples="0.3s or 300ms"),
 }
-"""Units of each fault's size, and their factors to SI."""
+"""How each fault's size is written."""
+
+_SHOWN_IN: dict[FaultKind, str] = {
+    "dragging brake": "N", "mass": "kg", "wheel diameter": "%", "effort gain": "%",
+    "sensor delay": "s",
+}  # fmt: skip
 
 LARGEST: dict[FaultKind, float] = {
     "dragging brake": 50e3,
@@ -109,7 +114,7 @@ class Fault:
         if not 0.0 < abs(self.size) <= LARGEST[self.kind]:
             raise InputError(
                 f"fault of train '{self.train}': {self.kind} of {self.size:g}"
-                f" {next(iter(UNITS[self.kind])) if LARGEST[self.kind] > 1.0 else ''}".rstrip()
+                f" {_SHOWN_IN[self.kind] if LARGEST[self.kind] > 1.0 else ''}".rstrip()
                 + f" is not between 0 and {LARGEST[self.kind]:g}",
                 remedy="check its unit",
             )
@@ -129,10 +134,11 @@ class Fault:
         >>> fault.words
         'flirt-03 dragging brake 2000 N from 2026-10-12'
         """
-        unit, factor = next(iter(UNITS[self.kind].items()))
+        unit = _SHOWN_IN[self.kind]
+        scale, _ = factor(unit, MEASURES[self.kind].unit)
         first = pd.Timestamp(self.start, tz="UTC")
         when = f"{first:%Y-%m-%d}" if first == first.normalize() else f"{first:%Y-%m-%d %H:%M} UTC"
-        return f"{self.train} {self.kind} {self.size / factor:g} {unit} from {when}"
+        return f"{self.train} {self.kind} {self.size / scale:g} {unit} from {when}"
 
     @staticmethod
     def of(words: str) -> Fault:
@@ -166,21 +172,8 @@ class Fault:
             raise InputError(
                 f"fault '{words}': '{given['from']}' is no date", remedy=remedy
             ) from None
-        return Fault(given["train"], kind, _size(words, given[faults[0]], kind), start)
-
-
-def _size(words: str, text: str, kind: FaultKind) -> float:
-    """The size of a fault with its unit, in SI units."""
-    for unit in sorted(UNITS[kind], key=len, reverse=True):
-        if text.endswith(unit):
-            try:
-                return float(text.removesuffix(unit)) * UNITS[kind][unit]
-            except ValueError:
-                break
-    units = " or ".join(unit or "a share" for unit in UNITS[kind])
-    raise InputError(
-        f"fault '{words}': '{text}' is no {kind}", remedy=f"give a number with {units}"
-    )
+        size = MEASURES[kind].read(given[faults[0]], f"fault '{words}': {faults[0]}")
+        return Fault(given["train"], kind, size, start)
 
 
 @dataclass(frozen=True, slots=True)
