@@ -109,7 +109,7 @@ def test_where_nothing_changed_little_is_found(count: int) -> None:
     assert f"(wet {len(quiet.bins)})" in quiet.sentence
     ratio = quiet.bins["detectable_ratio"].median()
     assert f"from the factor {ratio:.2f} (wet) on" in quiet.sentence
-    assert quiet.as_json()["layers"]["wet"]["bins"] == len(quiet.bins)
+    assert quiet.data()["layers"]["wet"]["bins"] == len(quiet.bins)
     assert quiet.bins["probability"].mean() < 0.5
 
 
@@ -249,7 +249,7 @@ def test_of_many_days_a_dozen_get_an_estimate_the_last_among_them(
     monkeypatch.setattr(map_history, "estimated", lambda _: whole)
     found = analysis.map_history(whole, 3_910.0, "wet")
     assert len(found.known) == 12
-    assert found.as_json()["notes"] == list(found.notes)
+    assert found.data()["notes"] == list(found.notes)
     assert "made for 12 of 60 days with evidence nearby" in found.notes[0]
     assert found.known["day"].iloc[-1] == pd.Timestamp("2026-07-25")
     last = analysis.map_history(whole, 3_910.0, "wet", days=1)

@@ -16,7 +16,6 @@ from rich.console import Console
 import analysis
 import trainlog
 from analysis.adhesion import map_plot as plot
-from analysis.adhesion.map_state import state_table
 from trainlog.cli.main import run
 from trainlog.condition import estimated
 from trainlog.errors import InputError
@@ -74,9 +73,9 @@ def track() -> TrackConditionMap:
     return replace(found, layers={**found.layers, "wet": mine})
 
 
-def printed(table: object) -> str:
+def printed(*parts: object) -> str:
     console = Console(width=200, record=True, file=StringIO())
-    console.print(table)
+    console.print(*parts)
     return " ".join(console.export_text().split())
 
 
@@ -120,7 +119,7 @@ def test_the_state_has_lasting_beside_expected_with_place_and_spot(
 def test_the_table_dates_spots_and_changes_and_names_what_is_assumed(
     track: TrackConditionMap, line: Line
 ) -> None:
-    words = printed(state_table(analysis.map_state(track, AT, line=line), model=True))
+    words = printed(*analysis.map_state(track, AT, line=line).shown("model"))
     assert "expected at 2024-10-09 06:00 UTC" in words
     assert "9.675 to 9.750" in words
     assert f"{SPOT.alive(AT):.0%}" in words
@@ -130,10 +129,10 @@ def test_the_table_dates_spots_and_changes_and_names_what_is_assumed(
     # A mean of logarithms is read as an adhesion; what the evidence moved is not all assumed.
     assert "median of normal rail 0.29 0.026 adhesion mostly assumed" in words
     assert "slippery length 193 120 m mostly assumed" in words
-    assert "Model" not in printed(state_table(analysis.map_state(track, AT, line=line)))
+    assert "Model" not in printed(*analysis.map_state(track, AT, line=line).shown())
     assert "Where nothing was observed, the map has no estimate; 203 onsets of slip" in words
     assert "34 others did not" in words
-    only = printed(state_table(analysis.map_state(track, AT, line=line, layers=["wet"])))
+    only = printed(*analysis.map_state(track, AT, line=line, layers=["wet"]).shown())
     assert "203 onsets of slip" in only
     assert "87 onsets of slip" not in only
     assert "without the evidence" not in words
@@ -160,8 +159,8 @@ def test_a_past_time_is_shown_and_written_as_it_was_known_then(tmp_path: Path) -
     then = analysis.map_state(longer, past)
     assert then.layers["last_day"].tolist() == ["2024-10-07"]
     assert then.layers["onsets"].tolist() == [203]
-    assert [each["trip"] for each in then.as_json()["trips"]] == ["trip-03", "trip-07", "trip-11"]
-    assert then.as_json()["trips"][0]["day"] == "2024-10-07"
+    assert [each["trip"] for each in then.data()["trips"]] == ["trip-03", "trip-07", "trip-11"]
+    assert then.data()["trips"][0]["day"] == "2024-10-07"
     left = "without the evidence of 1 day, 2024-10-10, which is not from before 2024-10-09 (UTC)"
     assert then.notes[-1] == left
     for name, given in (("then", longer), ("now", track)):
@@ -183,10 +182,10 @@ def test_spots_are_listed_the_likeliest_first_and_medians_stated(track: TrackCon
     old = replace(SPOT, start=9_000.0, end=9_100.0, checked=19_900)
     wet = replace(track.layer("wet"), spots=(old, SPOT))
     state = analysis.map_state(replace(track, layers={"wet": wet}), AT)
-    listed = state.as_json()["spots"]
+    listed = state.data()["spots"]
     assert [each["start_m"] for each in listed] == [SPOT.start, old.start]
     assert listed[0]["probability"] > listed[1]["probability"]
-    model = {each["parameter"]: each for each in state.as_json()["model"]}
+    model = {each["parameter"]: each for each in state.data()["model"]}
     assert model["mean"]["median"] == pytest.approx(np.exp(-1.238))
     assert model["trip_std"]["median"] is None
 
@@ -235,7 +234,7 @@ def test_a_spot_is_described_in_words_and_what_cannot_be_known_is_stated(
         layers = {"wet": replace(wet, spots=(spot,), changes=changes)}
         state = analysis.map_state(replace(track, layers=layers), AT)
         assert state.spots["may_be_change"].tolist() == [expected]
-        words = printed(state_table(state))
+        words = printed(*state.shown())
         assert "gone (0 %)" in words
         assert ("cannot be distinguished yet" in words) is expected
         met = "2024-10-08 to 2024-10-09" if spot is seen_before else "on 2024-10-07"

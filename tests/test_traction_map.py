@@ -19,9 +19,9 @@ from simulated_line import flirt, hilly_line, level_line
 from analysis.adhesion.condition_map import (
     LEVELS,
     SETTINGS,
+    UpdatedMap,
     adhesion_map,
     empty_map,
-    map_table,
     merge,
     summary,
     update,
@@ -457,7 +457,7 @@ class TestWhatRecordersLack:
         track, _ = update(empty_map(LINE), pieces)
         track = map_from_bytes(map_to_bytes(track))
         console = Console(width=200, file=StringIO())
-        console.print(map_table(track))
+        console.print(*UpdatedMap(track, ()).shown())
         return str(console.file.getvalue())
 
     def test_a_map_of_complete_recordings(self) -> None:

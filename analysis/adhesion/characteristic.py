@@ -22,10 +22,10 @@ from typing import Any, Literal
 import numpy as np
 
 from trainlog.arrays import FloatArray
-from trainlog.display import as_html, as_text, counted
+from trainlog.display import counted
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.characteristic import read_adhesion_points
-from trainlog.presentation import WordTable, new_table
+from trainlog.presentation import Presented
 from trainlog.railway.adhesion import (
     AdhesionCharacteristic,
     AdhesionPoints,
@@ -55,8 +55,8 @@ DRAWS = 400
 """Parameters drawn for the interval of the optimal slip."""
 
 
-@dataclass(frozen=True, eq=False)
-class CharacteristicFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class CharacteristicFit(Presented):
     """An adhesion characteristic fitted to points, and how well it is known.
 
     Attributes
@@ -90,20 +90,41 @@ class CharacteristicFit:
     rms: dict[str, float]
     findings: tuple[str, ...]
 
-    def __repr__(self) -> str:
-        return as_text(f"Adhesion characteristic: {NAMES[self.family]}", self._rows())
+    @property
+    def title(self) -> str:
+        """The family."""
+        return f"Adhesion characteristic: {NAMES[self.family]}"
 
-    def _repr_html_(self) -> str:
-        return as_html(f"Adhesion characteristic: {NAMES[self.family]}", self._rows())
-
-    def _rows(self) -> dict[str, str]:
+    def summary(self) -> dict[str, str]:
+        """Maximum, optimum, slope, and what each family leaves of the points."""
+        of = counted(self.points.slips.size, "point")
         rows = {
             "maximum adhesion": f"{self.maximum:.4f} ± {1.96 * self.maximum_std:.4f}",
             f"optimal {self.points.variable}": self.optimum_in_words(),
-            "residuals": f"{100.0 * self.rms[self.family]:.2f} % of the maximum (RMS)"
-            f" of {counted(self.points.slips.size, 'point')}",
+            "residuals": f"{100.0 * self.rms[self.family]:.2f} % of the maximum (RMS) of {of}",
         }
-        return rows | ({"note": "; ".join(self.findings)} if self.findings else {})
+        if np.isfinite(self.speed):
+            curve = self.characteristic
+            slope = float(curve.slope(0.0, self.speed)) * self.speed / 100.0
+            rows["slope at no slip"] = f"{slope:.3f} per per cent of creepage"
+            best = float(curve.optimal_slip_speed(self.speed))
+            if np.isfinite(self.optimal_band[1]):
+                at = f"optimal slip speed at {KMH * self.speed:.0f} km/h"
+                rows[at] = f"{KMH * best:.3g} km/h"
+        return rows | {
+            f"residuals: {NAMES[name]}": f"{100.0 * rms:.2f} % of the maximum (RMS)"
+            for name, rms in self.rms.items()
+            if name != self.family
+        }
+
+    def facts(self) -> dict[str, Any]:
+        """The family, and what is kept of the fit."""
+        return {"family": self.family, "fit": self.provenance()}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the points do not show."""
+        return self.findings
 
     def optimum_in_words(self) -> str:
         """The optimal slip and its interval in the units of railway people."""
@@ -435,24 +456,3 @@ def _uncertainty(
     low, high = np.quantile(within[np.argmax(own + drawn, axis=1)], [0.025, 0.975])
     flat = within[own >= own.max() - 1.96 * solution.form]
     return std, (float(min(low, flat[0])), float(max(high, flat[-1])))
-
-
-def characteristic_table(fit: CharacteristicFit) -> WordTable:
-    """The fit as a table: maximum, optimum, slope, and what each family leaves of the points."""
-    table = new_table(
-        f"Adhesion characteristic: {NAMES[fit.family]}", "quantity", "value", name="summary"
-    )
-    for quantity, value in fit._rows().items():
-        table.add_row(quantity, value)
-    curve = fit.characteristic
-    if np.isfinite(fit.speed):
-        slope = float(curve.slope(0.0, fit.speed)) * fit.speed / 100.0
-        table.add_row("slope at no slip", f"{slope:.3f} a per cent of creepage")
-        best = float(curve.optimal_slip_speed(fit.speed))
-        at = f"at {KMH * fit.speed:.0f} km/h"
-        if np.isfinite(fit.optimal_band[1]):
-            table.add_row(f"optimal slip speed {at}", f"{KMH * best:.3g} km/h")
-    for name, rms in fit.rms.items():
-        if name != fit.family:
-            table.add_row(f"residuals: {NAMES[name]}", f"{100.0 * rms:.2f} % of the maximum (RMS)")
-    return table

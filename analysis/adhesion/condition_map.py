@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.console import Group
 
 from analysis.adhesion.covariates import TOPICS as COVARIATE_TOPICS, covariates
 from analysis.adhesion.empty_map import (
@@ -49,7 +48,7 @@ from trainlog.identity import (
 )
 from trainlog.mcap import read_log
 from trainlog.mcap.reader import identity_of_log, stretches
-from trainlog.presentation import new_table
+from trainlog.presentation import NUMBER, POSITION, Column, Presented, Said, WordTable, new_table
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.line import Line
@@ -164,8 +163,31 @@ def _left_out(track: TrackConditionMap, logs: Sequence[_Log]) -> dict[int, str]:
     return dict(sorted(found.items()))
 
 
+def _spots_in_words(layer: LayerSummary) -> str:
+    spots = [
+        f"km {spot.position / 1e3:.3f}: {spot.adhesion:.3f} ({spot.low:.3f} to {spot.high:.3f})"
+        for spot in layer.lowest
+    ]
+    return "\n".join(spots) or "nothing observed"
+
+
+def _observed(layer: LayerSummary) -> Said:
+    share = layer.observed_bins / layer.bins
+    words = f"{layer.observed_length / 1e3:.1f} km, {share:.0%}"
+    return Said(layer.observed_length, words)
+
+
+LAYER_COLUMNS = (
+    Column("rail\ncondition", key="layer"),
+    Column("trips", NUMBER),
+    Column("onsets measured", NUMBER, key="onsets", of="events"),
+    Column("observed", POSITION, each=True, of=_observed),
+    Column("lowest maximum adhesion (95 % band)", key="lowest", of=_spots_in_words, rank=1),
+)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class UpdatedMap:
+class UpdatedMap(Presented):
     """A track-condition map to which trips were added.
 
     Attributes
@@ -182,14 +204,29 @@ class UpdatedMap:
     skipped: tuple[str, ...]
     reasons: tuple[str, ...] = ()
 
-    def __repr__(self) -> str:
+    @property
+    def title(self) -> str:
+        """The map."""
+        return self.track.title
+
+    def summary(self) -> dict[str, str]:
+        """That of the map, and which trips it held already."""
         skipped = ", ".join(self.skipped[:4]) + (" and more" if len(self.skipped) > 4 else "")
-        return repr(self.track) + (f"\n  held already: {skipped}" if skipped else "")
+        return self.track.summary() | ({"held already": skipped} if skipped else {})
 
-    def _repr_html_(self) -> str:
-        from trainlog.presentation import as_page
+    def sketch(self) -> str:
+        """The map."""
+        return self.track.sketch()
 
-        return self.track._repr_html_() + as_page(map_table(self.track))
+    def tables(self) -> list[WordTable]:
+        """What the map knows, layer by layer, with its lowest spots."""
+        title = f"Track condition of {self.track.line}, {self.track.bin_length:.0f} m bins"
+        return [new_table(title, *LAYER_COLUMNS, name="layers").add_rows(self.layers)]
+
+    @property
+    def notes(self) -> list[str]:
+        """What holds where nothing was observed, and what the recorders lacked."""
+        return map_words(self.track)
 
     @property
     def layers(self) -> tuple[LayerSummary, ...]:
@@ -498,27 +535,6 @@ def _lowest(track: TrackConditionMap, layer: ConditionLayer, spots: int) -> tupl
         )
         for i in chosen
     )
-
-
-def map_table(track: TrackConditionMap) -> Group:
-    """What a track-condition map knows, layer by layer, with its lowest spots."""
-    title = f"Track condition of {track.line}, {track.bin_length:.0f} m bins"
-    lowest = "lowest maximum adhesion (95 % band)"
-    table = new_table(title, "rail\ncondition", "trips", "onsets measured", "observed", lowest)
-    for layer in summary(track):
-        spots = [
-            f"km {spot.position / 1e3:.3f}: {spot.adhesion:.3f} ({spot.low:.3f} to {spot.high:.3f})"
-            for spot in layer.lowest
-        ]
-        share = layer.observed_bins / layer.bins
-        table.add_row(
-            layer.layer,
-            str(layer.trips),
-            str(layer.events),
-            f"{layer.observed_length / 1e3:.1f} km, {share:.0%}",
-            "\n".join(spots) or "nothing observed",
-        )
-    return Group(table, *map_words(track))
 
 
 def map_words(track: TrackConditionMap) -> list[str]:

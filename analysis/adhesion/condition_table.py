@@ -5,7 +5,7 @@ Names of columns end with their unit. What was not observed is empty, never the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from analysis.adhesion.line_table import line_table
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
+from trainlog.presentation import ADHESION, KILOMETRE, Column, Ends
 from trainlog.railway.condition import (
     AdhesionEstimate,
     ConditionChange,
@@ -33,6 +34,31 @@ AT_STATION = 100.0
 
 RESOLUTION = 0.01
 """Adhesion by which the bins of one section may differ."""
+
+
+LAYER = Column("rail\ncondition", key="layer")
+KM = Column("km", KILOMETRE, key="start_km")
+NEAR = Column("near", rank=1)
+"""Of a row of a table of this module."""
+
+
+def ends_of(row: Mapping[Hashable, Any]) -> str:
+    """The operator's kilometres of the ends of a row."""
+    return f"{row['start_km']:.3f} to {row['end_km']:.3f}"
+
+
+SPAN = Column("km", key="span", of=ends_of)
+
+
+def with_ends(heading: str, name: str) -> Column:
+    """A column of adhesion with its 95 % band, of a row of a table of this module."""
+    low, high = ("low", "high") if name == "adhesion" else (f"{name}_low", f"{name}_high")
+    return Column(
+        f"{heading} (95 % band)",
+        ADHESION,
+        key=name,
+        of=lambda row: Ends(row[name], row[low], row[high]),
+    )
 
 
 def last_evidence(track: TrackConditionMap) -> pd.Timestamp | None:
@@ -447,18 +473,3 @@ def _line_attributes(line: Line, track: TrackConditionMap) -> dict[str, object]:
         "tunnel": table["tunnel"].to_numpy(),
         "station": [name or None for name in station],
     }
-
-
-def plain_rows(rows: pd.DataFrame) -> list[dict[str, Any]]:
-    """The rows in JSON's own types; None where nothing is known."""
-    columns: dict[str, list[Any]] = {}
-    for name, column in rows.items():
-        values = column.dt.strftime("%Y-%m-%d") if column.dtype.kind == "M" else column
-        known = column.notna().tolist()
-        columns[str(name)] = [
-            value if there else None
-            for value, there in zip(values.tolist(), known, strict=True)
-        ]  # fmt: skip
-    return [
-        dict(zip(columns, each, strict=True)) for each in zip(*columns.values(), strict=True)
-    ]  # fmt: skip

@@ -18,7 +18,6 @@ from analysis.adhesion.condition_table import (
     check_course,
     chosen_layers,
     last_evidence,
-    plain_rows,
     sections_table,
     spots_table,
 )
@@ -28,6 +27,7 @@ from trainlog.errors import InputError
 from trainlog.extras import load
 from trainlog.formats.files import atomic_write, write_bytes
 from trainlog.formats.ttobench_adhesion import AdhesionSections, write_adhesion
+from trainlog.presentation import plain_rows
 from trainlog.railway import Line, TrackConditionMap
 from trainlog.railway.kilometres import in_km
 from trainlog.version import __version__

@@ -8,23 +8,25 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from rich.console import Group, RenderableType
 from scipy.special import ndtr, ndtri
 
 from analysis.adhesion.condition_table import (
     BAND,
+    LAYER,
+    NEAR,
+    SPAN,
     bin_edges,
     check_course,
     day_name,
     kilometres,
     near,
-    plain_rows,
+    with_ends,
 )
 from trainlog.arrays import BoolArray, FloatArray
 from trainlog.condition import estimated
 from trainlog.display import counted
 from trainlog.errors import InputError
-from trainlog.presentation import as_page, new_table
+from trainlog.presentation import SHARE, Column, Presented, WordTable, frame_table, new_table
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.line import Line
@@ -49,7 +51,7 @@ _SUMS = ("trips", "events", "weight", "weighted_log", "weighted_square", "common
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MapDifference:
+class MapDifference(Presented):
     """How the lasting maximum adhesion differs between two bodies of evidence.
 
     Attributes
@@ -82,11 +84,14 @@ class MapDifference:
     least: float
     notes: tuple[str, ...] = ()
 
-    def __repr__(self) -> str:
-        return f"{self.line}: {self.before} and {self.after}\n  {self.sentence}"
+    @property
+    def title(self) -> str:
+        """Line, and what is compared."""
+        return f"{self.line}: {self.before}, and {self.after}"
 
-    def _repr_html_(self) -> str:
-        return as_page(difference_table(self))
+    def summary(self) -> dict[str, str]:
+        """The outcome."""
+        return {"outcome": self.sentence}
 
     @property
     def changed(self) -> bool:
@@ -123,14 +128,13 @@ class MapDifference:
             for name, rows in self.bins.groupby("layer", sort=False)
         }
 
-    def as_json(self) -> dict[str, Any]:
-        """The same in JSON's own types."""
+    def facts(self) -> dict[str, Any]:
+        """What was compared, and how well a change would have been found."""
         return {
             "line": self.line,
             "before": self.before,
             "after": self.after,
             "changed": self.changed,
-            "sentence": self.sentence,
             "false_discovery_rate": self.rate,
             "least": self.least,
             "tested_bins": len(self.bins),
@@ -139,10 +143,33 @@ class MapDifference:
                 for name, (bins, ratio) in self.detectable.items()
             },
             "newly_observed_bins": self.newly_observed,
-            "notes": list(self.notes),
-            "sections": plain_rows(self.sections),
-            "bins": plain_rows(self.bins),
         }
+
+    def tables(self) -> list[WordTable]:
+        """What changed, section by section, the largest difference first."""
+        sections = new_table(
+            self.title,
+            LAYER,
+            SPAN,
+            NEAR,
+            with_ends("before", "before"),
+            with_ends("after", "after"),
+            Column(f"differs by more than {self.least:g}", SHARE, each=True, of="probability"),
+            Column("q", of=lambda row: f"{row['q_value']:.2g}", rank=1),
+            name="sections",
+            frame=self.sections,
+        )
+        ranked = self.sections.sort_values(
+            "difference", key=lambda each: -each.abs(), kind="stable"
+        )
+        sections.add_rows(ranked.to_dict("records"))
+        return [sections, frame_table("bins", self.bins)]
+
+    def shown(self, *also: str) -> list[WordTable | str]:
+        """The sections that changed, or what was compared; the outcome; what was left out."""
+        fresh = [f"{name} {count}" for name, count in self.newly_observed.items() if count]
+        words = [f"Observed for the first time (bins): {', '.join(fresh)}."] if fresh else []
+        return [*([] if self.changed else [self.title]), *super().shown(*also), *words]
 
 
 def map_difference(
@@ -498,27 +525,3 @@ _AVERAGED = (
     *("before", "before_low", "before_high", "after", "after_low", "after_high"),
     "difference",
 )
-
-
-def difference_table(found: MapDifference) -> Group:
-    """What changed, section by section, the largest difference first."""
-    title = f"{found.line}: {found.before}, and {found.after}"
-    heads = ("km", "near", "before (95 % band)", "after (95 % band)")
-    table = new_table(
-        title, "rail\ncondition", *heads, f"differs by more than {found.least:g}", "q"
-    )
-    ranked = found.sections.sort_values("difference", key=lambda each: -each.abs(), kind="stable")
-    for each in ranked.to_dict("records"):
-        sides = [
-            f"{each[side]:.3f} ({each[f'{side}_low']:.3f} to {each[f'{side}_high']:.3f})"
-            for side in ("before", "after")
-        ]
-        ends = f"{each['start_km']:.3f} to {each['end_km']:.3f}"
-        words = (ends, str(each["near"]), *sides, f"{each['probability']:.1%}")
-        table.add_row(str(each["layer"]), *words, f"{each['q_value']:.2g}")
-    parts: list[RenderableType] = [table] if found.changed else [title]
-    parts += [found.sentence, *found.notes]
-    fresh = [f"{name} {count}" for name, count in found.newly_observed.items() if count]
-    if fresh:
-        parts.append(f"Observed for the first time (bins): {', '.join(fresh)}.")
-    return Group(*parts)

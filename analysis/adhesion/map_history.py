@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from rich.console import Group, RenderableType
 
 from analysis.adhesion.condition_table import (
     BAND,
@@ -17,13 +17,23 @@ from analysis.adhesion.condition_table import (
     kilometres,
     may_be_change,
     met_words,
-    plain_rows,
     probability_words,
 )
 from trainlog.arrays import IntArray
 from trainlog.condition import estimated
 from trainlog.errors import InputError
-from trainlog.presentation import as_page, new_table
+from trainlog.presentation import (
+    ADHESION,
+    NUMBER,
+    Cell,
+    Column,
+    Ends,
+    Presented,
+    Said,
+    WordTable,
+    frame_table,
+    new_table,
+)
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.line import Line
 
@@ -38,7 +48,7 @@ LISTED = 15
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PlaceHistory:
+class PlaceHistory(Presented):
     """The history of one bin in one layer.
 
     Attributes
@@ -80,14 +90,12 @@ class PlaceHistory:
     changes: pd.DataFrame
     days: int = 0
 
-    def __repr__(self) -> str:
-        return (
-            f"{self.title}: {int(self.onsets['events'].sum())} onsets of slip on"
-            f" {len(self.onsets)} days, used without slip on {len(self.used)} days"
-        )
-
-    def _repr_html_(self) -> str:
-        return as_page(history_table(self))
+    def summary(self) -> dict[str, str]:
+        """How often slip began there, and how often it did not."""
+        return {
+            "onsets": f"{int(self.onsets['events'].sum())} of slip on {len(self.onsets)} days",
+            "used": f"without slip on {len(self.used)} days",
+        }
 
     @property
     def unmeasured(self) -> str:
@@ -106,7 +114,14 @@ class PlaceHistory:
             f"The estimate as known then was made for {len(self.known)} of"
             f" {self.days} days with evidence nearby, chosen evenly (--days sets how many)."
         )
-        return tuple(filter(None, (thinned if self.thinned else "", self.unmeasured)))
+        said = (thinned if self.thinned else "", self.unmeasured)
+        spots = (_spot_in_words(each) for each in self.spots.to_dict("records"))
+        changes = (
+            f"Lasting change on {each.day:%Y-%m-%d} ({each.earliest:%Y-%m-%d} to"
+            f" {each.latest:%Y-%m-%d}): {each.before:.3f} to {each.after:.3f}."
+            for each in self.changes.itertuples()
+        )
+        return tuple(filter(None, (*said, *spots, *changes)))
 
     @property
     def thinned(self) -> bool:
@@ -119,9 +134,8 @@ class PlaceHistory:
         place = f"km {self.start_km:.3f} to {self.end_km:.3f}" + f", {self.near}" * bool(self.near)
         return f"{self.line}, {place}, {self.layer}"
 
-    def as_json(self) -> dict[str, Any]:
-        """The same in JSON's own types."""
-        tables = ("onsets", "used", "known", "spots", "changes")
+    def facts(self) -> dict[str, Any]:
+        """The place."""
         return {
             "line": self.line,
             "layer": self.layer,
@@ -131,9 +145,26 @@ class PlaceHistory:
             "end_km": self.end_km,
             "near": self.near,
             "thinned": self.thinned,
-            **{name: plain_rows(getattr(self, name)) for name in tables},
-            "notes": list(self.notes),
         }
+
+    def tables(self) -> list[WordTable]:
+        """What is known by day, the last days of it; and what it is made of as data."""
+        earlier = len(self._days) - LISTED
+        hidden = f"{earlier} earlier days are not listed." if earlier > 0 else None
+        table = new_table(self.title, *DAY_COLUMNS, name="days", caption=hidden)
+        names = ("onsets", "used", "known", "spots", "changes")
+        parts = [frame_table(name, getattr(self, name)) for name in names]
+        return [table.add_rows(self._days[-LISTED:]), *parts]
+
+    @property
+    def _days(self) -> list[dict[str, Any]]:
+        """What is known of each day."""
+        of = {
+            name: {row["day"]: row for row in getattr(self, name).to_dict("records")}
+            for name in ("onsets", "used", "known")
+        }
+        days = sorted({day for rows in of.values() for day in rows})
+        return [{"day": day} | {name: rows.get(day) for name, rows in of.items()} for day in days]
 
 
 def map_history(
@@ -304,42 +335,37 @@ def _changes(layer: ConditionLayer, start: float, end: float) -> pd.DataFrame:
     return pd.DataFrame(days | values)
 
 
-def history_table(found: PlaceHistory) -> Group:
-    """The history as a table by day, the last days of it, with spots and changes in words."""
-    heads = ("onsets", "measured (95 % band)", "used without slip", "lasting (95 % band)")
-    table = new_table(found.title, "day", *heads, "expected (95 % band)")
-    onsets, used, known = (
-        each.set_index("day") for each in (found.onsets, found.used, found.known)
-    )
-    days = sorted({*onsets.index, *used.index, *known.index})
-    for day in days[-LISTED:]:
-        measured = _band(onsets, day, "adhesion", "low", "high")
-        count = str(int(onsets.loc[day, "events"])) if day in onsets.index else ""
-        level = f"{used.loc[day, 'level']:.2f}" if day in used.index else ""
-        lasting = _band(known, day, "adhesion", "low", "high")
-        expected = _band(known, day, "expected", "expected_low", "expected_high")
-        table.add_row(f"{day:%Y-%m-%d}", count, measured, level, lasting, expected)
-    parts: list[RenderableType] = [table]
-    if len(days) > LISTED:
-        parts.append(f"{len(days) - LISTED} earlier days are not listed.")
-    parts += found.notes
-    for each in found.spots.to_dict("records"):
-        share = probability_words(each["present"])
-        still = share if share.startswith("gone") else f"still there with {share}"
-        met = met_words(each["first_day"], each["last_day"])
-        end = f"; {MAY_BE_CHANGE}" if each["may_be_change"] else "."
-        checked = f"{each['checked_day']:%Y-%m-%d}"
-        parts.append(f"Passing spot: {each['adhesion']:.3f}, met {met}; on {checked} {still}{end}")
-    parts += [
-        f"Lasting change on {each.day:%Y-%m-%d} ({each.earliest:%Y-%m-%d} to"
-        f" {each.latest:%Y-%m-%d}): {each.before:.3f} to {each.after:.3f}."
-        for each in found.changes.itertuples()
-    ]
-    return Group(*parts)
+def _spot_in_words(spot: Mapping[Hashable, Any]) -> str:
+    share = probability_words(spot["present"])
+    still = share if share.startswith("gone") else f"still there with {share}"
+    met = met_words(spot["first_day"], spot["last_day"])
+    end = f"; {MAY_BE_CHANGE}" if spot["may_be_change"] else "."
+    on = f"{spot['checked_day']:%Y-%m-%d}"
+    return f"Passing spot: {spot['adhesion']:.3f}, met {met}; on {on} {still}{end}"
 
 
-def _band(rows: pd.DataFrame, day: Any, value: str, low: str, high: str) -> str:
-    if day not in rows.index or not np.isfinite(rows.loc[day, value]):
-        return ""
-    middle, least, most = (float(rows.loc[day, name]) for name in (value, low, high))
-    return f"{middle:.3f} ({least:.3f} to {most:.3f})"
+def _of(name: str, value: str, ends: tuple[str, str]) -> Callable[[Mapping[str, Any]], Cell]:
+    """An adhesion with its band as it was known on a day; empty where it was not."""
+
+    def cell(day: Mapping[str, Any]) -> Cell:
+        row = day[name]
+        if row is None or not np.isfinite(row[value]):
+            return Said(None, "")
+        return Ends(row[value], *(row[each] for each in ends))
+
+    return cell
+
+
+DAY_COLUMNS = (
+    Column("day", of=lambda day: f"{day['day']:%Y-%m-%d}"),
+    Column("onsets", NUMBER, of=lambda day: (day["onsets"] or {}).get("events", "")),
+    Column("measured (95 % band)", ADHESION, key="measured", rank=1,
+           of=_of("onsets", "adhesion", ("low", "high"))),
+    Column("used without slip", replace(ADHESION, digits=2), rank=1,
+           of=lambda day: (day["used"] or {}).get("level", "")),
+    Column("lasting (95 % band)", ADHESION, key="lasting",
+           of=_of("known", "adhesion", ("low", "high"))),
+    Column("expected (95 % band)", ADHESION, key="expected",
+           of=_of("known", "expected", ("expected_low", "expected_high"))),
+)  # fmt: skip
+"""Of what is known of a place on a day."""

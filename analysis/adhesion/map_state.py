@@ -10,11 +10,14 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from rich.console import Group, RenderableType
 
 from analysis.adhesion.condition_map import SPOT_SEPARATION, map_words, summary
 from analysis.adhesion.condition_table import (
+    KM,
+    LAYER,
     MAY_BE_CHANGE,
+    NEAR,
+    SPAN,
     bins_table,
     changes_table,
     check_course,
@@ -22,9 +25,9 @@ from analysis.adhesion.condition_table import (
     day_name,
     last_evidence,
     met_words,
-    plain_rows,
     probability_words,
     spots_table,
+    with_ends,
 )
 from trainlog.condition import day_of_trip, known_before, left_out
 from trainlog.display import counted
@@ -34,7 +37,7 @@ from trainlog.formats.line import read_line
 from trainlog.formats.mapfile import MapFile
 from trainlog.formats.samples import names, sample
 from trainlog.mcap import read_log
-from trainlog.presentation import as_page, new_table
+from trainlog.presentation import NUMBER, Column, Presented, Said, WordTable, frame_table, new_table
 from trainlog.railway.condition import ConditionLayer, ModelParameter, TrackConditionMap
 from trainlog.railway.line import Line
 
@@ -52,8 +55,73 @@ LISTED = 12
 """Spots, and changes, of a layer that a table lists; the likeliest first."""
 
 
+Row = Mapping[Hashable, Any]
+
+LAYER_COLUMNS = (
+    LAYER,
+    Column("trips", NUMBER),
+    Column("onsets measured", NUMBER, key="onsets"),
+    Column(
+        "observed",
+        of=lambda row: (
+            f"{row['observed_m'] / 1e3:.1f} km, {row['observed_bins'] / row['bins']:.0%}"
+        ),
+    ),
+    Column(
+        "last evidence",
+        of=lambda row: row["last_day"] if isinstance(row["last_day"], str) else "none",
+    ),
+)
+
+PLACE_COLUMNS = (
+    LAYER,
+    KM,
+    NEAR,
+    with_ends("lasting", "adhesion"),
+    with_ends("expected", "expected"),
+    Column(
+        "spot",
+        of=lambda row: f"{row['spot_probability']:.0%}" if row["spot_probability"] > 0.0 else "",
+        rank=1,
+    ),
+)
+
+SPOT_COLUMNS = (
+    LAYER,
+    SPAN,
+    NEAR,
+    with_ends("adhesion", "adhesion"),
+    Column("met", of=lambda row: met_words(row["first_day"], row["last_day"])),
+    Column("last evidence there", of=lambda row: _day(row["checked_day"]), rank=1),
+)
+
+CHANGE_COLUMNS = (
+    LAYER,
+    SPAN,
+    NEAR,
+    Column(
+        "on (95 %)",
+        of=lambda row: f"{_day(row['day'])} ({_day(row['earliest'])} to {_day(row['latest'])})",
+    ),
+    with_ends("before", "before"),
+    with_ends("after", "after"),
+)
+
+MODEL_COLUMNS = (
+    LAYER,
+    Column(
+        "parameter",
+        of=lambda row: LOGARITHMS.get(row["parameter"], row["parameter"].replace("_", " ")),
+    ),
+    Column("value", of=lambda row: _digits(_value(row)[0], 3)),
+    Column("standard deviation", of=lambda row: _std_in_words(row)),
+    Column("unit", of=lambda row: _unit_in_words(row)),
+    Column("from", of="source"),
+)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class MapState:
+class MapState(Presented):
     """What a track-condition map says of a time.
 
     Attributes
@@ -95,28 +163,64 @@ class MapState:
     trips: pd.DataFrame
     notes: tuple[str, ...] = ()
 
-    def __repr__(self) -> str:
-        when = "no evidence" if self.at is None else f"expected at {self.at:%Y-%m-%d %H:%M} UTC"
-        return f"{self.track!r}\n  {when}"
+    @property
+    def title(self) -> str:
+        """The map."""
+        return self.track.title
 
-    def _repr_html_(self) -> str:
-        return as_page(state_table(self))
+    def summary(self) -> dict[str, str]:
+        """That of the map, and the time that it is of."""
+        at = "no evidence" if self.at is None else f"expected at {self.at:%Y-%m-%d %H:%M} UTC"
+        return self.track.summary() | {"time": at}
 
-    def as_json(self) -> dict[str, Any]:
-        """The same in JSON's own types; null where nothing is known."""
-        times = {
-            "expected_at": None if self.at is None else self.at.isoformat(),
-            "last_evidence": None if self.last_evidence is None else _last_day(self.last_evidence),
-            "evidence_ends": None if self.last_evidence is None else self.last_evidence.isoformat(),
-        }
-        tables = ("layers", "lowest", "model", "spots", "changes", "trips")
+    def sketch(self) -> str:
+        """The map."""
+        return self.track.sketch()
+
+    def facts(self) -> dict[str, Any]:
+        """Line and times."""
+        last = self.last_evidence
         return {
             "line": self.track.line,
             "length_m": self.track.length,
-            **times,
-            **{name: plain_rows(getattr(self, name)) for name in tables},
-            "notes": list(self.notes),
+            "expected_at": None if self.at is None else self.at.isoformat(),
+            "last_evidence": None if last is None else _last_day(last),
+            "evidence_ends": None if last is None else last.isoformat(),
         }
+
+    def tables(self) -> list[WordTable]:
+        """Layers, lowest places, spots and changes; the model is shown on request."""
+        at = "" if self.at is None else f", expected at {self.at:%Y-%m-%d %H:%M} UTC"
+        title = f"Track condition of {self.track.line}, {self.track.bin_length:.0f} m bins"
+        layers = new_table(title, *LAYER_COLUMNS, name="layers", frame=self.layers)
+        lowest = new_table(
+            f"Lowest maximum adhesion{at}", *PLACE_COLUMNS, name="lowest", frame=self.lowest
+        )
+        model = new_table("Model", *MODEL_COLUMNS, name="model", frame=self.model, usual=False)
+        changes = new_table(
+            "Changes of the lasting condition", *CHANGE_COLUMNS, name="changes", frame=self.changes
+        )
+        return [
+            layers.add_rows(self.layers.to_dict("records")),
+            lowest.add_rows(self.lowest.to_dict("records")),
+            self._spots(),
+            _listed(changes, self.changes, "log_odds"),
+            model.add_rows(self.model.to_dict("records")),
+            frame_table("trips", self.trips),
+        ]
+
+    def _spots(self) -> WordTable:
+        still = "still there" if self.at is None else f"there on {self.at:%Y-%m-%d %H:%M}"
+        doubtful = bool(len(self.spots)) and self.spots["may_be_change"].any()
+        table = new_table(
+            "Passing spots, the likeliest first",
+            *SPOT_COLUMNS,
+            Column(still, key="probability", of=_still_there),
+            name="spots",
+            frame=self.spots,
+            caption=f"* {MAY_BE_CHANGE}" if doubtful else None,
+        )
+        return _listed(table, self.spots, "probability")
 
 
 def map_state(
@@ -279,113 +383,39 @@ def _source(parameter: ModelParameter) -> str:
     return "mostly assumed" if parameter.source == "assumed" and moved else parameter.source
 
 
-def state_table(state: MapState, *, model: bool = False) -> Group:
-    """The tables of a map's state; those of its model on request."""
-    parts: list[RenderableType] = [_layers_table(state)]
-    if not state.lowest.empty:
-        parts.append(_places_table(state))
-    if not state.spots.empty:
-        parts.append(_spots_table(state))
-    if not state.changes.empty:
-        parts.append(_changes_table(state))
-    if model and not state.model.empty:
-        parts.append(_model_table(state))
-    return Group(*parts, *state.notes)
-
-
-def _layers_table(state: MapState) -> RenderableType:
-    title = f"Track condition of {state.track.line}, {state.track.bin_length:.0f} m bins"
-    table = new_table(
-        title, "rail\ncondition", "trips", "onsets measured", "observed", "last evidence"
-    )
-    for each in state.layers.to_dict("records"):
-        table.add_row(
-            str(each["layer"]),
-            str(each["trips"]),
-            str(each["onsets"]),
-            f"{each['observed_m'] / 1e3:.1f} km, {each['observed_bins'] / each['bins']:.0%}",
-            each["last_day"] if isinstance(each["last_day"], str) else "none",
-        )
-    return table
-
-
-def _places_table(state: MapState) -> RenderableType:
-    at = "" if state.at is None else f", expected at {state.at:%Y-%m-%d %H:%M} UTC"
-    heads = ("km", "near", "lasting (95 % band)", "expected (95 % band)", "spot")
-    table = new_table(f"Lowest maximum adhesion{at}", "rail\ncondition", *heads)
-    lasting = _bands(state.lowest, "adhesion", "low", "high")
-    expected = _bands(state.lowest, "expected", "expected_low", "expected_high")
-    rows = state.lowest.to_dict("records")
-    for each, now, then in zip(rows, lasting, expected, strict=True):
-        share = f"{each['spot_probability']:.0%}" if each["spot_probability"] > 0.0 else ""
-        words = (f"{each['start_km']:.3f}", str(each["near"]), now, then, share)
-        table.add_row(str(each["layer"]), *words)
-    return table
-
-
-def _bands(rows: pd.DataFrame, value: str, low: str, high: str) -> list[str]:
-    return [
-        f"{middle:.3f} ({least:.3f} to {most:.3f})"
-        for middle, least, most in zip(rows[value], rows[low], rows[high], strict=True)
-    ]
-
-
-def _spots_table(state: MapState) -> RenderableType:
-    still = "still there" if state.at is None else f"there on {state.at:%Y-%m-%d %H:%M}"
-    heads = ("km", "near", "adhesion (95 % band)", "met", "last evidence there", still)
-    table = new_table("Passing spots, the likeliest first", "rail\ncondition", *heads)
-    for name, listed, more in _listed(state.spots, "probability"):
-        bands = _bands(listed, "adhesion", "low", "high")
-        for each, band in zip(listed.to_dict("records"), bands, strict=True):
-            met = met_words(each["first_day"], each["last_day"])
-            words = (_ends(each), str(each["near"]), band, met, _day(each["checked_day"]))
-            mark = " *" if each["may_be_change"] else ""
-            table.add_row(name, *words, probability_words(each["probability"]) + mark)
-        if more:
-            table.add_row(name, f"and {more} more")
-    return Group(table, f"* {MAY_BE_CHANGE}") if state.spots["may_be_change"].any() else table
-
-
-def _changes_table(state: MapState) -> RenderableType:
-    heads = ("km", "near", "on (95 %)", "before (95 % band)", "after (95 % band)")
-    table = new_table("Changes of the lasting condition", "rail\ncondition", *heads)
-    for name, listed, more in _listed(state.changes, "log_odds"):
-        before, after = (
-            _bands(listed, side, f"{side}_low", f"{side}_high") for side in ("before", "after")
-        )
-        for each, old, new in zip(listed.to_dict("records"), before, after, strict=True):
-            days = f"{_day(each['day'])} ({_day(each['earliest'])} to {_day(each['latest'])})"
-            table.add_row(name, _ends(each), str(each["near"]), days, old, new)
-        if more:
-            table.add_row(name, f"and {more} more")
-    return table
-
-
-def _listed(rows: pd.DataFrame, rank: str) -> Iterator[tuple[str, pd.DataFrame, int]]:
-    """Name, first rows by rank, and number of the others, of each layer."""
+def _listed(table: WordTable, rows: pd.DataFrame, rank: str) -> WordTable:
+    """A table with the first rows by rank of each layer, and the number of the others."""
     for name, every in rows.groupby("layer", sort=False):
-        listed = every.sort_values(rank, ascending=False, kind="stable")[:LISTED]
-        yield str(name), listed, len(every) - len(listed)
-
-
-def _ends(row: Mapping[Hashable, Any]) -> str:
-    return f"{row['start_km']:.3f} to {row['end_km']:.3f}"
-
-
-def _model_table(state: MapState) -> RenderableType:
-    heads = ("parameter", "value", "standard deviation", "unit", "from")
-    table = new_table("Model", "rail\ncondition", *heads)
-    for each in state.model.to_dict("records"):
-        name, value, std = str(each["parameter"]), float(each["value"]), float(each["std"])
-        unit = "" if each["unit"] == "1" else str(each["unit"])
-        if name in LOGARITHMS:
-            # Read as an adhesion: the logarithm's deviation is one in proportion.
-            value, unit = float(np.exp(value)), "adhesion"
-            std *= value
-        words = LOGARITHMS.get(name, name.replace("_", " "))
-        numbers = (_digits(value, 3), _digits(std, 2) if np.isfinite(std) and std > 0.0 else "")
-        table.add_row(str(each["layer"]), words, *numbers, unit, str(each["source"]))
+        listed = every.sort_values(rank, ascending=False, kind="stable")
+        table.add_rows(listed[:LISTED].to_dict("records"))
+        if len(every) > LISTED:
+            table.add_row(str(name), f"and {len(every) - LISTED} more")
     return table
+
+
+def _still_there(row: Row) -> Said:
+    mark = " *" if row["may_be_change"] else ""
+    return Said(row["probability"], probability_words(row["probability"]) + mark)
+
+
+def _value(row: Row) -> tuple[float, float]:
+    """Value and standard deviation of a parameter of the model, as it is shown."""
+    value, std = float(row["value"]), float(row["std"])
+    if row["parameter"] not in LOGARITHMS:
+        return value, std
+    # Read as an adhesion: the logarithm's deviation is one in proportion.
+    return float(np.exp(value)), float(np.exp(value)) * std
+
+
+def _std_in_words(row: Row) -> str:
+    std = _value(row)[1]
+    return _digits(std, 2) if np.isfinite(std) and std > 0.0 else ""
+
+
+def _unit_in_words(row: Row) -> str:
+    if row["parameter"] in LOGARITHMS:
+        return "adhesion"
+    return "" if row["unit"] == "1" else str(row["unit"])
 
 
 def _digits(value: float, digits: int) -> str:

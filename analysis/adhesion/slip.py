@@ -37,9 +37,10 @@ from estimators.slip import (
     train_speed,
 )
 from trainlog.arrays import BoolArray, FloatArray
-from trainlog.display import as_html, as_text, picture, span
+from trainlog.display import picture, span
 from trainlog.errors import LogError
 from trainlog.formats.attached import line_of, train_of
+from trainlog.presentation import Presented, WordTable, frame_table
 from trainlog.railway.axle_loads import axle_loads
 from trainlog.railway.kilometres import in_km
 from trainlog.railway.line import Line
@@ -86,7 +87,7 @@ CURVE_SPEED_STD = 0.03
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SlipAnalysis:
+class SlipAnalysis(Presented):
     """What the powered axles did on one trip, at the axles' own samples.
 
     Attributes
@@ -163,21 +164,25 @@ class SlipAnalysis:
         known |= {} if self.complete else {"complete": False}
         return known | ({"notes": list(self.notes)} if self.notes else {})
 
-    def __repr__(self) -> str:
-        return as_text(self._title, self._summary())
-
-    def _repr_html_(self) -> str:
+    def sketch(self) -> str:
+        """Speed and adhesion in use."""
         time = (self.time - self.time[0]).total_seconds().to_numpy()
         most = np.fmax.reduce(np.abs(self.adhesion), axis=1)
         curves = {"speed [m/s]": self.speed, "adhesion in use, greatest of the axles": most}
-        return as_html(self._title, self._summary(), picture(time, curves))
+        return picture(time, curves)
 
     @property
-    def _title(self) -> str:
+    def title(self) -> str:
+        """Trip, axles and time."""
         minutes = (self.time[-1] - self.time[0]).total_seconds() / 60.0
         return f"Slip of {self.adhesion.shape[1]} axles on trip '{self.trip}', {minutes:.1f} min"
 
-    def _summary(self) -> dict[str, str]:
+    def tables(self) -> list[WordTable]:
+        """What was found; the events as data."""
+        return [*super().tables(), frame_table("events", self.events)]
+
+    def summary(self) -> dict[str, str]:
+        """Events, adhesion in use, and what the recorder lacks."""
         events = self.events
         traction = int(np.count_nonzero(events["kind"] == "traction"))
         onsets = events.loc[events["measured"], "adhesion"].to_numpy(np.float64)
@@ -191,7 +196,7 @@ class SlipAnalysis:
             "of these": measured + (f", {span(onsets, digits=3)}" if onsets.size else ""),
             "adhesion in use": f"up to {used.max():.3f}{band}" if used.size else "not known",
             "wheels": f"measure {span(factors, digits=4)} times the speed",
-        } | {f"note {number}": note for number, note in enumerate(self.notes, start=1)}
+        } | ({"notes": "; ".join(self.notes)} if self.notes else {})
 
     def part(self, span: tuple[int, int]) -> SlipAnalysis:
         """The samples from one instant to another [ns since 1970 UTC], and what began then."""

@@ -12,17 +12,18 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, astuple, dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from os import stat_result
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from trainlog.display import as_text, counted
+from trainlog.display import counted
 from trainlog.errors import InputError, LogError, NotRecordedError, TrainlogError
 from trainlog.formats.files import logs_of, refuse_reading, sha256, sha256_of
 from trainlog.formats.mapfile import MapFile
 from trainlog.formats.recordings import Recording, Refusal
+from trainlog.presentation import Column, Presented, Said, WordTable, new_table
 from trainlog.railway.weather import given_condition, stated_condition
 from trainlog.version import code_version
 
@@ -90,7 +91,7 @@ class LogOutcome:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MapUpdate:
+class MapUpdate(Presented):
     """What became of the logs that were given to a map, and what the map holds now.
 
     Attributes
@@ -109,9 +110,37 @@ class MapUpdate:
     days: int
     made: bool = True
 
-    def __repr__(self) -> str:
-        rows: dict[str, str] = {each.outcome: each.sentence for each in self.refused[:1]}
-        return as_text(f"Update of {self.path}: {self.sentence}", rows)
+    @property
+    def title(self) -> str:
+        """What became of the logs."""
+        return f"Update of {self.path}: {self.sentence}"
+
+    def summary(self) -> dict[str, str]:
+        """The first log that was refused."""
+        return {each.outcome: each.sentence for each in self.refused[:1]}
+
+    def facts(self) -> dict[str, Any]:
+        """How many logs were added, held and refused."""
+        numbers = {
+            "added": len(self.added),
+            "held": len(self.of("held")),
+            "same_drive": len(self.of("same drive")),
+            "not_recorded": len(self.not_recorded),
+            "refused": len(self.refused),
+            "refused_before": len(self.refused_before),
+        }
+        of_map = {"trips": self.trips, "days": self.days, "made": self.made}
+        return {"map": str(self.path), **numbers, **of_map}
+
+    def tables(self) -> list[WordTable]:
+        """What became of each log."""
+        columns = (
+            *map(Column, ("log", "outcome", "trip", "layer", "reason")),
+            Column("replaced", of=lambda log: Said(list(log.replaced), ", ".join(log.replaced))),
+            *map(Column, ("damage", "recorded")),
+        )
+        title = f"Update of {self.path}"
+        return [new_table(title, *columns, name="logs", usual=False).add_rows(self.logs)]
 
     def of(self, outcome: Outcome) -> tuple[LogOutcome, ...]:
         """The logs with an outcome."""
@@ -165,25 +194,6 @@ class MapUpdate:
         ]
         held = f"the map holds {counted(self.trips, 'trip')} of {counted(self.days, 'day')}"
         return f"{', '.join(parts)}; {held if self.made else 'no map was made'}"
-
-    def details(self) -> dict[str, Any]:
-        """The update as JSON."""
-        numbers = {
-            "added": len(self.added),
-            "held": len(self.of("held")),
-            "same_drive": len(self.of("same drive")),
-            "not_recorded": len(self.not_recorded),
-            "refused": len(self.refused),
-            "refused_before": len(self.refused_before),
-        }
-        return {
-            "map": str(self.path),
-            **numbers,
-            "trips": self.trips,
-            "days": self.days,
-            "made": self.made,
-            "logs": [asdict(each) for each in self.logs],
-        }
 
 
 def update_map(

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from analysis.adhesion.condition_table import bins_table
-from analysis.adhesion.map_history import history_table, map_history
+from analysis.adhesion.map_history import map_history
 from analysis.adhesion.map_plot import draw_history, draw_map
-from analysis.adhesion.map_state import MapState, line_of_map, map_state, state_table
+from analysis.adhesion.map_state import MapState, line_of_map, map_state
 from analysis.plotting import BLUE, GREY, RED, SKY
 from analysis.reports.charts import Chart, Curve, Panel, as_part, rows_to_draw
 from analysis.reports.page import Part, Section, Warned
@@ -305,7 +305,7 @@ def map_sections(path: Path, line: Path | None = None) -> list[Section]:
         "Grey where nothing was observed: there the map has no estimate.",
     )
     sections = [
-        Section("Track condition", [*_map_charts(track, state, course), state_table(state)]),
+        Section("Track condition", [*_map_charts(track, state, course), *state.shown()]),
         Section("Lasting condition, spots and changes", [picture]),
     ]
     note(f"{path.name}: history of the lowest places")
@@ -371,7 +371,7 @@ def _histories(track: TrackConditionMap, state: MapState, line: Line | None) -> 
         alt = f"Evidence and estimate of the lowest place in layer {name} by day."
         if len(found.known) > 1:
             parts.append(drawn(partial(draw_history, found), alt))
-        parts.append(history_table(found))
+        parts += found.shown()
     return parts or ["No place was observed."]
 
 

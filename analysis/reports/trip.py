@@ -487,7 +487,7 @@ def _slip(trip: Trip, zone: Zone) -> list[Part]:
     if isinstance(found, TrainlogError):
         return [f"Not known: {found}."]
     assert isinstance(found, SlipAnalysis)
-    rows = [(name, words) for name, words in found._summary().items()]
+    rows = [(name, words) for name, words in found.summary().items()]
     parts: list[Part] = [facts_table(rows)]
     if len(found.events):
         parts.append(_slip_table(found, own_line(trip), zone))

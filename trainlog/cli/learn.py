@@ -204,7 +204,6 @@ def _fit_adhesion(
     """Fit an adhesion characteristic to measured points."""
     from analysis.adhesion.characteristic import (
         MOST_SPEED,
-        characteristic_table,
         fit_adhesion_characteristic,
     )
     from analysis.adhesion.plot import draw_characteristic
@@ -218,8 +217,7 @@ def _fit_adhesion(
     found = fit_adhesion_characteristic(curve, family, speed=None if speed is None else speed / KMH)
     write_characteristic(found.characteristic, output, found.provenance())
     draw_characteristic(found, shown)
-    if not state({"family": found.family, "fit": found.provenance()}):
-        console.print(characteristic_table(found))
+    show(found)
     wrote(output, shown)
 
 

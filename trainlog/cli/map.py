@@ -21,7 +21,7 @@ from trainlog.cli.options import (
     moment,
     zone_assumed,
 )
-from trainlog.cli.terminal import console, current, print_error, state, wrote
+from trainlog.cli.terminal import console, current, print_error, show, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.progress import task, track as tracked
@@ -133,8 +133,7 @@ def map_update(
     output.finished = finished
     with task("mapping", len(found), "log") as step:
         result = adding(found, condition, layer=layer, weather=stated, retry=retry, report=report)
-    if not state(result.details()):
-        console.print(result.sentence, highlight=False, soft_wrap=True)
+    show(result)
     unusable = result.refused + result.not_recorded + result.refused_before
     if len(unusable) == len(result.logs) and (result.refused or not result.made):
         raise typer.Exit(2)
@@ -210,7 +209,7 @@ def map_show(
         _show_network(condition, when, layer, picture)
         return
 
-    from analysis.adhesion.map_state import map_state, state_table
+    from analysis.adhesion.map_state import map_state
     from trainlog.formats.condition import read_map
     from trainlog.railway.kilometres import position_of
 
@@ -225,8 +224,7 @@ def map_show(
         positions = [position_of(known, each) for each in ends or ()]
         part = (positions[0], positions[1]) if positions else None
         draw_map(shown.track, picture, line=known, at=when, part=part)
-    if not state(shown.as_json()):
-        console.print(state_table(shown, model=model))
+    show(shown, also=["model"] if model else [])
     if picture is not None:
         wrote(picture)
 
@@ -240,7 +238,7 @@ def _show_place(
     picture: Path | None,
 ) -> None:
     """Show what a map knows of one place over time: its evidence, and the estimate of each day."""
-    from analysis.adhesion.map_history import MOST_DAYS, history_table, map_history
+    from analysis.adhesion.map_history import MOST_DAYS, map_history
     from analysis.adhesion.map_plot import draw_history
     from trainlog.formats.condition import read_map
     from trainlog.railway.kilometres import position_of
@@ -263,9 +261,8 @@ def _show_place(
             several = picture.with_stem(f"{picture.stem}-{each.layer}")
             written.append(several if len(found) > 1 else picture)
             draw_history(each, written[-1])
-    if not state({"layers": [each.as_json() for each in found]}):
-        for each in found:
-            console.print(history_table(each))
+    if not state({"layers": [each.data() for each in found]}):
+        show(*found)
     wrote(*written)
 
 
@@ -332,7 +329,7 @@ def map_diff(
         raise InputError(f"{len(maps)} maps are given", remedy="give two, or one with --from")
     since, until = _day(start), _day(end)
 
-    from analysis.adhesion.map_difference import difference_table, map_difference
+    from analysis.adhesion.map_difference import map_difference
     from analysis.adhesion.map_plot import draw_difference
     from trainlog.formats.condition import read_map
 
@@ -350,8 +347,7 @@ def map_diff(
     )
     if picture is not None:
         draw_difference(found, picture, line=known)
-    if not state(found.as_json()):
-        console.print(difference_table(found))
+    show(found)
     if picture is not None:
         wrote(picture)
     if found.changed:

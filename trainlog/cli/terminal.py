@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, is_dataclass
 from datetime import date, datetime
@@ -185,11 +185,18 @@ def state(content: Mapping[str, Any]) -> bool:
     return _output.as_json
 
 
-def show(*results: Presented) -> None:
-    """Print results as their class states: tables and sentences, or data where JSON is wanted."""
+def show(*results: Presented, also: Sequence[str] = ()) -> None:
+    """Print results as their class states: tables and sentences, or data where JSON is wanted.
+
+    Parameters
+    ----------
+    *results : Presented
+    also : sequence of str
+        Names of tables that are shown on request.
+    """
     for result in results:
         if not state(result.data()):
-            for part in result.shown():
+            for part in result.shown(*also):
                 console.print(part)
 
 

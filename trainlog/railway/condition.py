@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 from pandas import Timestamp
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
-from trainlog.display import as_html, as_text, counted, picture, span
+from trainlog.display import counted, picture, span
 from trainlog.errors import InputError
+from trainlog.presentation import Presented
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.values import same_values
 
@@ -475,8 +476,8 @@ class ConditionLayer(AdhesionEstimate):
         return self.evidence.by_bin("events")
 
 
-@dataclass(frozen=True, repr=False)
-class TrackConditionMap:
+@dataclass(frozen=True, eq=False, repr=False)
+class TrackConditionMap(Presented):
     """Maximum adhesion along a line.
 
     Attributes
@@ -509,29 +510,24 @@ class TrackConditionMap:
     trips: tuple[dict[str, Any], ...] = ()
     settings: dict[str, float] = field(default_factory=dict)
 
-    def __eq__(self, other: object) -> bool:
-        return same_values(self, other) if isinstance(other, TrackConditionMap) else NotImplemented
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def __repr__(self) -> str:
-        return as_text(self._title, self._summary())
-
-    def _repr_html_(self) -> str:
+    def sketch(self) -> str:
+        """The estimates over position."""
         curves = {}
         for name, layer in self.layers.items():
             curves[f"{name}, lasting"] = layer.maximum_adhesion.round(3)
             curves[f"{name}, expected"] = layer.expected().maximum_adhesion.round(3)
-        return as_html(self._title, self._summary(), picture(self.centres, curves))
+        return picture(self.centres, curves)
 
     @property
-    def _title(self) -> str:
+    def title(self) -> str:
+        """Line, bins and trips."""
         return (
             f"Track-condition map of line '{self.line}', {counted(self.bins, 'bin')} of"
             f" {self.bin_length:g} m, from {counted(len(self.trips), 'trip')}"
         )
 
-    def _summary(self) -> dict[str, str]:
+    def summary(self) -> dict[str, str]:
+        """What each layer holds."""
         rows = {}
         for name, layer in self.layers.items():
             known = layer.maximum_adhesion[layer.observed]
