@@ -275,7 +275,7 @@ def draw_contents(contents: Contents, path: Path) -> None:
     InputError
         If there is no picture of it.
     """
-    from analysis.plotting import new_figure, write_figure
+    from analysis.charts import new_figure, write_figure
 
     value = contents.value
     if contents.kind == "log":
@@ -316,7 +316,7 @@ def _draw_trip(axes: Any, trip: Trip) -> None:
 
 
 def _draw_line(figure: Any, line: Line) -> None:
-    from analysis.plotting import km_axis
+    from analysis.charts import km_axis
 
     limit, gradient = figure.subplots(2, 1, sharex=True)
     own, against = line.speed_limits, line.speed_limits_reverse

@@ -12,10 +12,9 @@ import pytest
 from command import run
 from matplotlib.figure import Figure
 
-from analysis import plotting
-from analysis.adhesion import map_plot
+from analysis import charts
 from analysis.adhesion.slip import SlipAnalysis, slip
-from analysis.reports import charts, trip as report
+from analysis.reports import trip as report
 from trainlog.cli.options import part_of
 from trainlog.errors import InputError
 from trainlog.formats.line import line_to_bytes, read_line, write_line
@@ -28,7 +27,7 @@ from trainlog.trip import LINE_ATTACHMENT
 
 PLAIN = read_line(sample(DEFAULT_LINE))
 LENGTH = PLAIN.length
-plotting_write = plotting.write_figure
+plotting_write = charts.write_figure
 FLAWIL = 14_476.1
 JUMP = 12_000.0
 
@@ -75,8 +74,7 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
         found.append(figure)
         plotting_write(figure, path)
 
-    for module in (plotting, map_plot, charts):
-        monkeypatch.setattr(module, "write_figure", written)
+    monkeypatch.setattr(charts, "write_figure", written)
     return found
 
 

@@ -13,16 +13,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.dates import date2num
-from matplotlib.figure import Figure
 from scipy.special import ndtr
 
 import analysis
 import trainlog
-from analysis.adhesion import map_history, map_plot
+from analysis.adhesion import map_history
 from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.map_difference import detectable_ratio, q_values
-from analysis.adhesion.map_plot import draw_history
+from analysis.charts import draw
 from trainlog.cli.main import run
 from trainlog.condition import estimated
 from trainlog.errors import InputError
@@ -228,18 +226,13 @@ def test_a_history_has_the_evidence_and_the_estimate_of_each_day(
     assert last["adhesion"] == pytest.approx(float(np.exp(whole.layer("wet").log_mean[row])))
     assert last["low"] < last["adhesion"] < last["high"]
     assert found.unmeasured == ""
-    figures: list[Figure] = []
-    monkeypatch.setattr(map_plot, "write_figure", lambda figure, path: figures.append(figure))
-    draw_history(found, "place.png")
     # The newest value is visible: it reaches over its day, which ends the picture.
-    axes = figures[0].axes[0]
-    end = axes.get_xlim()[1]
-    newest = [line for line in axes.lines if len(line.get_xdata()) == 4]
+    (chart,) = found.charts()
+    newest = [each for each in chart.panels[0].curves if each.kind == "step"]
     assert len(newest) == 4  # two estimates, and the ends of the band of what was expected
     for drawn in newest:
-        days = date2num(drawn.get_xdata())
-        assert days[-1] == pytest.approx(end)
-        assert days[-1] - days[-2] == pytest.approx(1.0)
+        assert drawn.x[-1] == chart.ends[1]
+        assert drawn.x[-1] - drawn.x[-2] == 1.0
     assert found.near == "at Mitte"
 
 
@@ -273,7 +266,7 @@ def test_a_history_of_what_only_used_adhesion_has_levels_and_no_estimate(
         f" {whole.levels[4]:.2f})."
     )
     assert found.unmeasured in " ".join(found._repr_html_().split())
-    draw_history(found, tmp_path / "place.png")
+    draw(found, tmp_path / "place.png")
     assert (tmp_path / "place.png").stat().st_size > 5_000
     with pytest.raises(InputError, match=r"km 11 is not on line 'A-B'; it reaches from km 0 to 10"):
         analysis.map_history(whole, 11_000.0, "wet")

@@ -11,24 +11,31 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from rich.console import Console
 
 import analysis
 import trainlog
 from analysis.adhesion import map_plot as plot
+from analysis.adhesion.condition_table import bins_table
+from analysis.charts import draw
 from trainlog.cli.main import run
 from trainlog.condition import estimated
 from trainlog.errors import InputError
 from trainlog.railway import Line, TrackConditionMap
 from trainlog.railway.condition import (
+    ADHESION_CLASSES,
+    ADHESION_COLOURS,
     AdhesionEstimate,
     ConditionChange,
     ConditionLayer,
     ConditionModel,
     ModelParameter,
     PassingSpot,
+    adhesion_class,
 )
 from trainlog.railway.evidence import DailyEvidence
+from trainlog.spans import runs_of
 
 pytestmark = pytest.mark.usefixtures("remembered_estimates")
 
@@ -77,19 +84,6 @@ def printed(*parts: object) -> str:
     console = Console(width=200, record=True, file=StringIO())
     console.print(*parts)
     return " ".join(console.export_text().split())
-
-
-@pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
-    figures: list[Figure] = []
-    written = plot.write_figure
-
-    def keep(figure: Figure, path: str | Path) -> None:
-        figures.append(figure)
-        written(figure, path)
-
-    monkeypatch.setattr(plot, "write_figure", keep)
-    return figures
 
 
 def test_the_state_has_lasting_beside_expected_with_place_and_spot(
@@ -171,7 +165,7 @@ def test_a_past_time_is_shown_and_written_as_it_was_known_then(tmp_path: Path) -
     for view in (
         lambda: analysis.map_state(longer, early),
         lambda: analysis.export_map(longer, tmp_path / "none.csv", at=early),
-        lambda: plot.draw_map(longer, tmp_path / "none.png", at=early),
+        lambda: draw(longer, tmp_path / "none.png", at=early),
     ):
         with pytest.raises(InputError, match="holds no evidence of a day before 2024-10-07"):
             view()
@@ -251,46 +245,85 @@ def test_a_map_states_spots_changes_and_its_last_day(track: TrackConditionMap) -
     assert "wet, expected" in page
 
 
-def test_the_picture_names_stations_and_dates_and_shades_what_is_unknown(
-    track: TrackConditionMap, line: Line, tmp_path: Path, drawn: list[Figure]
+def words_of(figure: Figure) -> set[str]:
+    """All texts of a figure, its legends and titles among them."""
+    return {each.get_text() for each in figure.findobj(Text) if each.get_text()}
+
+
+def test_the_picture_names_stations_and_dates_and_what_is_unknown(
+    track: TrackConditionMap, line: Line, tmp_path: Path
 ) -> None:
-    plot.draw_map(track, tmp_path / "map.png", line=line, at=AT)
-    (figure,) = drawn
-    texts = {text.get_text() for axes in figure.axes for text in axes.texts}
+    texts = words_of(track.plot(line=line, at=AT))
     assert {station.name for station in line.stations} <= texts
     assert f"2024-10-07, {SPOT.alive(AT):.0%}" in texts
     assert "changed 2024-10-06" in texts
-    legend = {text.get_text() for text in figure.legends[0].get_texts()}
-    assert {"not observed", "expected, 95 % band", "passing spot"} <= legend
-    # Each layer's colour is named.
-    assert {"dry lasting, 95 % band", "wet lasting, 95 % band"} <= legend
+    assert {"not observed", "passing spot", "lasting change", *ADHESION_CLASSES} <= texts
+    assert {"dry, expected, 95 %", "wet, expected, 95 %", "wet, used without slip"} <= texts
+    draw(track, tmp_path / "map.png", line=line, at=AT)
     before = (tmp_path / "map.png").read_bytes()
-    plot.draw_map(track, tmp_path / "map.png", line=line, at=AT + pd.Timedelta("9D"))
+    draw(track, tmp_path / "map.png", line=line, at=AT + pd.Timedelta("9D"))
     assert (tmp_path / "map.png").read_bytes() != before
     later = AT + pd.Timedelta("30D")
-    plot.draw_map(track, tmp_path / "map.png", line=line, at=later, part=(9e3, 12e3))
-    texts = {text.get_text() for axes in drawn[-1].axes for text in axes.texts}
+    figure = track.plot(line=line, at=later, part=(9e3, 12e3))
+    texts = words_of(figure)
     # The spot is gone; the change, and all stations but one, are elsewhere.
     assert "Gossau SG" in texts
+    assert "passing spot, gone" in texts
     assert not {"Uzwil", "changed 2024-10-06"} & texts
     assert not any("2024-10-07" in text for text in texts)
-    assert drawn[-1].axes[0].get_xlim() == (9.0, 12.0)
+    assert figure.axes[0].get_xlim() == (9.0, 12.0)
     with pytest.raises(InputError, match="the map is of line"):
-        plot.draw_map(track, tmp_path / "map.png", line=replace(line, name="elsewhere"))
+        track.plot(line=replace(line, name="elsewhere"))
 
 
-def test_a_long_line_labels_its_likeliest_spots_without_overlap(
-    track: TrackConditionMap, tmp_path: Path, drawn: list[Figure]
+def test_the_five_lowest_places_are_named_with_kilometre_and_band(
+    track: TrackConditionMap, line: Line
 ) -> None:
+    strips, *details = track.charts(line=line, at=AT)
+    assert len(details) == 5
+    bins = bins_table(track, line, AT)
+    lowest = bins.loc[bins["expected_low"].idxmin()]
+    first = details[0].title.splitlines()
+    assert first[0] == f"1: km {lowest['start_km']:.3f}"
+    assert first[1] == lowest["near"]
+    band = f"{lowest['expected_low']:.3f} to {lowest['expected_high']:.3f}"
+    assert f"{lowest['layer']} {band}" in first
+    middles = [0.5 * sum(each.ends) for each in details]
+    assert np.diff(np.sort(middles)).min() >= 0.4
+    # Each is shown within sight of its place, and marked on the strip of a layer that knows it.
+    marked = {label.words for panel in strips.panels for label in panel.labels}
+    assert {"1", "2", "3", "4", "5"} <= marked
+
+
+def test_a_strip_shows_what_was_observed_wide_enough_to_be_seen(track: TrackConditionMap) -> None:
+    strips = track.charts(at=AT)[0]
+    for panel, (name, layer) in zip(strips.panels, track.layers.items(), strict=True):
+        cells = panel.curves[0]
+        coloured = cells.colours[0] != ""
+        assert coloured[layer.observed].all()
+        runs = runs_of(coloured)
+        least = 0.005 * track.length / track.bin_length
+        assert min(end - begin for begin, end in runs) >= least - 1.0
+        # The colour of a piece is that of the lowest of its bins.
+        low = bins_table(track, None, AT, [name])["expected_low"].to_numpy()
+        begin, end = runs[0]
+        known = low[begin:end][np.isfinite(low[begin:end])]
+        worst = ADHESION_COLOURS[int(adhesion_class(known.min()))]
+        assert worst in cells.colours[0, begin:end]
+    # What is not observed is grey, and named so.
+    assert [span.label for span in strips.panels[0].spans] == ["not observed"]
+
+
+def test_a_long_line_labels_its_likeliest_spots_without_overlap(track: TrackConditionMap) -> None:
     many = tuple(
         replace(SPOT, start=500.0 * number, end=500.0 * number + 75.0, present=number / 59)
         for number in range(59)
     )
     wet = replace(track.layer("wet"), spots=many, changes=())
-    plot.draw_map(replace(track, layers={"wet": wet}), tmp_path / "map.png")
-    labels = [text for text in drawn[0].axes[0].texts if "%" in text.get_text()]
+    strip = replace(track, layers={"wet": wet}).charts()[0].panels[0]
+    labels = [each for each in strip.labels if "%" in each.words]
     assert len(labels) == plot.LABELLED
-    places = np.sort([text.get_position()[0] for text in labels])
+    places = np.sort([each.x for each in labels])
     assert np.diff(places).min() >= plot.LABEL_SPACE * track.length / 1e3
     assert places[-1] == pytest.approx(29.0375)  # the likeliest is among them
 

@@ -16,11 +16,12 @@ import pytest
 from command import run
 from report_folder import SCRIPT, hostile_trip, planned
 
+from analysis.charts import Chart, Curve, Panel, draw_charts, rows_to_draw
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
 from analysis.reports import build, charts
 from analysis.reports.build import ReportOptions, kind_of, write_report
-from analysis.reports.charts import Chart, Curve, Panel, as_part, rows_to_draw
+from analysis.reports.charts import as_part
 from analysis.reports.page import Commands, Page, Section
 from analysis.reports.pictures import DARK, LIGHT, drawn, inline
 from analysis.reports.trip import Motion, Zone, known_zone, station_calls
@@ -327,7 +328,7 @@ def test_a_band_is_not_drawn_over_what_is_not_known() -> None:
 
 
 def test_a_picture_takes_the_colours_of_the_page() -> None:
-    text = inline(drawn(lambda path: charts.draw_chart(_chart(), path), "a <curve>"), "p1-")
+    text = inline(drawn(lambda path: draw_charts(_chart(), path), "a <curve>"), "p1-")
     assert "var(--blue)" in text
     assert LIGHT["blue"] not in text
     assert 'aria-label="a &lt;curve&gt;"' in text

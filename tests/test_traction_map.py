@@ -27,8 +27,8 @@ from analysis.adhesion.condition_map import (
     update,
 )
 from analysis.adhesion.evidence import Evidence, evidence, evidence_of
-from analysis.adhesion.map_plot import draw_map
 from analysis.adhesion.slip import SlipAnalysis, slip
+from analysis.charts import draw
 from estimators.condition import Prior
 from trainlog.arrays import FloatArray
 from trainlog.condition import prior_of
@@ -437,17 +437,17 @@ class TestPicture:
         track, _ = update(empty_map(LINE), [piece(1), piece(2, "wet"), piece(3, "leaves")])
         truth = {"dry": np.full(BINS, 0.3)}
         for name in ("a.png", "b.png"):
-            draw_map(track, tmp_path / name, truth)
+            draw(track, tmp_path / name, truth=truth)
         data = (tmp_path / "a.png").read_bytes()
         assert data.startswith(b"\x89PNG")
         assert data == (tmp_path / "b.png").read_bytes()
-        draw_map(track, tmp_path / "c.png")
+        draw(track, tmp_path / "c.png")
         assert (tmp_path / "c.png").read_bytes() != data
         assert sorted(p.name for p in tmp_path.iterdir()) == ["a.png", "b.png", "c.png"]
 
     def test_nothing_to_draw(self, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="no layer to draw"):
-            draw_map(empty_map(LINE), tmp_path / "a.png")
+            draw(empty_map(LINE), tmp_path / "a.png")
 
 
 class TestWhatRecordersLack:

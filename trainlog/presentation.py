@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainlog.display import SPEED_UNITS, as_text, in_speed_unit, in_zone
+from trainlog.plotted import Plotted
 from trainlog.units import JOULES_PER_KWH, KMH
 from trainlog.values import same_values
 
@@ -625,10 +626,11 @@ def _schema_of(value: Any) -> dict[str, Any]:
 # ------------------------------------------------------------------------------------- results
 
 
-class Presented:
+class Presented(Plotted):
     """A result that states what it shows; all its forms follow.
 
-    A class gives its `title`, and some of `summary`, `facts`, `tables`, `sentence` and `notes`.
+    A class gives its `title`, and some of `summary`, `facts`, `tables`, `sentence` and `notes`, and
+    names the function that makes its charts (`charts_by`).
     Of a dataclass that derives from it ``repr`` and ``eq`` are off.
 
     Examples

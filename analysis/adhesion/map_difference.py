@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -73,6 +73,8 @@ class MapDifference(Presented):
     notes : tuple of str
         What the comparison leaves out, in sentences.
     """
+
+    charts_by: ClassVar[str] = "analysis.adhesion.map_plot:difference_charts"
 
     line: str
     before: str

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -75,6 +75,8 @@ class PlaceHistory(Presented):
     days : int
         Days with evidence there or nearby, of which `known` has all or some.
     """
+
+    charts_by: ClassVar[str] = "analysis.adhesion.map_plot:history_charts"
 
     line: str
     layer: str

@@ -1,27 +1,27 @@
-"""Pictures of a track-condition map: its state, its differences, the history of a place."""
+"""Charts of a track-condition map: its state, its differences, the history of a place.
+
+The state of a map is a strip a rail condition along the line, coloured by the adhesion that may be
+counted on, and the detail of the lowest places: of a line of 30 km slip shows a twentieth.
+"""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.colors import to_rgba
-from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from analysis.adhesion.condition_table import (
     bin_edges,
+    bins_table,
     check_course,
     day_name,
     last_evidence,
-    shown,
 )
-from analysis.plotting import (
+from analysis.charts import (
     BLUE,
     GREEN,
     GREY,
@@ -30,23 +30,31 @@ from analysis.plotting import (
     PALE,
     PURPLE,
     RED,
-    dress,
-    headline,
-    km_axis,
-    new_figure,
-    write_figure,
+    Cells,
+    Chart,
+    Curve,
+    Label,
+    Panel,
+    Rule,
+    Span,
+    stations_of,
 )
-from trainlog.arrays import BoolArray, FloatArray
+from trainlog.arrays import FloatArray
 from trainlog.condition import known_before
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.railway.condition import (
+    ADHESION_CLASSES,
+    ADHESION_COLOURS,
     ConditionChange,
     ConditionLayer,
     PassingSpot,
     TrackConditionMap,
+    adhesion_class,
 )
+from trainlog.railway.kilometres import km_words
 from trainlog.railway.line import Line
+from trainlog.spans import runs_of
 
 if TYPE_CHECKING:
     from analysis.adhesion.map_difference import MapDifference
@@ -56,46 +64,50 @@ if TYPE_CHECKING:
 COLOURS = {"dry": ORANGE, "wet": BLUE}
 """Of the layers; others are drawn in ink."""
 
+LOWEST = 5
+"""Places that are named and shown in detail."""
+
+APART = 400.0
+"""Two of them lie at least so far from each other [m]."""
+
+AROUND = 200.0
+"""What a detail shows on either side of its place [m]."""
+
+LEAST_SHOWN = 0.005
+"""Share of the line's length that an observed piece of a strip takes at least: to be seen."""
+
 LABELLED = 8
 """Spots, and changes, of a layer that are labelled with their dates: the likeliest."""
 
 GONE = 0.005
 """Spots that lie there less likely than this are drawn pale, and not labelled."""
 
-LABELS = 0.36
-"""Share of the height of an axes that is kept free of data for labels, where there are any."""
-
-FAINTEST = 0.45
-"""Opacity of a spot that has gone; one that surely lies there is opaque."""
-
-DAY = pd.Timedelta(days=1)
-
 LABEL_SPACE = 0.022
 """Share of the width that a label beside a vertical line takes."""
 
+DAY = pd.Timedelta(days=1)
 
-def draw_map(
+
+def map_charts(
     track: TrackConditionMap,
-    path: str | Path,
     truth: Mapping[str, ArrayLike] | None = None,
     *,
     line: Line | None = None,
     at: pd.Timestamp | None = None,
     part: tuple[float, float] | None = None,
-) -> None:
-    """Draw lasting beside expected maximum adhesion where it was observed; grey where it was not.
+) -> list[Chart]:
+    """The strips of a map, and the detail of its lowest places.
 
-    Each has its 95 % band. Passing spots and lasting changes are marked with their dates.
+    What may be counted on is the lower end of the 95 % band of what is expected. Passing spots and
+    lasting changes are marked with their dates.
 
     Parameters
     ----------
     track : TrackConditionMap
-    path : path
-        PNG file.
     truth : mapping of str to (bins,) array, optional
-        True maximum adhesion a bin, by layer, to compare with.
+        True maximum adhesion per bin, by layer, to compare with in the details.
     line : Line, optional
-        Gives the stations.
+        Gives the stations and the operator's kilometres.
     at : Timestamp, optional
         Time of the expected condition; only evidence of the days before its day counts
         (`trainlog.condition.known_before`). Default: right after the last evidence, with all of it.
@@ -106,6 +118,13 @@ def draw_map(
     ------
     InputError
         If the map has no layer yet, no evidence is of a day before, or the line is another.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> charts = map_charts(trainlog.read_map("sample_logs/CH_StGallen_Wil.map"))
+    >>> charts[1].title.splitlines()
+    ['1: km 9.675', 'dry 0.090 to 0.402', 'wet 0.062 to 0.198']
     """
     if not track.layers:
         raise InputError(
@@ -116,229 +135,211 @@ def draw_map(
     if at is not None:
         track = known_before(track, at)
     start, end = sorted(part or (0.0, track.length))
-    count = len(track.layers)
-    figure = new_figure(13.0, 1.2 + 3.0 * count + 0.9 * (line is not None))
-    heights = [3.0] * count + [0.9] * (line is not None)
-    every = np.atleast_1d(
-        figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
-    ).tolist()
-    axes = every[:count]
-    for place, (name, layer) in zip(axes, track.layers.items(), strict=True):
-        known = None if truth is None or name not in truth else np.asarray(truth[name])
-        _draw_layer(place, track, name, layer, known, at, (start, end))
-        dress(place, x="", y="maximum adhesion", title=_title(track, name, layer))
-        place.set_ylim(0.0, _with_labels(place, _top(track, at)))
-        place.tick_params(labelbottom=True)
-    _legend(figure, axes)
-    if line is not None:
-        _draw_stations(axes, every[-1], line, (start, end))
-    km_axis(axes[-1], line)
-    axes[-1].set_xlim(start / 1e3, end / 1e3)
+    bins = bins_table(track, line, at)
+    bins = bins[(bins["end_m"] > start) & (bins["start_m"] < end)]
+    places = lowest_places(bins)
     now = at or last_evidence(track)
     when = "" if now is None else f"; expected at {now:%Y-%m-%d %H:%M} UTC"
-    headline(figure, f"{track.line}: maximum adhesion, {track.bin_length:.0f} m bins{when}")
-    write_figure(figure, path)
+    panels = [
+        _strip(track, name, at, (start, end), places, bins[bins["layer"] == name])
+        for name in track.layers
+    ]
+    strips = Chart(
+        "km",
+        panels,
+        f"Maximum adhesion to count on along {track.line}, a strip for each rail condition; grey"
+        f" where nothing was observed. {_places_in_words(places, line, 0.5 * track.bin_length)}",
+        "Colours: maximum adhesion to count on, the lower end of the 95 % band; where several bins"
+        " share a place that can be seen, the lowest. Grey: nothing was observed, the map has no"
+        " estimate. Numbers: the lowest places.",
+        stations_of(line),
+        (start / 1e3, end / 1e3),
+        line,
+        title=f"{track.line}: maximum adhesion to count on, {track.bin_length:.0f} m bins{when}",
+    )
+    details = [
+        _detail(track, number, place, bins, truth or {}, line)
+        for number, place in enumerate(places, start=1)
+    ]
+    return [strips, *details]
 
 
-def _draw_layer(
-    axes: Axes,
+def lowest_places(bins: pd.DataFrame) -> list[float]:
+    """The middles of the bins with the lowest adhesion to count on, apart from each other [m]."""
+    observed = bins[bins["observed"]].sort_values("expected_low", kind="stable")
+    taken = list[float]()
+    for start, end in zip(observed["start_m"], observed["end_m"], strict=True):
+        place = 0.5 * (start + end)
+        if all(abs(place - other) >= APART for other in taken):
+            taken.append(place)
+        if len(taken) == LOWEST:
+            break
+    return taken
+
+
+def _places_in_words(places: Sequence[float], line: Line | None, back: float) -> str:
+    if not places:
+        return ""
+    words = ", ".join(
+        f"{number} {km_words(line, place - back)}" for number, place in enumerate(places, start=1)
+    )
+    return f"The lowest places: {words}."
+
+
+def _strip(
     track: TrackConditionMap,
     name: str,
-    layer: ConditionLayer,
-    truth: FloatArray | None,
     at: pd.Timestamp | None,
     part: tuple[float, float],
-) -> None:
-    colour = COLOURS.get(name, INK)
+    places: Sequence[float],
+    bins: pd.DataFrame,
+) -> Panel:
+    """A layer along the line: coloured where it was observed, its spots and changes above."""
+    layer = track.layers[name]
     edges = bin_edges(track) / 1e3
-    centres = 0.5 * (edges[:-1] + edges[1:])
-    _shade_unobserved(axes, edges, layer.observed)
-    if truth is not None:
-        axes.stairs(truth, edges, baseline=None, color=INK, linewidth=0.8, label="truth")
-    used = np.fmax.reduce(np.where(layer.evidence.censored > 0.0, track.levels, np.nan), axis=1)
-    axes.stairs(
-        used, edges, baseline=None, color=GREY, alpha=0.8, linewidth=1.0, label="used without slip"
+    low = np.full(track.bins, np.nan)
+    low[bins["bin"].to_numpy()] = bins["expected_low"].to_numpy(np.float64)
+    shown = _widened(low, max(round(LEAST_SHOWN * (part[1] - part[0]) / track.bin_length), 1))
+    colours = np.array(
+        ["" if np.isnan(each) else ADHESION_COLOURS[adhesion_class(each)] for each in shown]
     )
-    # Bins are narrow on a long line: estimates are drawn as points with bars, side by side.
-    expected = layer.expected(at)
-    for estimate, ink, width, words in (
-        (expected, PURPLE, 3.2, "expected, 95 % band"),
-        (layer, colour, 1.4, f"{name} lasting, 95 % band"),
-    ):
-        middle, low, high = shown(estimate)
-        seen = np.isfinite(middle)
-        axes.vlines(
-            centres[seen],
-            low[seen],
-            high[seen],
-            color=ink,
-            alpha=0.45 if estimate is expected else 0.6,
-            linewidth=width,
-            label=words,
-        )
-        if estimate is expected:  # the ends of the wider band stay visible before the other
-            ends: dict[str, Any] = {
-                "marker": "_",
-                "markersize": 4.0,
-                "markeredgewidth": 1.2,
-                "zorder": 3.0,
-            }
-            for limit in (low, high):
-                axes.plot(centres[seen], limit[seen], linestyle="", color=ink, **ends)
-        size = 2.0 if estimate is expected else 4.0
-        axes.plot(centres[seen], middle[seen], ".", color=ink, markersize=size)
-    slips = layer.events > 0
-    axes.plot(
-        centres[slips],
-        np.full(np.count_nonzero(slips), 0.025),
-        "|",
-        transform=axes.get_xaxis_transform(),
-        color=RED,
-        markersize=7,
-        label="slip",
-    )
-    _draw_marks(axes, track, layer, at, part)
+    hover = {
+        "km": [f"{each:.3f}" for each in edges[:-1].tolist()],
+        "to count on": ["not observed" if np.isnan(each) else f"{each:.3f}" for each in shown],
+    }
+    names = dict(zip(ADHESION_CLASSES, ADHESION_COLOURS, strict=True))
+    first = name == next(iter(track.layers))
+    cells = Cells(edges, [0.0, 0.45], colours[None, :], names if first else {}, hover=hover)
+    ground = Span(0.0, 0.45, PALE, "not observed" * first, 0.8, across=True)
+    marks, labels = _marks(layer, at or last_evidence(track), part)
+    numbers = [
+        Label(place / 1e3, str(number), 0.86 if labels else 0.6, size=9.0)
+        for number, place in enumerate(places, start=1)
+        if np.isfinite(low[int(track.bin_of(place))])
+    ]
+    return Panel(
+        "", [cells, *marks], 1.0 if labels else 0.42, _title(track, name, layer),
+        limits=(0.0, 2.4 if labels else 0.95), labels=[*numbers, *labels],
+        spans=[ground], bare=True,
+    )  # fmt: skip
 
 
-def _legend(figure: Figure, axes: Sequence[Axes]) -> None:
-    """One legend for all axes, below them."""
-    found: dict[str, Any] = {}
-    for place in axes:
-        handles, words = place.get_legend_handles_labels()
-        found = dict(zip(words, handles, strict=True)) | found
-    figure.legend(
-        found.values(),
-        found.keys(),
-        loc="outside lower center",
-        fontsize=8,
-        frameon=False,
-        ncols=len(found),
-    )
+def _widened(low: FloatArray, least: int) -> FloatArray:
+    """Values by bin, where what is known is at least `least` bins wide: the lowest of them."""
+    shown = low.copy()
+    for begin, end in runs_of(np.isfinite(low)):
+        lack = max(least - (end - begin), 0)
+        first, last = max(begin - lack // 2, 0), min(end + lack - lack // 2, low.size)
+        if lack:
+            shown[first:last] = np.fmin(shown[first:last], np.nanmin(low[begin:end]))
+            continue
+        # Of a long piece each short stretch has its lowest value.
+        for at in range(begin, end, least):
+            stretch = slice(at, min(at + least, end))
+            shown[stretch] = np.nanmin(low[stretch])
+    return shown
 
 
-def _shade_unobserved(axes: Axes, edges: FloatArray, observed: BoolArray) -> None:
-    axes.fill_between(
-        edges,
-        0.0,
-        1.0,
-        where=np.append(~observed, False),
-        step="post",
-        transform=axes.get_xaxis_transform(),
-        color=PALE,
-        alpha=0.45,
-        linewidth=0,
-        label="not observed",
-    )
-
-
-def _draw_marks(
-    axes: Axes,
-    track: TrackConditionMap,
-    layer: ConditionLayer,
-    at: pd.Timestamp | None,
-    part: tuple[float, float],
-) -> None:
-    """Passing spots at their adhesion, the fainter the less likely they still lie there; changes.
-
-    A change is an arrow from the lasting level before it to the one after.
-    """
-    now = at or last_evidence(track)
+def _marks(
+    layer: ConditionLayer, now: pd.Timestamp | None, part: tuple[float, float]
+) -> tuple[list[Curve], list[Label]]:
+    """Spots and changes above a strip; those that are likeliest there with their dates."""
     spots = layer.spots if now is not None else ()
     alive = [0.0 if now is None else spot.alive(now) for spot in spots]
-    if spots:
-        axes.hlines(
-            [spot.adhesion for spot in spots],
-            [spot.start / 1e3 for spot in spots],
-            [spot.end / 1e3 for spot in spots],
-            color=[to_rgba(RED, FAINTEST + (1.0 - FAINTEST) * share) for share in alive],
-            linewidth=1.2,
-        )
-        axes.scatter(
-            [0.5e-3 * (spot.start + spot.end) for spot in spots],
-            [spot.adhesion for spot in spots],
-            marker="v",
-            s=26,
-            color=[to_rgba(RED, FAINTEST + (1.0 - FAINTEST) * share) for share in alive],
-            linewidths=0,
-        )
-        axes.scatter([], [], marker="v", s=26, color=RED, linewidths=0, label="passing spot")
-    for each in layer.changes:
-        middle = 0.5e-3 * (each.start + each.end)
-        axes.annotate(
-            "",
-            xy=(middle, each.after),
-            xytext=(middle, each.before),
-            arrowprops={"arrowstyle": "->", "color": GREEN, "linewidth": 1.6},
-        )
-    if layer.changes:
-        axes.plot([], [], color=GREEN, linewidth=1.6, label="lasting change")
+    every: list[ConditionChange | PassingSpot] = [*layer.changes, *spots]
+    middle = np.array([0.5e-3 * (each.start + each.end) for each in every])
     texts = [f"changed {day_name(each.day)}" for each in layer.changes]
     texts += [f"{day_name(each.last)}, {p:.0%}" for each, p in zip(spots, alive, strict=True)]
-    parts: list[ConditionChange | PassingSpot] = [*layer.changes, *spots]
-    place = np.array([0.5e-3 * (each.start + each.end) for each in parts])
     # Changes first, then the spots that are likeliest there; none of those that are gone.
     rank = np.array([2.0] * len(layer.changes) + alive)
-    labelled = (rank >= GONE) & (place >= part[0] / 1e3) & (place <= part[1] / 1e3)
-    chosen = np.flatnonzero(labelled)
-    texts = [texts[i] for i in chosen]
-    _label(axes, LABEL_SPACE * (part[1] - part[0]) / 1e3, place[chosen], texts, rank[chosen])
-
-
-def _with_labels(axes: Axes, top: float) -> float:
-    """The upper end of an adhesion axis, with space for its labels above the data."""
-    return (
-        top / (1.0 - LABELS) if axes.texts and any(each.get_text() for each in axes.texts) else top
+    within = (middle >= part[0] / 1e3) & (middle <= part[1] / 1e3)
+    chosen = np.flatnonzero((rank >= GONE) & within)
+    labels = labels_apart(
+        middle[chosen], [texts[i] for i in chosen], rank[chosen], (part[1] - part[0]) / 1e3
     )
-
-
-def _label(axes: Axes, space: float, place: FloatArray, texts: list[str], rank: FloatArray) -> None:
-    """Write upright labels below the top of the axes, the highest in rank first, none on another.
-
-    Parameters
-    ----------
-    space : float [km]
-        Between two labels.
-    """
-    taken: list[float] = []
-    for i in np.argsort(-rank, kind="stable"):
-        if len(taken) < LABELLED and all(abs(place[i] - other) >= space for other in taken):
-            axes.text(
-                place[i],
-                0.98,
-                texts[i],
-                transform=axes.get_xaxis_transform(),
-                rotation=90,
-                ha="center",
-                va="top",
-                fontsize=7,
-                color=INK,
+    curves = list[Curve]()
+    for words, colour, mark, first, last in (
+        ("lasting change", GREEN, "s", 0, len(layer.changes)),
+        ("passing spot", RED, "v", len(layer.changes), len(every)),
+    ):
+        rows = [i for i in range(first, last) if within[i]]
+        for sure in (True, False):
+            some = [i for i in rows if bool(rank[i] >= GONE) is sure]
+            name, ink = (words, colour) if sure else (f"{words}, gone", GREY)
+            hover = {name: [texts[i] for i in some]}
+            level = np.full(len(some), 0.58)
+            curve = Curve(
+                name, middle[some], level, ink, "points", mark=mark, width=3.2, hover=hover
             )
-            taken.append(float(place[i]))
+            curves += [curve] * bool(some)
+    return curves, labels
 
 
-def _draw_stations(
-    axes: Sequence[Axes], strip: Axes, line: Line, part: tuple[float, float] | None = None
-) -> None:
-    """A dotted line at each station, and their names on a strip below; ends first."""
-    start, end = (each / 1e3 for each in part or (0.0, line.length))
-    space = LABEL_SPACE * (end - start)
-    taken: list[float] = []
-    inner = sorted(line.stations[1:-1], key=lambda each: each.position)
-    for each in (line.stations[0], line.stations[-1], *inner):
-        if not start <= each.position / 1e3 <= end:
-            continue
-        at = each.position / 1e3
-        for place in axes:
-            place.axvline(at, color=GREY, linewidth=0.6, linestyle=":", zorder=0.5)
-        if all(abs(at - other) >= space for other in taken):
-            taken.append(at)
-            shown_at = min(max(at, start + 0.25 * space), end - 0.25 * space)
-            strip.text(shown_at, 1.0, each.name, rotation=90, ha="center", va="top", fontsize=7)
-    strip.set_axis_off()
+def labels_apart(
+    place: FloatArray, texts: Sequence[str], rank: FloatArray, width: float
+) -> list[Label]:
+    """Upright labels at the top of a panel, the highest in rank first, none on another."""
+    found = list[Label]()
+    for i in np.argsort(-rank, kind="stable").tolist():
+        apart = all(abs(place[i] - other.x) >= LABEL_SPACE * width for other in found)
+        if len(found) < LABELLED and apart:
+            found.append(Label(float(place[i]), texts[i], upright=True))
+    return found
 
 
-def draw_difference(found: MapDifference, path: str | Path, *, line: Line | None = None) -> None:
-    """Draw both estimates of a difference over km, with the sections that changed shaded.
+def _detail(
+    track: TrackConditionMap,
+    number: int,
+    place: float,
+    bins: pd.DataFrame,
+    truth: Mapping[str, ArrayLike],
+    line: Line | None,
+) -> Chart:
+    """One of the lowest places: what is expected there, with its band, and what was used."""
+    here = bins[(bins["end_m"] > place - AROUND) & (bins["start_m"] < place + AROUND)]
+    curves, words = list[Curve](), [f"{number}: {km_words(line, place - 0.5 * track.bin_length)}"]
+    first = number == 1
+    for name in track.layers:
+        rows = here[here["layer"] == name]
+        km, colour = rows["start_m"].to_numpy(np.float64) / 1e3, COLOURS.get(name, INK)
+        curves.append(
+            Curve(f"{name}, used without slip", km, rows["used_without_slip"], colour,
+                  "step", width=0.9, opacity=0.8)
+        )  # fmt: skip
+        if name in truth:
+            values = np.asarray(truth[name])[rows["bin"].to_numpy()]
+            curves.append(Curve(f"{name}, truth", km, values, INK, "step", width=0.8))
+        seen = rows[rows["observed"]]
+        middle = 0.5e-3 * (seen["start_m"] + seen["end_m"]).to_numpy(np.float64)
+        low, high = (seen[f"expected_{each}"].to_numpy(np.float64) for each in ("low", "high"))
+        hover = {
+            "km": [f"{each:.3f}" for each in seen["start_km"]],
+            "rail": [name] * len(seen),
+            "expected": [f"{each:.3f}" for each in seen["expected"]],
+            "lasting": [f"{each:.3f}" for each in seen["adhesion"]],
+            "95 % band": [f"{a:.3f} to {b:.3f}" for a, b in zip(low, high, strict=True)],
+            "onsets of slip": [str(int(each)) for each in seen["events"]],
+        }
+        if len(seen):
+            curves.append(
+                Curve(f"{name}, expected, 95 %", middle, seen["expected"], colour,
+                      "points", low, high, hover, 2.0)
+            )  # fmt: skip
+        own = seen[(seen["start_m"] <= place) & (seen["end_m"] >= place)]
+        for row in own.to_dict("records"):
+            words[1:1] = [str(row["near"])] * bool(len(words) == 1 and row["near"])
+            words.append(f"{name} {row['expected_low']:.3f} to {row['expected_high']:.3f}")
+    top = max(0.2, 0.1 * float(np.ceil(10.0 * bins["expected_high"].max())))
+    return Chart(
+        "km", [Panel("maximum adhesion" * first, curves, 0.9, limits=(0.0, top))],
+        f"Expected maximum adhesion around {km_words(line, place)} with its 95 % band.",
+        span=((place - AROUND) / 1e3, (place + AROUND) / 1e3), line=line,
+        title="\n".join(words), beside=not first, width=0.24 if first else 0.2,
+    )  # fmt: skip
+
+
+def difference_charts(found: MapDifference, *, line: Line | None = None) -> list[Chart]:
+    """Both estimates of a difference over km, with the sections that changed shaded.
 
     Raises
     ------
@@ -351,67 +352,53 @@ def draw_difference(found: MapDifference, path: str | Path, *, line: Line | None
             f"{found.before} and {found.after} observed no bin both: there is nothing to draw",
             remedy="choose other dates or maps",
         )
-    figure = new_figure(13.0, 1.2 + 3.0 * len(names) + 0.9 * (line is not None))
-    heights = [3.0] * len(names) + [0.9] * (line is not None)
-    every = np.atleast_1d(
-        figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
-    ).tolist()
-    axes = every[: len(names)]
-    for place, name in zip(axes, names, strict=True):
-        rows = found.bins[found.bins["layer"] == name]
-        centres = 0.5e-3 * (rows["start_m"] + rows["end_m"]).to_numpy()
-        colour = COLOURS.get(name, INK)
-        for side, words, ink, width in (
-            ("before", "before", GREY, 3.2),
-            ("after", f"{name} after", colour, 1.4),
-        ):
-            low, high = rows[f"{side}_low"], rows[f"{side}_high"]
-            place.vlines(
-                centres,
-                low,
-                high,
-                color=ink,
-                alpha=0.5,
-                linewidth=width,
-                label=f"{words}, 95 % band",
-            )
-            place.plot(centres, rows[side], ".", color=ink, markersize=3.0)
-        sections = found.sections[found.sections["layer"] == name]
-        for each in sections.to_dict("records"):
-            up = each["difference"] > 0.0
-            place.axvspan(
-                each["start_m"] / 1e3,
-                each["end_m"] / 1e3,
-                color=GREEN if up else RED,
-                alpha=0.25,
-                linewidth=0.8,
-                label="higher" if up else "lower",
-            )
-        texts = [f"{change:+.3f}" for change in sections["difference"]]
-        middle = 0.5e-3 * (sections["start_m"] + sections["end_m"]).to_numpy()
-        size = sections["difference"].abs().to_numpy()
-        _label(place, LABEL_SPACE * _reach(found, line), middle, texts, size)
-        dress(place, x="", y="maximum adhesion", title=f"{name}: {len(rows)} bins in both")
-        highest = rows[["before_high", "after_high"]].to_numpy().max()
-        place.set_ylim(0.0, _with_labels(place, max(0.4, 0.1 * np.ceil(10.0 * highest))))
-        place.tick_params(labelbottom=True)
-    _legend(figure, axes)
-    if line is not None:
-        _draw_stations(axes, every[-1], line)
-    km_axis(axes[-1], line)
-    axes[-1].set_xlim(0.0, _reach(found, line))
+    reach = (float(found.bins["end_m"].max()) if line is None else line.length) / 1e3
     compared = f"{found.line}: {found.before}, and {found.after}"
-    headline(figure, "\n".join([compared, *textwrap.wrap(found.sentence, 140)]))
-    write_figure(figure, path)
+    return [
+        Chart(
+            "km",
+            [_changed(found, name, reach) for name in names],
+            f"Maximum adhesion along {found.line}, {found.before} and {found.after}.",
+            places=stations_of(line),
+            span=(0.0, reach),
+            line=line,
+            title="\n".join([compared, *textwrap.wrap(found.sentence, 140)]),
+        )
+    ]
 
 
-def _reach(found: MapDifference, line: Line | None) -> float:
-    """Right end of the km axis."""
-    return (float(found.bins["end_m"].max()) if line is None else line.length) / 1e3
+def _changed(found: MapDifference, name: str, reach: float) -> Panel:
+    rows = found.bins[found.bins["layer"] == name]
+    centres = 0.5e-3 * (rows["start_m"] + rows["end_m"]).to_numpy()
+    colour = COLOURS.get(name, INK)
+    curves = [
+        Curve(words, centres, rows[side], ink, "points", rows[f"{side}_low"], rows[f"{side}_high"])
+        for side, words, ink in (
+            ("before", "before, 95 % band", GREY),
+            ("after", f"{name} after, 95 % band", colour),
+        )
+    ]
+    sections = found.sections[found.sections["layer"] == name]
+    spans = dict[str, Span]()
+    every = list[Span]()
+    for each in sections.to_dict("records"):
+        words = "higher" if each["difference"] > 0.0 else "lower"
+        ink = GREEN if words == "higher" else RED
+        ends = each["start_m"] / 1e3, each["end_m"] / 1e3
+        every.append(Span(*ends, ink, words if words not in spans else "", 0.25))
+        spans[words] = every[-1]
+    middle = 0.5e-3 * (sections["start_m"] + sections["end_m"]).to_numpy()
+    texts = [f"{change:+.3f}" for change in sections["difference"]]
+    labels = labels_apart(middle, texts, sections["difference"].abs().to_numpy(), reach)
+    highest = max(0.4, 0.1 * float(np.ceil(10.0 * rows[["before_high", "after_high"]].max().max())))
+    return Panel(
+        "maximum adhesion", curves, 1.2, f"{name}: {len(rows)} bins in both",
+        limits=(0.0, highest * (1.3 if labels else 1.0)), spans=every, labels=labels,
+    )  # fmt: skip
 
 
-def draw_history(found: PlaceHistory, path: str | Path) -> None:
-    """Draw the evidence of a place over time, and the estimate as it was known by day.
+def history_charts(found: PlaceHistory) -> list[Chart]:
+    """The evidence of a place over time, and the estimate as it was known by day.
 
     Raises
     ------
@@ -422,76 +409,62 @@ def draw_history(found: PlaceHistory, path: str | Path) -> None:
         raise InputError(
             f"{found.title}: there is no evidence to draw", remedy="choose another place or layer"
         )
-    figure = new_figure(11.0, 4.6)
-    axes = figure.subplots()
-    onsets, used = found.onsets, found.used
-    days = pd.concat([each["day"] for each in (found.known, onsets, used) if not each.empty])
-    end = days.max() + DAY
-    # What is known last is drawn to the end of the last day with evidence.
-    known = found.known
-    if not known.empty:
-        known = pd.concat([known, known[-1:].assign(day=end)], ignore_index=True)
-    for each in found.spots.to_dict("records"):
-        axes.axvspan(
-            each["first_day"],
-            each["last_day"] + DAY,
-            color=RED,
-            alpha=0.12,
-            linewidth=0,
-            label="passing spot met",
+    onsets, used, known = found.onsets, found.used, found.known
+    end = max(_days(each["day"]).max() for each in (known, onsets, used) if not each.empty) + 1.0
+    spans = [
+        Span(float(first), float(last) + 1.0, RED, "" if number else "passing spot met", 0.12)
+        for number, (first, last) in enumerate(
+            zip(_days(found.spots["first_day"]), _days(found.spots["last_day"]), strict=True)
         )
-    if not known.empty:
-        _draw_known(axes, found, known)
-    axes.plot(
-        found.used["day"], found.used["level"], "^", color=GREY, markersize=4,
-        label="used without slip",
+    ]
+    changes = found.changes
+    spans += [
+        Span(float(first), float(last), GREEN, "", 0.2)
+        for first, last in zip(_days(changes["earliest"]), _days(changes["latest"]), strict=True)
+    ]
+    rules = [
+        Rule(float(day), GREEN, "" if number else "lasting change", upright=True, width=1.4)
+        for number, day in enumerate(_days(changes["day"]))
+    ]
+    marks = [
+        Curve("used without slip", _days(used["day"]), used["level"], GREY, "points", mark="^",
+              width=2.0),
+        Curve("onsets of slip, 95 %", _days(onsets["day"]), onsets["adhesion"], RED, "points",
+              onsets["low"], onsets["high"], width=2.0),
+    ]  # fmt: skip
+    panel = Panel(
+        "maximum adhesion", [*_known(found, end), *(each for each in marks if np.size(each.x))],
+        1.6, from_zero=True, spans=spans, rules=rules,
     )  # fmt: skip
-    axes.errorbar(
-        onsets["day"],
-        onsets["adhesion"],
-        [onsets["adhesion"] - onsets["low"], onsets["high"] - onsets["adhesion"]],
-        fmt="o",
-        color=RED,
-        markersize=4,
-        linewidth=1.0,
-        capsize=2,
-        label="onsets of slip, 95 %",
-    )
-    for each in found.changes.to_dict("records"):
-        axes.axvspan(each["earliest"], each["latest"], color=GREEN, alpha=0.2, linewidth=0)
-        axes.axvline(each["day"], color=GREEN, linewidth=1.4, label="lasting change")
-    dress(axes, x="", y="maximum adhesion")
-    axes.set_ylim(bottom=0.0)
-    axes.set_xlim(right=end)
-    figure.autofmt_xdate()
-    _legend(figure, [axes])
+    first = min(_days(each["day"]).min() for each in (known, onsets, used) if not each.empty)
     words = f"{found.title}. {found.unmeasured}".removesuffix(". ")
-    headline(figure, textwrap.fill(words, 120))
-    write_figure(figure, path)
+    return [
+        Chart("", [panel], f"{found.title}: evidence and estimate by day.", dates=True,
+              span=(first - 0.02 * (end - first), end), title=textwrap.fill(words, 120))
+    ]  # fmt: skip
 
 
-def _draw_known(axes: Axes, found: PlaceHistory, known: pd.DataFrame) -> None:
-    """The estimates as they were known by day, to the right end of the picture."""
-    for prefix, value, ink, words in (
-        ("expected_", "expected", PURPLE, "expected then, 95 % band"),
-        ("", "adhesion", COLOURS.get(found.layer, INK), "lasting as known then, 95 % band"),
-    ):
-        low, high = known[f"{prefix}low"], known[f"{prefix}high"]
-        if prefix:  # an outline: over each other two bands would have a colour of neither
-            dashed: dict[str, Any] = {
-                "drawstyle": "steps-post",
-                "linestyle": "--",
-                "color": ink,
-                "linewidth": 1.0,
-            }
-            axes.plot(known["day"], low, label=words, **dashed)
-            axes.plot(known["day"], high, **dashed)
-        else:
-            axes.fill_between(
-                known["day"], low, high, step="post", color=ink, alpha=0.3, linewidth=0, label=words
-            )
-        axes.plot(known["day"], known[value], drawstyle="steps-post", color=ink, linewidth=1.4)
-        axes.plot(found.known["day"][-1:], found.known[value][-1:], ".", color=ink)
+def _days(moments: pd.Series) -> FloatArray:
+    """Days since 1970."""
+    return np.asarray(moments, dtype="datetime64[s]").astype(np.float64) / 86_400.0
+
+
+def _known(found: PlaceHistory, end: float) -> list[Curve]:
+    """The estimates as they were known by day, the last up to the end of its day."""
+    known = found.known
+    if known.empty:
+        return []
+    known = pd.concat([known, known[-1:]], ignore_index=True)
+    day = _days(known["day"])
+    day[-1] = end
+    colour = COLOURS.get(found.layer, INK)
+    return [
+        Curve("lasting as known then, 95 % band", day, known["adhesion"], colour, "step",
+              known["low"], known["high"]),
+        Curve("expected then, 95 % band", day, known["expected"], PURPLE, "step", width=1.4),
+        Curve("", day, known["expected_low"], PURPLE, "step", width=1.0, dash="--"),
+        Curve("", day, known["expected_high"], PURPLE, "step", width=1.0, dash="--"),
+    ]  # fmt: skip
 
 
 def _title(track: TrackConditionMap, name: str, layer: ConditionLayer) -> str:
@@ -508,14 +481,3 @@ def _noted(notes: Sequence[Sequence[str]]) -> str:
     """What recorders lacked, each note once, as long as there is space for it."""
     each = dict.fromkeys(note for of_trip in notes for note in of_trip)
     return textwrap.shorten("; ".join(each), 150, placeholder=" ...")
-
-
-def _top(track: TrackConditionMap, at: pd.Timestamp | None) -> float:
-    """Upper end of the adhesion axis: the highest band drawn, in tenths."""
-    tops = [
-        float(np.nanmax(shown(estimate)[2], initial=0.0))
-        for layer in track.layers.values()
-        for estimate in (layer, layer.expected(at))
-        if estimate.observed.any()
-    ]
-    return max(0.4, 0.1 * float(np.ceil(10.0 * max(tops, default=0.0))))

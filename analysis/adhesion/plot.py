@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.plotting import (
+from analysis.charts import (
     BLUE,
     GREY,
     PALE,

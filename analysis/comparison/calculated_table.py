@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.console import RenderableType
 
+from analysis.charts import BLUE, GREY, INK, ORANGE, dress, headline, km_axis, legend, new_figure
 from analysis.comparison.calculated import Calculation, distinct
 from analysis.comparison.diagnosis import Diagnosis
 from analysis.comparison.prediction import WIDEST
-from analysis.plotting import BLUE, GREY, INK, ORANGE, dress, headline, km_axis, legend, new_figure
 from trainlog.display import counted
 from trainlog.presentation import WordTable, new_table
 from trainlog.units import JOULES_PER_KWH, KMH

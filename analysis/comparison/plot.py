@@ -7,9 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from analysis.comparison.compare import ComparedDirection, ComparedTrip
-from analysis.comparison.losses import CAUSES
-from analysis.plotting import (
+from analysis.charts import (
     BLUE,
     GREEN,
     GREY,
@@ -25,6 +23,8 @@ from analysis.plotting import (
     legend,
     new_figure,
 )
+from analysis.comparison.compare import ComparedDirection, ComparedTrip
+from analysis.comparison.losses import CAUSES
 from trainlog.units import JOULES_PER_KWH, KMH
 
 TRIP_COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY)

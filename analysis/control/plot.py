@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgba
 
 from analysis.adhesion.events import protection_onsets
 from analysis.adhesion.slip import slip
-from analysis.plotting import (
+from analysis.charts import (
     BLUE,
     GREY,
     INK,

@@ -11,11 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from numpy.typing import NDArray
 
-from analysis.fleet.resistance import KindResistance
-from analysis.fleet.trains import FleetTrains
-from analysis.fleet.trains_table import AT
-from analysis.fleet.unlike import Finding
-from analysis.plotting import (
+from analysis.charts import (
     BLUE,
     GREEN,
     GREY,
@@ -31,6 +27,10 @@ from analysis.plotting import (
     new_figure,
     write_figure,
 )
+from analysis.fleet.resistance import KindResistance
+from analysis.fleet.trains import FleetTrains
+from analysis.fleet.trains_table import AT
+from analysis.fleet.unlike import Finding
 from trainlog.arrays import FloatArray
 from trainlog.display import counted
 from trainlog.units import KMH

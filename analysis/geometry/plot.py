@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from analysis.geometry.centre_line import CentreLine
-from analysis.plotting import (
+from analysis.charts import (
     BLUE,
     GREY,
     ORANGE,
@@ -20,6 +19,7 @@ from analysis.plotting import (
     new_figure,
     write_figure,
 )
+from analysis.geometry.centre_line import CentreLine
 from trainlog.display import counted
 from trainlog.railway.geometry import to_plane
 from trainlog.trip import Trip

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
-from analysis.plotting import GREY, INK, PALE, headline, new_figure, write_figure
+from analysis.charts import GREY, INK, PALE, headline, new_figure, write_figure
 from trainlog.arrays import FloatArray
 from trainlog.extras import require
 from trainlog.railway.network import Edge, Network

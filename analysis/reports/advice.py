@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.plotting import BLUE
-from analysis.reports.charts import Chart, Curve, Panel, as_part
+from analysis.charts import BLUE, Chart, Curve, Panel
+from analysis.reports.charts import as_part
 from analysis.reports.page import Page, Part, Section, Warned
 from analysis.reports.results import line_of_trajectory
 from analysis.reports.trip import limit_curve

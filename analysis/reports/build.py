@@ -12,9 +12,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from analysis.charts import BLUE, Chart, Curve, Panel, rows_to_draw, stations_of
 from analysis.comparison.groups import TripCost, compare_groups, savings_table, trip_cost
-from analysis.plotting import BLUE
-from analysis.reports.charts import WITHOUT_BOKEH, Chart, Curve, Panel, as_part, rows_to_draw
+from analysis.reports.charts import WITHOUT_BOKEH, as_part
 from analysis.reports.page import Commands, Page, Part, Section, Warned
 from analysis.reports.results import (
     TABLES,
@@ -426,10 +428,10 @@ def _add_trip(
 def _overlaid(group: str, curves: Sequence[Curve], lines: Mapping[str, Line]) -> Part:
     """Speeds of trips over km; limits and stations where all are of one line and direction."""
     line = next(iter(lines.values())) if len(lines) == 1 else None
-    ends = [float(each) for curve in curves for each in (curve.x.min(), curve.x.max())]
+    ends = [float(each) for curve in curves for each in (np.min(curve.x), np.max(curve.x))]
     limits = [] if line is None else [limit_curve(line, 1e3 * min(ends), 1e3 * max(ends))]
     alt = f"Speeds of {counted(len(curves), 'trip')} in {group} over kilometres."
-    places = () if line is None else [(each.position / 1e3, each.name) for each in line.stations]
+    places = stations_of(line)
     panels = [Panel("km/h", [*limits, *curves], 1.6, from_zero=True)]
     return as_part(Chart("km in the direction of travel", panels, alt, "", places, line=line))
 

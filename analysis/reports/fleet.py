@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from analysis.charts import BLUE, GREEN, GREY, ORANGE, dress, legend, new_figure, write_figure
 from analysis.comparison.losses import CAUSES
 from analysis.fleet.analyses import ANALYSES
 from analysis.fleet.codes import code_of
@@ -18,7 +19,6 @@ from analysis.fleet.columns import LOST
 from analysis.fleet.maps import maps_folder
 from analysis.fleet.table import form_of_reason
 from analysis.fleet.trains import FleetTrains, trains_in
-from analysis.plotting import BLUE, GREEN, GREY, ORANGE, dress, legend, new_figure, write_figure
 from analysis.reports.fleet_attention import FleetFacts, attention_parts
 from analysis.reports.fleet_trains import drift_parts, resistance_parts, unlike_parts
 from analysis.reports.page import Page, Part, Section, Warned

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from analysis.charts import BLUE, GREY, INK, RED, dress, legend, new_figure, write_figure
 from analysis.fleet.diff import FleetDiff
 from analysis.fleet.diff_judgement import REACH
 from analysis.fleet.diff_table import (
@@ -20,7 +21,6 @@ from analysis.fleet.diff_table import (
     verdicts_table,
     words_table,
 )
-from analysis.plotting import BLUE, GREY, INK, RED, dress, legend, new_figure, write_figure
 from analysis.reports.page import Page, Part, Section, Warned
 from analysis.reports.pictures import Picture, drawn
 from trainlog.formats.files import made_folder, write_bytes

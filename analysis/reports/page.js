@@ -24,6 +24,16 @@
       }
     }
   };
+  const toggle = (key) => {
+    const hidden = key.classList.toggle("hidden");
+    const plots = [...key.closest(".plot, .row").querySelectorAll("[id^=plot-]")].map((each) => each.id + "-");
+    for (const doc of documents) {
+      for (const model of doc._all_models.values()) {
+        const here = plots.some((each) => model.id.startsWith(each));
+        if (here && model.name === key.dataset.name) model.visible = !hidden;
+      }
+    }
+  };
   const start = async () => {
     Bokeh.set_log_level("warn");
     for (const [name, value] of Object.entries(JSON.parse(document.documentElement.dataset.colours))) {
@@ -34,8 +44,12 @@
       const views = await Bokeh.embed.embed_item(JSON.parse(script.textContent));
       for (const view of views) documents.push(view.model.document);
     }
+    for (const key of document.querySelectorAll(".key")) key.addEventListener("click", () => toggle(key));
     paint();
     dark.addEventListener("change", paint);
+    const folded = [...document.querySelectorAll("details:not([open])")];
+    addEventListener("beforeprint", () => folded.forEach((each) => { each.dataset.closed = !each.open; each.open = true; }));
+    addEventListener("afterprint", () => folded.forEach((each) => { each.open = each.dataset.closed !== "true"; }));
     document.documentElement.classList.add("drawn");
   };
   start().catch((error) => {

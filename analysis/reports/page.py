@@ -55,10 +55,22 @@ class Interactive:
     picture : Picture
     item : mapping or None
         What BokehJS draws (``bokeh.embed.json_item``); None where Bokeh is not installed.
+    title : str
+    legend : tuple of (str, str, str)
+        Names, colours and kinds of what is drawn.
     """
 
     picture: Picture
     item: Mapping[str, Any] | None
+    title: str = ""
+    legend: tuple[tuple[str, str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Charts beside each other as long as the screen has space, else below each other."""
+
+    parts: tuple[Interactive, ...]
 
 
 @dataclass(frozen=True)
@@ -76,7 +88,7 @@ class Warned:
 
 
 Part = Any
-"""A str, WordTable, rich Group, Picture, Interactive, Commands, Warned or Section."""
+"""A str, WordTable, rich Group, Picture, Interactive, Beside, Commands, Warned or Section."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -89,11 +101,14 @@ class Section:
     parts : sequence of Part
     whole_page : bool
         Whether it begins on a new page in print.
+    folded : bool
+        Whether a reader opens it; in print it is open.
     """
 
     title: str
     parts: Sequence[Part]
     whole_page: bool = False
+    folded: bool = False
 
     def __repr__(self) -> str:
         return f"Section {self.title!r} of {len(self.parts)} parts"
@@ -138,8 +153,7 @@ class Page:
         """
         writer = _Writer(interactive)
         body = "".join(writer.section(each, 2) for each in self.sections)
-        scripts = [_SCRIPT] if writer.items else []
-        scripts = [_bokeh_script(), *scripts] if scripts else []
+        scripts = [_bokeh_script(), _SCRIPT] if writer.items else []
         plots = "".join(
             f'<script type="application/json" data-plot>{_as_script(item)}</script>\n'
             for item in writer.items
@@ -220,6 +234,11 @@ class _Writer:
         kind = ' class="new-page"' if section.whole_page else ""
         body = "".join(self.part(each, level) for each in section.parts)
         heading = f"<h{level}>{escape(section.title)}</h{level}>"
+        if section.folded:
+            # The place to which the contents lead is inside: going there opens it.
+            inner = f'<div{anchor} class="inner">\n{body}</div>'
+            body = f"<details>\n<summary>{heading}</summary>\n{inner}</details>"
+            return f"<section{kind}>{body}</section>\n"
         return f"<section{anchor}{kind}>\n{heading}\n{body}</section>\n"
 
     def part(self, part: Part, level: int) -> str:
@@ -231,6 +250,11 @@ class _Writer:
             return _table(part)
         if isinstance(part, Interactive):
             return self._interactive(part)
+        if isinstance(part, Beside):
+            legend = dict.fromkeys(key for each in part.parts for key in each.legend)
+            parts = (replace(each, legend=()) for each in part.parts)
+            row = "".join(map(self._interactive, parts))
+            return f'<div class="row">{_keys(tuple(legend))}<div class="beside">{row}</div></div>\n'
         if isinstance(part, Picture):
             return self._figure(self._drawn(part), part.caption)
         if isinstance(part, Commands):
@@ -258,9 +282,26 @@ class _Writer:
         label = escape(part.picture.alt, quote=True)
         return self._figure(
             f'<div class="still">{still}</div>'
-            f'<div class="plot" id="{target}" role="img" aria-label="{label}"></div>',
+            f'<div class="plot">{_heading(part)}'
+            f'<div id="{target}" role="img" aria-label="{label}"></div></div>',
             part.picture.caption,
         )
+
+
+def _heading(part: Interactive) -> str:
+    """Title and legend of a chart; a name in the legend hides what it names."""
+    return (f'<p class="title">{_cell(part.title)}</p>' if part.title else "") + _keys(part.legend)
+
+
+def _keys(legend: Sequence[tuple[str, str, str]]) -> str:
+    names = {value: name for name, value in LIGHT.items()}
+    keys = "".join(
+        f'<button type="button" class="key {kind}" data-name="{escape(name, quote=True)}"'
+        f' style="--key: {f"var(--{names[colour]})" if colour in names else colour}">'
+        f"{escape(name)}</button>"
+        for name, colour, kind in legend
+    )
+    return f'<div class="keys">{keys}</div>' if keys else ""
 
 
 def _table(table: WordTable) -> str:

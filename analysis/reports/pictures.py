@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from analysis.plotting import BLUE, GREEN, GREY, INK, ORANGE, PALE, PURPLE, RED, SKY
+from analysis.charts import BLUE, GREEN, GREY, INK, ORANGE, PALE, PURPLE, RED, SKY
 
 PAPER = "#ffffff"
 
@@ -85,7 +85,7 @@ def drawn(draw: Callable[[Path], object], alt: str, caption: str = "") -> Pictur
     Parameters
     ----------
     draw : callable
-        Writes a picture to a path, as ``draw_map`` and the others do; called with an ``.svg``, and
+        Writes a picture to a path, as `draw_charts` does; called with an ``.svg``, and
         again with a ``.png`` if that is large.
     alt : str
         What the picture shows.
@@ -93,7 +93,7 @@ def drawn(draw: Callable[[Path], object], alt: str, caption: str = "") -> Pictur
 
     Examples
     --------
-    >>> from analysis.plotting import new_figure, write_figure
+    >>> from analysis.charts import new_figure, write_figure
     >>> drawn(lambda path: write_figure(new_figure(2.0, 1.0), path), "nothing").is_svg
     True
     """

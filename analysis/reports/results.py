@@ -11,12 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from analysis.adhesion.condition_table import bins_table
 from analysis.adhesion.map_history import map_history
-from analysis.adhesion.map_plot import draw_history, draw_map
 from analysis.adhesion.map_state import MapState, line_of_map, map_state
-from analysis.plotting import BLUE, GREY, RED, SKY
-from analysis.reports.charts import Chart, Curve, Panel, as_part, rows_to_draw
+from analysis.charts import BLUE, GREY, SKY, Chart, Curve, Panel, rows_to_draw, stations_of
+from analysis.reports.charts import as_part, as_parts
 from analysis.reports.page import Part, Section, Warned
 from analysis.reports.pictures import Picture, drawn
 from analysis.reports.trip import facts_table, gradient_panel, limit_curve
@@ -298,64 +296,14 @@ def map_sections(path: Path, line: Path | None = None) -> list[Section]:
     if not track.layers:
         return [Section("Track condition", ["The map has no layer yet: no trip counts in it."])]
     state = map_state(track, None, line=course)
-    picture = drawn(
-        partial(draw_map, track, line=course),
-        f"Maximum adhesion along {track.line} with its 95 % band for each rail condition; grey"
-        " where nothing was observed.",
-        "Grey where nothing was observed: there the map has no estimate.",
-    )
     sections = [
-        Section("Track condition", [*_map_charts(track, state, course), *state.shown()]),
-        Section("Lasting condition, spots and changes", [picture]),
+        Section("Track condition", [*as_parts(track.charts(line=course)), *state.shown()]),
     ]
     note(f"{path.name}: history of the lowest places")
     sections.append(Section("History of the lowest places", _histories(track, state, course)))
     note(f"{path.name}: verification")
     sections.append(Section("Verification", _verified(track)))
     return sections
-
-
-def _map_charts(track: TrackConditionMap, state: MapState, line: Line | None) -> list[Part]:
-    """Expected maximum adhesion of each layer, with what stands under the pointer."""
-    panels, empty = [], list[str]()
-    for name in track.layers:
-        rows = bins_table(track, line, state.at, [name])
-        middle = 0.5 * (rows["start_m"] + rows["end_m"]).to_numpy(np.float64) / 1e3
-        value, low, high = (
-            rows[each].to_numpy(np.float64)
-            for each in ("expected", "expected_low", "expected_high")
-        )
-        seen = np.isfinite(value)
-        if not seen.any():
-            empty.append(name)
-            continue
-        hover = {
-            "km": [f"{each:.3f}" for each in rows["start_km"][seen]],
-            "expected": [f"{each:.3f}" for each in value[seen].tolist()],
-            "95 % band": [
-                f"{a:.3f} to {b:.3f}"
-                for a, b in zip(low[seen].tolist(), high[seen].tolist(), strict=True)
-            ],
-            "onsets": [str(int(each)) for each in rows["events"][seen]],
-        }
-        points = Curve("", middle[seen], value[seen], RED, "points", low[seen], high[seen], hover)
-        share = f"{name} rail: {seen.mean():.1%} of the line observed"
-        panels.append(Panel("maximum adhesion", [points], 1.0, share, from_zero=True))
-    without: list[Part] = [f"On {name} rail nothing was observed: no slip." for name in empty]
-    if not panels:
-        return without
-    stations = () if line is None else line.stations
-    chart = Chart(
-        "km",
-        panels,
-        f"Expected maximum adhesion along {track.line} with its 95 % band where it was observed.",
-        "Points are bins with an estimate and its 95 % band; where there is no point nothing was"
-        " observed.",
-        [(each.position / 1e3, each.name) for each in stations],
-        (0.0, track.length / 1e3),
-        line,
-    )
-    return [as_part(chart), *without]
 
 
 def _histories(track: TrackConditionMap, state: MapState, line: Line | None) -> list[Part]:
@@ -368,9 +316,8 @@ def _histories(track: TrackConditionMap, state: MapState, line: Line | None) -> 
         row = lowest.nsmallest(1, "expected").iloc[0]
         middle = 0.5 * (float(row["start_m"]) + float(row["end_m"]))
         found = map_history(track, middle, name, line=line, days=HISTORY_DAYS)
-        alt = f"Evidence and estimate of the lowest place in layer {name} by day."
         if len(found.known) > 1:
-            parts.append(drawn(partial(draw_history, found), alt))
+            parts += as_parts(found.charts())
         parts += found.shown()
     return parts or ["No place was observed."]
 
@@ -495,7 +442,7 @@ def _trajectory_chart(trajectory: Trajectory, line: Line | None) -> Chart:
         f"Planned speed over kilometres of {trajectory.train} on {trajectory.line}, with the band"
         " of all configurations, the permitted speed, efforts and gradient.",
         "",
-        () if line is None else [(each.position / 1e3, each.name) for each in line.stations],
+        stations_of(line),
         line=line,
     )
 

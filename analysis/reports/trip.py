@@ -13,10 +13,23 @@ import pandas as pd
 
 from analysis.adhesion.condition_map import own_line
 from analysis.adhesion.slip import SlipAnalysis, slip
+from analysis.charts import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    PURPLE,
+    RED,
+    SKY,
+    Chart,
+    Curve,
+    Panel,
+    rows_to_draw,
+    stations_of,
+)
 from analysis.comparison.driven import SHORTEST_STOP, station_at
 from analysis.comparison.groups import TripCost, trip_cost
-from analysis.plotting import BLUE, GREEN, GREY, INK, PURPLE, RED, SKY
-from analysis.reports.charts import Chart, Curve, Panel, as_part, rows_to_draw
+from analysis.reports.charts import as_part
 from analysis.reports.page import Part, Section, Warned
 from trainlog.arrays import FloatArray
 from trainlog.display import counted
@@ -353,7 +366,7 @@ def _course(trip: Trip, motion: Motion, line: Line | None, zone: Zone) -> list[P
         f"Speed of trip {trip.name} against the permitted speed over kilometres,"
         " with its efforts and the gradient below.",
         "Speed against the permitted speed; tractive effort above, braking effort below zero.",
-        () if line is None else [(each.position / 1e3, each.name) for each in line.stations],
+        stations_of(line),
         line=line,
     )
     minutes = (part.time - motion.time[0]).total_seconds().to_numpy() / 60.0

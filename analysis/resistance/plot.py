@@ -20,7 +20,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.special import ndtri
 
-from analysis.plotting import (
+from analysis.charts import (
     BLUE,
     GREEN,
     GREY,

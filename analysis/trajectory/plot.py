@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 
-from analysis.plotting import (
+from analysis.charts import (
     BLUE,
     GREEN,
     GREY,

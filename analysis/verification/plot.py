@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from analysis.plotting import (
+from analysis.charts import (
     BLUE,
     GREEN,
     GREY,

@@ -155,7 +155,7 @@ def draw_study(
     path: Path,
 ) -> None:
     """Draw error over number of trips, with the bound, and the coverage."""
-    from analysis.plotting import (
+    from analysis.charts import (
         BLUE,
         GREEN,
         GREY,

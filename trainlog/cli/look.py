@@ -132,8 +132,8 @@ def _show(found: Comparison) -> None:
 
 
 def _draw(found: Comparison, picture: Path) -> None:
+    from analysis.charts import write_figure
     from analysis.comparison.plot import comparison_figure
-    from analysis.plotting import write_figure
 
     several = len(found.directions) > 1
     for each in found.directions:
@@ -153,6 +153,7 @@ def _groups(logs: list[Path], followed: list[Path]) -> None:
 
 
 def _calculated(logs: list[Path], file: Path, wind: float | None, picture: Path | None) -> None:
+    from analysis.charts import write_figure
     from analysis.comparison.calculated import calculate, judged_together
     from analysis.comparison.calculated_table import (
         calculation_data,
@@ -161,7 +162,6 @@ def _calculated(logs: list[Path], file: Path, wind: float | None, picture: Path 
         diagnosis_data,
         together_words,
     )
-    from analysis.plotting import write_figure
 
     model, trips = _model(file), list(logs_in(logs))
     every, calculations = [], []

@@ -219,11 +219,11 @@ def map_show(
     assumed = zone_assumed(at, zone)
     shown = replace(shown, notes=(*shown.notes, assumed)) if assumed else shown
     if picture is not None:
-        from analysis.adhesion.map_plot import draw_map
+        from analysis.charts import draw
 
         positions = [position_of(known, each) for each in ends or ()]
         part = (positions[0], positions[1]) if positions else None
-        draw_map(shown.track, picture, line=known, at=when, part=part)
+        draw(shown.track, picture, line=known, at=when, part=part)
     show(shown, also=["model"] if model else [])
     if picture is not None:
         wrote(picture)
@@ -239,7 +239,7 @@ def _show_place(
 ) -> None:
     """Show what a map knows of one place over time: its evidence, and the estimate of each day."""
     from analysis.adhesion.map_history import MOST_DAYS, map_history
-    from analysis.adhesion.map_plot import draw_history
+    from analysis.charts import draw
     from trainlog.formats.condition import read_map
     from trainlog.railway.kilometres import position_of
 
@@ -260,7 +260,7 @@ def _show_place(
         for each in found:
             several = picture.with_stem(f"{picture.stem}-{each.layer}")
             written.append(several if len(found) > 1 else picture)
-            draw_history(each, written[-1])
+            draw(each, written[-1])
     if not state({"layers": [each.data() for each in found]}):
         show(*found)
     wrote(*written)
@@ -330,7 +330,7 @@ def map_diff(
     since, until = _day(start), _day(end)
 
     from analysis.adhesion.map_difference import map_difference
-    from analysis.adhesion.map_plot import draw_difference
+    from analysis.charts import draw
     from trainlog.formats.condition import read_map
 
     first, *second = [read_map(each) for each in maps]
@@ -346,7 +346,7 @@ def map_diff(
         least=least,
     )
     if picture is not None:
-        draw_difference(found, picture, line=known)
+        draw(found, picture, line=known)
     show(found)
     if picture is not None:
         wrote(picture)

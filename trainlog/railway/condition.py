@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from itertools import pairwise
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +25,31 @@ from trainlog.values import same_values
 
 BIN_LENGTH = 25.0
 """Length of a bin [m]."""
+
+ADHESION_BOUNDS = (0.05, 0.08, 0.12, 0.20)
+"""Maximum adhesion between the classes in which maps are shown."""
+
+ADHESION_COLOURS = ("#d73a3a", "#f0803c", "#f2c14e", "#74b9dc", "#3a74b8")
+"""Of the classes, from the lowest: readers who see no red and green distinguish them, on white
+and on black."""
+
+ADHESION_CLASSES = (
+    f"below {ADHESION_BOUNDS[0]:.2f}",
+    *(f"{low:.2f} to {high:.2f}" for low, high in pairwise(ADHESION_BOUNDS)),
+    f"from {ADHESION_BOUNDS[-1]:.2f}",
+)
+"""Their names."""
+
+
+def adhesion_class(adhesion: ArrayLike) -> IntArray:
+    """Class of each maximum adhesion, counted from the lowest.
+
+    Examples
+    --------
+    >>> [ADHESION_CLASSES[each] for each in adhesion_class([0.03, 0.05, 0.3])]
+    ['below 0.05', '0.05 to 0.08', 'from 0.20']
+    """
+    return np.searchsorted(ADHESION_BOUNDS, np.asarray(adhesion), side="right")
 
 
 @dataclass(frozen=True, eq=False)
@@ -501,6 +527,8 @@ class TrackConditionMap(Presented):
     >>> track.lower_bound("wet", [5_000.0]).shape
     (1,)
     """
+
+    charts_by: ClassVar[str] = "analysis.adhesion.map_plot:map_charts"
 
     line: str
     length: float

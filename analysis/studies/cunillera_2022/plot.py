@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from analysis.plotting import BLUE, GREEN, GREY, RED, dress, new_figure, write_figure
+from analysis.charts import BLUE, GREEN, GREY, RED, dress, new_figure, write_figure
 from analysis.studies.cunillera_2022.model import Driven, Instance, driven
 from trainlog.railway import Configuration, Trajectory
 from trainlog.units import KMH

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from analysis.plotting import (
+from analysis.charts import (
     BLUE,
     GREEN,
     GREY,

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from analysis.plotting import (
+from analysis.charts import (
     BLUE,
     GREY,
     INK,

@@ -9,7 +9,7 @@ from typing import TypedDict
 import numpy as np
 from matplotlib.axes import Axes
 
-from analysis.plotting import (
+from analysis.charts import (
     BLUE,
     GREEN,
     GREY,

@@ -1,0 +1,715 @@
+"""Charts: each picture is described once, and drawn still here, interactive in a report.
+
+A `Chart` is a few panels over one axis; a result declares its charts, and its ``plot()`` draws them
+(`trainlog.plotted`). Colours, sizes and how a figure is written are here, too: one look for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib import colormaps, rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
+from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import Patch
+from matplotlib.ticker import Formatter, Locator, MaxNLocator
+from numpy.typing import ArrayLike, NDArray
+
+from trainlog.formats.files import atomic_write
+from trainlog.plotted import Plotted
+from trainlog.railway.kilometres import km_ticks
+from trainlog.railway.line import Line
+
+BLUE, ORANGE, GREEN, RED, PURPLE, SKY = (
+    "#0072b2",
+    "#e69f00",
+    "#009e73",
+    "#d55e00",
+    "#8e5ea2",
+    "#56b4e9",
+)
+"""Colours that colour-blind readers can distinguish (Okabe and Ito)."""
+
+INK, GREY, PALE = "#222222", "#7f7f7f", "#d0d0d0"
+"""Text and lines; data in the background; grids."""
+
+ON_PALE = "#1a1a1a"
+"""Text on a coloured ground, which stays what it is where a page turns dark."""
+
+DOTS_PER_INCH = 150
+
+WIDTH = 11.0
+"""Of a figure [inch]."""
+
+LEAST_WIDTH = 3.2
+"""Of a figure of a narrow chart alone [inch]."""
+
+NARROW = 0.5
+"""Share of a figure's width below which a chart has its legend inside."""
+
+MOST_POINTS = 2_500
+"""Of a curve in a chart, about: more than there are pixels show nothing more."""
+
+
+# -------------------------------------------------------------------------------- what is drawn
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Values over the chart's axis.
+
+    Attributes
+    ----------
+    label : str
+    x, y : (n,) array
+    colour : str
+        One of this module.
+    kind : {"line", "step", "area", "points", "bars"}
+        ``"step"`` holds each value up to the next x; ``"area"`` and ``"bars"`` begin at 0.
+    low, high : (n,) array, optional
+        Of a band, or of each point; of an area or bars, `low` is where it begins, 0 without. What
+        is not known is NaN, and nothing is drawn over it.
+    hover : mapping of str to sequence of str
+        What is stated of each point under the pointer, by name.
+    width : float
+        Of the line; points are larger with it, too. Of bars: on their axis.
+    dash : str
+        As of matplotlib: ``"--"``, ``":"``; empty for none.
+    opacity : float
+    mark : str
+        Of points, as of matplotlib.
+    across : bool
+        Points and bars lie: `x` is the value, with `low` and `high`, and `y` the row.
+    """
+
+    label: str
+    x: ArrayLike
+    y: ArrayLike
+    colour: str = BLUE
+    kind: Literal["line", "step", "area", "points", "bars"] = "line"
+    low: ArrayLike | None = None
+    high: ArrayLike | None = None
+    hover: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    width: float = 1.6
+    dash: str = ""
+    opacity: float = 1.0
+    mark: str = "o"
+    across: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("x", "y", "low", "high"):
+            values = getattr(self, name)
+            if values is not None:
+                object.__setattr__(self, name, np.asarray(values, dtype=np.float64))
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Coloured cells between edges on both axes.
+
+    Attributes
+    ----------
+    x : (n + 1,) array
+    y : (m + 1,) array
+    colours : (m, n) array of str
+        As ``#rrggbb``; empty where there is none.
+    names : mapping of str to str
+        Colours that the legend names, by name.
+    words : (m, n) array of str, optional
+        What is written in each.
+    hover : mapping of str to sequence of str
+        What is stated of each under the pointer, row by row.
+    """
+
+    x: ArrayLike
+    y: ArrayLike
+    colours: NDArray[np.str_]
+    names: Mapping[str, str] = field(default_factory=dict)
+    words: NDArray[np.str_] | None = None
+    hover: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Span:
+    """A shaded part of the axis, over the height of the panel; or of the ordinate, if it lies."""
+
+    start: float
+    end: float
+    colour: str = PALE
+    label: str = ""
+    opacity: float = 0.45
+    across: bool = False
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A straight line: at a level of the ordinate, or upright at a place of the axis."""
+
+    at: float
+    colour: str = INK
+    label: str = ""
+    upright: bool = False
+    dash: str = ""
+    width: float = 0.8
+
+
+@dataclass(frozen=True)
+class Label:
+    """Words at a place; without a `y` at the top of the panel.
+
+    Attributes
+    ----------
+    x : float
+    words : str
+    y : float, optional
+    colour : str
+    upright : bool
+    side : {"left", "center", "right"}
+        Which part of the words stands at `x`.
+    size : float
+    """
+
+    x: float
+    words: str
+    y: float | None = None
+    colour: str = INK
+    upright: bool = False
+    side: Literal["left", "center", "right"] = "center"
+    size: float = 7.0
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Curves with one ordinate.
+
+    Attributes
+    ----------
+    y : str
+        What it is, with its unit.
+    curves : sequence of Curve or Cells
+    height : float
+        Relative to the other panels.
+    title : str
+    from_zero : bool
+        Whether the ordinate begins at zero.
+    limits : (float, float), optional
+        Ends of the ordinate.
+    spans, rules, labels
+    rows : sequence of str
+        Names of 0, 1, 2 ... on the ordinate, from the top down.
+    bare : bool
+        Without ordinate and grid.
+    """
+
+    y: str
+    curves: Sequence[Curve | Cells]
+    height: float = 1.0
+    title: str = ""
+    from_zero: bool = False
+    limits: tuple[float, float] | None = None
+    spans: Sequence[Span] = ()
+    rules: Sequence[Rule] = ()
+    labels: Sequence[Label] = ()
+    rows: Sequence[str] = ()
+    bare: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """Panels over one axis.
+
+    Attributes
+    ----------
+    x : str
+        What the axis is, with its unit.
+    panels : sequence of Panel
+    alt : str
+        What it shows, for those who do not see it.
+    caption : str
+    places : sequence of (float, str)
+        Stations, marked in all panels and named in the first.
+    span : (float, float), optional
+        Ends of the axis; default: those of the curves.
+    line : Line, optional
+        The axis is its chainage [km], labelled with the operator's kilometres if it has them.
+    title : str
+    beside : bool
+        Whether it stands at the right of the chart before it, where there is space.
+    width : float
+        Relative to the charts beside it.
+    ticks : sequence of (float, str)
+        Named places of the axis; default: numbers.
+    dates : bool
+        The axis has days since 1970.
+    equal : bool
+        A unit is as long on the ordinate as on the axis.
+    """
+
+    x: str
+    panels: Sequence[Panel]
+    alt: str
+    caption: str = ""
+    places: Sequence[tuple[float, str]] = ()
+    span: tuple[float, float] | None = None
+    line: Line | None = None
+    title: str = ""
+    beside: bool = False
+    width: float = 1.0
+    ticks: Sequence[tuple[float, str]] = ()
+    dates: bool = False
+    equal: bool = False
+
+    def __post_init__(self) -> None:
+        if self.line is not None and self.line.reference is not None:
+            object.__setattr__(self, "x", "km")
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Ends of the axis."""
+        if self.span is not None:
+            return self.span
+        every = [np.asarray(curve.x) for panel in self.panels for curve in panel.curves]
+        found = [each[np.isfinite(each)] for each in every]
+        joined = np.concatenate([each for each in found if each.size] or [np.array([0.0, 1.0])])
+        low, high = float(joined.min()), float(joined.max())
+        return (low, high) if high > low else (low - 0.5, high + 0.5)
+
+
+def stations_of(line: Line | None) -> list[tuple[float, str]]:
+    """The stations of a line as places of a chart over km."""
+    return [] if line is None else [(each.position / 1e3, each.name) for each in line.stations]
+
+
+def rows_to_draw(*curves: ArrayLike, most: int = MOST_POINTS) -> NDArray[np.int64]:
+    """Rows that show what all rows show: of each short stretch the least and greatest values.
+
+    Parameters
+    ----------
+    *curves : (n,) arrays
+    most : int
+        So many rows are wanted, about.
+
+    Examples
+    --------
+    >>> peak = np.zeros(100_000)
+    >>> peak[70_001] = 1.0
+    >>> rows = rows_to_draw(peak)
+    >>> rows.size < 5_000, 70_001 in rows
+    (True, True)
+    """
+    every = [np.asarray(each, dtype=np.float64) for each in curves]
+    n = every[0].size if every else 0
+    if n <= most:
+        return np.arange(n)
+    wide = -(-n * 2 * len(every) // most)
+    stretches = n // wide
+    begins = wide * np.arange(stretches)
+    kept = [np.array([0, n - 1])]
+    for each in every:
+        block = each[: stretches * wide].reshape(stretches, wide)
+        kept.append(begins + np.argmin(np.where(np.isnan(block), np.inf, block), axis=1))
+        kept.append(begins + np.argmax(np.where(np.isnan(block), -np.inf, block), axis=1))
+    kept.append(np.arange(stretches * wide, n))
+    return np.unique(np.concatenate(kept))
+
+
+def shades(values: ArrayLike, colours: str, span: tuple[float, float]) -> NDArray[np.str_]:
+    """Colours of values in a colour map of matplotlib; empty where a value is not known.
+
+    Examples
+    --------
+    >>> shades([[0.0, np.nan]], "viridis", (0.0, 1.0)).tolist()
+    [['#440154', '']]
+    """
+    known = np.asarray(values, dtype=np.float64)
+    share = np.clip((known - span[0]) / (span[1] - span[0]), 0.0, 1.0)
+    found = [
+        to_hex(colormaps[colours](each)) if np.isfinite(each) else "" for each in share.ravel()
+    ]
+    return np.array(found, dtype=np.str_).reshape(known.shape)
+
+
+def named_places(chart: Chart) -> Iterator[tuple[float, str, int]]:
+    """Where the names of a chart's places stand, and their angle: upright if they would overlap."""
+    span = chart.ends
+    width = span[1] - span[0]
+    low, high = span[0] - 0.005 * width, span[1] + 0.005 * width
+    within = [each for each in chart.places if low <= each[0] <= high]
+    close = any(
+        after[0] - before[0] < 0.011 * width * max(len(_short(before[1])), len(_short(after[1])))
+        for before, after in pairwise(within)
+    )
+    for place, name in within:
+        yield min(max(place, span[0]), span[1]), name, 90 if close else 0
+
+
+def legend_of(chart: Chart) -> Iterator[tuple[str, str, str]]:
+    """What a legend names, each once: name, colour, and how it is drawn."""
+    found = dict[str, tuple[str, str]]()
+    for panel in chart.panels:
+        for each in panel.curves:
+            if isinstance(each, Cells):
+                found |= {name: (colour, "area") for name, colour in each.names.items()}
+            elif each.label:
+                found.setdefault(each.label, (each.colour, each.kind))
+        for span in panel.spans:
+            found |= {span.label: (span.colour, "area")} if span.label else {}
+        for rule in panel.rules:
+            found |= {rule.label: (rule.colour, "line")} if rule.label else {}
+    for name, (colour, kind) in found.items():
+        yield name, colour, kind
+
+
+def rows_of(charts: Sequence[Chart]) -> list[list[Chart]]:
+    """Charts row by row: those that stand beside each other."""
+    rows = list[list[Chart]]()
+    for chart in charts:
+        if chart.beside and rows:
+            rows[-1].append(chart)
+        else:
+            rows.append([chart])
+    return rows
+
+
+# ------------------------------------------------------------------------------------ a figure
+
+
+class Drawing(Figure):
+    """A figure that a notebook shows, whatever backend it has."""
+
+    def _repr_png_(self) -> bytes:
+        from io import BytesIO
+
+        with BytesIO() as file:
+            self.savefig(file, format="png", dpi=100)
+            return file.getvalue()
+
+
+def new_figure(width: float = 9.0, height: float = 5.0) -> Figure:
+    """An empty figure of `width` by `height` [inch] on an Agg canvas; needs no display."""
+    figure = Drawing(figsize=(width, height), layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def headline(
+    figure: Figure | SubFigure, text: str, *, colour: str = INK, size: float = 11.0
+) -> None:
+    """Write what a figure shows above it, on the left."""
+    figure.suptitle(text, x=0.01, ha="left", fontsize=size, color=colour)
+
+
+Corner = Literal["upper left", "upper right", "lower left", "lower right"]
+
+
+def legend(axes: Axes, place: Corner = "upper left", **options: Any) -> None:
+    """Draw the legend in the common look; further `options` as of matplotlib."""
+    axes.legend(fontsize=8, frameon=False, loc=place, **options)
+
+
+def dress(axes: Axes, *, x: str, y: str, title: str = "") -> Axes:
+    """Label an axes and give it the common look."""
+    axes.set_xlabel(x, color=INK)
+    axes.set_ylabel(y, color=INK)
+    if title:
+        axes.set_title(title, loc="left", fontsize=10, color=INK)
+    axes.grid(visible=True, color=PALE, linewidth=0.6)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(GREY)
+    axes.tick_params(colors=INK, labelsize=9)
+    return axes
+
+
+class _Kilometres(Locator):
+    """Ticks at round operator's kilometres of an axis that holds chainage [km]."""
+
+    def __init__(self, line: Line) -> None:
+        self.line = line
+
+    def __call__(self) -> list[float]:
+        low, high = self.axis.get_view_interval()  # type: ignore[union-attr]
+        return self.tick_values(low, high)
+
+    def tick_values(self, vmin: float, vmax: float) -> list[float]:
+        places: list[float] = (km_ticks(self.line, 1e3 * vmin, 1e3 * vmax)[0] / 1e3).tolist()
+        return places
+
+
+class _KilometreLabels(Formatter):
+    """Labels of such ticks."""
+
+    def __init__(self, line: Line) -> None:
+        self.line = line
+
+    def __call__(self, x: float, pos: int | None = None) -> str:  # noqa: ARG002
+        low, high = self.axis.get_view_interval()  # type: ignore[union-attr]
+        places, labels = km_ticks(self.line, 1e3 * low, 1e3 * high)
+        known: dict[float, str] = dict(zip((places / 1e3).tolist(), labels, strict=True))
+        return known.get(x, "")
+
+
+def km_axis(axes: Axes, line: Line | None, label: str = "km") -> None:
+    """Label an axis of chainage [km] with the operator's kilometres, where the line has them."""
+    if line is None or line.reference is None:
+        axes.set_xlabel(label, color=INK)
+        return
+    axes.xaxis.set_major_locator(_Kilometres(line))
+    axes.xaxis.set_major_formatter(_KilometreLabels(line))
+    axes.set_xlabel(label.removesuffix(" in the direction of travel"), color=INK)
+
+
+def write_figure(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PNG, or as SVG if the path ends so: whole or not at all.
+
+    The same figure gives the same bytes. An SVG has no background, so that it stands on a page of
+    any colour.
+    """
+    with atomic_write(path) as temporary:
+        if Path(path).suffix == ".svg":
+            with rc_context({"svg.hashsalt": "trainlog"}):
+                about = {"Date": None, "Creator": None}
+                figure.savefig(temporary, format="svg", transparent=True, metadata=about)
+            return
+        figure.savefig(temporary, format="png", dpi=DOTS_PER_INCH, metadata={"Software": None})
+
+
+# ----------------------------------------------------------------------------- charts, standing
+
+
+def figure_of(charts: Chart | Sequence[Chart], title: str = "", *, width: float = WIDTH) -> Figure:
+    """Charts as one figure: below each other, and beside each other where they say so.
+
+    Examples
+    --------
+    >>> chart = Chart("km", [Panel("km/h", [Curve("speed", [0.0, 1.0], [0.0, 80.0])])], "a run")
+    >>> figure_of(chart).axes[0].get_ylabel()
+    'km/h'
+    """
+    rows = rows_of([charts] if isinstance(charts, Chart) else charts)
+    heights = [max(_height(chart) for chart in row) for row in rows]
+    above = 0.25 * (title.count("\n") + 1) * bool(title)
+    alone = len(rows) == 1 and len(rows[0]) == 1
+    share = max(rows[0][0].width, LEAST_WIDTH / width) if alone else 1.0
+    figure = new_figure(width * share, sum(heights) + above)
+    parts: list[Any] = [figure]
+    if not alone:
+        parts = figure.subfigures(len(rows), 1, height_ratios=heights, squeeze=False)[:, 0].tolist()
+    for row, part in zip(rows, parts, strict=True):
+        inner: list[Any] = [part]
+        if len(row) > 1:
+            inner = part.subfigures(1, len(row), width_ratios=[each.width for each in row])
+        lines = max(each.title.count("\n") for each in row)
+        known = set[str]()
+        for chart, place in zip(row, inner, strict=True):
+            place.set_facecolor("none" if place is not figure else "white")
+            _draw_chart(place, chart, known)
+            if chart.title and not (alone and title):
+                # Titles of one height: the charts of a row stand on one level.
+                words = chart.title + "\n" * (lines - chart.title.count("\n"))
+                headline(place, words, size=11.0 if len(row) == 1 else 10.0)
+    if title:
+        headline(figure, title)
+    return figure
+
+
+def draw(result: Plotted, path: str | Path, **options: Any) -> None:
+    """Write the picture of a result, PNG or SVG; `options` as of its `plot`."""
+    write_figure(result.plot(**options), path)
+
+
+def draw_charts(charts: Chart | Sequence[Chart], path: str | Path, title: str = "") -> None:
+    """Draw charts as one picture, SVG or PNG."""
+    write_figure(figure_of(charts, title), path)
+
+
+def _height(chart: Chart) -> float:
+    """Of a chart [inch]."""
+    titles = 0.2 * (chart.title.count("\n") + 1) * bool(chart.title)
+    return 0.6 + titles + 2.4 * sum(panel.height for panel in chart.panels)
+
+
+def _draw_chart(figure: Figure | SubFigure, chart: Chart, known: set[str]) -> None:
+    """Draw a chart; its legend leaves out the names that are known from charts beside it."""
+    heights = [panel.height for panel in chart.panels]
+    places = np.atleast_1d(
+        figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+    ).tolist()
+    for axes, panel in zip(places, chart.panels, strict=True):
+        _draw_panel(axes, panel)
+        _draw_legend(axes, panel, known if chart.width < NARROW else None)
+        for place, _ in chart.places:
+            axes.axvline(place, color=PALE, linewidth=0.9, zorder=0)
+    last: Axes = places[-1]
+    km_axis(last, chart.line, chart.x)
+    last.set_xlim(*chart.ends)
+    if chart.ticks:
+        close = sum(len(name) for _, name in chart.ticks) > 90 * chart.width
+        last.set_xticks(*zip(*chart.ticks, strict=True), rotation=40 if close else 0,
+                        ha="right" if close else "center", fontsize=8)  # fmt: skip
+    if chart.dates:
+        locator = AutoDateLocator(minticks=3, maxticks=9)  # type: ignore[no-untyped-call]
+        last.xaxis.set_major_locator(locator)
+        last.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
+    if chart.equal:
+        last.set_aspect("equal", adjustable="datalim")
+    _name_places(places[0], chart)
+    figure.align_ylabels(places)
+
+
+def _draw_panel(axes: Axes, panel: Panel) -> None:
+    for span in panel.spans:
+        shade = axes.axhspan if span.across else axes.axvspan
+        shade(span.start, span.end, color=span.colour, alpha=span.opacity, linewidth=0,
+              label=span.label or None)  # fmt: skip
+    for each in panel.curves:
+        if isinstance(each, Cells):
+            _draw_cells(axes, each)
+        else:
+            _draw_curve(axes, each)
+    for rule in panel.rules:
+        line = axes.axvline if rule.upright else axes.axhline
+        line(rule.at, color=rule.colour, linewidth=rule.width, linestyle=rule.dash or "-",
+             label=rule.label or None)  # fmt: skip
+    dress(axes, x="", y=panel.y, title=panel.title)
+    if panel.rows:
+        axes.set_yticks(range(len(panel.rows)), [_short(each) for each in panel.rows], fontsize=7)
+        axes.set_ylim(len(panel.rows) - 0.4, -0.6)
+        axes.grid(visible=False, axis="y")
+    if panel.from_zero:
+        axes.set_ylim(bottom=0.0)
+    if panel.limits is not None:
+        axes.set_ylim(*panel.limits)
+    if panel.bare:
+        axes.set_yticks([])
+        axes.grid(visible=False)
+        axes.spines["left"].set_visible(False)
+    for label in panel.labels:
+        _write(axes, label)
+
+
+def _write(axes: Axes, label: Label) -> None:
+    at_top = label.y is None
+    axes.text(
+        label.x, 0.98 if label.y is None else label.y, _plain(label.words), color=label.colour,
+        fontsize=label.size, ha=label.side, va="top" if at_top else "center",
+        rotation=90 if label.upright else 0, clip_on=True,
+        transform=axes.get_xaxis_transform() if at_top else axes.transData,
+    )  # fmt: skip
+
+
+def _draw_legend(axes: Axes, panel: Panel, known: set[str] | None) -> None:
+    """What is drawn, each name once: above the panel on the right, or in it where that is full."""
+    handles, names = axes.get_legend_handles_labels()
+    cells = [each for each in panel.curves if isinstance(each, Cells)]
+    entries = dict(zip(names, handles, strict=True))
+    entries |= {
+        name: Patch(color=colour, linewidth=0)
+        for each in cells
+        for name, colour in each.names.items()
+    }
+    narrow = known is not None
+    if known is not None:
+        entries = {name: handle for name, handle in entries.items() if name not in known}
+        known.update(entries)
+    if not entries:
+        return
+    inside = narrow or (len(panel.title) > 50 and not cells)
+    place: dict[str, Any] = {"loc": "best", "fontsize": 7 if narrow else 8}
+    if not inside:
+        place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": 9 if cells else 4,
+                 "fontsize": 8}  # fmt: skip
+    axes.legend(entries.values(), entries.keys(), frameon=False, **place)
+
+
+def _draw_cells(axes: Axes, cells: Cells) -> None:
+    colours = np.asarray(cells.colours)
+    shown = np.zeros((*colours.shape, 4))
+    for place in zip(*np.nonzero(colours != ""), strict=True):
+        text = str(colours[place])
+        shown[place] = [*(int(text[i : i + 2], 16) / 255.0 for i in (1, 3, 5)), 1.0]
+    axes.pcolormesh(cells.x, cells.y, shown, rasterized=colours.size > 4_000, linewidth=0)
+    if cells.words is not None:
+        x, y = (0.5 * (each[1:] + each[:-1]) for each in map(np.asarray, (cells.x, cells.y)))
+        for row, column in np.ndindex(colours.shape):
+            light = shown[row, column, :3] @ (0.3, 0.59, 0.11)
+            axes.text(x[column], y[row], str(cells.words[row, column]), ha="center", va="center",
+                      fontsize=8, color="white" if light < 0.5 else ON_PALE)  # fmt: skip
+
+
+def _draw_curve(axes: Axes, curve: Curve) -> None:
+    x: Any = curve.x
+    y: Any = curve.y
+    low: Any = curve.low
+    high: Any = curve.high
+    style: dict[str, Any] = {
+        "color": curve.colour,
+        "alpha": curve.opacity,
+        "label": curve.label or None,
+    }
+    dashed: dict[str, Any] = {"linewidth": curve.width, "linestyle": curve.dash or "-"}
+    if low is not None and high is not None and curve.kind != "bars":
+        if curve.kind == "points":
+            between = axes.hlines if curve.across else axes.vlines
+            between(y if curve.across else x, low, high, color=curve.colour, linewidth=1.0,
+                    alpha=min(curve.opacity, 0.8))  # fmt: skip
+        else:
+            axes.fill_between(
+                x, low, high, color=curve.colour, alpha=0.22, linewidth=0,
+                step="post" if curve.kind == "step" else None,
+            )  # fmt: skip
+    if curve.kind == "step":
+        axes.step(x, y, where="post", **style, **dashed)
+    elif curve.kind == "area":
+        base = 0.0 if low is None else low
+        axes.fill_between(x, base, y, **(style | {"alpha": 0.6 * curve.opacity}), linewidth=0)
+    elif curve.kind == "points":
+        axes.plot(x, y, linestyle="", marker=curve.mark, **style, markersize=2.0 * curve.width,
+                  markeredgewidth=0.0 if curve.mark in "o.^vs" else 1.0)  # fmt: skip
+    elif curve.kind == "bars" and curve.across:
+        base = np.zeros_like(x) if low is None else low
+        axes.barh(y, x - base, curve.width, left=base, linewidth=0, **style)
+    elif curve.kind == "bars":
+        base = np.zeros_like(y) if low is None else low
+        axes.bar(x, y - base, curve.width, bottom=base, linewidth=0, **style)
+    else:
+        axes.plot(x, y, **style, **dashed)
+
+
+def _name_places(axes: Axes, chart: Chart) -> None:
+    """Names of stations at the top of an axes, upright where they would overlap."""
+    low, high = chart.ends
+    for place, name, angle in named_places(chart):
+        share = (place - low) / (high - low)
+        side = (
+            "left" if share < 0.05 and not angle else "right" if angle or share > 0.95 else "center"
+        )
+        axes.text(
+            place, 0.985, _short(name), fontsize=8, color=GREY, va="top", ha=side, rotation=angle,
+            rotation_mode="default", transform=axes.get_xaxis_transform(), clip_on=True,
+        )  # fmt: skip
+
+
+def _short(name: str) -> str:
+    """A name as it fits into a picture."""
+    return _plain(name if len(name) <= 24 else f"{name[:23]}…")
+
+
+def _plain(words: str) -> str:
+    """Words where dollar signs are no mathematics."""
+    return words.replace("$", r"\$")
+
+
+def whole_ticks(axes: Axes) -> None:
+    """Ticks of the ordinate at whole numbers only."""
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
