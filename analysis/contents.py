@@ -145,7 +145,7 @@ def _map_summary(path: Path) -> str:
 
 
 def _trip_of_folder(path: Path) -> Contents:
-    from trainlog.formats.parquet import read_parquet, trip_index
+    from trainlog.formats.trip_tables import read_parquet, trip_index
 
     kind = trip_index(path).FORMAT.partition("-")[2]
     names = {"parquet": "trip as Parquet", "csv": "trip as CSV"}

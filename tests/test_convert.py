@@ -18,7 +18,7 @@ from tests.mcap_trips import START, assert_same, trip_of
 from trainlog.cli.main import run
 from trainlog.cli.options import stretch, times
 from trainlog.errors import InputError, LogError
-from trainlog.formats.parquet import CsvTripIndex, folder_writer, read_parquet, write_parquet
+from trainlog.formats.trip_tables import CsvTripIndex, folder_writer, read_parquet, write_parquet
 from trainlog.mcap import DamageWarning, convert as module, read_log, write_log
 from trainlog.mcap.convert import convert, span_of
 from trainlog.topics import EVENTS, TRAIN_STATE

@@ -16,8 +16,8 @@ from hypothesis import given, settings, strategies as st
 
 from tests.mcap_trips import START, assert_same, trip_of, trips
 from trainlog.errors import InputError, LogError
-from trainlog.formats import topic_parquet
-from trainlog.formats.parquet import folder_writer, read_parquet, stream_parquet, write_parquet
+from trainlog.formats import trip_tables
+from trainlog.formats.trip_tables import folder_writer, read_parquet, stream_parquet, write_parquet
 from trainlog.topics import EVENTS, TOPICS, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 
@@ -116,7 +116,7 @@ def test_frames_of_other_programs_come_back(tmp_path: Path) -> None:
 def test_same_trip_same_bytes_whatever_the_pieces(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(topic_parquet, "ROWS", 16)
+    monkeypatch.setattr(trip_tables, "ROWS", 16)
     trip = trip_of(rows=100)
     write_parquet(trip, tmp_path / "whole.parquet")
     parts = (

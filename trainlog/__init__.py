@@ -51,10 +51,6 @@ if TYPE_CHECKING:
         read_parameters as read_parameters,
         write_parameters as write_parameters,
     )
-    from trainlog.formats.parquet import (
-        read_parquet as read_parquet,
-        write_parquet as write_parquet,
-    )
     from trainlog.formats.samples import (
         DEFAULT_LINE as DEFAULT_LINE,
         DEFAULT_TRAIN as DEFAULT_TRAIN,
@@ -69,6 +65,10 @@ if TYPE_CHECKING:
     from trainlog.formats.trajectory import (
         read_trajectory as read_trajectory,
         write_trajectory as write_trajectory,
+    )
+    from trainlog.formats.trip_tables import (
+        read_parquet as read_parquet,
+        write_parquet as write_parquet,
     )
     from trainlog.formats.weather import (
         read_weather as read_weather,
@@ -178,7 +178,7 @@ _NAMES = {
         "read=read_log write=write_log record recover describe check=account_of "
         "stream=stream_log frames=frames_of LogWriter Recording DamageWarning OverloadWarning"
     ),
-    "trainlog.formats.parquet": "read_parquet write_parquet",
+    "trainlog.formats.trip_tables": "read_parquet write_parquet",
     "trainlog.trip": "Trip frame_of",
     "trainlog.topics": "recorded_topic TopicField=Field",
     "trainlog.resampling": "joined resampled",

@@ -18,8 +18,8 @@ from pathlib import Path
 import pandas as pd
 from trips import CASES, trip_of
 
-from trainlog.formats.parquet import read_parquet, write_parquet
 from trainlog.formats.samples import folder
+from trainlog.formats.trip_tables import read_parquet, write_parquet
 from trainlog.mcap import read_log, write_log
 from trainlog.topics import TRAIN_AXLES
 from trainlog.trip import Trip

@@ -12,9 +12,8 @@ import json
 import logging
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ import pandas as pd
 from trainlog.errors import InputError, LogError
 from trainlog.extras import load
 from trainlog.formats.files import atomic_write
-from trainlog.topics import RECORDED, TOPICS, column_field, topic_of_frame
+from trainlog.formats.trip_tables import check_columns, described_fields, joined_head
 from trainlog.trip import Trip
 from trainlog.units import NANOSECONDS
 
@@ -36,47 +35,29 @@ LONGEST = 2**53
 """Time [ns] since the start, 104 days, up to which the file's seconds give every nanosecond."""
 
 
+@contextmanager
+def mdf_writer(path: str | Path) -> Iterator[MdfWriter]:
+    """Write a measurement file piece by piece; whole or not at all."""
+    library = load("asammdf")
+    with atomic_write(path) as temporary, closing(library.MDF(version="4.10")) as mdf:
+        writer = MdfWriter(Path(path), mdf, library.Signal)
+        yield writer
+        writer.save(temporary)
+
+
 class MdfWriter:
-    """A measurement file written piece by piece; whole or not at all, as `LogWriter`.
+    """A measurement file being written; made by `mdf_writer`.
 
     Samples go to asammdf's temporary file, words (events) are held until the end.
-
-    Parameters
-    ----------
-    path : path
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self._path = Path(path)
-        self._place = atomic_write(path)
-        self._trip: Trip | None = None
+    def __init__(self, path: Path, mdf: Any, signal: Callable[..., Any]) -> None:
+        self._path, self._mdf, self._signal = path, mdf, signal
+        self._head: Trip | None = None
         self._start = 0
         self._groups: dict[str, int] = {}
         self._words: dict[str, list[pd.DataFrame]] = {}
         self._frames: dict[str, pd.DataFrame] = {}
-
-    def __enter__(self) -> MdfWriter:
-        library = load("asammdf")
-        self._library = library
-        self._temporary = self._place.__enter__()
-        self._mdf = library.MDF(version="4.10")
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        try:
-            if kind is None:
-                self._finish()
-        except BaseException as failure:
-            self._mdf.close()
-            self._place.__exit__(type(failure), failure, failure.__traceback__)
-            raise
-        self._mdf.close()
-        self._place.__exit__(kind, error, trace)
 
     def add(self, piece: Trip) -> None:
         """Append the rows of a piece.
@@ -86,39 +67,41 @@ class MdfWriter:
         LogError
             If a topic changes its columns, or the trip is longer than 104 days.
         """
-        if self._trip is None:
+        if self._head is None:
             starts = [frame.index[0] for frame in piece.topics.values() if len(frame)]
             first = min(starts) if starts else pd.Timestamp(0, tz="UTC")
             self._start = int(first.floor("s").as_unit("ns").value)
-            self._trip = piece
-        self._trip = Trip({}, self._trip.metadata, piece.provenance, self._trip.attachments)
+        self._head = joined_head(self._head, piece)
         for topic, frame in piece.topics.items():
-            known = self._frames.setdefault(topic, frame.iloc[:0])
-            if list(known.columns) != list(frame.columns):
-                raise LogError(f"{topic} changes its columns on the way", file=self._path)
-            if not len(frame):
-                continue
+            check_columns(topic, self._frames.setdefault(topic, frame.iloc[:0]).columns, frame)
             if any(frame[name].dtype.kind not in "fiub" for name in frame.columns):
                 self._words.setdefault(topic, []).append(frame)
-                continue
-            self._append(topic, frame)
+            elif len(frame):
+                self._append(topic, frame)
 
     def _append(self, topic: str, frame: pd.DataFrame) -> None:
         """Write rows behind those of the topic that are in the file."""
-        seconds = self._seconds(topic, frame)
+        since = pd.DatetimeIndex(frame.index).as_unit("ns").asi8 - self._start
+        if since[-1] > LONGEST or since[0] < -LONGEST:
+            raise LogError(
+                f"{topic} is longer than the 104 days for which MDF gives every nanosecond",
+                file=self._path,
+                remedy="cut it, or convert to Parquet",
+            )
+        seconds = since / NANOSECONDS
         columns = [_samples(frame[name]) for name in frame.columns]
         if topic in self._groups:
             parts = [(seconds, None), *((column, None) for column in columns)]
             self._mdf.extend(self._groups[topic], parts)
             return
-        units, meanings = _described(topic, frame)
+        _, fields = described_fields(topic, map(str, frame.columns), frame.attrs)
         signals = [
-            self._library.Signal(
+            self._signal(
                 samples=column,
                 timestamps=seconds,
                 name=str(name),
-                unit=units.get(name, ""),
-                comment=meanings.get(name, ""),
+                unit=fields[name].unit if name in fields else "",
+                comment=fields[name].meaning if name in fields else "",
                 **({"encoding": "utf-8"} if column.dtype.kind == "S" else {}),
             )
             for name, column in zip(frame.columns, columns, strict=True)
@@ -126,24 +109,15 @@ class MdfWriter:
         group = self._mdf.append(signals, acq_name=topic, common_timebase=True)
         self._groups[topic] = int(group)
 
-    def _seconds(self, topic: str, frame: pd.DataFrame) -> np.ndarray:
-        since = pd.DatetimeIndex(frame.index).as_unit("ns").asi8 - self._start
-        if since.size and (since[-1] > LONGEST or since[0] < -LONGEST):
-            raise LogError(
-                f"{topic} is longer than the 104 days for which MDF gives every nanosecond",
-                file=self._path,
-                remedy="cut it, or convert to Parquet",
-            )
-        return np.asarray(since / NANOSECONDS)
-
-    def _finish(self) -> None:
+    def save(self, path: Path) -> None:
+        """Write the words, the attachments and the index, and save the file."""
         for topic, frames in self._words.items():
             joined = pd.concat(frames)
             joined.attrs = frames[0].attrs
-            self._append(topic, joined)
-        trip = Trip({}) if self._trip is None else self._trip
-        start = pd.Timestamp(self._start, tz="UTC")
-        self._mdf.header.start_time = start.to_pydatetime()
+            if len(joined):
+                self._append(topic, joined)
+        head = Trip({}) if self._head is None else self._head
+        self._mdf.header.start_time = pd.Timestamp(self._start, tz="UTC").to_pydatetime()
         index = {
             "format": FORMAT,
             "version": VERSION,
@@ -157,20 +131,20 @@ class MdfWriter:
                 }
                 for topic, frame in self._frames.items()
             ],
-            "metadata": trip.metadata,
-            "provenance": list(trip.provenance),
-            "attachments": sorted(trip.attachments),
+            "metadata": head.metadata,
+            "provenance": list(head.provenance),
+            "attachments": sorted(head.attachments),
         }
         text = json.dumps(index, ensure_ascii=False, allow_nan=False).encode()
-        for name, content in [*sorted(trip.attachments.items()), (INDEX, text)]:
+        for name, content in [*sorted(head.attachments.items()), (INDEX, text)]:
             self._mdf.attach(content, file_name=name, compression=True, embedded=True)
         with _quiet():
-            made = self._mdf.save(self._temporary, overwrite=True, compression=2)
-        if Path(made) != self._temporary:
-            Path(made).replace(self._temporary)
+            made = Path(self._mdf.save(path, overwrite=True, compression=2))
+        if made != path:
+            made.replace(path)
 
 
-def read_mdf_trip(path: str | Path, topics: list[str] | None = None) -> Trip:
+def read_mdf_trip(path: str | Path) -> Trip:
     """Read the trip of a measurement file that trainlog wrote.
 
     Raises
@@ -178,12 +152,22 @@ def read_mdf_trip(path: str | Path, topics: list[str] | None = None) -> Trip:
     InputError
         If the file is missing, cannot be read, or another program wrote it.
     """
-    with _opened(Path(path)) as (mdf, index, attachments):
-        frames = {}
-        for entry in index["topics"]:
-            if topics is not None and entry["topic"] not in topics:
-                continue
-            frames[entry["topic"]] = _frame(mdf, entry, int(index["start"]))
+    path = Path(path)
+    library = load("asammdf")
+    if not path.is_file():
+        raise InputError("does not exist", file=path, remedy="check the path")
+    with closing(called(path, lambda: library.MDF(path))) as mdf:
+        attachments = {str(each.file_name): each.extract() for each in mdf.attachments}
+        if INDEX not in attachments:
+            raise InputError(
+                "is a measurement file of another program",
+                file=path,
+                remedy="'trainlog ingest' makes a trip of it, with a profile of its channels",
+            )
+        index = json.loads(attachments[INDEX])
+        frames = {
+            entry["topic"]: _frame(mdf, entry, int(index["start"])) for entry in index["topics"]
+        }
     wanted = {name: attachments[name] for name in index["attachments"]}
     return Trip(frames, index["metadata"], tuple(index["provenance"]), wanted)
 
@@ -211,47 +195,23 @@ def called(path: Path, call: Callable[[], Any]) -> Any:
     )
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[tuple[Any, dict[str, Any], dict[str, bytes]]]:
-    library = load("asammdf")
-    if not path.is_file():
-        raise InputError("does not exist", file=path, remedy="check the path")
-    mdf = called(path, lambda: library.MDF(path))
-    try:
-        attachments = {
-            str(each.file_name): each.extract()
-            for each in mdf.attachments
-        }  # fmt: skip
-        if INDEX not in attachments:
-            raise InputError(
-                "is a measurement file of another program",
-                file=path,
-                remedy="'trainlog ingest' makes a trip of it, with a profile of its channels",
-            )
-        yield mdf, json.loads(attachments[INDEX]), attachments
-    finally:
-        mdf.close()
-
-
 def _frame(mdf: Any, entry: dict[str, Any], start: int) -> pd.DataFrame:
     """The frame of one topic."""
     columns: dict[str, Any] = {}
     time = np.empty(0, dtype=np.int64)
-    group = entry["group"]
     for name, kind in entry["columns"].items():
-        if group is None:
+        if entry["group"] is None:
             columns[name] = np.empty(0, dtype=object if kind in ("object", "str") else kind)
             continue
-        signal = mdf.get(name, group=group)
+        signal = mdf.get(name, group=entry["group"])
         time = start + np.round(signal.timestamps * NANOSECONDS).astype(np.int64)
         samples = signal.samples
         if samples.dtype.kind == "S":
-            columns[name] = pd.Series([each.decode("utf-8") for each in samples], dtype=kind)
+            columns[name] = pd.array([each.decode("utf-8") for each in samples], dtype=kind)
         else:
             columns[name] = samples.astype(kind)
     index = pd.DatetimeIndex(time.view("M8[ns]"), tz="UTC", name="time")
-    values = {name: getattr(each, "array", each) for name, each in columns.items()}
-    frame = pd.DataFrame(values, index=index)
+    frame = pd.DataFrame(columns, index=index)
     frame.attrs = entry["attrs"]
     return frame
 
@@ -264,17 +224,6 @@ def _samples(column: pd.Series[Any]) -> np.ndarray:
         return column.to_numpy().astype(np.uint8)
     words = [str(each).encode() for each in column]
     return np.array(words, dtype=f"S{max(1, *map(len, words))}")
-
-
-def _described(topic: str, frame: pd.DataFrame) -> tuple[dict[str, str], dict[str, str]]:
-    known = TOPICS.get(topic)
-    if topic.startswith(RECORDED):
-        known = topic_of_frame({**frame.attrs, "topic": topic})
-    if known is None:
-        return {}, {}
-    fields = {str(name): column_field(known, str(name)) for name in frame.columns}
-    units = {name: each.unit for name, each in fields.items()}
-    return units, {name: each.meaning for name, each in fields.items()}
 
 
 @contextmanager

@@ -19,7 +19,7 @@ import pandas as pd
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.formats.files import output_folder, sha256_of
-from trainlog.formats.parquet import INDEX_FILE
+from trainlog.formats.trip_tables import INDEX_FILE
 from trainlog.identity import TripIdentity, identity_of
 from trainlog.ingest.pipeline import (
     PROFILE_ATTACHMENT,

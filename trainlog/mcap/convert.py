@@ -12,8 +12,8 @@ from typing import Any
 import pandas as pd
 
 from trainlog.errors import InputError, LogError
-from trainlog.formats.mdf import MdfWriter, read_mdf_trip
-from trainlog.formats.parquet import (
+from trainlog.formats.mdf import MdfWriter, mdf_writer, read_mdf_trip
+from trainlog.formats.trip_tables import (
     CsvTripIndex,
     FolderWriter,
     TripIndex,
@@ -153,7 +153,7 @@ def _writer(target: Path) -> AbstractContextManager[LogWriter | FolderWriter | M
     if target.suffix == LOG:
         return LogWriter(target)
     if target.suffix == MDF:
-        return MdfWriter(target)
+        return mdf_writer(target)
     return folder_writer(target, FOLDERS[target.suffix])
 
 

@@ -1,0 +1,915 @@
+"""A trip as a folder of tables, one a topic: Parquet for repeated analysis, CSV for any program.
+
+Any reader of Parquet opens a topic's file: the time is a column of timestamps, units and meanings
+are in the metadata of the columns, and pandas finds its index and ``attrs``. What is not known is
+null. CSV files have the units in their header. ``trip.json`` holds the rest of the trip, and says
+which file is which topic; docs/trip.md describes the folder.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv
+import pyarrow.parquet as pq
+from pydantic import Field
+
+from trainlog.arrays import IntArray
+from trainlog.errors import InputError, LogError
+from trainlog.formats.files import LOOKED_AT, atomic_folder, check_written, read_bytes, sha256
+from trainlog.formats.schema import File, Part
+from trainlog.spans import Spans, overlapping, position_limits, spans_of_pieces, time_limits
+from trainlog.topics import (
+    RECORDED,
+    SCHEMA_VERSION,
+    TOPICS,
+    Field as TopicField,
+    Topic,
+    column_field,
+    topic_of_frame,
+)
+from trainlog.trip import NO_POSITION, POSITION_TOPICS, Trip
+
+INDEX_FILE = "trip.json"
+"""The file that makes a folder a trip."""
+
+ATTACHMENTS = "attachments"
+"""The folder of the files carried along."""
+
+TIME = "time"
+"""The column of the times."""
+
+COMPRESSION_LEVEL = 3
+"""Of zstd."""
+
+DICTIONARY = 0.25
+"""Share of different values in a column up to which a dictionary of them is kept."""
+
+ROWS = 131_072
+"""Rows of a row group: what is compressed, and read, at a time."""
+
+BLOCK = 2**22
+"""Bytes of a CSV file that are read at a time."""
+
+TYPES = {
+    str(kind): kind
+    for kind in (
+        *(pa.int8(), pa.int16(), pa.int32(), pa.int64()),
+        *(pa.uint8(), pa.uint16(), pa.uint32(), pa.uint64()),
+        *(pa.float32(), pa.float64(), pa.bool_(), pa.string(), pa.large_string()),
+    )
+}
+"""Types of values that a CSV file gives back as they were, by their name."""
+
+AGAIN = "convert the log again"
+"""The remedy for a file that is not as it was written."""
+
+Selection = Iterable[str] | Mapping[str, Iterable[str] | None]
+"""Topics, or the columns wanted of each topic (None: all of them)."""
+
+
+# -------------------------------------------------------------------------- writing one topic
+
+
+class TopicWriter:
+    """The file of one topic being written, piece by piece.
+
+    Parameters
+    ----------
+    topic : str
+    path : path
+    frame : DataFrame
+        Whose columns and types all pieces have; its rows are not written yet.
+
+    Raises
+    ------
+    LogError
+        If the frame has no time, or a column that the file has no type for.
+    """
+
+    def __init__(self, topic: str, path: Path, frame: pd.DataFrame) -> None:
+        self.path = path
+        self._topic, self._attrs, self._columns = topic, frame.attrs, list(frame.columns)
+        self._schema = _described(topic, _table_of(topic, frame).schema, frame.attrs)
+        self._last, self._rows = np.iinfo(np.int64).min, 0
+
+    def add(self, frame: pd.DataFrame) -> None:
+        """Append rows; LogError if the columns are not those of the first, or time runs back."""
+        check_columns(self._topic, self._columns, frame)
+        table = _table_of(self._topic, frame, self._schema)
+        row = _backward(self._last, _times_of(table))
+        if row is not None:
+            raise LogError(
+                f"time of {self._topic} runs backwards to {frame.index[row].isoformat()}",
+                place=f"row {self._rows + row}",
+                remedy="sort the rows by time",
+            )
+        if len(table):
+            self._last = int(_times_of(table)[-1])
+        self._rows += len(table)
+        self._write(table)
+
+    def _write(self, table: pa.Table) -> None:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Write the rows that wait, and close the file."""
+        raise NotImplementedError
+
+    @property
+    def entry(self) -> dict[str, Any]:
+        """What the index of the folder states of the closed file."""
+        raise NotImplementedError
+
+
+class _ParquetWriter(TopicWriter):
+    """A Parquet file; rows wait until a row group is full."""
+
+    def __init__(self, topic: str, path: Path, frame: pd.DataFrame) -> None:
+        super().__init__(topic, path, frame)
+        self._waiting: list[pa.Table] = []
+        self._file: pq.ParquetWriter | None = None
+
+    @property
+    def entry(self) -> dict[str, Any]:
+        return {"footer": _footer_digest(self.path)}
+
+    def _write(self, table: pa.Table) -> None:
+        self._waiting.append(table)
+        waiting = sum(map(len, self._waiting))
+        if waiting >= ROWS:
+            full = waiting - waiting % ROWS
+            together = pa.concat_tables(self._waiting)
+            self._store(together.slice(0, full))
+            # A copy, so that the rest does not keep the whole in memory.
+            self._waiting = [together.take(np.arange(full, waiting))]
+
+    def close(self) -> None:
+        rest, self._waiting = self._waiting, []
+        if rest or self._file is None:
+            self._store(pa.concat_tables([self._schema.empty_table(), *rest]))
+        if self._file is not None:
+            self._file.close()
+
+    def _store(self, table: pa.Table) -> None:
+        together = table.combine_chunks()
+        if self._file is None:
+            # The first row group decides how each column is best stored.
+            first = together.slice(0, ROWS)
+            encodings = {name: _encoding(first[name]) for name in self._schema.names}
+            self._file = pq.ParquetWriter(
+                self.path,
+                self._schema,
+                compression="zstd",
+                compression_level=COMPRESSION_LEVEL,
+                use_dictionary=[name for name, encoding in encodings.items() if encoding is None],
+                column_encoding={name: each for name, each in encodings.items() if each},
+                write_page_checksum=True,
+            )
+        if len(together):
+            self._file.write_table(together, row_group_size=ROWS)
+
+
+class _CsvWriter(TopicWriter):
+    """A CSV file with the time first and the units in the header."""
+
+    def __init__(self, topic: str, path: Path, frame: pd.DataFrame) -> None:
+        super().__init__(topic, path, frame)
+        columns = [item for item in self._schema if item.name != TIME]
+        for item in columns:
+            if str(item.type) not in TYPES:
+                raise LogError(
+                    f"{item.name} of {topic} is of the type {item.type}, which CSV has no text for",
+                    remedy="convert to Parquet, or leave the topic out with 'trainlog convert'",
+                )
+        ordered = [self._schema.field(TIME), *columns]
+        self._kinds = {item.name: str(item.type) for item in columns}
+        self._header = pa.schema([pa.field(_title(item), item.type) for item in ordered])
+        self._file = pa.csv.CSVWriter(path, self._header)
+
+    @property
+    def entry(self) -> dict[str, Any]:
+        return {"columns": self._kinds, "attrs": dict(self._attrs)}
+
+    def _write(self, table: pa.Table) -> None:
+        ordered = table.select([TIME, *self._kinds]).rename_columns(self._header.names)
+        self._file.write_table(ordered.replace_schema_metadata())
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def check_columns(topic: str, columns: Iterable[Any], frame: pd.DataFrame) -> None:
+    """Refuse a piece of a topic whose columns are not those of the pieces before."""
+    expected = list(columns)
+    if list(frame.columns) != expected:
+        raise LogError(
+            f"{topic} changes its columns on the way",
+            remedy=f"give every piece {', '.join(map(str, expected))}",
+        )
+
+
+def described_fields(
+    topic: str, columns: Iterable[str], attrs: Mapping[Any, Any]
+) -> tuple[Topic | None, dict[str, TopicField]]:
+    """The topic as the table of topics, or the frame of a recorder's own, has it; its fields."""
+    known = TOPICS.get(topic)
+    if topic.startswith(RECORDED):
+        known = topic_of_frame({**attrs, "topic": topic})
+    if known is None:
+        return None, {}
+    return known, {name: column_field(known, name) for name in columns}
+
+
+def joined_head(head: Trip | None, piece: Trip) -> Trip:
+    """Metadata and attachments of the first piece with the provenance of the last.
+
+    The last one knows what was lost on the way.
+    """
+    return replace(piece if head is None else head, topics={}, provenance=piece.provenance)
+
+
+def _table_of(topic: str, frame: pd.DataFrame, schema: pa.Schema | None = None) -> pa.Table:
+    """The frame as Arrow has it; NaN becomes null."""
+    index = frame.index
+    if not isinstance(index, pd.DatetimeIndex) or index.tz is None or index.hasnans:
+        raise LogError(
+            f"{topic} is not indexed by time with a time zone",
+            remedy="build the frame with trainlog.trip.frame_of",
+        )
+    utc = frame.set_axis(index.tz_convert("UTC").as_unit("ns").rename(TIME), axis=0)
+    utc.attrs = frame.attrs
+    try:
+        return pa.Table.from_pandas(utc, schema=schema)
+    except (pa.ArrowException, TypeError, ValueError, OverflowError, KeyError) as error:
+        raise LogError(
+            f"{topic} has values that a table cannot hold: {_first_line(error, 120)}",
+            remedy="give each column values of one type, and each another name",
+        ) from error
+
+
+def _described(topic: str, schema: pa.Schema, attrs: Mapping[Any, Any]) -> pa.Schema:
+    """The schema with unit and meaning of each column; a column without values is one of text."""
+    known, fields = described_fields(topic, [n for n in schema.names if n != TIME], attrs)
+    columns = []
+    for item in schema:
+        field = fields.get(item.name)
+        text = {} if field is None else {"unit": field.unit, "meaning": field.meaning}
+        kind = pa.large_string() if pa.types.is_null(item.type) else item.type
+        columns.append(pa.field(item.name, kind, metadata=text))
+    metadata = {**(schema.metadata or {}), b"topic": topic.encode()}
+    if known is not None:
+        metadata[b"meaning"] = known.meaning.encode()
+    return pa.schema(columns, metadata)
+
+
+def _encoding(column: pa.ChunkedArray) -> str | None:
+    """How the numbers of a column are best stored; None for a dictionary of the values.
+
+    A recorder's numbers of few digits, and words, come again and again; what was measured or
+    computed to the last digit does not.
+    """
+    kind = column.type
+    if len(column) and pc.count_distinct(column).as_py() <= DICTIONARY * len(column):
+        return None
+    if pa.types.is_float64(kind) or pa.types.is_float32(kind):
+        return "BYTE_STREAM_SPLIT"
+    if pa.types.is_timestamp(kind) or pa.types.is_int64(kind):
+        return "DELTA_BINARY_PACKED"
+    return None
+
+
+def _title(item: pa.Field) -> str:
+    """The name of a column with its unit."""
+    unit = (item.metadata or {}).get(b"unit", b"").decode()
+    return f"{item.name} [{unit}]" if unit else str(item.name)
+
+
+# -------------------------------------------------------------------------- reading one topic
+
+
+class TopicReader:
+    """The file of one topic, open for reading.
+
+    Parameters
+    ----------
+    path : path
+    schema : Schema
+        Of the file.
+    attrs : dict
+        Of the frame.
+    columns : list of str, optional
+        To read, if they are there. Default: all.
+
+    Attributes
+    ----------
+    schema : Schema
+        Of what is read: the columns, and the time.
+    """
+
+    def __init__(
+        self, path: Path, schema: pa.Schema, attrs: Mapping[Any, Any], columns: list[str] | None
+    ) -> None:
+        self._path = path
+        names = [name for name in schema.names if name != TIME]
+        self._columns = names if columns is None else [n for n in names if n in set(columns)]
+        fields = [schema.field(name) for name in (*self._columns, TIME)]
+        self.schema = pa.schema(fields, schema.metadata)
+        self._attrs = dict(attrs)
+        if isinstance(self._attrs.get("units"), dict):
+            units = self._attrs["units"].items()
+            self._attrs["units"] = {n: unit for n, unit in units if n in self._columns}
+
+    def read(self) -> pa.Table:
+        """All rows."""
+        return pa.concat_tables([self.schema.empty_table(), *self.batches(2**31)])
+
+    def batches(self, rows: int, spans: Spans | None = None) -> Iterator[pa.Table]:
+        """Rows in the order of the file, at most so many at a time.
+
+        Parts of the file without any time in the spans may be passed over.
+        """
+        raise NotImplementedError
+
+    def spans(self) -> Spans:
+        """First and last time of parts of the file [ns], (k, 2)."""
+        ends = [_times_of(batch)[[0, -1]] for batch in self.batches(2**31) if len(batch)]
+        return np.array(ends, dtype=np.int64).reshape(-1, 2)
+
+    def knows(self, name: str) -> bool:
+        """Whether a column has any value."""
+        return name in self._columns and any(
+            batch[name].null_count < len(batch) for batch in self.batches(ROWS)
+        )
+
+    def frame(self, table: pa.Table) -> pd.DataFrame:
+        """The frame of rows that were read."""
+        frame: pd.DataFrame = table.drop_columns([TIME]).to_pandas()
+        frame.index = pd.DatetimeIndex(_times_of(table).view("M8[ns]"), tz="UTC", name=TIME)
+        frame.attrs = dict(self._attrs)
+        return frame
+
+    def close(self) -> None:
+        """Close the file."""
+
+
+class _ParquetReader(TopicReader):
+    """A Parquet file whose end has the digest `footer`."""
+
+    def __init__(self, path: Path, footer: str, columns: list[str] | None) -> None:
+        with _named(path, "is damaged", AGAIN):
+            if _footer_digest(path) != footer:
+                raise _damaged(path, "its end is another than was written")
+            self._file = pq.ParquetFile(path, page_checksum_verification=True)
+        schema = self._file.schema_arrow
+        kept = json.loads((schema.metadata or {}).get(b"pandas", b"{}"))
+        super().__init__(path, schema, kept.get("attributes", {}), columns)
+
+    def read(self) -> pa.Table:
+        with _named(self._path, "is damaged", AGAIN):
+            return self._file.read(self.schema.names)
+
+    def batches(self, rows: int, spans: Spans | None = None) -> Iterator[pa.Table]:
+        held = enumerate(self.spans())
+        groups = [n for n, span in held if spans is None or len(overlapping(spans, span[None]))]
+        with _named(self._path, "is damaged", AGAIN):
+            for batch in self._file.iter_batches(rows, groups, self.schema.names):
+                yield pa.Table.from_batches([batch], self.schema)
+
+    def spans(self) -> Spans:
+        column = self._file.schema_arrow.names.index(TIME)
+        groups = map(self._file.metadata.row_group, range(self._file.num_row_groups))
+        times = [group.column(column).statistics for group in groups]
+        ends = [(each.min.value, each.max.value) for each in times]
+        return np.array(ends, dtype=np.int64).reshape(-1, 2)
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class _CsvReader(TopicReader):
+    """A CSV file with columns of the types `kinds`, in any order; others are passed over."""
+
+    def __init__(
+        self,
+        path: Path,
+        kinds: Mapping[str, str],
+        attrs: Mapping[Any, Any],
+        columns: list[str] | None,
+    ) -> None:
+        unknown = [kind for kind in kinds.values() if kind not in TYPES]
+        if unknown:
+            raise LogError(
+                f"states the unknown type '{unknown[0]}'", file=path, remedy="convert again"
+            )
+        types = {name: TYPES[kind] for name, kind in kinds.items()}
+        schema = pa.schema({**types, TIME: pa.timestamp("ns", "UTC")})
+        super().__init__(path, schema, attrs, columns)
+        with self._read(), path.open(encoding="utf-8-sig", newline="") as file:
+            titles = [title.strip().strip('"') for title in file.readline().strip().split(",")]
+        self._names = [title.partition(" [")[0] for title in titles]
+        lacking = [name for name in (TIME, *self._columns) if name not in self._names]
+        if lacking:
+            raise LogError(
+                f"has no column {lacking[0]}",
+                file=path,
+                place="row 1",
+                remedy=f"it has {', '.join(self._names)}; {AGAIN}",
+            )
+
+    def batches(self, rows: int, spans: Spans | None = None) -> Iterator[pa.Table]:  # noqa: ARG002
+        last, count = np.iinfo(np.int64).min, 0
+        with self._read():
+            reader = pa.csv.open_csv(
+                self._path,
+                pa.csv.ReadOptions(block_size=BLOCK, column_names=self._names, skip_rows=1),
+                pa.csv.ParseOptions(newlines_in_values=True),
+                pa.csv.ConvertOptions(
+                    column_types=self.schema,
+                    include_columns=self.schema.names,
+                    null_values=[""],
+                    strings_can_be_null=True,
+                    quoted_strings_can_be_null=False,
+                ),
+            )
+            for batch in reader:
+                times = _times_of(batch)
+                row = _backward(last, times)
+                if row is not None:
+                    raise LogError(
+                        "time runs backwards",
+                        file=self._path,
+                        place=f"row {count + row + 2}",
+                        remedy="sort the rows by time",
+                    )
+                last, count = int(times[-1]), count + len(batch)
+                for first in range(0, len(batch), rows):
+                    yield pa.Table.from_batches([batch.slice(first, rows)], self.schema)
+
+    def _read(self) -> Any:
+        return _named(self._path, "cannot be read", f"correct the row, or {AGAIN}")
+
+
+@contextmanager
+def _named(path: Path, said: str, remedy: str) -> Iterator[None]:
+    """Turn the exceptions of Arrow into errors that name the file."""
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise LogError("is missing", file=path, remedy=AGAIN) from error
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise LogError(f"{said}: {_first_line(error, 160)}", file=path, remedy=remedy) from error
+
+
+def _damaged(path: Path, problem: str) -> LogError:
+    """The error for a file that is not as it was written."""
+    return LogError(f"is damaged: {problem}", file=path, remedy=AGAIN)
+
+
+def _first_line(error: Exception, most: int) -> str:
+    return str(error).splitlines()[0][:most]
+
+
+def _footer_digest(path: Path) -> str:
+    """SHA-256 of the end of a Parquet file, which describes all before it; errors as `open`."""
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(0, size - 8))
+        length = int.from_bytes(file.read(4), "little")
+        file.seek(max(0, size - 8 - length))
+        return sha256(file.read())
+
+
+def _times_of(table: pa.Table | pa.RecordBatch) -> IntArray:
+    """The times of a table's rows [ns since 1970 UTC], (n,)."""
+    return np.asarray(table[TIME].cast(pa.int64()).to_numpy())
+
+
+def _backward(last: int, times: IntArray) -> int | None:
+    """The first row whose time is before that of the row before it; None if there is none."""
+    earlier = times < np.concatenate(([last], times[:-1]))
+    return int(np.argmax(earlier)) if earlier.any() else None
+
+
+# ----------------------------------------------------------------------------------- the index
+
+
+class _TopicEntry(Part):
+    topic: str
+    file: str
+    footer: str
+    """SHA-256 of the end of the file, which says where its pages are; each has a checksum."""
+
+    def reader(self, path: Path, columns: list[str] | None) -> TopicReader:
+        """The open file."""
+        return _ParquetReader(path, self.footer, columns)
+
+
+class _CsvEntry(Part):
+    topic: str
+    file: str
+    columns: dict[str, str]
+    """Type of each column by its name, as Arrow calls it."""
+    attrs: dict[str, Any]
+    """Of the frame: units, meanings."""
+
+    def reader(self, path: Path, columns: list[str] | None) -> TopicReader:
+        """The open file."""
+        return _CsvReader(path, self.columns, self.attrs, columns)
+
+
+class _AttachmentEntry(Part):
+    name: str
+    file: str
+    sha256: str
+
+
+class TripIndex(File):
+    """What ``trip.json`` of a folder of Parquet files holds."""
+
+    FORMAT: ClassVar[str] = "trainlog/trip-parquet"
+    SUFFIX: ClassVar[str] = ".parquet"
+    WRITER: ClassVar[type[TopicWriter]] = _ParquetWriter
+
+    schema_version: int = Field(ge=1, le=SCHEMA_VERSION)
+    topics: Sequence[_TopicEntry | _CsvEntry]
+    metadata: dict[str, str]
+    provenance: list[dict[str, Any]]
+    attachments: list[_AttachmentEntry]
+
+
+class CsvTripIndex(TripIndex):
+    """What ``trip.json`` of a folder of CSV files holds."""
+
+    FORMAT: ClassVar[str] = "trainlog/trip-csv"
+    SUFFIX: ClassVar[str] = ".csv"
+    WRITER: ClassVar[type[TopicWriter]] = _CsvWriter
+
+
+# ----------------------------------------------------------------------------- writing a trip
+
+
+def write_parquet(trip: Trip, folder: str | Path) -> None:
+    """Write a trip as a folder of Parquet files, whole or not at all.
+
+    The same trip gives the same bytes.
+
+    Parameters
+    ----------
+    trip : Trip
+        Its frames may be of any topics and columns that Arrow has types for.
+    folder : path
+        Made, or replaced if it is such a folder.
+
+    Raises
+    ------
+    LogError
+        If the trip cannot be written: a frame without time, values of mixed types, provenance
+        that is not JSON.
+    InputError
+        If the folder cannot be written, or something else is there.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.mcap import read_log
+    >>> trip = read_log("sample_logs/nonstop.mcap")
+    >>> with tempfile.TemporaryDirectory() as parent:
+    ...     write_parquet(trip, f"{parent}/trip.parquet")
+    ...     again = read_parquet(f"{parent}/trip.parquet", ["/train/state"])
+    >>> again["/train/state"].equals(trip["/train/state"])
+    True
+    """
+    check_written(trip, Trip)
+    with folder_writer(folder) as writer:
+        writer.add(trip)
+
+
+@contextmanager
+def folder_writer(folder: str | Path, kind: type[TripIndex] = TripIndex) -> Iterator[FolderWriter]:
+    """Write a trip in pieces, in the order of time; as Parquet, or as CSV; see `write_parquet`."""
+    try:
+        with atomic_folder(folder, INDEX_FILE) as temporary:
+            writer = FolderWriter(temporary, kind)
+            try:
+                yield writer
+            finally:
+                writer.close()
+            writer.describe()
+    except LogError as error:
+        if error.file is not None:
+            raise
+        raise LogError(
+            error.problem, file=folder, place=error.place, remedy=error.remedy
+        ) from error
+
+
+class FolderWriter:
+    """A folder of Parquet or CSV files being written; made by `folder_writer`."""
+
+    def __init__(self, folder: Path, kind: type[TripIndex]) -> None:
+        self._folder, self._kind = folder, kind
+        self._topics: dict[str, TopicWriter] = {}
+        self._trip: Trip | None = None
+
+    def add(self, piece: Trip) -> None:
+        """Append the rows of a piece, in which topics may be missing.
+
+        Raises
+        ------
+        LogError
+            If a frame has no time, or not the columns of the pieces before.
+        """
+        self._trip = joined_head(self._trip, piece)
+        for topic, frame in piece.topics.items():
+            if topic not in self._topics:
+                path = self._folder / f"{self._free_name(topic)}{self._kind.SUFFIX}"
+                self._topics[topic] = self._kind.WRITER(topic, path, frame)
+            self._topics[topic].add(frame)
+
+    def close(self) -> None:
+        """Write the rows that wait, and close the files."""
+        for topic in self._topics.values():
+            topic.close()
+
+    def describe(self) -> None:
+        """Write the attachments and ``trip.json``; LogError if the provenance is not JSON."""
+        trip = Trip({}) if self._trip is None else self._trip
+        (self._folder / ATTACHMENTS).mkdir()
+        attached = []
+        for number, (name, content) in enumerate(sorted(trip.attachments.items()), start=1):
+            file = f"{ATTACHMENTS}/{number:04d}-{_plain(name)}"
+            (self._folder / file).write_bytes(content)
+            attached.append({"name": name, "file": file, "sha256": sha256(content)})
+        index = {
+            "format": self._kind.FORMAT,
+            "version": self._kind.VERSION,
+            "schema_version": SCHEMA_VERSION,
+            "topics": [
+                {"topic": topic, "file": each.path.name, **each.entry}
+                for topic, each in self._topics.items()
+            ],
+            "metadata": dict(sorted(trip.metadata.items())),
+            "provenance": trip.provenance,
+            "attachments": attached,
+        }
+        (self._folder / INDEX_FILE).write_bytes(_json(index))
+
+    def _free_name(self, topic: str) -> str:
+        """A file name like the topic's that no other topic has, whatever the case of letters."""
+        taken = {each.path.stem.lower() for each in self._topics.values()}
+        name = _plain(topic.strip("/"))
+        return name if name.lower() not in taken else f"{name}-{len(taken) + 1}"
+
+
+def _plain(name: str) -> str:
+    """Like a name, of letters that every file system takes."""
+    return re.sub(r"[^A-Za-z0-9.-]", "_", name)[:80]
+
+
+def _json(value: object) -> bytes:
+    try:
+        text = json.dumps(value, ensure_ascii=False, allow_nan=False, indent=1)
+        return f"{text}\n".encode()
+    except (TypeError, ValueError) as error:
+        raise LogError(
+            f"metadata or provenance cannot be written: {error}",
+            remedy="use text, finite numbers, lists and dictionaries with text keys",
+        ) from error
+
+
+# ----------------------------------------------------------------------------- reading a trip
+
+
+def read_parquet(folder: str | Path, topics: Selection | None = None) -> Trip:
+    """Read a trip from a folder that `write_parquet` made.
+
+    Parameters
+    ----------
+    folder : path
+    topics : iterable of str, or mapping of str to iterable of str or None; optional
+        Topics to read, or columns by topic (None: all of them). What the folder does not have is
+        left out. Default: everything.
+
+    Raises
+    ------
+    LogError
+        If a file of the folder is missing or damaged.
+    InputError
+        If there is no such folder, it holds no trip, or a later version wrote it.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.mcap import read_log
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_parquet(read_log("sample_logs/nonstop.mcap"), f"{folder}/trip")
+    ...     trip = read_parquet(f"{folder}/trip", {"/train/state": ["speed"]})
+    >>> list(trip), list(trip["/train/state"].columns)
+    (['/train/state'], ['speed'])
+    """
+    with _opened(Path(folder), topics) as (trip, files):
+        frames = {name: file.frame(file.read()) for name, file in files.items()}
+    return replace(trip, topics=frames)
+
+
+def stream_parquet(
+    folder: str | Path,
+    topics: Selection | None = None,
+    *,
+    time: tuple[Any, Any] | None = None,
+    position: tuple[float | None, float | None] | None = None,
+    rows: int = 1_000_000,
+) -> Iterator[Trip]:
+    """Read a trip piece by piece, in the order of time.
+
+    Every row comes once. A piece has the rows of all topics in one span of time, so that rows of
+    the same time stay together.
+
+    Parameters
+    ----------
+    folder, topics
+        As in `read_parquet`.
+    time, position : (start, end), optional
+        Only rows of this time, and at the times at which the train was within these positions; as
+        in `Trip.between` and `Trip.within`.
+    rows : int
+        A piece has about as many rows, and memory holds about twice as many.
+
+    Yields
+    ------
+    Trip
+        With metadata, provenance and attachments of the whole, and all topics, some perhaps
+        without rows. One piece at least.
+
+    Raises
+    ------
+    LogError, InputError
+        As `read_parquet`.
+    """
+    spans = np.array([time_limits(*(time or (None, None)))], dtype=np.int64)
+    if position is not None:
+        spans = overlapping(spans, _spans_within(Path(folder), position))
+    with _opened(Path(folder), topics) as (trip, files):
+        trip = trip.with_slice(time=time, position=position)
+        batch = max(1, rows // max(1, len(files)))
+        waiting = {
+            name: _Waiting(file.schema, file.batches(batch, spans)) for name, file in files.items()
+        }
+        ends: list[int] = [0]
+        while ends:
+            for each in waiting.values():
+                each.fill()
+            # Up to where every topic has been read nothing more can come.
+            ends = [each.end for each in waiting.values() if each.more]
+            frames = {
+                name: files[name].frame(each.taken(min(ends) if ends else None))
+                for name, each in waiting.items()
+            }
+            yield replace(trip, topics=frames).cut(spans)
+
+
+def _spans_within(folder: Path, position: tuple[float | None, float | None]) -> Spans:
+    """When the train was within two positions."""
+    limits = position_limits(*position)
+    with _opened(folder, {name: ["position"] for name in POSITION_TOPICS}) as (trip, files):
+        for topic in POSITION_TOPICS:
+            if topic in files and files[topic].knows("position"):
+                pieces = (
+                    (_times_of(rows), rows["position"].to_numpy())
+                    for rows in files[topic].batches(ROWS)
+                )
+                return spans_of_pieces(pieces, *limits)
+    raise LogError(
+        f"trip '{trip.name}' does not know where the train was", file=folder, remedy=NO_POSITION
+    )
+
+
+def time_span(folder: str | Path) -> tuple[pd.Timestamp, pd.Timestamp] | None:
+    """Times of the first and the last row of any topic; None if there are no rows.
+
+    Raises
+    ------
+    LogError, InputError
+        As `read_parquet`.
+    """
+    with _opened(Path(folder), None) as (_, files):
+        spans = [file.spans() for file in files.values()]
+    every = np.concatenate([np.empty((0, 2), dtype=np.int64), *spans])
+    if len(every) == 0:
+        return None
+    return pd.Timestamp(every.min(), tz="UTC"), pd.Timestamp(every.max(), tz="UTC")
+
+
+class _Waiting:
+    """Rows of a topic that were read and not yet given out.
+
+    Attributes
+    ----------
+    more : bool
+        Whether the file may have more rows.
+    end : int
+        Time of the last row that was read [ns]; meaningful while there are more.
+    """
+
+    def __init__(self, schema: pa.Schema, batches: Iterator[pa.Table]) -> None:
+        self._batches = batches
+        self._rows = schema.empty_table()
+        self.more, self.end = True, 0
+
+    def fill(self) -> None:
+        """Read on until there are rows before the last time read, or the file ends."""
+        while self.more and not (
+            len(self._rows) and _times_of(self._rows.slice(0, 1))[0] < self.end
+        ):
+            batch = next(self._batches, None)
+            if batch is None:
+                self.more = False
+            elif len(batch):
+                self._rows = pa.concat_tables([self._rows, batch])
+                self.end = int(_times_of(batch)[-1])
+
+    def taken(self, before: int | None) -> pa.Table:
+        """Take out the rows before a time [ns]; all of them if it is None."""
+        count = len(self._rows)
+        if before is not None:
+            count = int(np.searchsorted(_times_of(self._rows), before, side="left"))
+        rows, self._rows = self._rows.slice(0, count), self._rows.slice(count)
+        return rows
+
+
+def trip_index(folder: str | Path) -> TripIndex:
+    """What ``trip.json`` of a folder says.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder, it holds no trip, or a later version wrote it.
+    """
+    path = Path(folder)
+    if path.is_dir() and not (path / INDEX_FILE).exists():
+        raise InputError(
+            f"is no trip in Parquet: it has no {INDEX_FILE}",
+            file=folder,
+            remedy="tables of other programs are brought in with 'trainlog ingest' and a profile",
+        )
+    if not path.is_dir():
+        what = "is not a folder" if path.exists() else "does not exist"
+        raise InputError(what, file=folder, remedy="name a folder that 'trainlog convert' made")
+    data = read_bytes(path / INDEX_FILE)
+    kind = CsvTripIndex if CsvTripIndex.FORMAT.encode() in data[:LOOKED_AT] else TripIndex
+    return kind.from_bytes(data, path / INDEX_FILE)
+
+
+@contextmanager
+def _opened(
+    folder: Path, topics: Selection | None
+) -> Iterator[tuple[Trip, dict[str, TopicReader]]]:
+    """The trip without its topics, and the open files of those wanted."""
+    index = trip_index(folder)
+    attachments = {}
+    for entry in index.attachments:
+        attachments[entry.name] = read_bytes(_inside(folder, entry.file))
+        if sha256(attachments[entry.name]) != entry.sha256:
+            raise _damaged(folder / entry.file, "its checksum is another")
+    wanted = _wanted(index, topics)
+    with ExitStack() as files:
+        readers = {}
+        for each in index.topics:
+            if each.topic in wanted:
+                path = _inside(folder, each.file)
+                readers[each.topic] = each.reader(path, wanted[each.topic])
+                files.callback(readers[each.topic].close)
+        yield Trip({}, index.metadata, tuple(index.provenance), attachments), readers
+
+
+def _wanted(index: TripIndex, topics: Selection | None) -> dict[str, list[str] | None]:
+    """The columns wanted of each topic, None for all."""
+    if topics is None:
+        return dict.fromkeys(each.topic for each in index.topics)
+    if isinstance(topics, Mapping):
+        return {name: None if names is None else list(names) for name, names in topics.items()}
+    return dict.fromkeys([topics] if isinstance(topics, str) else topics)
+
+
+def _inside(folder: Path, file: str) -> Path:
+    """A file that the index names, which must be one of the folder's own."""
+    path = folder / file
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise LogError(
+            f"names a file outside its folder: {file}",
+            file=folder / INDEX_FILE,
+            remedy=AGAIN,
+        )
+    return path
