@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from test_formats_roundtrip import simple_line, simple_train
 
+from trainlog.declaration import check_plausible
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.formats.line import (
@@ -23,7 +24,6 @@ from trainlog.formats.line import (
     write_line,
 )
 from trainlog.formats.parameters import parameters_from_bytes, parameters_to_bytes
-from trainlog.formats.plausible import check_line
 from trainlog.formats.samples import sample
 from trainlog.formats.train import consist_from_bytes, read_train, train_from_bytes, train_to_bytes
 from trainlog.formats.trajectory import trajectory_from_bytes, trajectory_to_bytes
@@ -177,7 +177,7 @@ def test_no_wrong_value_anywhere_makes_a_traceback(kind: str) -> None:
 LINE_CASES = [
     ("length.unit", "kg", "f.json, length.unit: unit 'kg' cannot be read as m; declare a unit of"),
     ("length.unit", "furlongish", "f.json, length.unit: unit 'furlongish' cannot be read as m"),
-    ("length.value", -1, "f.json: line 'L': length -1.0 m is not positive"),
+    ("length.value", -1, "f.json, length: -1 m is not positive; give more than 0"),
     ("length.value", "1", "f.json, length.value: must be a valid number"),
     ("length.value", True, "f.json, length.value: must be a valid number"),
     ("length", {"value": 1}, "f.json, length.unit: 'unit' is missing; add it"),
@@ -225,12 +225,12 @@ LINE_CASES = [
                 "values": [[0, 9, 47], [9, 95, 47]],
             },
         },
-        "f.json: geometry: a coordinate is beyond 90° of latitude or 180° of longitude; give degr",
+        "f.json, geometry: a coordinate is beyond 90° of latitude or 180° of longitude; give degr",
     ),
     (
         "survey",
         {"gradient_std": {"value": -0.1, "unit": "permil"}},
-        "f.json: survey: gradient std -0.0001 is not positive; give how far off gradients are",
+        "f.json, survey.gradient_std: -0.1 per mille is not positive and finite; give how far off",
     ),
     (
         "survey",
@@ -583,7 +583,7 @@ def test_limits_of_the_other_direction_that_cannot_be_meant_are_refused(tmp_path
     wild = replace(line, speed_limits_reverse=StepProfile([0.0, 5e3], [20.0, 1_000.0]))
     words = r"speed_limits_reverse\.values\[1\]\[1\]: 3600 km/h is not plausible"
     with pytest.raises(InputError, match=words):
-        check_line(wild)
+        check_plausible(wild)
     write_line(wild, tmp_path / "wild.line.json")
     with pytest.raises(InputError, match=words):
         read_line(tmp_path / "wild.line.json")

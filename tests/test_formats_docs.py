@@ -10,9 +10,6 @@ import pytest
 from pydantic import BaseModel
 
 from trainlog.declaration import Declared, entries
-from trainlog.formats.line import _JourneyFile
-from trainlog.formats.linefile import LineFile, _Geometry, _Reference
-from trainlog.formats.network import _Edge, _NetworkFile
 from trainlog.formats.parameters import (
     ConfigurationPart,
     ResistancePart,
@@ -27,18 +24,21 @@ from trainlog.formats.trajectory import _TrajectoryFile
 from trainlog.railway.axle_loads import AxleGeometry
 from trainlog.railway.consist import Consist, ConsistBrake, Coupler, Vehicle
 from trainlog.railway.evidence import DailyEvidence
+from trainlog.railway.journey import Journey
+from trainlog.railway.line import Geometry, Line, LineReference, Survey
+from trainlog.railway.network import Edge, Network
 from trainlog.railway.train import BRAKING_PARAMETERS, Axles, Brake, BrakingCurves, Train
 
 TEXT = (Path(__file__).parents[1] / "docs" / "formats.md").read_text("utf-8")
 SECTIONS: list[tuple[str, tuple[type, ...]]] = [
-    ("## Line", (LineFile, _Geometry, _Reference)),
-    ("## Network", (_NetworkFile, _Edge)),
+    ("## Line", (Line, Survey, Geometry, LineReference)),
+    ("## Network", (Network, Edge)),
     ("## Train", (Train, Axles, AxleGeometry, Brake, BrakingCurves)),
     (
         "## Consist",
         (Consist, ConsistBrake, Vehicle, Coupler),
     ),
-    ("## Journey", (_JourneyFile,)),
+    ("## Journey", (Journey,)),
     ("## Parameters", (_ParametersFile, ConfigurationPart, ResistancePart)),
     ("## Trajectory", (_TrajectoryFile,)),
     ("## Coast-down", (_CoastDownFile, _QuantityPart, _CurvePart)),

@@ -15,7 +15,7 @@ import inspect
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
 from itertools import groupby
 from types import NoneType, UnionType
@@ -412,6 +412,8 @@ class Column(Form):
         Whether the file has the inverse of what is held: a radius, where inside it is curvature.
     table : str
         Key of the table, where the thing's file has others beside it.
+    from_start : bool
+        Whether its numbers must increase from 0.
     """
 
     name: str = ""
@@ -420,6 +422,7 @@ class Column(Form):
     instead: Gap | None = None
     inverse: bool = False
     table: str = ""
+    from_start: bool = False
 
     def problems(self, cells: Sequence[Any]) -> Iterator[tuple[int, InputError]]:
         """What is wrong with cells, each with the number of its row."""
@@ -497,12 +500,12 @@ class Table(Form):
     ----------
     columns : tuple of Column
         Empty: those of the dataclass.
-    from_start : bool
-        Whether the first column increases from 0.
+    fields : bool
+        Whether the columns are fields of the thing itself, beside others.
     """
 
     columns: tuple[Column, ...] = ()
-    from_start: bool = False
+    fields: bool = False
 
     def read(self, found: Any, kind: Any) -> Any:
         """What the rows describe."""
@@ -546,21 +549,21 @@ class Table(Form):
                 for column, given in zip(columns, cells, strict=True)
             )
         )
-        if self.from_start:
+        if columns[0].from_start:
             check_from_start(read[0])
         return tuple(read)
 
     def write(self, value: Any, in_si: bool = False) -> Any:
         """The table."""
         if isinstance(value, tuple) and value and is_dataclass(value[0]):
-            columns = self.columns or columns_of(type(value[0]))
+            columns = self.columns
             names = [each.name for each in fields(value[0])]
             content: Any = [[getattr(row, name) for row in value] for name in names]
             content = [[np.nan if x is None else x for x in column] for column in content]
         elif is_dataclass(value):
             columns = self.columns or columns_of(type(value))
             content = [getattr(value, each.name) for each in fields(value)]
-        elif self.key:  # columns that are fields beside others
+        elif self.fields:
             columns, content = self.columns, value
         else:
             columns = self.columns
@@ -599,8 +602,8 @@ def _check_rows(rows: list[Any], columns: tuple[Column, ...]) -> None:
             for j in range(len(row), len(columns)):
                 lacking = InputError(f"'{j}' is missing", place=f"[{i}][{j}]", remedy="add it")
                 problems.append((i, j, lacking))
-    whole = [i for i in range(len(rows)) if i not in ragged]
     for j, column in enumerate(columns):
+        whole = [i for i, row in enumerate(rows) if type(row) is list and len(row) > j]
         for at, error in column.problems([rows[i][j] for i in whole]):
             problems.append((whole[at], j, placed(error, f"[{whole[at]}][{j}]")[0]))
     if problems:
@@ -695,6 +698,10 @@ class Named(Form):
     """Numbers under published names, each a `Quantity`; a dict of float inside."""
 
     quantities: Mapping[str, Quantity]
+
+    # Types that are annotated with equal forms are one type to Python.
+    __eq__ = object.__eq__
+    __hash__ = object.__hash__
 
     def read(self, found: Any, kind: Any) -> dict[str, float]:  # noqa: ARG002
         """The numbers that are there."""
@@ -794,6 +801,10 @@ class Many(Form):
         inner, form = self._inner(kind)
         if not self.runs:
             values = _items(found, lambda each: form.read(each, inner), self.least)
+            if get_origin(kind) is tuple and get_args(kind)[-1] is not Ellipsis:
+                wanted = len(get_args(kind))
+                if len(values) != wanted:
+                    raise InputError(f"has {len(values)} entries", remedy=f"give {wanted}")
             return values if get_origin(kind) is list else tuple(values)
         things: list[Any] = []
 
@@ -817,6 +828,11 @@ class Many(Form):
             name = {"name": entry["name"]} if "name" in entry else {}
             entries.append(name | count | entry)
         return entries
+
+    def implausible(self, value: Any, place: str) -> Iterator[InputError]:
+        """What of the things cannot be meant."""
+        for number, each in enumerate(value):
+            yield from form_of(type(each)).implausible(each, f"{place}[{number}]")
 
     def _inner(self, kind: Any) -> tuple[Any, Form]:
         inner = get_args(kind)[0]
@@ -917,6 +933,8 @@ class Entry:
     @property
     def required(self) -> bool:
         """Whether the file must have the key."""
+        if self.form.stated == "read":
+            return False
         return self.default is MISSING or self.form.stated == "required"
 
     @property
@@ -942,10 +960,12 @@ def entries(kind: type) -> tuple[Entry, ...]:
             before = made.get(form.table)
             columns = (*before.form.columns, form) if before is not None else (form,)  # type: ignore[attr-defined]
             names = (*before.names, field.name) if before is not None else (field.name,)
-            table = Table(columns, key=form.table, from_start=columns[0].must is not None)
+            table = Table(columns, fields=True)
             made[form.table] = Entry(form.table, names, table, None, MISSING)
             continue
         key = form.key or field.name
+        if isinstance(form, Table) and not form.columns:
+            form = replace(form, columns=columns_of(_row_of(_bare(hint))))
         if isinstance(form, Number) and form.gaps and default is MISSING:
             default = np.nan
         made[key] = Entry(key, (field.name,), form, _bare(hint), default)
@@ -1267,6 +1287,8 @@ def _bounded(kind: type) -> tuple[Entry, ...]:
 
 def same(first: Any, second: Any) -> bool:
     """Whether two values of a field are equal, arrays number for number."""
+    if first is second:
+        return True
     if isinstance(first, np.ndarray) or isinstance(second, np.ndarray):
         return np.array_equal(first, second)
     return type(first) is type(second) and bool(first == second)

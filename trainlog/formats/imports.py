@@ -18,9 +18,8 @@ from trainlog.formats import (
     train as train_format,
     ttobench,
 )
+from trainlog.formats.declared import write_thing
 from trainlog.formats.files import parse_json, read_bytes
-from trainlog.formats.network import write_network
-from trainlog.formats.plausible import check_line
 from trainlog.formats.schema import built
 from trainlog.formats.track_data import Infrastructure, LimitChoice
 from trainlog.railway import EffortCurve, Journey, Line, Train
@@ -345,15 +344,5 @@ def _refuse_category(path: str | Path, options: ImportOptions) -> None:
 
 
 def _write(thing: Thing, target: Path) -> None:
-    if isinstance(thing, Network):
-        for edge in thing.edges:
-            check_line(edge.line)
-        write_network(thing, target)
-    elif isinstance(thing, Line):
-        check_line(thing)
-        line_format.write_line(thing, target)
-    elif isinstance(thing, Train):
-        check_plausible(thing)
-        train_format.write_train(thing, target)
-    else:
-        line_format.write_journey(thing, target)
+    check_plausible(thing)
+    write_thing(thing, target, type(thing))

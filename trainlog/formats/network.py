@@ -1,136 +1,19 @@
-"""The format of a network, ``"trainlog/network"``; docs/formats.md describes its keys."""
+"""The file of a network, ``"trainlog/network"``; docs/formats.md describes its keys.
+
+They follow from the declaration of `Network`. Beside it, an edge may name the file of its line.
+"""
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Any
 
-import numpy as np
-from pydantic import Field
-
+from trainlog.declaration import from_content, gathered, placed
 from trainlog.errors import InputError
-from trainlog.formats.files import check_written, read_bytes, write_bytes
-from trainlog.formats.linefile import LineFile
-from trainlog.formats.schema import MISSING, Column, File, Part, Table, built, gathered
+from trainlog.formats.declared import body_of, built, read_thing, thing_to_bytes, write_thing
+from trainlog.formats.files import read_bytes
 from trainlog.railway.line import Line
-from trainlog.railway.network import Edge, Network, Node
-
-_Nodes = Annotated[
-    tuple[Any, ...],
-    Table(
-        (
-            Column("name"),
-            Column("kind"),
-            Column("latitude", "deg", "deg", MISSING),
-            Column("longitude", "deg", "deg", MISSING),
-        )
-    ),
-]
-
-
-class _Edge(Part):
-    name: str | None = None
-    start: str
-    end: str
-    line: LineFile | None = None
-    file: str | None = None
-
-    def built_line(self, folder: Path, plausible: bool) -> Line:
-        """The line, from the file beside the network's if it is named; refused if implausible."""
-        if (self.line is None) == (self.file is None):
-            raise InputError(
-                "needs either a line or the file of one", remedy="give one of 'line' and 'file'"
-            )
-        if self.line is not None:
-            problems = LineFile.implausible(dict(self.line)) if plausible else []
-            if problems:
-                raise InputError.listing(problems)
-            return self.line.line()
-        path = folder / str(self.file)
-        line: Line = LineFile.read(read_bytes(path), path)
-        return line
-
-    def edge(self, folder: Path, plausible: bool) -> Edge:
-        """The edge; its name is the line's where it has none of its own."""
-        line = self.built_line(folder, plausible)
-        return Edge(self.name or line.name, line, self.start, self.end)
-
-
-class _NetworkFile(File):
-    FORMAT: ClassVar[str] = "trainlog/network"
-    VERSION: ClassVar[int] = LineFile.VERSION
-
-    name: str = Field(min_length=1)
-    source: str = ""
-    nodes: _Nodes
-    edges: list[_Edge]
-    turns: dict[str, list[list[str]]] | None = None
-
-    @property
-    def version_needed(self) -> int:
-        """That of the lines which the file holds."""
-        return max((each.line.version_needed for each in self.edges if each.line), default=1)
-
-    def network(self, folder: Path, plausible: bool) -> Network:
-        """The network that the file describes; files of lines are looked for in `folder`."""
-        edges = (partial(self._edge, n, folder, plausible) for n in range(len(self.edges)))
-        made = gathered(self._turns, *edges)
-        return Network(self.name, self._nodes(), tuple(made[1:]), made[0], self.source)
-
-    def _edge(self, number: int, folder: Path, plausible: bool) -> Edge:
-        """One edge, whose errors name where it stands."""
-        try:
-            return self.edges[number].edge(folder, plausible)
-        except InputError as error:
-            raise InputError.listing(
-                [
-                    InputError(
-                        each.problem if each.file is None else f"{each.file}: {each.problem}",
-                        place=f"edges[{number}]" + (f".{each.place}" if each.place else ""),
-                        remedy=each.remedy,
-                    )
-                    for each in error.each
-                ]
-            ) from error
-
-    def _nodes(self) -> tuple[Node, ...]:
-        names, kinds, latitudes, longitudes = self.nodes
-        return tuple(
-            Node(name, kind, *(None if np.isnan(each) else float(each) for each in where))
-            for name, kind, *where in zip(names, kinds, latitudes, longitudes, strict=True)
-        )
-
-    def _turns(self) -> dict[str, tuple[tuple[str, str], ...]]:
-        found: dict[str, tuple[tuple[str, str], ...]] = {}
-        for node, pairs in (self.turns or {}).items():
-            for number, pair in enumerate(pairs):
-                if len(pair) != 2:
-                    raise InputError(
-                        f"names {len(pair)} edges",
-                        place=f"turns.{node}[{number}]",
-                        remedy="name the two between which trains can pass",
-                    )
-            found[node] = tuple((pair[0], pair[1]) for pair in pairs)
-        return found
-
-    @staticmethod
-    def of(network: Network) -> _NetworkFile:
-        """The file that describes a network."""
-        nodes, turns = network.nodes, network.turns
-        missing = [
-            [np.nan if value is None else value for value in each]
-            for each in ([n.latitude for n in nodes], [n.longitude for n in nodes])
-        ]
-        return _NetworkFile.holding(
-            network,
-            nodes=([n.name for n in nodes], [n.kind for n in nodes], *missing),
-            edges=[
-                _Edge.holding(edge, name=None, line=LineFile.of(edge.line), file=None)
-                for edge in network.edges
-            ],
-            turns={node: [list(pair) for pair in pairs] for node, pairs in turns.items()} or None,
-        )
+from trainlog.railway.network import Network
 
 
 def network_from_bytes(data: bytes, *, file: str | Path = "network.json") -> Network:
@@ -143,17 +26,55 @@ def network_from_bytes(data: bytes, *, file: str | Path = "network.json") -> Net
     InputError
         If they are not a network file, naming the place and the remedy.
     """
-    return _network(data, file, plausible=False)
+    return _network(data, file, judged=False)
 
 
-def _network(data: bytes, file: str | Path, plausible: bool) -> Network:
-    parsed = _NetworkFile.from_bytes(data, file)
-    return built(lambda: parsed.network(Path(file).parent, plausible), file)
+def _network(data: bytes, file: str | Path, judged: bool) -> Network:
+    body = body_of(Network, data, file)
+    return built(lambda: from_content(Network, _with_lines(body, Path(file).parent), judged), file)
+
+
+def _with_lines(body: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """What a network's file states, with each edge's line and name, wherever they stand."""
+    edges = body.get("edges")
+    if not isinstance(edges, list):
+        return body
+
+    def whole(number: int) -> Any:
+        try:
+            return _edge(edges[number], folder)
+        except InputError as error:
+            raise InputError.listing(placed(error, f"edges[{number}]")) from error
+
+    return body | {
+        "edges": gathered(*(lambda number=number: whole(number) for number in range(len(edges))))
+    }
+
+
+def _edge(edge: Any, folder: Path) -> Any:
+    """An edge with its line, from a file if one is named, and the line's name if it has none."""
+    if not isinstance(edge, dict):
+        return edge
+    rest = {key: value for key, value in edge.items() if key != "file"}
+    line, file = rest.get("line"), edge.get("file")
+    if (line is None) == (file is None):
+        raise InputError(
+            "needs either a line or the file of one", remedy="give one of 'line' and 'file'"
+        )
+    if file is not None:
+        line = rest["line"] = read_thing(Line, folder / str(file))
+    if rest.get("name") is None:
+        rest["name"] = line.name if isinstance(line, Line) else _name_of(line)
+    return rest
+
+
+def _name_of(line: Any) -> Any:
+    return line.get("name") if isinstance(line, dict) else None
 
 
 def network_to_bytes(network: Network) -> bytes:
     """The bytes of the network's file: the same network gives the same bytes."""
-    return _NetworkFile.of(network).to_bytes()
+    return thing_to_bytes(network)
 
 
 def read_network(path: str | Path) -> Network:
@@ -171,7 +92,7 @@ def read_network(path: str | Path) -> Network:
     Traceback (most recent call last):
     trainlog.errors.InputError: absent.network.json: does not exist; check the path
     """
-    return _network(read_bytes(path), path, plausible=True)
+    return _network(read_bytes(path), path, judged=True)
 
 
 def write_network(network: Network, path: str | Path) -> None:
@@ -182,6 +103,7 @@ def write_network(network: Network, path: str | Path) -> None:
     >>> from pathlib import Path
     >>> import tempfile
     >>> import trainlog
+    >>> from trainlog import Edge, Node
     >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> nodes = (Node("St. Gallen"), Node("Wil"))
     >>> network = Network("one", nodes, (Edge("only", line, "St. Gallen", "Wil"),))
@@ -190,8 +112,7 @@ def write_network(network: Network, path: str | Path) -> None:
     ...     trainlog.read_line(f"{folder}/one.network.json#Wil,St. Gallen").name
     'Wil - St. Gallen'
     """
-    check_written(network, Network)
-    write_bytes(path, _NetworkFile.of(network).bytes_for(path))
+    write_thing(network, path, Network)
 
 
 def route_of_path(path: str | Path) -> tuple[Path, tuple[str, ...]] | None:

@@ -7,109 +7,34 @@ has comments, so that templates are TOML.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from trainlog.arrays import FloatArray
-from trainlog.declaration import Declared, content_beside, entries, example, meanings
+from trainlog.declaration import (
+    Declared,
+    check_plausible,
+    content_beside,
+    entries,
+    example,
+    meanings,
+)
 from trainlog.errors import InputError
-from trainlog.formats import line as line_format
-from trainlog.formats.declared import file_content
+from trainlog.formats.declared import file_content, write_thing
 from trainlog.formats.files import write_bytes
 from trainlog.formats.headed import HeadedTable, read_headed
-from trainlog.formats.plausible import check_line
 from trainlog.formats.schema import built, gathered
 from trainlog.formats.toml import as_toml
 from trainlog.railway import Line, Station, StepProfile, Train
-from trainlog.railway.journey import Journey, TimingPoint
+from trainlog.railway.journey import Journey
 from trainlog.railway.line import CurvatureProfile, Geometry, LineReference
-from trainlog.units import KMH, to_si
+from trainlog.units import to_si
 
 Kind = Literal["line", "train", "journey", "profile"]
-
-LINE = Line(
-    name="Example line",
-    length=12_000.0,
-    stations=(Station("Aach", 150.0), Station("Berg", 5_900.0), Station("Chur", 11_800.0)),
-    speed_limits=StepProfile(
-        np.array([0.0, 600.0, 5_400.0, 6_400.0]), np.array([60.0, 120.0, 80.0, 120.0]) / KMH
-    ),
-    gradients=StepProfile(
-        np.array([0.0, 1_500.0, 4_200.0, 9_000.0]), np.array([0.0, 0.008, -0.005, 0.0])
-    ),
-    altitude=430.0,
-    source="template: replace every value by your line's",
-)
-"""The line of the template."""
-
-JOURNEY = Journey(
-    "Example journey",
-    "Example line",
-    (
-        TimingPoint(150.0, earliest=0.0, latest=0.0),
-        TimingPoint(5_900.0, latest=300.0),
-        TimingPoint(5_900.0, earliest=330.0),
-        TimingPoint(8_000.0, highest_speed=100.0 / KMH),
-        TimingPoint(11_800.0, latest=630.0),
-    ),
-    "template: replace every value by your journey's",
-)
-"""The journey of the template."""
-
-COMMENTS = {
-    "line": {
-        "": "A line. Units can be replaced by any of the same kind: km for m, % for permil.\n"
-        "docs/formats.md describes every key. Check it:\n"
-        "trainlog simulate drive --line THIS --train sample -o trips",
-        "length": "Position (chainage) runs from 0 to the length, in the forward direction.",
-        "altitude": "Of the track at position 0; may be left out.",
-        "stations": "Name and position, in the order of positions.",
-        "speed_limits": "Permitted from there on, up to the next row; the first at position 0.",
-        "gradients": "Rise over run from there on, uphill positive; the first at position 0.",
-        "curvatures": "Radii at begin and end of each element, positive to the right;"
-        ' straight track: "infinity".',
-        "geometry": "Coordinates (WGS 84) by position; chainage is found from fixes with them.",
-    },
-    "journey": {
-        "": "A journey: when and how fast a train may be where. docs/formats.md has every key.",
-        "line": "Name of the line, as in its file.",
-        "timing_points": "Two rows at one position are a stop: arrival, then departure.\n"
-        "nan: no bound.",
-    },
-}
-"""What the templates say of each key; of the whole file under the empty one."""
-
-MORE = {
-    "line": """
-# What may be added:
-#
-# [curvatures]                        # radii, positive to the right
-# units = { position = "m", radius_at_start = "m", radius_at_end = "m" }
-# values = [[0, "infinity", "infinity"], [900, 500, 500], [1300, "infinity", "infinity"]]
-#
-# [tunnels]
-# units = { position = "m", length = "m", cross_section = "m^2" }
-# values = [[4300, 250, 45]]
-#
-# [geometry]                          # coordinates, for chainage from satellite fixes
-# quality = "how they were obtained"
-# [geometry.track]
-# units = { position = "m", latitude = "deg", longitude = "deg" }
-# values = [[0, 47.4000, 9.3000], [12000, 47.4400, 9.4300]]
-#
-# [reference]                         # what the operator calls the line, and its kilometres
-# name = "850"
-# [reference.kilometres]
-# units = { position = "m", km_at_start = "km", km_at_end = "km" }
-# values = [[0, 61.2, 49.2]]
-""",
-    "journey": "",
-}
-"""Keys that the templates leave out, as comments."""
 
 PROFILE = """\
 # A recorder's profile: how its files are written and what their columns mean.
@@ -171,18 +96,13 @@ def template(kind: Kind, *, line: Line | None = None) -> str:
 
     Examples
     --------
-    >>> print(template("journey")[:60])
-    # A journey: when and how fast a train may be where. docs/fo
+    >>> print(template("journey")[:59])
+    # A journey. Units can be replaced by any of the same kind:
     """
     if kind == "profile":
         return PROFILE
-    if kind == "train":
-        return template_of(Train)
-    content: dict[str, Callable[[], dict[str, Any]]] = {
-        "line": lambda: line_format.line_content(line or LINE),
-        "journey": lambda: line_format.journey_content(JOURNEY),
-    }
-    return as_toml(content[kind](), COMMENTS[kind]) + ("" if line is not None else MORE[kind])
+    declared: dict[str, type[Declared]] = {"line": Line, "train": Train, "journey": Journey}
+    return template_of(declared[kind], line)
 
 
 def template_of(kind: type[Declared], thing: Declared | None = None) -> str:
@@ -202,7 +122,7 @@ def template_of(kind: type[Declared], thing: Declared | None = None) -> str:
     )
     if word in ("line", "train"):
         other = "train" if word == "line" else "line"
-        head += f" Check it:\ntrainlog simulate --{word} THIS --{other} sample -o trips"
+        head += f" Check it:\ntrainlog simulate drive --{word} THIS --{other} sample -o trips"
     notes: dict[str, str] = {}
     for entry in entries(kind):
         words = "\n".join(textwrap.wrap(meant.get(entry.names[0], ""), 96))
@@ -261,7 +181,7 @@ def write_template(kind: Kind, path: str | Path, *, table: str | Path | None = N
         raise InputError("exists", file=path, remedy="choose another name, or remove it first")
     line = None if table is None else read_line_table(table)
     if line is not None and path.suffix == ".json":
-        line_format.write_line(line, path)
+        write_thing(line, path, Line)
     else:
         write_bytes(path, template(kind, line=line).encode())
     return path
@@ -356,7 +276,7 @@ def read_line_table(path: str | Path, *, name: str | None = None) -> Line:
         )
 
     made = built(line, path)
-    built(lambda: check_line(made), path)
+    built(lambda: check_plausible(made), path)
     return made
 
 

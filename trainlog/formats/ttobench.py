@@ -16,8 +16,8 @@ import numpy as np
 from pydantic import ConfigDict, Field
 
 from trainlog.arrays import FloatArray
+from trainlog.declaration import check_from_start, placed, readable
 from trainlog.errors import InputError
-from trainlog.formats import line as line_format, linefile
 from trainlog.formats.files import read_json, to_bytes, write_bytes
 from trainlog.formats.schema import (
     INFINITY,
@@ -32,8 +32,8 @@ from trainlog.formats.schema import (
     checked,
     dumped,
 )
-from trainlog.railway.journey import Journey
-from trainlog.railway.line import Line, Station, StepProfile
+from trainlog.railway.journey import Journey, TimingPoint
+from trainlog.railway.line import CurvatureProfile, Line, Station, StepProfile, Tunnel
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Axles, BrakingCurves, Train
 from trainlog.units import GRAVITY
@@ -173,10 +173,10 @@ class TrackLayout(Layout):
             name=self.metadata.id,
             length=float(self.stops[-1]),
             stations=tuple(Station(f"km {s / 1e3:.3f}", s) for s in self.stops.tolist()),
-            speed_limits=linefile.profile("speed limits", *self.speed_limits),
-            gradients=_LEVEL if gradients is None else linefile.profile("gradients", *gradients),
-            curvatures=None if curves is None else linefile.curvature_profile(*curves),
-            tunnels=linefile.tunnels(self.tunnels),
+            speed_limits=_profile("speed limits", *self.speed_limits),
+            gradients=_LEVEL if gradients is None else _profile("gradients", *gradients),
+            curvatures=None if curves is None else _curvature_profile(*curves),
+            tunnels=_tunnels(self.tunnels),
             altitude=self.altitude or 0.0,
             source=self.metadata.source,
             braking_parameters=self.etcs or {},
@@ -198,10 +198,62 @@ class TrackLayout(Layout):
             stops=stops,
             speed_limits=(limits.positions, limits.values),
             gradients=(gradients.positions, gradients.values),
-            curvatures=None if curves is None else linefile.radii(curves),
-            tunnels=linefile.tunnel_columns(line.tunnels),
+            curvatures=None if curves is None else _radii_of(curves),
+            tunnels=_tunnel_columns(line.tunnels),
             etcs=line.braking_parameters or None,
         )
+
+
+def _profile(place: str, positions: FloatArray, values: FloatArray) -> StepProfile:
+    """A step profile, whose errors name the row of the table at `place`."""
+    _check_rows(place, positions)
+    return StepProfile(positions, values)
+
+
+def _curvature_profile(
+    positions: FloatArray, start_radii: FloatArray, end_radii: FloatArray
+) -> CurvatureProfile:
+    """Curvature from signed radii [m], infinite on straight track; errors name the row."""
+    _check_rows("curvatures", positions)
+    none = (start_radii == 0.0) | (end_radii == 0.0)
+    if np.any(none):
+        raise InputError(
+            "the radius is 0 m",
+            place=f"curvatures.values[{int(np.argmax(none))}]",
+            remedy="straight track has the radius 'infinity'",
+        )
+    return CurvatureProfile(positions, 1.0 / start_radii, 1.0 / end_radii)
+
+
+def _tunnels(table: tuple[FloatArray, ...] | None) -> tuple[Tunnel, ...]:
+    """Tunnels from the columns of their table."""
+    if table is None:
+        return ()
+    return tuple(Tunnel(*map(float, row)) for row in zip(*table, strict=True))
+
+
+def _tunnel_columns(rows: tuple[Tunnel, ...]) -> tuple[list[float], ...] | None:
+    """The columns of the table of tunnels, or None if there are none."""
+    names = ("position", "length", "cross_section")
+    return tuple([getattr(tunnel, name) for tunnel in rows] for name in names) if rows else None
+
+
+def _radii_of(curves: CurvatureProfile) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Positions and signed radii [m] at start and end."""
+    return curves.positions, _radii(curves.start), _radii(curves.end)
+
+
+def _check_rows(place: str, positions: FloatArray) -> None:
+    """Refuse rows whose positions do not increase from 0."""
+    try:
+        check_from_start(positions)
+    except InputError as error:
+        raise InputError.listing(placed(error, place)) from error
+
+
+def _radii(curvature: FloatArray) -> FloatArray:
+    with np.errstate(divide="ignore", over="ignore"):
+        return readable(curvature, 1.0 / curvature, lambda radius: 1.0 / radius)
 
 
 _LEVEL = StepProfile(np.zeros(1), np.zeros(1))
@@ -426,6 +478,22 @@ def _whole(place: str, number: float | None) -> int | None:
     return int(number)
 
 
+def _timing_points(table: tuple[Any, ...]) -> tuple[TimingPoint, ...]:
+    """Timing points from the columns of their table, NaN where there is no bound."""
+    rows = np.column_stack(table)
+    return tuple(
+        TimingPoint(row[0], *(None if np.isnan(bound) else bound for bound in row[1:]))
+        for row in rows.tolist()
+    )
+
+
+def _timing_columns(points: tuple[TimingPoint, ...]) -> tuple[list[float], ...]:
+    """The columns of the table of timing points, NaN where there is no bound."""
+    names = TimingPoint.__dataclass_fields__
+    cells = ([getattr(point, name) for point in points] for name in names)
+    return tuple([np.nan if cell is None else cell for cell in column] for column in cells)
+
+
 class JourneyLayout(Layout):
     """A journey."""
 
@@ -441,7 +509,7 @@ class JourneyLayout(Layout):
         return Journey(
             name=self.metadata.id,
             line=self.metadata.associated_track,
-            points=line_format.timing_points(self.timing_points),
+            points=_timing_points(self.timing_points),
             source=self.metadata.source,
         )
 
@@ -450,7 +518,7 @@ class JourneyLayout(Layout):
         """The file that describes a journey."""
         return JourneyLayout.filled(
             metadata=Metadata.of(journey.name, journey.source, journey.line),
-            timing_points=line_format.timing_columns(journey.points),
+            timing_points=_timing_columns(journey.points),
         )
 
 

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Annotated, ClassVar
 
+from trainlog.declaration import Declared, Quantity, Table, Text
 from trainlog.errors import InputError
+from trainlog.units import KMH
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,15 +31,15 @@ class TimingPoint:
     30.0
     """
 
-    position: float
-    earliest: float | None = None
-    latest: float | None = None
-    lowest_speed: float | None = None
-    highest_speed: float | None = None
+    position: Annotated[float, Quantity("m", "m")]
+    earliest: Annotated[float | None, Quantity("s", "s")] = None
+    latest: Annotated[float | None, Quantity("s", "s")] = None
+    lowest_speed: Annotated[float | None, Quantity("km/h", "m/s")] = None
+    highest_speed: Annotated[float | None, Quantity("km/h", "m/s")] = None
 
 
-@dataclass(frozen=True)
-class Journey:
+@dataclass(frozen=True, eq=False)
+class Journey(Declared):
     """Timing points of one train on one line.
 
     Two points at one position are a stop: arrival and departure, the dwell time between them.
@@ -43,10 +48,12 @@ class Journey:
     ----------
     name : str
     line : str
-        Name of the line.
+        Name of the line, as in its file.
     points : tuple of TimingPoint
-        At least departure and arrival, ordered by position.
+        At least departure and arrival, ordered by position; two at one position are a stop:
+        arrival, then departure. Where there is no bound: nan in TOML, null in JSON.
     source : str
+        Where the data come from.
 
     Examples
     --------
@@ -58,35 +65,51 @@ class Journey:
     2
     """
 
-    name: str
-    line: str
-    points: tuple[TimingPoint, ...]
-    source: str = ""
+    FORMAT: ClassVar[str] = "trainlog/journey"
+    ORDER: ClassVar[tuple[str, ...]] = ("name", "source")
 
-    def __post_init__(self) -> None:
+    name: Annotated[str, Text(least=1, usual="Example journey")]
+    line: Annotated[str, Text(usual="Example line")]
+    points: Annotated[
+        tuple[TimingPoint, ...],
+        Table(
+            key="timing_points",
+            usual=(
+                TimingPoint(150.0, earliest=0.0, latest=0.0),
+                TimingPoint(5_900.0, latest=300.0),
+                TimingPoint(5_900.0, earliest=330.0),
+                TimingPoint(8_000.0, highest_speed=100.0 / KMH),
+                TimingPoint(11_800.0, latest=630.0),
+            ),
+        ),
+    ]
+    source: Annotated[
+        str, Text(stated="written", usual="template: replace every value by your journey's")
+    ] = ""
+
+    def problems(self) -> Iterator[InputError]:
+        """What no journey can be, one by one."""
         where = f"journey '{self.name}'"
         if len(self.points) < 2:
-            raise InputError(f"{where}: needs at least a departure and an arrival")
+            yield InputError(f"{where}: needs at least a departure and an arrival")
+            return
         if self.points[0].position < 0.0:
             place = self.points[0].position / 1e3
-            raise InputError(f"{where}: begins before the line, at km {place:.3f}")
-        for before, point in zip(self.points, self.points[1:], strict=False):
+            yield InputError(f"{where}: begins before the line, at km {place:.3f}")
+        for before, point in pairwise(self.points):
             if point.position < before.position:
-                raise InputError(
+                yield InputError(
                     f"{where}: timing point at km {point.position / 1e3:.3f} comes after the one"
                     f" at km {before.position / 1e3:.3f}",
                     remedy="order the points by position",
                 )
         for point in self.points:
-            _check_window(where, point, "time", point.earliest, point.latest)
-            _check_window(where, point, "speed", point.lowest_speed, point.highest_speed)
-
-
-def _check_window(
-    where: str, point: TimingPoint, what: str, lower: float | None, upper: float | None
-) -> None:
-    at = f"{where}: {what} window at km {point.position / 1e3:.3f}"
-    if any(bound is not None and bound < 0.0 for bound in (lower, upper)):
-        raise InputError(f"{at} has a negative bound")
-    if lower is not None and upper is not None and lower > upper:
-        raise InputError(f"{at} ends before it begins")
+            for what, lower, upper in (
+                ("time", point.earliest, point.latest),
+                ("speed", point.lowest_speed, point.highest_speed),
+            ):
+                at = f"{where}: {what} window at km {point.position / 1e3:.3f}"
+                if any(bound is not None and bound < 0.0 for bound in (lower, upper)):
+                    yield InputError(f"{at} has a negative bound")
+                elif lower is not None and upper is not None and lower > upper:
+                    yield InputError(f"{at} ends before it begins")

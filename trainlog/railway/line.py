@@ -6,17 +6,27 @@ gives the same line travelled the other way, `Line.section` a part of it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray, IntArray
-from trainlog.display import as_html, as_text, counted, picture, span
+from trainlog.declaration import (
+    POSITIVE,
+    Column,
+    Declared,
+    Named,
+    Part,
+    Quantity,
+    Table,
+    Text,
+)
+from trainlog.display import as_html, counted, picture, span
 from trainlog.errors import InputError
 from trainlog.railway.line_parts import (
     Geometry as Geometry,
@@ -28,6 +38,7 @@ from trainlog.railway.line_parts import (
     tunnels_between,
 )
 from trainlog.railway.profiles import (
+    POSITION,
     TINY,
     CurvatureProfile as CurvatureProfile,
     LineReference as LineReference,
@@ -49,6 +60,19 @@ STEEPEST, STEEP_OVER, STEEPEST_POINT = 0.2, 100.0, 1.0
 
 LONGEST_PIECE = 5.0
 """Of a line averaged over a train [m]: where curves are, its mean is not linear between edges."""
+
+
+_LENGTH = Quantity("km", "m", (0.02, 2e4, "lines have"))
+_LIMIT = Quantity("km/h", "m/s", (1, 600, "speed limits are"))
+
+STEEPEST_MEAN = 0.08
+"""Mean size of the gradients of a whole line; only rack railways exceed it."""
+
+LOWEST, HIGHEST = -1_000.0, 6_000.0
+"""Altitudes [m] between which there are railways."""
+
+LEAST_EXTENT = 0.005
+"""Share of a line's length that its rows cover at least, where there are several."""
 
 
 class Pieces(NamedTuple):
@@ -75,25 +99,32 @@ class Pieces(NamedTuple):
     offset: FloatArray
 
 
-@dataclass(frozen=True, repr=False)
-class Line:
+_LIMITS = (POSITION, Column("speed", "km/h", "m/s"))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Line(Declared):
     """A railway line between two ends.
 
     Attributes
     ----------
     name : str
     length : float [m]
+        Position (chainage) runs from 0 to the length, in the forward direction.
     stations : tuple of Station
-        At least the two ends, ordered by position.
+        Name and position, in the order of positions.
     speed_limits : StepProfile [m/s]
-        Of the direction in which the chainage grows.
+        Permitted from there on, up to the next row, in the direction in which the chainage grows.
     gradients : StepProfile
-        Rise over run, uphill positive.
+        Rise over run from there on, uphill positive; the first at position 0.
     curvatures : CurvatureProfile [1/m] or None
+        Radii at begin and end of each element, positive to the right; straight track: "infinity".
     tunnels : tuple of Tunnel
+        Position of the portal, length and cross-section.
     altitude : float [m]
         Of the track at position 0.
     geometry : Geometry or None
+        Coordinates (WGS 84) by position; chainage is found from fixes with them.
     source : str
         Where the data come from.
     braking_parameters : dict of str to float
@@ -128,34 +159,86 @@ class Line:
     -0.005
     """
 
-    name: str
-    length: float
-    stations: tuple[Station, ...]
-    speed_limits: StepProfile
-    gradients: StepProfile
-    curvatures: CurvatureProfile | None = None
-    tunnels: tuple[Tunnel, ...] = ()
-    altitude: float = 0.0
-    geometry: Geometry | None = None
-    source: str = ""
-    braking_parameters: dict[str, float] = field(default_factory=dict)
+    FORMAT: ClassVar[str] = "trainlog/line"
+    VERSION: ClassVar[int] = 2
+    ORDER: ClassVar[tuple[str, ...]] = (
+        "name", "source", "length", "altitude", "stations", "speed_limits", "gradients", "survey",
+        "curvatures", "tunnels", "braking_parameters", "geometry", "assumed",
+    )  # fmt: skip
+
+    name: Annotated[str, Text(least=1, usual="Example line")]
+    length: Annotated[float, Quantity("m", "m", must=POSITIVE, usual=12_000.0)]
+    stations: Annotated[
+        tuple[Station, ...],
+        Table(usual=(Station("Aach", 150.0), Station("Berg", 5_900.0), Station("Chur", 11_800.0))),
+    ]
+    speed_limits: Annotated[
+        StepProfile,
+        Table(
+            _LIMITS,
+            usual=StepProfile(
+                np.array([0.0, 600.0, 5_400.0, 6_400.0]),
+                np.array([60.0, 120.0, 80.0, 120.0]) / KMH,
+            ),
+        ),
+    ]
+    gradients: Annotated[
+        StepProfile,
+        Table(
+            (POSITION, Column("gradient", "permil", "1")),
+            usual=StepProfile(
+                np.array([0.0, 1_500.0, 4_200.0, 9_000.0]), np.array([0.0, 0.008, -0.005, 0.0])
+            ),
+        ),
+    ]
+    curvatures: Annotated[
+        CurvatureProfile | None,
+        Part(
+            usual=CurvatureProfile(
+                np.array([0.0, 900.0, 1_300.0]),
+                np.array([0.0, 2e-3, 0.0]),
+                np.array([0.0, 2e-3, 0.0]),
+            )
+        ),
+    ] = None
+    tunnels: Annotated[tuple[Tunnel, ...], Table(usual=(Tunnel(4_300.0, 250.0, 45.0),))] = ()
+    altitude: Annotated[float, Quantity("m", "m", stated="written", usual=430.0)] = 0.0
+    geometry: Annotated[
+        Geometry | None,
+        Part(
+            usual=Geometry(
+                np.array([0.0, 12_000.0]),
+                np.array([47.40, 47.44]),
+                np.array([9.30, 9.43]),
+                "how they were obtained",
+            )
+        ),
+    ] = None
+    source: Annotated[
+        str, Text(stated="written", usual="template: replace every value by your line's")
+    ] = ""
+    braking_parameters: Annotated[
+        dict[str, float], Named({"M_NVAVADH": Quantity("1", "1"), "Kt_int": Quantity("1", "1")})
+    ] = field(default_factory=dict)
     survey: Survey | None = None
     assumed: tuple[str, ...] = ()
-    reference: LineReference | None = None
+    reference: Annotated[
+        LineReference | None,
+        Part(usual=LineReference("850", np.zeros(1), np.array([61_200.0]), np.array([49_200.0]))),
+    ] = None
     curve_resistance: CurveFormula = "proportional"
-    legs: tuple[Leg, ...] = ()
-    speed_limits_reverse: StepProfile | None = None
+    legs: Annotated[tuple[Leg, ...], Table()] = ()
+    speed_limits_reverse: Annotated[StepProfile | None, Table(_LIMITS)] = None
 
-    def __post_init__(self) -> None:
-        problems = list(self._problems())
-        if problems:
-            raise InputError.listing(problems)
+    @property
+    def version_needed(self) -> int:
+        """2 where limits differ by direction; older programs are to refuse the file for that."""
+        return 1 if self.speed_limits_reverse is None else 2
 
-    def _problems(self) -> Iterator[InputError]:
-        """What no line can be, one by one."""
+    def problems(self) -> Iterator[InputError]:
+        """What no line can be, besides fields beyond their bounds, one by one."""
         where = f"line '{self.name}'"
         if not self.length > 0.0:
-            yield InputError(f"{where}: length {self.length} m is not positive")
             return
         backwards = self.limits_against
         for limits, words in ((self.speed_limits, ""), (backwards, " of the other direction")):
@@ -226,13 +309,8 @@ class Line:
                 )
 
     def _curve_problems(self, where: str) -> Iterator[InputError]:
-        """A formula that is not known, or does not hold for the curves of the line."""
-        if self.curve_resistance not in CURVE_FORMULAS:
-            yield InputError(
-                f"{where}: no such curve_resistance '{self.curve_resistance}'",
-                remedy=f"it is one of {', '.join(CURVE_FORMULAS)}",
-            )
-        elif self.curvatures is not None:
+        """A formula that does not hold for the curves of the line."""
+        if self.curve_resistance in CURVE_FORMULAS and self.curvatures is not None:
             size = np.maximum(np.abs(self.curvatures.start), np.abs(self.curvatures.end))
             offset = curve_coefficients(size, self.curve_resistance)[1]
             sharp = np.flatnonzero(LEAST_RADIUS * offset * size > 1.0)
@@ -247,9 +325,6 @@ class Line:
                     " state 'proportional'",
                 )
 
-    def __repr__(self) -> str:
-        return as_text(self._title, self._summary())
-
     def _repr_html_(self) -> str:
         s = np.linspace(0.0, self.length, 500)
         drawn = {"limit [km/h]": KMH * self.speed_limit(s)}
@@ -257,13 +332,15 @@ class Line:
             drawn["limit the other way [km/h]"] = KMH * self.speed_limits_reverse(s)
         steps = tuple(drawn)
         drawn["altitude [m]"] = self.altitudes(s).round(1)
-        return as_html(self._title, self._summary(), picture(s, drawn, steps=steps))
+        return as_html(self.title, self.summary(), picture(s, drawn, steps=steps))
 
     @property
-    def _title(self) -> str:
+    def title(self) -> str:
+        """Name and length."""
         return f"Line '{self.name}', {self.length / 1e3:.3f} km"
 
-    def _summary(self) -> dict[str, str]:
+    def summary(self) -> dict[str, str]:
+        """What lies along the line."""
         limits, slopes = self.speed_limits, self.gradients
         rows = {
             "stations": ", ".join(station.name for station in self.stations[:4])
@@ -294,6 +371,32 @@ class Line:
         if self.legs:
             rows["route"] = route_words(self.legs)
         return rows
+
+    @classmethod
+    def implausible(cls, values: Mapping[str, Any]) -> Iterator[InputError]:
+        """What of the values of a file [SI] cannot be meant."""
+        length = values.get("length") or 0.0
+        yield from _LENGTH.implausible(length, "length")
+        for name in ("speed_limits", "speed_limits_reverse"):
+            if values.get(name) is not None:
+                limits = values[name].values
+                wild = [
+                    problem
+                    for row, limit in enumerate(limits.tolist())
+                    for problem in _LIMIT.implausible(limit, f"{name}.values[{row}][1]")
+                ]
+                yield from wild[:1]
+        altitude = values.get("altitude") or 0.0
+        if not LOWEST <= altitude <= HIGHEST:
+            yield InputError(
+                f"{altitude:.6g} m is not plausible: railways lie between {LOWEST:g} and"
+                f" {HIGHEST:g} m",
+                place="altitude",
+                remedy="check the value and its unit",
+            )
+        if values.get("gradients") is not None and length > 0.0:
+            yield from _implausible_gradients(values["gradients"], length)
+            yield from _implausible_chainage(values, length)
 
     def kilometre(self, position: ArrayLike) -> FloatArray:
         """The operator's kilometre, in metres, at each position [m]."""
@@ -607,3 +710,39 @@ class Line:
 def _and_more(places: FloatArray) -> str:
     """How many places there are besides the first."""
     return f" (and {places.size - 1} more)" if places.size > 1 else ""
+
+
+def _implausible_gradients(profile: StepProfile, length: float) -> Iterator[InputError]:
+    """Gradients that no line has on its average, or that lift it beyond all mountains."""
+    positions, gradients = profile.positions, profile.values
+    if np.any(np.abs(gradients) > STEEPEST):
+        return
+    widths = np.diff(np.append(positions, max(length, positions[-1])))
+    mean = float(np.sum(np.abs(gradients) * widths)) / max(float(np.sum(widths)), 1e-9)
+    rise = np.cumsum(gradients * widths)
+    if mean > STEEPEST_MEAN and length > 1e3:
+        problem = f"are {1e3 * mean:.0f} per mille on the whole line's average"
+    elif np.ptp(rise) > HIGHEST - LOWEST:
+        problem = f"make the line rise by {np.ptp(rise):.0f} m"
+    else:
+        return
+    yield InputError(
+        f"{problem}: not plausible",
+        place="gradients",
+        remedy="were per mille meant where the unit states '%'?",
+    )
+
+
+def _implausible_chainage(values: Mapping[str, Any], length: float) -> Iterator[InputError]:
+    """Rows of a line that all lie at its start: chainage in km whose unit states m."""
+    tables = ("speed_limits", "speed_limits_reverse", "gradients", "curvatures")
+    found = [values[name].positions for name in tables if values.get(name) is not None]
+    points = [e.position for name in ("tunnels", "stations") for e in values.get(name) or ()]
+    positions = np.concatenate([*found, points])
+    if np.unique(positions).size >= 5 and np.max(positions) < LEAST_EXTENT * length:
+        yield InputError(
+            f"all positions lie within {np.max(positions):.6g} m of a line of {length:.6g} m:"
+            " not plausible",
+            place="units.position",
+            remedy="were km meant where the unit states m?",
+        )

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray
+from trainlog.declaration import Column, Declared, Must, Quantity, check
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.railway.profiles import TINY, check_positions, hold_as_arrays
+
+Metres = Annotated[float, Quantity("m", "m")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,9 +30,9 @@ class Tunnel:
     2450.0
     """
 
-    position: float
-    length: float
-    cross_section: float
+    position: Metres
+    length: Metres
+    cross_section: Annotated[float, Quantity("m^2", "m^2")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +46,11 @@ class Station:
     """
 
     name: str
-    position: float
+    position: Metres
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Geometry:
+class Geometry(Declared):
     """Where the line lies on the earth (WGS 84).
 
     Attributes
@@ -63,20 +68,22 @@ class Geometry:
     (array([50.825]), array([12.92]))
     """
 
-    positions: FloatArray
-    latitudes: FloatArray
-    longitudes: FloatArray
+    ORDER: ClassVar[tuple[str, ...]] = ("quality",)
+
+    positions: Annotated[FloatArray, Column("position", "m", "m", table="track")]
+    latitudes: Annotated[FloatArray, Column("latitude", "deg", "deg", table="track")]
+    longitudes: Annotated[FloatArray, Column("longitude", "deg", "deg", table="track")]
     quality: str
 
     def __post_init__(self) -> None:
         hold_as_arrays(self, "positions", "latitudes", "longitudes")
         if self.positions.shape != self.latitudes.shape or self.positions.size < 2:
-            raise InputError("geometry: needs at least two points, each with two coordinates")
+            raise InputError("needs at least two points, each with two coordinates")
         check_positions("geometry", self.positions - self.positions[0], self.latitudes)
         check_positions("geometry", self.positions - self.positions[0], self.longitudes)
         if np.any(np.abs(self.latitudes) > 90.0) or np.any(np.abs(self.longitudes) > 180.0):
             raise InputError(
-                "geometry: a coordinate is beyond 90° of latitude or 180° of longitude",
+                "a coordinate is beyond 90° of latitude or 180° of longitude",
                 remedy="give degrees, latitude first",
             )
 
@@ -85,14 +92,6 @@ class Geometry:
             f"Geometry of {counted(self.positions.size, 'point')}, {self.quality or 'no quality'},"
             f" from {self.latitudes[0]:.5f}°, {self.longitudes[0]:.5f}°"
             f" to {self.latitudes[-1]:.5f}°, {self.longitudes[-1]:.5f}°"
-        )
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Geometry) and bool(
-            np.array_equal(self.positions, other.positions)
-            and np.array_equal(self.latitudes, other.latitudes)
-            and np.array_equal(self.longitudes, other.longitudes)
-            and self.quality == other.quality
         )
 
     def at(self, position: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -122,6 +121,14 @@ class Geometry:
         )
 
 
+_KNOWN = Must(
+    "is not positive and finite",
+    "give how far off gradients are, or leave the survey out",
+    high=sys.float_info.max,
+    above=True,
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Survey:
     """How well the gradients of a line are known.
@@ -134,17 +141,11 @@ class Survey:
         Over how long the same error holds; None: each gradient has one of its own.
     """
 
-    gradient_std: float
-    correlation_length: float | None = None
+    gradient_std: Annotated[float, Quantity("permil", "1", must=_KNOWN)]
+    correlation_length: Annotated[float | None, Quantity("m", "m", must=_KNOWN)] = None
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
-            value = getattr(self, name)
-            if value is not None and not 0.0 < value < np.inf:
-                raise InputError(
-                    f"survey: {name.replace('_', ' ')} {value} is not positive",
-                    remedy="give how far off gradients are, or leave the survey out",
-                )
+        check(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,11 +171,11 @@ class Leg:
     """
 
     edge: str
-    position: float
-    length: float
-    edge_start: float
-    edge_end: float
-    edge_length: float
+    position: Metres
+    length: Metres
+    edge_start: Metres
+    edge_end: Metres
+    edge_length: Metres
 
     def __post_init__(self) -> None:
         ends = sorted((self.edge_start, self.edge_end))

@@ -12,10 +12,11 @@ from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
 from itertools import groupby, pairwise
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
+from trainlog.declaration import Declared, Table, Text
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.extras import require
@@ -33,8 +34,8 @@ from trainlog.railway.profiles import TINY
 from trainlog.railway.route_search import EdgeEnds, RouteSearch, Stretch
 
 
-@dataclass(frozen=True, repr=False)
-class Network:
+@dataclass(frozen=True, eq=False, repr=False)
+class Network(Declared):
     """Stations and junctions, joined by lines.
 
     Attributes
@@ -71,18 +72,22 @@ class Network:
       edges  west (against its chainage), east (against its chainage)
     """
 
-    name: str
-    nodes: tuple[Node, ...]
+    FORMAT: ClassVar[str] = "trainlog/network"
+    VERSION: ClassVar[int] = Line.VERSION
+    ORDER: ClassVar[tuple[str, ...]] = ("name", "source")
+
+    name: Annotated[str, Text(least=1)]
+    nodes: Annotated[tuple[Node, ...], Table()]
     edges: tuple[Edge, ...]
     turns: Mapping[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
-    source: str = ""
+    source: Annotated[str, Text(stated="written")] = ""
 
-    def __post_init__(self) -> None:
-        problems = list(self._problems())
-        if problems:
-            raise InputError.listing(problems)
+    @property
+    def version_needed(self) -> int:
+        """That of the lines which the file holds."""
+        return max((each.line.version_needed for each in self.edges), default=1)
 
-    def _problems(self) -> Iterator[InputError]:
+    def problems(self) -> Iterator[InputError]:
         """What no network can be, one by one."""
         where = f"network '{self.name}'"
         for kind, names in (

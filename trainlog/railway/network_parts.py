@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, ClassVar, Literal
 
+from trainlog.declaration import Quantity, Text
 from trainlog.railway.line import Line
 
 NodeKind = Literal["station", "junction"]
@@ -32,8 +33,8 @@ class Node:
 
     name: str
     kind: NodeKind = "station"
-    latitude: float | None = None
-    longitude: float | None = None
+    latitude: Annotated[float | None, Quantity("deg", "deg")] = None
+    longitude: Annotated[float | None, Quantity("deg", "deg")] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +57,9 @@ class Edge:
     '850'
     """
 
-    name: str
+    ORDER: ClassVar[tuple[str, ...]] = ("name", "start", "end")
+
+    name: Annotated[str, Text(stated="read")]
     line: Line
     start: str
     end: str

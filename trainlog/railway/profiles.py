@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray
+from trainlog.declaration import INFINITY, Column, Declared, Text
 from trainlog.display import counted
 from trainlog.errors import InputError
 
@@ -25,8 +27,17 @@ def hold_as_arrays(profile: object, *names: str) -> None:
         object.__setattr__(profile, name, values)
 
 
+POSITION = Column("position", "m", "m", from_start=True)
+"""The first column of tables along a line."""
+
+
+def _radius(end: str) -> Column:
+    """The column of the radii at one end of each element."""
+    return Column(f"radius_at_{end}", "m", "m", INFINITY, inverse=True)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class StepProfile:
+class StepProfile(Declared):
     """A piecewise constant quantity: each value holds from its position to the next.
 
     Attributes
@@ -57,12 +68,6 @@ class StepProfile:
         """Value at each position; ends are extended."""
         index = np.searchsorted(self.positions, np.asarray(position), side="right") - 1
         return np.asarray(self.values[np.maximum(index, 0)])
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, StepProfile) and bool(
-            np.array_equal(self.positions, other.positions)
-            and np.array_equal(self.values, other.values)
-        )
 
     def reversed(self, length: float, sign: float = 1.0) -> StepProfile:
         """The profile seen from the other end of a line of `length` [m]."""
@@ -107,7 +112,7 @@ class StepProfile:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CurvatureProfile:
+class CurvatureProfile(Declared):
     """Signed track curvature: circular arcs and, between them, linear transitions.
 
     Positive curvature bends to the right in the direction of travel.
@@ -126,9 +131,9 @@ class CurvatureProfile:
     array([0.   , 0.001, 0.002])
     """
 
-    positions: FloatArray
-    start: FloatArray
-    end: FloatArray
+    positions: Annotated[FloatArray, POSITION]
+    start: Annotated[FloatArray, _radius("start")]
+    end: Annotated[FloatArray, _radius("end")]
 
     def __post_init__(self) -> None:
         hold_as_arrays(self, "positions", "start", "end")
@@ -144,13 +149,6 @@ class CurvatureProfile:
         """Curvature [1/m] at each position of a line of `length` [m]."""
         return _between(self.positions, self.start, self.end, position, length)
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, CurvatureProfile) and bool(
-            np.array_equal(self.positions, other.positions)
-            and np.array_equal(self.start, other.start)
-            and np.array_equal(self.end, other.end)
-        )
-
     def reversed(self, length: float) -> CurvatureProfile:
         """The profile seen from the other end: a left-hand bend becomes a right-hand one."""
         ends = np.append(self.positions[1:], length)
@@ -161,8 +159,8 @@ class CurvatureProfile:
         return CurvatureProfile(*_cut((self.positions, self.start, self.end), (start, end), length))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LineReference:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class LineReference(Declared):
     """How the operator of a line calls it and counts its kilometres.
 
     Kilometres may run against the chainage, and jump where the line was rebuilt.
@@ -185,23 +183,17 @@ class LineReference:
     array([61200., 60950., 60250.])
     """
 
-    name: str
-    positions: FloatArray
-    start: FloatArray
-    end: FloatArray
+    name: Annotated[str, Text(least=1)]
+    positions: Annotated[
+        FloatArray, Column("position", "m", "m", table="kilometres", from_start=True)
+    ]
+    start: Annotated[FloatArray, Column("km_at_start", "km", "m", table="kilometres")]
+    end: Annotated[FloatArray, Column("km_at_end", "km", "m", table="kilometres")]
 
     def __post_init__(self) -> None:
         hold_as_arrays(self, "positions", "start", "end")
         check_positions("kilometres", self.positions, self.start)
         check_positions("kilometres", self.positions, self.end)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, LineReference) and bool(
-            self.name == other.name
-            and np.array_equal(self.positions, other.positions)
-            and np.array_equal(self.start, other.start)
-            and np.array_equal(self.end, other.end)
-        )
 
     def at(self, position: ArrayLike, length: float) -> FloatArray:
         """The operator's kilometre, in metres, at each position of a line of `length` [m]."""
