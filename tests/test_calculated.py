@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from analysis.comparison.calculated import Calculation, calculate, judged_together
-from analysis.comparison.calculated_table import calculation_figure, calculation_tables
+from analysis.comparison.calculated_table import calculation_figure
 from analysis.resistance import fit_trip
 from trainlog import read_line, read_train
 from trainlog.cli import main as cli
@@ -19,7 +19,6 @@ from trainlog.errors import InputError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import write_train
 from trainlog.mcap import read_log
-from trainlog.presentation import as_page
 from trainlog.railway import Configuration, ParameterSet, RunningResistance, Train
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.simulation.scenario import Scenario
@@ -58,7 +57,7 @@ def test_the_right_file_agrees_within_its_bands() -> None:
     assert found.total("calculated_work") == pytest.approx(found.total("work"), rel=0.06)
     assert sum(found.explained.values()) == pytest.approx(1.0, abs=1e-9)
     assert len(calculation_figure(found).axes) == 3
-    assert "nothing that the trip contradicts" in as_page(*calculation_tables(found))
+    assert "nothing that the trip contradicts" in found._repr_html_()
 
 
 def test_the_true_model_calculates_the_true_work_and_time() -> None:
@@ -117,7 +116,7 @@ def test_a_wind_that_is_not_recorded_is_no_error_of_the_file() -> None:
     unknown, known = against_the_file(False), against_the_file(True)
     assert unknown.diagnosis.wrong == known.diagnosis.wrong == ()
     assert unknown.outside == known.outside == []
-    assert "head wind not recorded" in as_page(*calculation_tables(unknown))
+    assert "head wind not recorded" in unknown._repr_html_()
 
 
 def test_a_recorded_wind_makes_bands_narrower_and_times_truer() -> None:
@@ -189,7 +188,7 @@ def test_without_efforts_the_energy_is_calculated_with_a_band_that_holds_the_tru
     off = found.total("calculated_work") - energy
     assert abs(off) < 1.96 * found.total_std("work_std") < 0.2 * energy
     assert found.diagnosis.reason
-    assert "not judged" in as_page(*calculation_tables(found))
+    assert "not judged" in found._repr_html_()
     assert len(calculation_figure(found).axes) == 3
 
 

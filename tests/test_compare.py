@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from analysis.comparison import reading
-from analysis.comparison.groups import compare_groups, punctuality, savings_table, trip_cost
+from analysis.comparison.groups import compare_groups, punctuality, trip_cost
 from trainlog.errors import LogError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import write_log
@@ -184,7 +184,7 @@ def test_a_plan_for_the_nominal_train_is_compared_by_train_and_says_so() -> None
     assert found.remarks == (
         "'driven' followed a plan for the train of its file, at 132.0 t; 'a' ran at 142.0 t",
     )
-    assert found.remarks[0] in str(savings_table(found).renderables[2])
+    assert found.remarks[0] in found.notes[0]
     other = trip("other")
     content = other.attachments[TRAIN_ATTACHMENT].replace(b"CH_Stadler_FLIRT_TPF", b"another")
     other = replace(other, attachments={**other.attachments, TRAIN_ATTACHMENT: content})
@@ -224,7 +224,7 @@ def test_trips_that_followed_nothing_are_named_with_their_file() -> None:
 def test_groups_are_compared_by_their_mean_and_spread() -> None:
     drivers = [trip("a", effort=60_000.0), trip("b", effort=50_000.0)]
     followed = [trip("c", 40_000.0, configuration="a"), trip("d", 40_000.0, configuration="b")]
-    table = savings_table(compare_groups(drivers, followed)).renderables[0]
+    table = compare_groups(drivers, followed).tables()[0]
     driver, own, saved = table.words[-1][1:4]
     # 50 kN and 60 kN over 12 km are 167 and 200 kWh, 40 kN are 133 kWh.
     assert driver.startswith("183.33 kWh ± 23.57 kWh, 600 ± 0 s")
@@ -234,6 +234,6 @@ def test_groups_are_compared_by_their_mean_and_spread() -> None:
 
 def test_what_is_saved_is_named_as_saved_and_one_pair_is_one() -> None:
     found = compare_groups([trip("a", effort=60_000.0)], [trip("b", configuration="a")])
-    headings = savings_table(found).renderables[0].heads
+    headings = found.tables()[0].heads
     assert "saved from the line" in headings
     assert "1 pair of trips" in repr(found)

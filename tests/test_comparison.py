@@ -15,14 +15,12 @@ import pytest
 from analysis.comparison.compare import Comparison, compare
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.plot import comparison_figure
-from analysis.comparison.table import comparison_data, comparison_tables
 from trainlog import read_line, read_train
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log, write_log
-from trainlog.presentation import as_page
 from trainlog.railway import Configuration, Line, StepProfile, Trajectory
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.simulation.drivers import Habits, Stop, plan
@@ -142,7 +140,7 @@ def test_two_halves_lose_what_the_whole_loses() -> None:
     whole = found.trip("trip-03").lost.total
     assert sum(each.lost.total for each in parts) == pytest.approx(whole, abs=0.3)
     assert parts[0].common == pytest.approx((0.0, 12_000.0), abs=5.0)
-    assert "% of it" in as_page(*comparison_tables(found))
+    assert "% of it" in found._repr_html_()
     work = [each.table["traction"].sum() for each in (*parts, found.trip("trip-03"))]
     assert work[0] + work[1] == pytest.approx(work[2], rel=1e-3)
 
@@ -186,7 +184,7 @@ def test_unknown_efforts_leave_the_energy_unknown_where_they_are_missing() -> No
     )
     found = compare(none)
     assert found.trip("trip-03").table["traction"].isna().all()
-    assert "no efforts are recorded" in as_page(*comparison_tables(found))
+    assert "no efforts are recorded" in found._repr_html_()
 
 
 def moved(trip: Trip, by: Callable[[np.ndarray], np.ndarray], name: str) -> Trip:
@@ -386,7 +384,7 @@ def test_the_figure_and_the_data_hold_every_trip() -> None:
     found = compare([stopping(), nonstop()])
     figure = comparison_figure(found.directions[0])
     assert len(figure.axes) == 4
-    data = comparison_data(found)
+    data = found.facts()
     names = [trip["trip"] for trip in data["directions"][0]["trips"]]
     assert names == ["trip-03", "trip-01"]
     assert "trip-03" in repr(found)

@@ -18,7 +18,7 @@ from analysis.fleet.mixed import Group, mixed_effects
 from analysis.fleet.plot import draw_findings
 from analysis.fleet.resistance import KindResistance, TrainResistance, fleet_resistance
 from analysis.fleet.trains import FleetTrains, fleet_trains, trains_in
-from analysis.fleet.trains_table import trains_data, trains_table
+from analysis.fleet.trains_table import trains_data
 from analysis.reports.fleet_attention import FleetFacts, attention_parts
 from trainlog.errors import InputError, NotIdentifiableError
 
@@ -242,14 +242,14 @@ def test_of_two_trains_none_is_called_unlike_the_other_and_this_is_stated(tmp_pa
     found = fleet_trains(drawn_fleet(pool("flirt"), 13, trains=2, trips=10, faults=(fault,)))
     assert found.unlike.findings == ()
     assert all(np.isnan(each.constant) for each in found.unlike.limits)
-    rows = trains_table(found).renderables[1].data
+    rows = found.tables()[0].data
     assert all(row["against_kind"] is None for row in rows)
     assert [type(row["trips"]) for row in rows] == [int] * 3
     alone = found.only("flirt-01").unlike.train_months
     assert alone == pytest.approx(0.5 * found.unlike.train_months, rel=0.1)
     for shown in (found, found.only("flirt-01")):
         assert "Too few trains of kind flirt (2)" in shown.too_few
-        assert trains_table(shown).renderables[0] == shown.too_few
+        assert shown.sentences() == [shown.too_few]
     path = tmp_path / "findings.svg"
     draw_findings(found, path)
     drawn = path.read_text("utf-8")
@@ -291,7 +291,7 @@ def test_a_step_that_is_no_finding_is_stated() -> None:
     step = next(each for each in found.unlike.steps if each.channel == "effort gain")
     assert (step.train, step.trips) == ("kiss-02", 3)
     assert step.size == pytest.approx(0.1, abs=0.03)
-    assert f"kiss-02: {step}, since" in str(trains_table(found).renderables[2].caption)
+    assert f"kiss-02: {step}, since" in str(found.tables()[1].caption)
     # The checks of recordings state it, too, where trains are not compared.
     checks = rows.assign(
         speed_scale=1.0 + 0.02 * (rows["start"] >= step.since), damage="", frozen=""
@@ -307,7 +307,7 @@ def test_table_and_picture_state_one_band_above_zero() -> None:
     assert high - curve(kind.another) == pytest.approx(kind.another.reach(SPEEDS))
     # Two trains show a spread less well than a normal distribution would have it.
     assert np.all(kind.another.reach(SPEEDS) > 2.3 * kind.another.std(SPEEDS))
-    rows = trains_table(fleet_trains(kind.rows)).renderables[1].data
+    rows = fleet_trains(kind.rows).tables()[0].data
     another = next(row for row in rows if row["train"] == "another flirt")
     at = 80.0 / 3.6
     assert 1.96 * another["resistance_at_80_km_h_std_N"] == pytest.approx(

@@ -12,17 +12,14 @@ import pytest
 from analysis.comparison.calculated import Calculation, calculate, judged_together
 from analysis.comparison.calculated_table import (
     calculation_figure,
-    calculation_tables,
     together_words,
 )
 from analysis.comparison.compare import ComparedTrip, compare
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
-from analysis.comparison.table import comparison_tables
 from trainlog import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log
-from trainlog.presentation import as_page
 from trainlog.railway import RunningResistance
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
@@ -140,7 +137,7 @@ def test_work_over_a_gap_that_nothing_bridges_is_not_stated(
     np.testing.assert_allclose(
         found.table["traction"][~lacks], own.table["traction"][~lacks], rtol=2e-3
     )
-    assert words in as_page(*comparison_tables(compared))
+    assert words in compared._repr_html_()
 
 
 def test_wheels_that_slip_around_a_gap_do_not_bridge_it() -> None:
@@ -208,7 +205,7 @@ def test_a_calculation_starts_anew_behind_a_gap(bridged: bool) -> None:
     )
     off = found.table["calculated_time"] - own.table["calculated_time"]
     assert off.abs().max() < 3.0
-    assert f"{trip.name}: no speed for 20 s" in as_page(*calculation_tables(found))
+    assert f"{trip.name}: no speed for 20 s" in found._repr_html_()
     assert len(calculation_figure(found).axes) == 3
 
 
@@ -225,7 +222,7 @@ def test_sections_outside_of_the_band_contradict_the_model() -> None:
     off = replace(found, table=table.assign(work_std=0.01 * table["work"]))
     assert off.outside == off.table.index.tolist()
     assert "contradicted in" in off.words
-    page = as_page(*calculation_tables(off))
+    page = off._repr_html_()
     assert "nothing that the trip contradicts" not in page
     assert "contradicted in" in str(off)
 
@@ -235,7 +232,7 @@ def test_what_a_model_does_not_determine_is_said_so() -> None:
     first = found.table.index[0]
     table = found.table.copy()
     table.loc[first, "time_determined"] = False
-    vague = as_page(*calculation_tables(replace(found, table=table)))
+    vague = replace(found, table=table)._repr_html_()
     assert "not determined" in vague
     assert f"does not determine the running time of {first}" in vague
     # A resistance ten times the train's stops it before the section ends.

@@ -695,12 +695,16 @@ class Presented(Plotted):
         return as_text(self.title, self.summary())
 
     def _repr_html_(self) -> str:
-        tables = self.tables()
-        rows = [] if tables and tables[0].name == "summary" else [facts_table("", self.summary())]
-        shown = "".join(each._repr_html_() for each in (*rows, *tables) if each.rows)
-        said = filter(None, (self.sentence, *self.notes))
-        words = "".join(f"<p>{escape(each)}</p>" for each in said)
-        return f"<div><b>{escape(self.title)}</b>{self.sketch()}{shown}{words}</div>"
+        parts = self.shown()
+        tables = [each for each in parts if isinstance(each, WordTable)]
+        rows = self.summary()
+        if rows and not (tables and tables[0].name == "summary"):
+            parts = [facts_table("", rows), *parts]
+        shown = "".join(
+            each._repr_html_() if isinstance(each, WordTable) else f"<p>{escape(each)}</p>"
+            for each in parts
+        )
+        return f"<div><b>{escape(self.title)}</b>{self.sketch()}{shown}</div>"
 
     def __eq__(self, other: object) -> bool:
         return same_values(self, other) if type(other) is type(self) else NotImplemented
@@ -717,13 +721,21 @@ class Presented(Plotted):
         """
         every = [each for each in self.tables() if each.usual or each.name in also]
         tables = [each for each in every if each.rows]
-        return [*tables, *filter(None, (self.sentence, *self.notes))]
+        return [*tables, *self.sentences()]
+
+    def sentences(self) -> list[str]:
+        """What is stated beside the tables; default: what came out, and the notes."""
+        return [*filter(None, (self.sentence, *self.notes))]
 
     def data(self) -> dict[str, Any]:
-        """The result as JSON has it: its facts, the rows of its tables by name, its sentences."""
-        found = dict(self.facts())
+        """The result as JSON has it: its facts, the rows of its tables by name, its sentences.
+
+        Of a result that states facts, tables of words alone say no more than these.
+        """
+        facts = self.facts()
+        found = dict(facts)
         for table in self.tables():
-            if not (found and table.name == "summary"):
+            if not (table.name in facts or (facts and table.plain)):
                 found.setdefault(table.name, []).extend(table.data)
         said = {"sentence": self.sentence} if self.sentence else {}
         return found | said | {"notes": list(self.notes)}

@@ -167,11 +167,11 @@ class MapDifference(Presented):
         sections.add_rows(ranked.to_dict("records"))
         return [sections, frame_table("bins", self.bins)]
 
-    def shown(self, *also: str) -> list[WordTable | str]:
-        """The sections that changed, or what was compared; the outcome; what was left out."""
+    def sentences(self) -> list[str]:
+        """What was compared, the outcome, and what was left out."""
         fresh = [f"{name} {count}" for name, count in self.newly_observed.items() if count]
         words = [f"Observed for the first time (bins): {', '.join(fresh)}."] if fresh else []
-        return [*([] if self.changed else [self.title]), *super().shown(*also), *words]
+        return [*([] if self.changed else [self.title]), *super().sentences(), *words]
 
 
 def map_difference(

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -30,17 +31,17 @@ from analysis.given import Given, trip_of
 from analysis.resistance.fit import TripFit
 from analysis.resistance.observed import FitOfTrips, parameter_set
 from trainlog.arrays import FloatArray
-from trainlog.display import as_text
 from trainlog.errors import InputError
 from trainlog.formats.files import check_kind
 from trainlog.formats.train import train_to_bytes
+from trainlog.presentation import Presented, WordTable
 from trainlog.railway import Line, ParameterSet, Train
 from trainlog.trip import TRAIN_ATTACHMENT
 from trainlog.units import JOULES_PER_KWH
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Calculation:
+class Calculation(Presented):
     """A recorded trip beside what a model calculates for it.
 
     Attributes
@@ -91,16 +92,31 @@ class Calculation:
     notes: tuple[str, ...] = ()
     line: Line | None = None
 
-    def __repr__(self) -> str:
-        return as_text(f"Trip '{self.trip}' against the {self.model}", self._summary())
+    @property
+    def title(self) -> str:
+        """Trip and model."""
+        return f"Trip '{self.trip}' against the {self.model}"
 
-    def _repr_html_(self) -> str:
-        from analysis.comparison.calculated_table import calculation_tables
-        from trainlog.presentation import as_page
+    def facts(self) -> dict[str, Any]:
+        """Sections, what explains the residuals, and what of the model is wrong."""
+        from analysis.comparison.calculated_table import calculation_data
 
-        return as_page(*calculation_tables(self))
+        return calculation_data(self)
 
-    def _summary(self) -> dict[str, str]:
+    def tables(self) -> list[WordTable]:
+        """Sections, and what explains the residuals."""
+        from analysis.comparison.calculated_table import explained_table, sections_table
+
+        return [sections_table(self), *([explained_table(self)] if self.efforts else [])]
+
+    def sentences(self) -> list[str]:
+        """What the model does not determine, and what the trip contradicts."""
+        from analysis.comparison.calculated_table import calculation_words
+
+        return calculation_words(self)
+
+    def summary(self) -> dict[str, str]:
+        """Work and time, calculated and measured."""
         rows = {}
         total, std = self.total("calculated_work"), self.total_std("work_std")
         rows["tractive work"] = f"{total / JOULES_PER_KWH:.1f} ± {1.96 * std / JOULES_PER_KWH:.1f}"

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.console import RenderableType
 
 from analysis.charts import BLUE, GREY, INK, ORANGE, dress, headline, km_axis, legend, new_figure
 from analysis.comparison.calculated import Calculation, distinct
@@ -19,11 +18,9 @@ from trainlog.presentation import WordTable, new_table
 from trainlog.units import JOULES_PER_KWH, KMH
 
 
-def calculation_tables(found: Calculation) -> list[RenderableType]:
-    """Sections, what explains the residuals, and what of the model is wrong."""
-    parts: list[RenderableType] = [sections_table(found)]
-    if found.efforts:
-        parts.append(explained_table(found))
+def calculation_words(found: Calculation) -> list[str]:
+    """What the model does not determine, and what of it is wrong."""
+    parts = list[str]()
     for quantity, sections in found.not_determined.items():
         parts.append(
             f"the {found.model} does not determine the {quantity} of {', '.join(sections)}: half"

@@ -20,8 +20,9 @@ from analysis.comparison.sections import (
     sections_between,
 )
 from analysis.given import Given, each_given
-from trainlog.display import as_text, counted
+from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
+from trainlog.presentation import Presented, WordTable
 from trainlog.railway import Line, ParameterSet, Trajectory
 from trainlog.units import clock
 
@@ -107,7 +108,7 @@ class ComparedDirection:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Comparison:
+class Comparison(Presented):
     """Trips over a line, compared by position.
 
     Attributes
@@ -121,21 +122,38 @@ class Comparison:
     directions: tuple[ComparedDirection, ...]
     left_out: tuple[str, ...] = ()
 
-    def __repr__(self) -> str:
-        return as_text(self._title, self._summary())
-
-    def _repr_html_(self) -> str:
-        from analysis.comparison.table import comparison_tables
-        from trainlog.presentation import as_page
-
-        return as_page(*comparison_tables(self))
-
     @property
-    def _title(self) -> str:
+    def title(self) -> str:
+        """How many trips were compared on which line."""
         trips = sum(len(each.trips) for each in self.directions)
         return f"Comparison of {counted(trips, 'trip')} on {self.directions[0].line.name}"
 
-    def _summary(self) -> dict[str, str]:
+    def facts(self) -> dict[str, Any]:
+        """Directions with sections, trips and losses."""
+        from analysis.comparison.table import direction_facts
+
+        return {
+            "line": self.directions[0].line.name,
+            "directions": [direction_facts(each) for each in self.directions],
+            "left_out": list(self.left_out),
+        }
+
+    def tables(self) -> list[WordTable]:
+        """Of each direction by itself: trips, sections, losses, how it was driven."""
+        from analysis.comparison.table import direction_tables
+
+        return [table for each in self.directions for table in direction_tables(each)]
+
+    @property
+    def notes(self) -> list[str]:
+        """What a reader of the tables must know."""
+        from analysis.comparison.table import notes
+
+        every = [note for each in self.directions for note in notes(each)]
+        return every + [f"left out: {reason}" for reason in self.left_out]
+
+    def summary(self) -> dict[str, str]:
+        """Each direction."""
         rows = {}
         for each in self.directions:
             compared = [trip for trip in each.trips if trip.lost is not None]

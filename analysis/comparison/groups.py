@@ -7,17 +7,25 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Group
 
 from analysis.adhesion.events import protection_onsets
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.reading import described, pieces_of
 from analysis.given import Given, each_given
-from trainlog.display import as_text, counted
+from trainlog.display import counted
 from trainlog.errors import LogError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.mcap import read_log
-from trainlog.presentation import kwh, new_table
+from trainlog.presentation import (
+    DURATION,
+    ENERGY,
+    Column,
+    Presented,
+    Said,
+    WordTable,
+    kwh,
+    new_table,
+)
 from trainlog.railway import Line, Train
 from trainlog.railway.train import NOMINAL
 from trainlog.topics import EVENTS, REFERENCE, TRAIN_SLIP_PROTECTION
@@ -239,8 +247,39 @@ class Saving:
         return self.driver.line - self.trajectory.line
 
 
+def _cost(of: TripCost) -> Said:
+    return Said(of.traction, f"{kwh(of.traction)}, {of.running_time:.0f} s")
+
+
+def _saved(pair: Saving) -> Said:
+    words = f"{kwh(pair.traction)}, {pair.traction / pair.driver.traction:.1%}"
+    return Said(pair.traction, words)
+
+
+def _late_cell(pair: Saving) -> Said | None:
+    late = pair.trajectory.late
+    return None if late is None else Said(late, f"{late:+.1f} s")
+
+
+def _slips_cell(pair: Saving) -> str:
+    counts = (pair.driver.slips, pair.trajectory.slips)
+    return " / ".join("-" if each is None else f"{each}" for each in counts)
+
+
+PAIR_COLUMNS = (
+    Column("trip", of=lambda pair: pair.driver.name),
+    Column("driver", ENERGY, each=True, of=lambda pair: _cost(pair.driver)),
+    Column("trajectory", ENERGY, each=True, of=lambda pair: _cost(pair.trajectory)),
+    Column("saved", ENERGY, each=True, of=_saved),
+    Column("saved from the line", ENERGY, each=True, of="line"),
+    Column("behind it", DURATION, each=True, of=_late_cell, rank=1),
+    Column("slips", of=_slips_cell, rank=1),
+)
+"""Of a pair of trips."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class GroupComparison:
+class GroupComparison(Presented):
     """Drivers' trips beside trips that followed a trajectory.
 
     Attributes
@@ -253,19 +292,13 @@ class GroupComparison:
     pairs: tuple[Saving, ...]
     remarks: tuple[str, ...] = ()
 
-    def __repr__(self) -> str:
-        return as_text(self._title, self._summary())
-
-    def _repr_html_(self) -> str:
-        from trainlog.presentation import as_page
-
-        return as_page(savings_table(self))
-
     @property
-    def _title(self) -> str:
+    def title(self) -> str:
+        """How many trips were compared."""
         return f"Drivers beside the trajectory: {counted(len(self.pairs), 'pair')} of trips"
 
-    def _summary(self) -> dict[str, str]:
+    def summary(self) -> dict[str, str]:
+        """Energy saved, and running times."""
         spent, saved = self.total_saved
         driver, own = self.running_times
         return {
@@ -273,6 +306,39 @@ class GroupComparison:
             f" {spent / JOULES_PER_KWH:.2f} kWh saved, {saved / spent:.1%}",
             "running time": f"{own:.0f} s on the trajectory, {driver:.0f} s by the drivers",
         }
+
+    def tables(self) -> list[WordTable]:
+        """What following the trajectory saved, pair by pair, and their mean."""
+        title = "Tractive energy at the wheel rims, running time, how often slip protection acted"
+        table = new_table(title, *PAIR_COLUMNS, name="pairs").add_rows(self.pairs)
+        if len(self.pairs) > 1:
+            each = [pair.traction for pair in self.pairs]
+            mean, std = float(np.mean(each)), float(np.std(each, ddof=1))
+            table.add_row(
+                "mean ± std",
+                *(
+                    Said(None, _mean([getattr(pair, side) for pair in self.pairs]))
+                    for side in ("driver", "trajectory")
+                ),
+                Said(None, f"{kwh(mean)} ± {kwh(std)}"),
+                *[Said(None, "")] * 3,
+            )
+        return [table]
+
+    @property
+    def sentence(self) -> str:
+        """What was saved on all trips together."""
+        spent, saved = self.total_saved
+        line = kwh(sum(pair.line for pair in self.pairs))
+        return (
+            f"Saved on {counted(len(self.pairs), 'trip')}: {kwh(saved)} of {kwh(spent)},"
+            f" {saved / spent:.1%}; {line} from the line; {running_times(self)}."
+        )
+
+    @property
+    def notes(self) -> list[str]:
+        """Where the trips of a pair differ in more than who drove."""
+        return [f"{remark}." for remark in self.remarks]
 
     @property
     def total_saved(self) -> tuple[float, float]:
@@ -406,38 +472,6 @@ def _unlike(driver: TripCost, followed: TripCost) -> tuple[int, str] | None:
         each = zip(names, (driver.stops, followed.stops), strict=True)
         return 3, " and ".join(f"{name} stopped {stops}x" for name, stops in each if stops)
     return None
-
-
-def savings_table(found: GroupComparison) -> Group:
-    """What following the trajectory saved, pair by pair and together."""
-    pairs = found.pairs
-    title = "Tractive energy at the wheel rims, running time, how often slip protection acted"
-    table = new_table(
-        title, "trip", "driver", "trajectory", "saved", "saved from the line", "behind it", "slips"
-    )
-    for pair in pairs:
-        driver, own = pair.driver, pair.trajectory
-        table.add_row(
-            driver.name,
-            f"{kwh(driver.traction)}, {driver.running_time:.0f} s",
-            f"{kwh(own.traction)}, {own.running_time:.0f} s",
-            f"{kwh(pair.traction)}, {pair.traction / driver.traction:.1%}",
-            kwh(pair.line),
-            "-" if own.late is None else f"{own.late:+.1f} s",
-            " / ".join("-" if each.slips is None else f"{each.slips}" for each in (driver, own)),
-        )
-    if len(pairs) > 1:
-        saved_each = [pair.traction for pair in pairs]
-        table.add_row(
-            "mean ± std",
-            *(_mean([getattr(pair, side) for pair in pairs]) for side in ("driver", "trajectory")),
-            f"{kwh(float(np.mean(saved_each)))} ± {kwh(float(np.std(saved_each, ddof=1)))}",
-        )
-    spent, saved = found.total_saved
-    words = f"Saved on {counted(len(pairs), 'trip')}:"
-    words += f" {kwh(saved)} of {kwh(spent)}, {saved / spent:.1%};"
-    words += f" {kwh(sum(pair.line for pair in pairs))} from the line; {running_times(found)}."
-    return Group(table, words, *(f"{remark}." for remark in found.remarks))
 
 
 def _mean(costs: Sequence[TripCost]) -> str:

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from rich.console import RenderableType
 
-from analysis.comparison.compare import ComparedDirection, ComparedTrip, Comparison
+from analysis.comparison.compare import ComparedDirection, ComparedTrip
 from trainlog.presentation import WordTable, new_table
 from trainlog.railway.kilometres import in_km
 from trainlog.units import JOULES_PER_KWH, KMH
@@ -21,18 +20,14 @@ SMALL = 0.5
 """Time lost [s] below which a loss is not listed."""
 
 
-def comparison_tables(found: Comparison, listed: int = LISTED) -> list[RenderableType]:
-    """Tables of a comparison, each direction by itself: trips, sections, losses, notes."""
-    parts: list[RenderableType] = []
-    for each in found.directions:
-        parts += [trips_table(each), sections_table(each)]
-        if any(trip.lost is not None and trip.lost.losses for trip in each.trips):
-            parts.append(losses_table(each, listed))
-        if any(_driving_known(trip) for trip in each.trips):
-            parts.append(driving_table(each))
-        parts += notes(each)
-    parts += [f"left out: {reason}" for reason in found.left_out]
-    return parts
+def direction_tables(found: ComparedDirection) -> list[WordTable]:
+    """Tables of a direction: trips, sections, losses, how it was driven."""
+    tables = [trips_table(found), sections_table(found)]
+    if any(trip.lost is not None and trip.lost.losses for trip in found.trips):
+        tables.append(losses_table(found))
+    if any(_driving_known(trip) for trip in found.trips):
+        tables.append(driving_table(found))
+    return tables
 
 
 def trips_table(found: ComparedDirection) -> WordTable:
@@ -127,14 +122,14 @@ def _section_cell(each: ComparedTrip, name: str) -> str:
     return words + (f" ({lost:+.0f})" if math.isfinite(lost) else "")
 
 
-def losses_table(found: ComparedDirection, listed: int = LISTED) -> WordTable:
+def losses_table(found: ComparedDirection) -> WordTable:
     """Where most time was lost, and why; then where most was gained."""
     every = found.losses()
     large = every[every["lost"].abs() >= SMALL]
     lost, gained = large[large["lost"] > 0.0], large[large["lost"] < 0.0]
     table = new_table(
         f"{found.line.name}, {found.direction}: where time was lost,"
-        f" {min(listed, len(lost))} of {len(lost)} places; gained in {len(gained)}",
+        f" {min(LISTED, len(lost))} of {len(lost)} places; gained in {len(gained)}",
         "lost [s]",
         "trip",
         "place",
@@ -147,7 +142,7 @@ def losses_table(found: ComparedDirection, listed: int = LISTED) -> WordTable:
         if each.lost is not None
         for loss in each.lost.losses
     }
-    shown = pd.concat([lost.head(listed), gained.tail(max(1, listed // 4)).iloc[::-1]])
+    shown = pd.concat([lost.head(LISTED), gained.tail(max(1, LISTED // 4)).iloc[::-1]])
     for row in shown.to_dict("records"):
         first, last = row["first"], row["last"]
         short = last - first < 100.0
@@ -215,15 +210,6 @@ def notes(found: ComparedDirection) -> list[str]:
     return every
 
 
-def comparison_data(found: Comparison) -> dict[str, Any]:
-    """A comparison as data for JSON: directions with sections, trips, losses; SI units."""
-    return {
-        "line": found.directions[0].line.name,
-        "directions": [_direction_data(each) for each in found.directions],
-        "left_out": list(found.left_out),
-    }
-
-
 _UNITS = {
     "first": "first_m",
     "last": "last_m",
@@ -242,7 +228,8 @@ _UNITS = {
 }
 
 
-def _direction_data(found: ComparedDirection) -> dict[str, Any]:
+def direction_facts(found: ComparedDirection) -> dict[str, Any]:
+    """A direction as JSON has it, in SI units."""
     return {
         "direction": found.direction,
         "reference": found.reference.name,

@@ -39,15 +39,16 @@ from analysis.fleet.diff_judgement import (
 from analysis.fleet.diff_map import PLACES, moved_places
 from analysis.fleet.versions import Version, ensure_results, opened_version
 from trainlog.arrays import BoolArray, FloatArray, IntArray
-from trainlog.display import as_text, counted
+from trainlog.display import counted
 from trainlog.errors import InputError
+from trainlog.presentation import Presented, WordTable
 
 if TYPE_CHECKING:
     from trainlog.catalogue import Catalogue
 
 
 @dataclass(frozen=True, repr=False)
-class FleetDiff:
+class FleetDiff(Presented):
     """Where two versions differ over the same trips.
 
     Attributes
@@ -104,15 +105,37 @@ class FleetDiff:
         changed = len(self.verdicts) + len(self.words) + len(self.by_definition)
         return not changed and bool((counts["same"] == counts["trips"]).all())
 
-    def __repr__(self) -> str:
+    @property
+    def title(self) -> str:
+        """What is compared over how many trips."""
+        return f"Difference of {self.second} to {self.first} over {counted(self.trips, 'trip')}"
+
+    def summary(self) -> dict[str, str]:
+        """How many estimates moved how far."""
         counts = {
             name: f"{int(self.estimates[name].sum()):,}" if len(self.estimates) else "0"
             for name in CLASSES
         }
-        return as_text(
-            f"Difference of {self.second} to {self.first} over {counted(self.trips, 'trip')}",
-            counts | {"given by one side": f"{len(self.verdicts):,}"},
-        )
+        return counts | {"given by one side": f"{len(self.verdicts):,}"}
+
+    def facts(self) -> dict[str, Any]:
+        """All of it; of single trips as many as the tables list."""
+        from analysis.fleet.diff_table import details
+
+        return details(self)
+
+    def tables(self) -> list[WordTable]:
+        """Counts, means, verdicts, places, single estimates and texts."""
+        from analysis.fleet.diff_table import tables
+
+        return tables(self)
+
+    @property
+    def sentence(self) -> str:
+        """The difference in one sentence."""
+        from analysis.fleet.diff_table import sentence
+
+        return f"{sentence(self)}."
 
 
 def fleet_diff(

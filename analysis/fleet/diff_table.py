@@ -37,7 +37,7 @@ def counts_table(found: FleetDiff) -> WordTable:
     """Of how many trips the worst difference is which, an analysis a row."""
     table = new_table(
         f"Trips of {found.second} against {found.first}", "analysis", Column("trips", NUMBER),
-        *(Column(_HEADINGS[each], NUMBER, each) for each in CLASSES), name="trips",
+        *(Column(_HEADINGS[each], NUMBER, each) for each in CLASSES), name="analyses",
         caption="Beyond the band: an estimate at least, or one side alone has a result.",
     )  # fmt: skip
     for row in found.trip_counts.to_dict("records"):
@@ -149,12 +149,11 @@ def words_table(found: FleetDiff, most: int = MOST) -> WordTable:
 
 
 def tables(found: FleetDiff) -> list[WordTable]:
-    """All tables that hold anything, in the order in which they are read."""
-    every = [
+    """All tables, in the order in which they are read."""
+    return [
         counts_table(found), means_table(found), verdicts_table(found), places_table(found),
         moved_table(found), estimates_table(found), words_table(found),
     ]  # fmt: skip
-    return [each for each in every if each.rows]
 
 
 def sentence(found: FleetDiff) -> str:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from analysis.fleet.update import Counts, FleetStatus, Problem
+from analysis.fleet.update import Problem
 from trainlog.presentation import NUMBER, Column, WordTable, new_table
 
 FEW = 5
@@ -15,24 +15,6 @@ FEW = 5
 _NUMBERS = re.compile(r"[-+]?\d+(?:[.,]\d+)*(?:e[-+]?\d+)?")
 _QUOTED = re.compile(r"'[^']*'")
 _PRESENT = re.compile(r"; topics present: .*")
-
-
-def update_table(counts: Mapping[str, Counts]) -> WordTable:
-    """What an update computed, an analysis a row."""
-    states = ("done", "refused", "failed", "known", "pending")
-    table = new_table("Computed", "analysis", *(Column(each, NUMBER) for each in states), "code")
-    for each in counts.values():
-        table.add_cells(each.analysis, *(getattr(each, state) for state in states), each.code)
-    return table
-
-
-def status_table(found: FleetStatus) -> WordTable:
-    """How many trips of each analysis are in each state."""
-    states = ("done", "refused", "failed", "pending")
-    table = new_table("Computed by this code", "analysis", *(Column(s, NUMBER) for s in states))
-    for name, each in found.analyses.items():
-        table.add_cells(name, *(each[state] for state in states))
-    return table
 
 
 def problems_table(problems: Sequence[Problem], most: int = FEW) -> WordTable:
@@ -46,7 +28,7 @@ def problems_table(problems: Sequence[Problem], most: int = FEW) -> WordTable:
         together.setdefault((each.key, each.state, each.reason), []).append(each)
     if len({each.key for each in problems}) > most:
         return _by_reason(list(together.values()))
-    table = new_table("Without a result", "trip", "analysis", "state", "reason")
+    table = new_table("Without a result", "trip", "analysis", "state", "reason", name="problems")
     for (_, state, reason), group in together.items():
         table.add_row(_trip_of(group[0]), _analyses_of(group), state, reason)
     return table
@@ -60,7 +42,7 @@ def _by_reason(groups: Sequence[Sequence[Problem]]) -> WordTable:
         alike.setdefault((_analyses_of(group), group[0].state, form), []).append(group[0])
     table = new_table(
         "Without a result", "analysis", "state", Column("trips", NUMBER), "reason, of one of them",
-        "this trip",
+        "this trip", name="problems",
     )  # fmt: skip
     for (names, state, _), rows in sorted(alike.items(), key=lambda each: -len(each[1])):
         table.add_cells(names, state, len(rows), rows[0].reason, _trip_of(rows[0]))

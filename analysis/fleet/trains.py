@@ -22,14 +22,16 @@ from analysis.fleet.unlike import (
     months_of,
     unlike_trains,
 )
+from trainlog.display import counted
 from trainlog.errors import InputError
+from trainlog.presentation import Presented, WordTable
 
 if TYPE_CHECKING:
     from trainlog.catalogue import Catalogue
 
 
-@dataclass(frozen=True, eq=False)
-class FleetTrains:
+@dataclass(frozen=True, eq=False, repr=False)
+class FleetTrains(Presented):
     """What a fleet shows of its trains.
 
     Attributes
@@ -46,6 +48,27 @@ class FleetTrains:
     unlike: UnlikeTrains
     drift: tuple[Drift, ...]
     trips: dict[str, pd.DataFrame]
+
+    @property
+    def title(self) -> str:
+        """How many trains of how many kinds."""
+        trains = sum(len(kind.trains) for kind in self.resistance)
+        return f"Fleet of {counted(trains, 'train')}, {counted(len(self.resistance.kinds), 'kind')}"
+
+    def summary(self) -> dict[str, str]:
+        """The mean of each kind."""
+        return self.resistance.summary()
+
+    def tables(self) -> list[WordTable]:
+        """Resistance of each train and its drift; what is unlike; what would not be seen."""
+        from analysis.fleet.trains_table import findings_table, limits_table, trains_table
+
+        return [trains_table(self), findings_table(self), limits_table(self)]
+
+    @property
+    def notes(self) -> list[str]:
+        """Which kinds have too few trains."""
+        return [self.too_few] if self.too_few else []
 
     @property
     def too_few(self) -> str:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from rich.console import Group
 
 from analysis.fleet.drift import Drift
 from analysis.fleet.resistance import KindResistance, TrainResistance
@@ -31,15 +30,14 @@ COLUMNS = (
 )
 
 
-def trains_table(found: FleetTrains) -> Group:
-    """Resistance of each train, its drift, and what is unlike; findings and limits below."""
+def trains_table(found: FleetTrains) -> WordTable:
+    """Resistance of each train, and its drift."""
     table = new_table("Trains of the fleet", *COLUMNS, name="trains")
     for kind in found.resistance:
         for train in (*kind.trains, kind.another):
             table.add_cells(*_cells(found, kind, train))
     table.caption = "± half the 95 % band"
-    tables = table, findings_table(found), limits_table(found)
-    return Group(found.too_few, *tables) if found.too_few else Group(*tables)
+    return table
 
 
 def _cells(found: FleetTrains, kind: KindResistance, train: TrainResistance) -> tuple[Any, ...]:

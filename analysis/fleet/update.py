@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from analysis.fleet.codes import code_of
-from trainlog.display import as_text, counted
+from trainlog.display import counted
 from trainlog.errors import InputError
+from trainlog.presentation import NUMBER, Column, Presented, WordTable, new_table
 from trainlog.progress import task
 
 if TYPE_CHECKING:
@@ -98,8 +99,12 @@ class Counts:
     pending: int = 0
 
 
+STATES = ("done", "refused", "failed", "known", "pending")
+"""Of a trip for an analysis, as an update counts them."""
+
+
 @dataclass(repr=False)
-class FleetUpdate:
+class FleetUpdate(Presented):
     """What an update did.
 
     Attributes
@@ -141,22 +146,27 @@ class FleetUpdate:
     files_merged: int = 0
     maps: MapsUpdate | None = None
 
-    def __repr__(self) -> str:
-        rows = {
+    @property
+    def title(self) -> str:
+        """The update in one sentence."""
+        return f"Update of a fleet: {self.sentence}"
+
+    def summary(self) -> dict[str, str]:
+        """What became of the trips, by analysis."""
+        return {
             each.analysis: ", ".join(
-                f"{number:,} {state}"
-                for state, number in (
-                    ("done", each.done),
-                    ("refused", each.refused),
-                    ("failed", each.failed),
-                    ("known", each.known),
-                    ("pending", each.pending),
-                )
-                if number
+                f"{number:,} {state}" for state in STATES if (number := getattr(each, state))
             )
             for each in self.counts.values()
         }
-        return as_text(f"Update of a fleet: {self.sentence}", rows)
+
+    def tables(self) -> list[WordTable]:
+        """What was computed by analysis, and trips that gave no result."""
+        from analysis.fleet.table import problems_table
+
+        columns = (Column("analysis"), *(Column(each, NUMBER) for each in STATES), Column("code"))
+        computed = new_table("Computed", *columns, name="analyses").add_rows(self.counts.values())
+        return [computed, problems_table(self.problems)]
 
     @property
     def sentence(self) -> str:
@@ -179,8 +189,8 @@ class FleetUpdate:
         """Trips that some analysis refused or failed at now."""
         return sum(each.refused + each.failed for each in self.counts.values())
 
-    def details(self) -> dict[str, Any]:
-        """The update as JSON."""
+    def facts(self) -> dict[str, Any]:
+        """Time, workers, and what became of each trip."""
         return {
             "trips": self.trips,
             "unread": self.unread,
@@ -530,7 +540,7 @@ def gone_words(number: int) -> str:
 
 
 @dataclass(frozen=True, repr=False)
-class FleetStatus:
+class FleetStatus(Presented):
     """What of a catalogue is computed by this code.
 
     Attributes
@@ -550,21 +560,42 @@ class FleetStatus:
     results: Path
     gone: int = 0
 
-    def __repr__(self) -> str:
-        rows = {
+    @property
+    def title(self) -> str:
+        """What it is, and how many logs are gone."""
+        return f"State of a fleet{f': {gone_words(self.gone)}' if self.gone else ''}"
+
+    def summary(self) -> dict[str, str]:
+        """How many trips are in each state, by analysis."""
+        return {
             name: ", ".join(f"{number:,} {state}" for state, number in each.items() if number)
             for name, each in self.analyses.items()
         }
-        words = f": {gone_words(self.gone)}" if self.gone else ""
-        return as_text(f"State of a fleet{words}", rows)
+
+    def tables(self) -> list[WordTable]:
+        """How many trips of each analysis are in each state; those without a result on request."""
+        from analysis.fleet.table import problems_table
+
+        states = ("done", "refused", "failed", "pending")
+        columns = (Column("analysis"), *(Column(each, NUMBER) for each in states))
+        table = new_table("Computed by this code", *columns, name="analyses")
+        table.add_rows({"analysis": name} | each for name, each in self.analyses.items())
+        problems = problems_table(self.problems, most=len(self.problems))
+        problems.usual = False
+        return [table, problems]
+
+    @property
+    def notes(self) -> list[str]:
+        """How many logs are gone."""
+        return [gone_words(self.gone)] if self.gone else []
 
     @property
     def pending(self) -> int:
         """Most trips that an analysis waits for."""
         return max((each["pending"] for each in self.analyses.values()), default=0)
 
-    def details(self) -> dict[str, Any]:
-        """The state as JSON."""
+    def facts(self) -> dict[str, Any]:
+        """The state of each analysis, and trips without a result."""
         return {
             "analyses": [{"analysis": name, **each} for name, each in self.analyses.items()],
             "problems": [asdict(each) for each in self.problems],

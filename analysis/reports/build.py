@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from analysis.charts import BLUE, Chart, Curve, Panel, rows_to_draw, stations_of
-from analysis.comparison.groups import TripCost, compare_groups, savings_table, trip_cost
+from analysis.comparison.groups import TripCost, compare_groups, trip_cost
 from analysis.reports.charts import WITHOUT_BOKEH, as_part
 from analysis.reports.page import Commands, Page, Part, Section, Warned
 from analysis.reports.results import (
@@ -341,7 +341,7 @@ def _saved(found: _Folder) -> list[Part]:
         return []
     note("comparison")
     try:
-        return [savings_table(compare_groups(found.logs["trips"], found.logs["driven"]))]
+        return [*compare_groups(found.logs["trips"], found.logs["driven"]).shown()]
     except TrainlogError as error:
         return [f"Trips and followed trips were not compared: {error}."]
 

@@ -25,10 +25,7 @@ def resistance_parts(found: FleetTrains) -> list[Part]:
         for kind in found.resistance
     ]
     # Findings and limits have a section of their own.
-    every = [
-        each for each in trains_table(found).renderables if getattr(each, "name", "") == "trains"
-    ]
-    return [*_few(found), *pictures, *every]
+    return [*_few(found), *pictures, trains_table(found)]
 
 
 def unlike_parts(found: FleetTrains) -> list[Part]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from trainlog.cli.options import CatalogueOption, ZoneOption, destination
-from trainlog.cli.terminal import console, current, print_error, print_warning, state, wrote
+from trainlog.cli.terminal import console, current, print_error, print_warning, show, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write, output_folder
@@ -166,8 +166,7 @@ def fleet_show(
     Example: trainlog fleet show --problems
     """
     from analysis.catalogue_table import overview_table, problems_table
-    from analysis.fleet import table
-    from analysis.fleet.update import fleet_status, gone_words
+    from analysis.fleet.update import fleet_status
     from trainlog.catalogue import open_catalogue
 
     with open_catalogue(catalogue, create=False) as opened:
@@ -175,7 +174,7 @@ def fleet_show(
         shown = problems_table(opened) if problems else overview_table(opened, by)
         about = {"version": opened.version, "migrated": opened.migrated_from is not None}
         found = fleet_status(opened, analyses, where=trips)
-        as_json = state({"catalogue": opened.place, **about, "counts": counts, **found.details()})
+        as_json = state({"catalogue": opened.place, **about, "counts": counts, **found.data()})
     if shown.rows or as_json or not problems:
         console.print(shown)
     else:
@@ -184,11 +183,7 @@ def fleet_show(
     console.print(words or "no trips", highlight=False)
     if as_json:
         return
-    console.print(table.status_table(found))
-    if found.gone:
-        console.print(gone_words(found.gone), highlight=False, soft_wrap=True)
-    if problems and found.problems:
-        console.print(table.problems_table(found.problems, most=len(found.problems)))
+    show(found, also=["problems"] if problems else [])
 
 
 @fleet_app.command("query")
@@ -385,7 +380,6 @@ def fleet_update(
 
     Example: trainlog fleet update --workers 2
     """
-    from analysis.fleet.table import problems_table, update_table
     from analysis.fleet.update import FIRST, UpdateOptions, fleet_status, gone_words, update_fleet
     from trainlog.catalogue import open_catalogue
 
@@ -406,14 +400,11 @@ def fleet_update(
         current().finished = lambda: "each batch that was finished is kept; update again"
         found = update_fleet(opened, analyses, options, report)
         current().finished = None
-    if not state(found.details()):
-        console.print(update_table(found.counts))
-        if found.problems:
-            console.print(problems_table(found.problems))
+    show(found)
+    if not current().as_json:
         more = len(seen) - len({each.key for each in found.problems})
         if more > 0:
             console.print(f"and {counted(more, 'trip')} more: trainlog fleet show --problems")
-        console.print(found.sentence, highlight=False)
     if found.unread or any(each.failed for each in found.counts.values()):
         raise typer.Exit(1)
 
@@ -453,7 +444,7 @@ def fleet_trains(
         draw_resistance,
     )
     from analysis.fleet.trains import trains_in
-    from analysis.fleet.trains_table import trains_data, trains_table
+    from analysis.fleet.trains_table import trains_data
     from trainlog.catalogue import open_catalogue
 
     if not 0.0 < false_alarms <= 20.0:
@@ -479,7 +470,7 @@ def fleet_trains(
                 draw_drift(each.kind, shown, written[-1])
         written.append(output / "findings.png")
         draw_findings(shown, written[-1])
-    console.print(trains_table(shown))
+    show(shown)
     wrote(*written)
 
 
@@ -517,7 +508,6 @@ def fleet_diff(
     Example: trainlog fleet diff now resistance.largest_std=0.2
     """
     from analysis.fleet.diff import fleet_diff as compare
-    from analysis.fleet.diff_table import details, sentence, tables
     from trainlog.catalogue import open_catalogue
 
     with open_catalogue(catalogue, create=False) as opened:
@@ -528,9 +518,7 @@ def fleet_diff(
         from analysis.reports.fleet_diff import write_diff
 
         wrote(*write_diff(found, output))
-    if not state(details(found)):
-        console.print(*tables(found), sep="\n")
-        console.print(f"{sentence(found)}.", highlight=False, soft_wrap=True)
+    show(found)
     if found.beyond:
         raise typer.Exit(1)
 

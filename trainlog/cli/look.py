@@ -22,7 +22,7 @@ from trainlog.cli.options import (
     moment,
     part_of,
 )
-from trainlog.cli.terminal import console, print_error, state, working, wrote
+from trainlog.cli.terminal import console, print_error, show, state, working, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.progress import track
@@ -111,7 +111,7 @@ def compare(
         model=None if model is None else read_parameters(model),
         by_time_of_day=time_of_day,
     )
-    _show(found)
+    show(found)
     if picture is not None:
         _draw(found, picture)
 
@@ -121,14 +121,6 @@ def _reference(path: Path) -> Path | Trajectory:
     from trainlog.formats.trajectory import read_trajectory
 
     return path if path.suffix == ".mcap" or path.is_dir() else read_trajectory(path)
-
-
-def _show(found: Comparison) -> None:
-    from analysis.comparison.table import comparison_data, comparison_tables
-
-    if not state(comparison_data(found)):
-        for part in comparison_tables(found):
-            console.print(part, highlight=False)
 
 
 def _draw(found: Comparison, picture: Path) -> None:
@@ -144,21 +136,19 @@ def _draw(found: Comparison, picture: Path) -> None:
 
 
 def _groups(logs: list[Path], followed: list[Path]) -> None:
-    from analysis.comparison.groups import compare_groups, savings_table
+    from analysis.comparison.groups import compare_groups
 
     for each in followed:
         if len(followed) > 1:
             console.print(f"with {each}", highlight=False)
-        console.print(savings_table(compare_groups(logs_in(logs), logs_in([each]))))
+        show(compare_groups(logs_in(logs), logs_in([each])))
 
 
 def _calculated(logs: list[Path], file: Path, wind: float | None, picture: Path | None) -> None:
     from analysis.charts import write_figure
     from analysis.comparison.calculated import calculate, judged_together
     from analysis.comparison.calculated_table import (
-        calculation_data,
         calculation_figure,
-        calculation_tables,
         diagnosis_data,
         together_words,
     )
@@ -168,11 +158,10 @@ def _calculated(logs: list[Path], file: Path, wind: float | None, picture: Path 
     for log in track(trips, "calculating", "trip"):
         found = calculate(log, model, wind_std=wind)
         calculations.append(found)
-        every.append(calculation_data(found))
+        every.append(found.data())
         together = judged_together(calculations)
         if not state({"trips": every, "together": diagnosis_data(together)}):
-            for part in calculation_tables(found):
-                console.print(part, highlight=False)
+            show(found)
         if picture is not None:
             several = len(trips) > 1
             path = picture.with_stem(f"{picture.stem}-{log.stem}") if several else picture
