@@ -379,7 +379,7 @@ def test_a_track_that_returns_to_its_switch_is_two_edges(tmp_path: Path) -> None
         ),
         (
             {"operational_points": [{"id": "x", "parts": [{"track": "gone", "position": 1.0}]}]},
-            r"operational_points\[0\].parts\[0\]: refers to track section 'gone'",
+            r"operational_points\[0\].parts\[0\]: refers to the track section 'gone'",
         ),
         (
             {"operational_points": [{"id": "x", "parts": [{"track": "a", "position": 1200.0}]}]},

@@ -26,7 +26,7 @@ from trainlog.condition import known_before
 from trainlog.errors import InputError
 from trainlog.extras import load
 from trainlog.formats.files import atomic_write, write_bytes
-from trainlog.formats.ttobench_adhesion import AdhesionSections, write_adhesion
+from trainlog.formats.ttobench import AdhesionSections, write_adhesion
 from trainlog.presentation import plain_rows
 from trainlog.railway import Line, TrackConditionMap
 from trainlog.railway.kilometres import in_km

@@ -12,7 +12,6 @@ from trainlog.errors import InputError
 from trainlog.formats import (
     line as line_format,
     osrd,
-    osrd_infrastructure,
     railml,
     railtoolkit,
     train as train_format,
@@ -320,8 +319,8 @@ def networks_in(
     data = read_bytes(path) if data is None else data
     if data.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"<":
         return railml.read_railml(path, limits)
-    if osrd_infrastructure.is_infrastructure(parse_json(data, file=path)):
-        return osrd_infrastructure.read_infrastructure(path, limits)
+    if osrd.is_infrastructure(parse_json(data, file=path)):
+        return osrd.read_infrastructure(path, limits)
     return None
 
 

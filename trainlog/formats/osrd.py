@@ -1,25 +1,42 @@
-"""Rolling stock of OSRD, the Open Source Railway Designer (railjson), as trains.
+"""Rolling stock and infrastructure of OSRD, the Open Source Railway Designer (railjson).
 
-https://osrd.fr: SI units without declaration; the tractive effort as tables over speed, one or more
-for each electrification.
+https://osrd.fr: SI units without declaration, but slopes in per mille. Rolling stock becomes a
+train: its tractive effort is a table over speed, one or more for each electrification.
+Infrastructure becomes a network: track sections with slopes and curves [m], joined by switches;
+speed sections; operational points; positions from a section's beginning.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from trainlog.display import span
 from trainlog.errors import InputError
 from trainlog.formats.files import read_json
-from trainlog.formats.schema import built, checked
+from trainlog.formats.schema import Finite, Foreign, NotNegative, Positive, built, checked
+from trainlog.formats.track_data import (
+    EVERY_LIMIT,
+    Account,
+    Infrastructure,
+    Limit,
+    LimitChoice,
+    Stretch,
+    TrackData,
+    curvature_of,
+    distinct_names,
+    not_in_file,
+)
+from trainlog.formats.track_graph import TrackEnd, TrackGraph
 from trainlog.formats.ttobench import assumed_axles
-from trainlog.railway import EffortCurve, RunningResistance, Train
+from trainlog.railway import EffortCurve, RunningResistance, Station, Train
+from trainlog.railway.geometry import to_plane
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+# ------------------------------------------------------------------------------- rolling stock
 
 _ASSUMED = (
     "max_dynamic_braking_effort",
@@ -34,11 +51,7 @@ _ASSUMED = (
 """Fields of a train that OSRD does not know."""
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="ignore", frozen=True)
-
-
-class _Curve(_Part):
+class _Efforts(Foreign):
     speeds: list[NotNegative]
     max_efforts: list[NotNegative]
 
@@ -49,35 +62,35 @@ class _Curve(_Part):
             raise InputError(error.problem, place=place, remedy=error.remedy) from error
 
 
-class _Conditional(_Part):
+class _Conditional(Foreign):
     cond: dict[str, Any]
-    curve: _Curve
+    curve: _Efforts
 
 
-class _Mode(_Part):
-    curves: list[_Conditional] = []
-    default_curve: _Curve
+class _Mode(Foreign):
+    curves: list[_Conditional] = Field(default_factory=list)
+    default_curve: _Efforts
     is_electric: bool = False
 
 
-class _EffortCurves(_Part):
+class _EffortCurves(Foreign):
     default_mode: str
     modes: Annotated[dict[str, _Mode], Field(min_length=1)]
 
 
-class _Davis(_Part):
+class _Davis(Foreign):
     type: Literal["davis"]
     A: NotNegative
     B: NotNegative
     C: NotNegative
 
 
-class _Gamma(_Part):
+class _Gamma(Foreign):
     type: Literal["CONST", "MAX"]
     value: Positive
 
 
-class _RollingStock(_Part):
+class _RollingStock(Foreign):
     """Keys that are not known are passed over and listed."""
 
     name: str = Field(min_length=1)
@@ -197,3 +210,356 @@ def read_train(path: str | Path, electrification: str | None = None) -> tuple[Tr
     unused = sorted(key for key in content if key not in used)
     dropped = stock.dropped(electrification)
     return train, dropped + ([f"keys {', '.join(unused)}"] if unused else [])
+
+
+# ------------------------------------------------------------------------------ infrastructure
+
+SWITCH_TYPES: dict[str, tuple[tuple[str, str], ...]] = {
+    "link": (("A", "B"),),
+    "point_switch": (("A", "B1"), ("A", "B2")),
+    "crossing": (("A1", "B1"), ("A2", "B2")),
+    "single_slip_switch": (("A1", "B1"), ("A1", "B2"), ("A2", "B2")),
+    "double_slip_switch": (("A1", "B1"), ("A1", "B2"), ("A2", "B1"), ("A2", "B2")),
+}
+"""The ports that the switches of OSRD connect, by their type."""
+
+NOT_HELD = {
+    "signals": "signals",
+    "detectors": "detectors",
+    "routes": "routes of the interlocking",
+    "electrifications": "electrified sections",
+    "neutral_sections": "neutral sections",
+    "level_crossings": "level crossings",
+}
+"""Lists of a file that a network does not hold, and what they are of."""
+
+
+FARTHEST = 2.0
+"""Courses so many times as long as their sections, or shorter by it, are drawings."""
+
+FARTHEST_ENDS = 10.0
+"""Ends so many times as far apart as their section is long have no coordinates."""
+
+
+class _Range(Foreign):
+    begin: NotNegative
+    end: NotNegative
+
+
+class _Slope(_Range):
+    gradient: Finite
+
+
+class _Curve(_Range):
+    radius: Finite
+
+
+class _Course(Foreign):
+    type: Literal["LineString"]
+    coordinates: Annotated[list[Annotated[list[Finite], Field(min_length=2)]], Field(min_length=2)]
+
+
+class _Section(Foreign):
+    id: str = Field(min_length=1)
+    length: Positive
+    slopes: list[_Slope] = Field(default_factory=list)
+    curves: list[_Curve] = Field(default_factory=list)
+    loading_gauge_limits: list[Any] = Field(default_factory=list)
+    geo: _Course | None = None
+
+
+class _Port(Foreign):
+    track: str
+    endpoint: Literal["BEGIN", "END"]
+
+
+class _Switch(Foreign):
+    id: str = Field(min_length=1)
+    switch_type: str
+    ports: dict[str, _Port]
+
+
+class _Connection(Foreign):
+    src: str
+    dst: str
+
+
+class _SwitchType(Foreign):
+    id: str
+    ports: list[str]
+    groups: dict[str, list[_Connection]]
+
+
+class _Place(Foreign):
+    track: str
+    position: NotNegative
+
+
+class _Identifier(Foreign):
+    name: str = ""
+
+
+class _Extensions(Foreign):
+    identifier: _Identifier | None = None
+
+
+class _OperationalPoint(Foreign):
+    id: str = Field(min_length=1)
+    parts: list[_Place]
+    extensions: _Extensions | None = None
+
+    @property
+    def name(self) -> str:
+        known = None if self.extensions is None else self.extensions.identifier
+        return known.name if known is not None and known.name else self.id
+
+
+class _TrackRange(_Range):
+    track: str
+    applicable_directions: Literal["START_TO_STOP", "STOP_TO_START", "BOTH"]
+
+
+class _SpeedSection(Foreign):
+    id: str
+    speed_limit: Positive | None = None
+    speed_limit_by_tag: dict[str, Positive] = Field(default_factory=dict)
+    track_ranges: list[_TrackRange]
+    on_routes: list[str] | None = None
+
+
+class _BufferStop(_Place):
+    id: str = Field(min_length=1)
+
+
+class _Infrastructure(Foreign):
+    """Keys that are not known are passed over and listed."""
+
+    version: str
+    track_sections: Annotated[list[_Section], Field(min_length=1)]
+    switches: list[_Switch]
+    extended_switch_types: list[_SwitchType] = Field(default_factory=list)
+    operational_points: list[_OperationalPoint] = Field(default_factory=list)
+    speed_sections: list[_SpeedSection] = Field(default_factory=list)
+    buffer_stops: list[_BufferStop] = Field(default_factory=list)
+
+
+def is_infrastructure(content: Any) -> bool:
+    """Whether the content of a JSON file is infrastructure of OSRD.
+
+    Examples
+    --------
+    >>> is_infrastructure({"version": "3.4.12", "track_sections": [], "switches": []})
+    True
+    """
+    return isinstance(content, dict) and {"track_sections", "switches"} <= content.keys()
+
+
+def read_infrastructure(path: str | Path, limits: LimitChoice = EVERY_LIMIT) -> Infrastructure:
+    """Read infrastructure of OSRD as a network.
+
+    Track sections that follow each other without a choice are one edge, through links and crossings
+    as well. Operational points are stations inside the edges of their tracks; switches and the ends
+    of tracks are nodes. Limits that hold on routes of the interlocking alone are taken to hold on
+    all. railjson does not define the side of a curve: positive radii are taken as bends to the
+    right from a section's beginning.
+
+    Parameters
+    ----------
+    path : str or Path
+    limits : LimitChoice, optional
+        Which of its speed limits hold.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, lacks something, refers to a track that it does not have, has no
+        limits of a category, or a switch is of a type that is not known.
+
+    Examples
+    --------
+    >>> read_infrastructure("absent.json")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: absent.json: does not exist; check the path
+    """
+    content = read_json(path)
+    infra = checked(_Infrastructure, content, path)
+    return built(lambda: _networks(infra, content, Path(path).stem, limits), path)
+
+
+def _networks(
+    infra: _Infrastructure, content: dict[str, Any], name: str, limits: LimitChoice
+) -> Infrastructure:
+    graph = TrackGraph(name, f"OSRD infrastructure (railjson {infra.version})")
+    tracks = _tracks(infra, graph.account)
+    _add_stations(infra, tracks)
+    _add_limits(infra, tracks, graph.account)
+    limits = limits.among(tracks.values(), graph.account)
+    for section in infra.track_sections:
+        graph.corners |= _corners(section)
+        graph.add(tracks[section.id], limits)
+    _add_movements(infra, graph)
+    for stop in infra.buffer_stops:
+        track = _track(tracks, stop.track, f"buffer_stops '{stop.id}'")
+        graph.label(stop.track, track.length, stop.position, stop.id)
+    for key, what in NOT_HELD.items():
+        graph.account.left_out[what] += len(content.get(key) or [])
+    unknown = content.keys() - NOT_HELD.keys() - _Infrastructure.model_fields.keys()
+    for key in sorted(unknown):
+        here = content[key]
+        graph.account.left_out[f"'{key}'"] += len(here) if isinstance(here, list | dict) else 1
+    return graph.account.of(graph.networks())
+
+
+def _tracks(infra: _Infrastructure, account: Account) -> dict[str, TrackData]:
+    """The track sections, with gradients, curves and course."""
+    tracks: dict[str, TrackData] = {}
+    scales = []
+    for number, section in enumerate(infra.track_sections):
+        place = f"track_sections[{number}]"
+        if section.id in tracks:
+            raise InputError(
+                f"track section '{section.id}' comes twice", place=place, remedy="remove one"
+            )
+        track = TrackData(section.id, section.length, level_between=True)
+        track.gradients = [Stretch(s.begin, s.end, 1e-3 * s.gradient) for s in section.slopes]
+        track.curves = [Stretch(s.begin, s.end, curvature_of(s.radius)) for s in section.curves]
+        if section.geo is not None:
+            scales.append(_lay(track, section.geo.coordinates))
+        account.left_out["loading gauge limits"] += len(section.loading_gauge_limits)
+        tracks[section.id] = track
+    known = np.array(scales)
+    drawn = int(np.sum(np.isnan(known) | (known > FARTHEST) | (known < 1.0 / FARTHEST)))
+    account.left_out["courses of track sections that are no coordinates of their lengths"] += drawn
+    scaled = known[(np.abs(known - 1.0) > 0.01) & (known <= FARTHEST) & (known >= 1.0 / FARTHEST)]
+    if scaled.size:
+        account.assumed[
+            f"courses {span(scaled, 1.0, 2)} times as long as their track sections, laid evenly"
+            " over these"
+        ] += scaled.size
+    return tracks
+
+
+def _lay(track: TrackData, coordinates: list[list[float]]) -> float:
+    """Give a track its course, laid evenly over its length; how many times as long it is.
+
+    NaN where it does not lie on the earth. Such and much longer or shorter ones are drawings.
+    """
+    longitudes, latitudes = np.array([point[:2] for point in coordinates]).T
+    if np.any(np.abs(latitudes) > 90.0) or np.any(np.abs(longitudes) > 180.0):
+        return np.nan
+    points = to_plane(latitudes, longitudes, (float(latitudes.mean()), float(longitudes.mean())))
+    along = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(points)))))
+    scale = float(along[-1] / track.length)
+    if 1.0 / FARTHEST <= scale <= FARTHEST:
+        rows = zip(along / scale, latitudes, longitudes, strict=True)
+        track.course = [(float(at), float(lat), float(lon)) for at, lat, lon in rows]
+        track.course_quality = "coordinates of OSRD infrastructure, laid over the stated lengths"
+    return scale
+
+
+def _corners(section: _Section) -> dict[TrackEnd, tuple[float, float]]:
+    """Latitude and longitude of a section's ends, where these are places on the earth."""
+    if section.geo is None:
+        return {}
+    ends = [(y, x) for x, y in (section.geo.coordinates[n][:2] for n in (0, -1))]
+    if any(abs(y) > 90.0 or abs(x) > 180.0 for y, x in ends):
+        return {}
+    apart = float(np.abs(to_plane(*ends[1], ends[0])))
+    if apart > FARTHEST_ENDS * section.length:
+        return {}
+    return {
+        TrackEnd(section.id, at_end): end for at_end, end in zip((False, True), ends, strict=True)
+    }
+
+
+def _track(tracks: dict[str, TrackData], name: str, place: str) -> TrackData:
+    if name not in tracks:
+        raise not_in_file("track section", name, place)
+    return tracks[name]
+
+
+def _add_stations(infra: _Infrastructure, tracks: dict[str, TrackData]) -> None:
+    """Operational points on their tracks; those that share a name have their id in it."""
+    names = distinct_names((point.name, point.id) for point in infra.operational_points)
+    for number, (point, name) in enumerate(zip(infra.operational_points, names, strict=True)):
+        for row, part in enumerate(point.parts):
+            place = f"operational_points[{number}].parts[{row}]"
+            track = _track(tracks, part.track, place)
+            if part.position > track.length + 1.0:
+                raise InputError(
+                    f"lies at {part.position:g} m of track section '{part.track}', which is"
+                    f" {track.length:g} m long",
+                    place=place,
+                    remedy="correct the position",
+                )
+            track.stations.append(Station(name, min(part.position, track.length)))
+
+
+def _add_limits(infra: _Infrastructure, tracks: dict[str, TrackData], account: Account) -> None:
+    """The limits of the speed sections, by direction and by category of train.
+
+    A section holds for a category with its own limit, else with that for all trains.
+    """
+    categories = sorted({tag for each in infra.speed_sections for tag in each.speed_limit_by_tag})
+    for number, section in enumerate(infra.speed_sections):
+        place = f"speed_sections[{number}]"
+        speeds = {tag: section.speed_limit_by_tag.get(tag, section.speed_limit)
+                  for tag in categories} | {"": section.speed_limit}  # fmt: skip
+        for row, each in enumerate(section.track_ranges):
+            track = _track(tracks, each.track, f"{place}.track_ranges[{row}]")
+            forward = each.applicable_directions != "STOP_TO_START"
+            against = each.applicable_directions != "START_TO_STOP"
+            track.limits += [
+                Limit(each.begin, each.end, speed, forward, against, tag)
+                for tag, speed in speeds.items()
+                if speed is not None
+            ]
+        routes = "speed sections of single routes of the interlocking hold on all routes"
+        account.assumed[routes] += section.on_routes is not None
+
+
+def _add_movements(infra: _Infrastructure, graph: TrackGraph) -> None:
+    types = dict(SWITCH_TYPES)
+    for kind in infra.extended_switch_types:
+        pairs = [(each.src, each.dst) for group in kind.groups.values() for each in group]
+        types[kind.id] = tuple(dict.fromkeys(pairs))
+    taken: dict[TrackEnd, str] = {}
+    for number, switch in enumerate(infra.switches):
+        place = f"switches[{number}]"
+        if switch.switch_type not in types:
+            raise InputError(
+                f"switch '{switch.id}' is of the type '{switch.switch_type}', which is not known",
+                place=place,
+                remedy=f"known are {', '.join(types)}; describe others in 'extended_switch_types'",
+            )
+        ends = dict(_ports(switch, graph, taken, place))
+        for first, second in types[switch.switch_type]:
+            for port in (first, second):
+                if port not in ends:
+                    raise InputError(
+                        f"switch '{switch.id}' has no port '{port}'",
+                        place=f"{place}.ports",
+                        remedy=f"a {switch.switch_type} has one",
+                    )
+            graph.movements.append((ends[first], ends[second]))
+        if switch.switch_type == "crossing":
+            graph.account.left_out["crossings, whose tracks are unconnected"] += 1
+
+
+def _ports(
+    switch: _Switch, graph: TrackGraph, taken: dict[TrackEnd, str], place: str
+) -> Iterator[tuple[str, TrackEnd]]:
+    """The track end at each port; none may be at two switches."""
+    for port, each in switch.ports.items():
+        end = TrackEnd(each.track, each.endpoint == "END")
+        if each.track not in graph.tracks:
+            raise not_in_file("track section", each.track, f"{place}.ports.{port}")
+        if taken.setdefault(end, switch.id) != switch.id:
+            raise InputError(
+                f"the {each.endpoint} of track section '{each.track}' is at switch '{switch.id}'"
+                f" and at switch '{taken[end]}'",
+                place=f"{place}.ports.{port}",
+                remedy="a track ends at one of them",
+            )
+        graph.labels[end] = switch.id
+        yield port, end

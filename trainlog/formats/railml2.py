@@ -6,7 +6,6 @@ in per mille and radii [m], right-hand bends positive, as seen along the track; 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import combinations, pairwise
@@ -14,17 +13,19 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from trainlog.formats.track_data import (
+    NOT_WGS84,
     SAME_PLACE,
     Infrastructure,
     Limit,
     LimitChoice,
     Stretch,
     TrackData,
+    curvature_of,
+    distinct_names,
 )
 from trainlog.formats.track_graph import TrackEnd, TrackGraph
-from trainlog.formats.xml_tree import Element
+from trainlog.formats.xml_tree import Element, numbers_in
 from trainlog.railway import LineReference, Station
-from trainlog.units import KMH
 
 ELEMENTS_HELD = {
     "speedChanges", "gradientChanges", "radiusChanges", "geoMappings", "tunnels",
@@ -107,7 +108,7 @@ class _File:
     tracks: list[_Track] = field(default_factory=list)
     data: dict[str, TrackData] = field(default_factory=dict)
     ocps: dict[str, Element] = field(default_factory=dict)
-    ocp_names: Counter[str] = field(default_factory=Counter)
+    ocp_names: dict[str, str] = field(default_factory=dict)
     lines: dict[str, Element] = field(default_factory=dict)
     sides: dict[str, tuple[Element, list[TrackEnd]]] = field(default_factory=dict)
     crossings: list[dict[str, list[Element]]] = field(default_factory=list)
@@ -118,7 +119,8 @@ class _File:
         self.ocps = {
             each.text("id"): each for each in self.infra.all("operationControlPoints", "ocp")
         }
-        self.ocp_names = Counter(each.text("name") for each in self.ocps.values())
+        named = [(each.text("name") or own, own) for own, each in self.ocps.items()]
+        self.ocp_names = dict(zip(self.ocps, distinct_names(named), strict=True))
         self.lines = {
             reference.text("ref"): line
             for line in self.infra.all("trackGroups", "line")
@@ -193,7 +195,7 @@ class _File:
         """Curvature; between a transition curve's ends it changes in a straight line."""
         used = [each for each in self._elements(track, "radius") if each.text("dir") != "down"]
         stretches = self._changes(track, "radius", "radius", 1.0)
-        bends = [Stretch(s.begin, s.end, 1.0 / s.value if s.value else 0.0) for s in stretches]
+        bends = [Stretch(s.begin, s.end, curvature_of(s.value)) for s in stretches]
         for number, each in enumerate(used):
             curve = each.text("geometryElementDescription").lower()
             if any(word in curve for word in TRANSITIONS) and number + 1 < len(bends):
@@ -226,9 +228,7 @@ class _File:
             for each, (start, end) in zip(used, pairwise(places), strict=True):
                 if each.text("vMax") == "end":
                     continue
-                speed = each.number("vMax") / KMH
-                if speed <= 0.0:
-                    raise each.error("vMax 0 could never be passed", "give the permitted speed")
+                speed = each.speed("vMax")
                 low, high = sorted((start, end))
                 found.append(Limit(low, high, speed, way == "up", way != "up", category))
         return found
@@ -264,15 +264,8 @@ class _File:
     def _ocp_name(self, element: Element) -> str:
         reference = element.text("ocpRef")
         if reference not in self.ocps:
-            raise element.error(
-                f"refers to the ocp '{reference}', which the file does not have",
-                "add the ocp, or correct the reference",
-            )
-        ocp = self.ocps[reference]
-        name = ocp.text("name")
-        if not name:
-            return reference
-        return name if self.ocp_names[name] == 1 else f"{name} ({reference})"
+            raise element.missing("ocp", reference)
+        return self.ocp_names[reference]
 
     def _course(self, track: _Track) -> Iterator[tuple[float, float, float]]:
         """Coordinates of the elements of a track that have a position."""
@@ -287,7 +280,7 @@ class _File:
                 code = coordinate.text("epsgCode", "4326").rpartition(":")[2]
                 words = coordinate.text("coord").split()
                 if code != "4326" or len(words) < 2:
-                    self.graph.account.left_out["coordinates that are not those of WGS 84"] += 1
+                    self.graph.account.left_out[NOT_WGS84] += 1
                     continue
                 try:
                     latitude, longitude = float(words[0]), float(words[1])
@@ -396,10 +389,7 @@ class _File:
         for own, (element, ends) in self.sides.items():
             other = element.text("ref")
             if other not in self.sides:
-                raise element.error(
-                    f"refers to the connection '{other}', which the file does not have",
-                    "add the connection, or correct the reference",
-                )
+                raise element.missing("connection", other)
             back = self.sides[other][0]
             if back.text("ref") != own:
                 raise element.error(
@@ -423,9 +413,7 @@ class _File:
         for track in self.tracks:
             for part in ("trackElements", "ocsElements"):
                 for container in track.element.all(part):
-                    for each in container.children:
-                        if each.tag not in ELEMENTS_HELD:
-                            counts[each.tag] += len(each.children)
+                    counts.update(numbers_in(container.children, ELEMENTS_HELD))
             if track.element.text("mainDir") not in ("", "both", "none", "unknown"):
                 self.graph.account.assumed[
                     "tracks with a main direction, over which trains may run both ways"

@@ -15,17 +15,19 @@ from itertools import pairwise
 import numpy as np
 
 from trainlog.formats.track_data import (
+    NOT_WGS84,
     SAME_PLACE,
     Infrastructure,
     Limit,
     LimitChoice,
     Stretch,
     TrackData,
+    curvature_of,
+    distinct_names,
 )
 from trainlog.formats.track_graph import TrackEnd, TrackGraph
-from trainlog.formats.xml_tree import Element
+from trainlog.formats.xml_tree import Element, numbers_in
 from trainlog.railway import LineReference, Station
-from trainlog.units import KMH
 
 FUNCTIONS_HELD = {
     "operationalPoints", "speeds", "switchesIS", "crossings", "bufferStops", "overCrossings",
@@ -151,10 +153,7 @@ class _File:
                 part = relation.first(f"element{side}")
                 own = "" if part is None else part.text("ref")
                 if own not in self.elements and own not in self.others:
-                    raise relation.error(
-                        f"refers to the net element '{own}', which the file does not have",
-                        "add the net element, or correct the reference",
-                    )
+                    raise relation.missing("net element", own)
                 position = relation.number(f"positionOn{side}")
                 if position not in (0.0, 1.0):
                     raise relation.error(
@@ -179,11 +178,8 @@ class _File:
         for tags in kinds:
             for each in functions.all(*tags) if functions is not None else ():
                 for place in self._spots(each):
-                    element = self.elements[place.name]
-                    for at_end, at in ((False, 0.0), (True, element.length)):
-                        if abs(place.begin - at) <= 1.0:
-                            label = _name(each) or each.text("id")
-                            self.graph.labels.setdefault(TrackEnd(place.name, at_end), label)
+                    length = self.elements[place.name].length
+                    self.graph.label(place.name, length, place.begin, _name_or_id(each))
 
     # ---- locations
 
@@ -194,10 +190,7 @@ class _File:
             return self.elements[own]
         if own in self.others:
             return None
-        raise reference.error(
-            f"refers to the net element '{own}', which the file does not have",
-            "add the net element, or correct the reference",
-        )
+        raise reference.missing("net element", own)
 
     def _spots(self, thing: Element) -> Iterator[_Piece]:
         """Its spot locations on net elements."""
@@ -299,8 +292,7 @@ class _File:
             return 0.0
         if form != "arc":
             return None
-        radius = curve.number("radius")
-        return 1.0 / radius if radius else 0.0
+        return curvature_of(curve.number("radius"))
 
     def _add_limits(self) -> None:
         counts = self.graph.account.left_out
@@ -310,9 +302,7 @@ class _File:
                 continue
             if section.text("maxSpeed") == "end":
                 continue
-            speed = section.number("maxSpeed") / KMH
-            if speed <= 0.0:
-                raise section.error("maxSpeed 0 could never be passed", "give the speed")
+            speed = section.speed("maxSpeed")
             profiles = [
                 self._profile_name(each.text("ref")) for each in section.all("validForSpeedProfile")
             ]
@@ -328,7 +318,7 @@ class _File:
         """The name of a speed profile."""
         for each in self.infra.all("functionalInfrastructure", "speeds", "speedProfile"):
             if each.text("id") == own:
-                return _name(each) or own
+                return _name_or_id(each)
         return own
 
     def _add_tunnels(self) -> None:
@@ -350,9 +340,8 @@ class _File:
         points = list(
             self.infra.all("functionalInfrastructure", "operationalPoints", "operationalPoint")
         )
-        names = [_name(each) or each.text("id") for each in points]
-        for point, known in zip(points, names, strict=True):
-            name = known if names.count(known) == 1 else f"{known} ({point.text('id')})"
+        names = distinct_names((_name_or_id(each), each.text("id")) for each in points)
+        for point, name in zip(points, names, strict=True):
             # An area or a stretch of the tracks is represented by its middle.
             places = [*self._spots(point), *self._stretches(point)]
             for place in places:
@@ -379,7 +368,7 @@ class _File:
             share = place.number("intrinsicCoord")
             for each in place.all("geometricCoordinate"):
                 if each.text("positioningSystemRef") not in self.wgs84:
-                    self.graph.account.left_out["coordinates that are not those of WGS 84"] += 1
+                    self.graph.account.left_out[NOT_WGS84] += 1
                     continue
                 yield share * element.length, each.number("y"), each.number("x")
 
@@ -402,16 +391,14 @@ class _File:
             "common", "positioning", "linearPositioningSystems", "linearPositioningSystem"
         ):
             if each.text("id") == system:
-                return _name(each) or system
+                return _name_or_id(each)
         return system
 
     def _account(self) -> None:
         """Count what stands in the file and not in the network."""
         counts = self.graph.account.left_out
         for container in self.infra.all("functionalInfrastructure"):
-            for each in container.children:
-                if each.tag not in FUNCTIONS_HELD:
-                    counts[each.tag] += len(each.children)
+            counts.update(numbers_in(container.children, FUNCTIONS_HELD))
 
 
 def _measures(element: Element) -> Iterator[tuple[str, list[tuple[float, float]]]]:
@@ -438,6 +425,10 @@ def _name(element: Element) -> str:
     """The name of an element, in the first language that it has one in."""
     known = element.first("name")
     return element.text("name") if known is None else known.text("name")
+
+
+def _name_or_id(element: Element) -> str:
+    return _name(element) or element.text("id")
 
 
 def _between_neighbours(stated: list[Stretch], begin: float, end: float, kind: str) -> Stretch:

@@ -15,11 +15,11 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, Field
 
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
-from trainlog.formats.schema import built, checked
+from trainlog.formats.schema import Finite, Foreign, NotNegative, Positive, built, checked
 from trainlog.formats.ttobench import assumed_axles
 from trainlog.railway import EffortCurve, Line, Station, StepProfile, Train
 from trainlog.railway.consist import Formation, RollingVehicle
@@ -29,17 +29,8 @@ TONNE = 1e3
 
 SCHEMA = "https://railtoolkit.org/schema/"
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 
-
-class _Part(BaseModel):
-    """Keys that are not known are passed over: the schema lets writers add their own."""
-
-    model_config = ConfigDict(extra="ignore", frozen=True)
-
-
-class _Vehicle(_Part):
+class _Vehicle(Foreign):
     name: str
     id: str
     vehicle_type: Literal["traction unit", "freight", "passenger", "multiple unit"]
@@ -54,18 +45,17 @@ class _Vehicle(_Part):
     air_resistance: Positive | None = None
     a_braking: Finite | None = None
     tractive_effort: (
-        Annotated[list[tuple[Annotated[Finite, Field(ge=0.0)], Annotated[Finite, Field(ge=0.0)]]],
-                  Field(min_length=3)] | None
-    ) = None  # fmt: skip
+        Annotated[list[tuple[NotNegative, NotNegative]], Field(min_length=3)] | None
+    ) = None
 
 
-class _Train(_Part):
+class _Train(Foreign):
     name: str
     id: str
     formation: Annotated[list[str], Field(min_length=1)]
 
 
-class _RollingStock(_Part):
+class _RollingStock(Foreign):
     trains: Annotated[list[_Train], Field(min_length=1)] | None = None
     vehicles: Annotated[list[_Vehicle], Field(min_length=1)] | None = None
 
@@ -79,13 +69,13 @@ def _row(value: Any) -> Any:
     return value
 
 
-class _Section(_Part):
+class _Section(Foreign):
     position: Finite
     speed: Positive | None = None
     resistance: Finite | None = None
 
 
-class _Path(_Part):
+class _Path(Foreign):
     id: str
     name: str | None = None
     description: str | None = None
@@ -94,7 +84,7 @@ class _Path(_Part):
     ]
 
 
-class _Paths(_Part):
+class _Paths(Foreign):
     paths: Annotated[list[_Path], Field(min_length=1)]
 
 

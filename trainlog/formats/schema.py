@@ -17,7 +17,14 @@ from typing import Annotated, Any, ClassVar, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, TypeAdapter, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    TypeAdapter,
+    ValidationError,
+)
 from pydantic_core import (
     CoreSchema,
     ErrorDetails,
@@ -53,6 +60,17 @@ class Part(BaseModel):
         """The part with the attributes of `value` by the same names; `others` go before these."""
         same = {n: getattr(value, n) for n in cls.model_fields if n not in others}
         return cast(Self, cls.model_construct(**same, **others))
+
+
+class Foreign(BaseModel):
+    """A part of a file of another project: keys that are not known are passed over."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 
 class File(Part):

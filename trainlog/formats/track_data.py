@@ -33,6 +33,43 @@ SAME_PLACE = 1e-6
 """Positions [m] that lie nearer together are one: files have rounded sums."""
 
 
+NOT_WGS84 = "coordinates that are not those of WGS 84"
+"""What is left out of a file with coordinates of another system."""
+
+
+def not_in_file(what: str, name: str, place: str | None = None) -> InputError:
+    """The error for a reference to something that the file does not have."""
+    return InputError(
+        f"refers to the {what} '{name}', which the file does not have",
+        place=place,
+        remedy=f"add the {what}, or correct the reference",
+    )
+
+
+def curvature_of(radius: float) -> float:
+    """Curvature [1/m] of a radius [m]; a radius of 0 is that of straight track.
+
+    Examples
+    --------
+    >>> curvature_of(500.0), curvature_of(0.0)
+    (0.002, 0.0)
+    """
+    return 1.0 / radius if radius else 0.0
+
+
+def distinct_names(named: Iterable[tuple[str, str]]) -> list[str]:
+    """Names of things with their ids; those that share a name have their id in it.
+
+    Examples
+    --------
+    >>> distinct_names([("Wil", "a"), ("Gossau", "b"), ("Wil", "c")])
+    ['Wil (a)', 'Gossau', 'Wil (c)']
+    """
+    pairs = list(named)
+    count = Counter(name for name, _ in pairs)
+    return [name if count[name] == 1 else f"{name} ({own})" for name, own in pairs]
+
+
 class Limit(NamedTuple):
     """A speed limit from `begin` to `end` [m] of a track.
 

@@ -99,6 +99,12 @@ class TrackGraph:
                             ),
                         )
 
+    def label(self, track: str, length: float, position: float, label: str) -> None:
+        """Name the end of a track that lies at a position [m], unless it has a name already."""
+        for at_end, place in ((False, 0.0), (True, length)):
+            if abs(position - place) <= 1.0:
+                self.labels.setdefault(TrackEnd(track, at_end), label)
+
     def _pass_through(self, name: str) -> None:
         """Leave a track out, its movements passing on to what it joins."""
         ends = TrackEnd(name, at_end=False), TrackEnd(name, at_end=True)

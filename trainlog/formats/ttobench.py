@@ -2,13 +2,15 @@
 
 D. Kouzoupis, I. Pendharkar, F. Corman: TTOBench - an Open-Source Library for Train Trajectory
 Optimization. Operations Research Forum 4 (2023), 67. doi:10.1007/s43069-023-00248-x. The layout
-is that of version 1.5, which has tunnels, ETCS braking data and journeys.
+is that of version 1.5, which has tunnels, ETCS braking data and journeys. The library has no file
+of maximum adhesion along a track; the one here is laid out as its tracks are.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar, cast
 
@@ -730,4 +732,102 @@ def _detect(content: Any, path: str | Path) -> Kind:
         "is neither a track nor a train nor a journey of TTOBench",
         file=path,
         remedy="a track has 'stops', a train 'mass', a journey 'timing points'",
+    )
+
+
+# ------------------------------------------------------------- maximum adhesion along a track
+
+_ADHESION_COLUMNS = (
+    "maximum adhesion",
+    "lower bound",
+    "upper bound",
+    "expected adhesion",
+    "expected lower bound",
+    "expected upper bound",
+)
+_AdhesionTable = Annotated[
+    _Columns,
+    Table((_POSITION, *(Column(name, "-", "1", MISSING) for name in _ADHESION_COLUMNS))),
+]
+
+
+@dataclass(frozen=True, eq=False)
+class AdhesionSections:
+    """Maximum adhesion by section of a track, in one rail condition.
+
+    Attributes
+    ----------
+    track, layer : str
+    length : float [m]
+        Of the track; the last section ends there.
+    expected_at : str
+        Time of the expected adhesion, ISO 8601; empty if none.
+    source : str
+    values : tuple of seven (n,) arrays
+        Start of the section [m]; lasting maximum adhesion and the ends of its 95 % band; the
+        expected one and those of its band. NaN where nothing was observed.
+    """
+
+    track: str
+    layer: str
+    length: float
+    expected_at: str
+    source: str
+    values: tuple[FloatArray, ...]
+
+
+class _AdhesionLayout(Layout):
+    metadata: Metadata
+    rail_condition: str = Field(min_length=1)
+    length: _Length
+    expected_at: str = ""
+    adhesion: _AdhesionTable
+
+
+def write_adhesion(sections: AdhesionSections, path: str | Path) -> None:
+    """Write maximum adhesion by section, whole or not at all.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import numpy as np
+    >>> start, known = np.array([0.0, 500.0]), np.array([np.nan, 0.12])
+    >>> given = AdhesionSections("A-B", "wet", 900.0, "", "by hand", (start, *[known] * 6))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_adhesion(given, Path(folder) / "wet.json")
+    ...     read_adhesion(Path(folder) / "wet.json").values[1]
+    array([ nan, 0.12])
+    """
+    layout = _AdhesionLayout.filled(
+        metadata=Metadata.of(f"{sections.track} {sections.layer}", sections.source, sections.track),
+        rail_condition=sections.layer,
+        length=sections.length,
+        expected_at=sections.expected_at,
+        adhesion=sections.values,
+    )
+    write_bytes(path, to_bytes(dumped(layout)))
+
+
+def read_adhesion(path: str | Path) -> AdhesionSections:
+    """Read maximum adhesion by section, as `write_adhesion` writes it.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or is not of this layout; names the place.
+
+    Examples
+    --------
+    >>> read_adhesion("absent.json")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: absent.json: does not exist; check the path
+    """
+    found = checked(_AdhesionLayout, read_json(path), path)
+    return AdhesionSections(
+        track=found.metadata.associated_track or found.metadata.id,
+        layer=found.rail_condition,
+        length=found.length,
+        expected_at=found.expected_at,
+        source=found.metadata.source,
+        values=found.adhesion,
     )

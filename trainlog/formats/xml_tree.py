@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ import numpy as np
 
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
+from trainlog.formats.track_data import not_in_file
+from trainlog.units import KMH
 
 
 @dataclass(eq=False)
@@ -92,6 +95,26 @@ class Element:
             problem = f"{name} '{found}' is not a finite number" if found else f"has no {name}"
             raise self.error(problem, f"give {name} as a number")
         return value
+
+    def speed(self, name: str) -> float:
+        """An attribute in km/h that must be positive, as a speed limit [m/s]."""
+        found = self.number(name)
+        if found <= 0.0:
+            raise self.error(f"{name} 0 could never be passed", "give the permitted speed")
+        return found / KMH
+
+    def missing(self, what: str, name: str) -> InputError:
+        """The error for a reference to something that the file does not have."""
+        return not_in_file(what, name, self.place)
+
+
+def numbers_in(containers: Iterable[Element], held: Collection[str]) -> Counter[str]:
+    """Numbers of what stands in containers whose tags are not among `held`, by tag."""
+    counts = Counter[str]()
+    for each in containers:
+        if each.tag not in held:
+            counts[each.tag] += len(each.children)
+    return counts
 
 
 def read_xml(path: str | Path) -> Element:
