@@ -64,7 +64,7 @@ if TYPE_CHECKING:
         energy_against_time as energy_against_time,
         optimise as optimise,
     )
-    from analysis.trajectory.phases import advice as advice, phases_of as phases_of
+    from analysis.trajectory.phases import phases_of as phases_of
     from analysis.trajectory.problem import (
         OptimiserOptions as OptimiserOptions,
         TrajectoryProblem as TrajectoryProblem,
@@ -92,7 +92,7 @@ _NAMES = {
     "analysis.trajectory.optimiser": "optimise energy_against_time",
     "analysis.trajectory.problem": "TrajectoryProblem OptimiserOptions",
     "analysis.trajectory.journey": "optimise_journey",
-    "analysis.trajectory.phases": "advice phases_of",
+    "analysis.trajectory.phases": "phases_of",
     "analysis.control.follow": "follow Follower",
     "analysis.control.traction": "CooperativeTraction ReadhesionControl with_traction",
     "analysis.comparison.calculated": "calculate",

@@ -16,6 +16,7 @@ from advised_driver import driven, rows_of
 from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, optimised
 
 from analysis.trajectory.advice import journey_advice, limits_of, write_journey_advice
+from analysis.trajectory.phases import Phase
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
 from trainlog.railway import Configuration, Line, RunningResistance, Train
@@ -106,13 +107,22 @@ def test_speeds_are_whole_rounded_down_and_below_each_limit_of_the_row() -> None
     )
     plan = optimised(line, FLIRT, observed(FLIRT, 1.0, 1.1), reserve=0.03, cells=100)
     found = journey_advice([plan], line)
-    points = [row.point for row in found.rows if row.point is not None]
-    for point in points:
+    for row in found.rows:
+        point = row.instruction
+        if point is None:
+            continue
         assert KMH * point.target == pytest.approx(round(KMH * point.target), abs=1e-6)
-        limits = line.speed_limits(np.linspace(point.position, point.end - 1e-3, 200))
-        assert point.permitted == pytest.approx(limits.min())
-        if np.isfinite(point.target):
-            assert point.target <= limits.min() + 1e-3
+        places = np.linspace(point.position, point.end - 1e-3, 200)
+        limits = line.speed_limits(places)
+        assert row.permitted == pytest.approx(limits[0])
+        if point.phase is Phase.COASTING:
+            continue
+        # The target, and what is stated beside it of limits on the way.
+        most = np.full(200, point.target)
+        for cap in point.caps:
+            inside = (places >= cap.start) & (places <= cap.end)
+            most[inside] = np.minimum(most[inside], cap.speed)
+        assert np.all(most <= limits + 1e-3) or point.phase > Phase.COASTING
     words = [row.words for row in found.rows]
     assert "brake to 91 km/h by km 5.000" in words
     # Without the line the speeds that are planned take the place of the limits.

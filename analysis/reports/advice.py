@@ -71,15 +71,14 @@ def write_driver_advice(
 
 
 def _check_table(table: Path) -> None:
-    """Refuse to overwrite a table that another command wrote, such as that beside a plan."""
+    """Refuse to overwrite a table that is no advice."""
     if not table.exists():
         return
     with table.open("rb") as file:
         begins = file.readline(1000).decode("utf-8", "replace").strip()
     if begins.split(",")[:5] != list(HEADER[:5]):
         raise InputError(
-            "exists, and is no advice of a journey: 'trainlog plan' writes such a file beside"
-            " its plan",
+            "exists, and is not a table of advice",
             file=table,
             remedy="give the page another name: the table takes it",
         )

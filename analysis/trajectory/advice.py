@@ -1,7 +1,9 @@
-"""Advice to a driver for a whole journey: when to depart and arrive, and what to do where.
+"""Advice to a driver: when to depart and arrive, and what to do where.
 
 A journey is one trajectory, or several from stop to stop. Places are named by the operator's
-kilometre and by the nearest station, times in the clock of the timetable.
+kilometre and by the nearest station, times in the clock of the timetable. Terminal, page and CSV
+show the same rows. Beside a log the advice is its ``/reference`` topic: what the trajectory asks
+for where the train is, and how late it is.
 """
 
 from __future__ import annotations
@@ -19,14 +21,18 @@ from numpy.typing import ArrayLike
 
 from analysis.adhesion.condition_table import near
 from analysis.comparison.driven import station_at
-from analysis.trajectory.instructions import instructions
-from analysis.trajectory.phases import AdvicePoint, Phase, advice
+from analysis.trajectory.instructions import Instruction, instructions
+from analysis.trajectory.phases import Phase
+from trainlog import __version__
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
-from trainlog.formats.files import atomic_write
+from trainlog.formats.files import atomic_write, sha256
+from trainlog.formats.trajectory import trajectory_to_bytes
 from trainlog.presentation import WordTable, new_table
 from trainlog.railway import Line, StepProfile, Trajectory
 from trainlog.railway.kilometres import in_km
+from trainlog.topics import REFERENCE, TRAIN_STATE
+from trainlog.trip import Trip, frame_of
 from trainlog.units import KMH
 
 HEADER = (
@@ -46,9 +52,6 @@ HEADER = (
     "highest_kmh",
 )
 """Columns of the advice as CSV."""
-
-NOTICED = 1.0 / KMH
-"""Change of speed that the advice states [m/s]."""
 
 JOINS = 1.0
 """So near [m] a section begins to where the one before ends."""
@@ -81,10 +84,12 @@ class AdviceRow:
     speed, until : float [m/s]
         There, and where the next change is.
     permitted : float or None [m/s]
-        The lowest permitted speed up to the next change; None without the line.
-    point : AdvicePoint or None
+        There; None without the line.
+    instruction : Instruction or None
     to_km : float
         The operator's kilometre of the next change.
+    words : str
+        What is to be done: ``"brake to 90 km/h by km 18.679"``.
     """
 
     event: Event
@@ -97,39 +102,17 @@ class AdviceRow:
     speed: float
     until: float
     permitted: float | None = None
-    point: AdvicePoint | None = None
+    instruction: Instruction | None = None
     to_km: float = np.nan
-
-    @property
-    def words(self) -> str:
-        """What is to be done, in a few words: ``"brake to 90 km/h by km 18.679"``."""
-        point = self.point
-        if point is None:
-            return "" if self.event == "passes" else self.event
-        if point.hold:
-            return point.words
-        to, by = f"{KMH * point.target:.0f} km/h", f"by km {self.to_km:.3f}"
-        if point.phase is Phase.COASTING:
-            most = f"; at most {to}" if point.capped else ""
-            return f"coast to km {self.to_km:.3f}{_course(point)}{most}"
-        if point.phase is Phase.MAXIMUM_TRACTION:
-            falls = point.highest - point.until > NOTICED
-            most = f"full traction, at most {to}{_course(point)}"
-            return most if falls else f"full traction to {to}"
-        if point.phase is Phase.CRUISING:
-            return f"partial traction to {to} {by}"
-        if 0.0 < point.target >= point.speed - NOTICED:
-            return f"brake, if faster, to {to} {by}"
-        verb = "brake gently" if point.phase is Phase.PARTIAL_BRAKING else "brake"
-        return f"{verb} to {to} {by}" if point.target > 0.0 else f"{verb} to a stand"
+    words: str = ""
 
     @property
     def sentence(self) -> str:
-        """The same with its place: ``"coast from km 1.230, 1.2 km before A, to km 2.000"``."""
+        """The words with their place: ``"coast from km 1.230, 1.2 km before A, to km 2.000"``."""
         where = f"km {self.km:.3f}" + (f", {self.place}" if self.place else "")
-        if self.point is None:
+        if self.instruction is None:
             return f"{self.event} {self.station or where}"
-        if self.point.phase is Phase.COASTING and not self.point.hold:
+        if self.instruction.phase is Phase.COASTING:
             return f"coast from {where}, {self.words.removeprefix('coast ')}"
         return f"{self.words} from {where}"
 
@@ -198,8 +181,8 @@ class JourneyAdvice:
                 "speed_m_s": row.speed,
                 "permitted_m_s": row.permitted,
                 "advice": row.words,
-                "target_m_s": None if row.point is None else row.point.target,
-                "to_km": None if row.point is None else row.to_km,
+                "target_m_s": None if row.instruction is None else row.instruction.target,
+                "to_km": None if row.instruction is None else row.to_km,
             }
             for row in self.rows
         ]
@@ -332,12 +315,12 @@ def _rows(section: Trajectory, departure: float, line: Line | None) -> Iterator[
     row = section.latest
     times, places, speeds = section.times[row], section.positions, section.speeds[row]
     first, last = float(places[0]), float(places[-1])
-    points = instructions(section, row, advice(section), limits_of(section, line))
+    limits = limits_of(section, line)
     yield _row("departs", first, departure, departure, (float(speeds[0]), 0.0), line)
     found = [
         _row("changes", each.position, departure + each.time, None, (each.speed, each.until), line,
-             each)
-        for each in points
+             each, limits)
+        for each in instructions(section, limits)
     ]  # fmt: skip
     for station in () if line is None else line.stations:
         if first + JOINS < station.position < last - JOINS:
@@ -361,17 +344,6 @@ def limits_of(section: Trajectory, line: Line | None) -> StepProfile | None:
     return line.limits_over(float(protected))
 
 
-def _course(point: AdvicePoint) -> str:
-    """How the speed falls and rises up to the next point: ``": speed falls to 8 km/h"``."""
-    turns = [
-        ("falls" if after < before else "rises", after)
-        for before, after in pairwise(point.course)
-        if abs(after - before) > NOTICED
-    ]
-    words = ", ".join(f"{verb} to {KMH * speed:.0f}" for verb, speed in turns)
-    return f": speed {words} km/h" if words else ""
-
-
 def _row(
     event: Event,
     position: float,
@@ -379,16 +351,20 @@ def _row(
     timetable: float | None,
     speeds: tuple[float, float],
     line: Line | None,
-    point: AdvicePoint | None = None,
+    instruction: Instruction | None = None,
+    limits: StepProfile | None = None,
 ) -> AdviceRow:
     km = float(in_km(line, position))
     station = "" if line is None or event == "changes" else station_at(line, position)
     place = near(line, [position])[0]
-    permitted = None if point is None else point.permitted
-    to = float(in_km(line, position if point is None else point.end))
+    permitted = None if limits is None else float(limits(position))
+    words, to = "" if event == "passes" else str(event), km
+    if instruction is not None:
+        words, to = instruction.words(line), float(in_km(line, instruction.end))
     return AdviceRow(
-        event, position, km, station, place, time, timetable, *speeds, permitted, point, to
-    )
+        event, position, km, station, place, time, timetable, *speeds, permitted, instruction, to,
+        words,
+    )  # fmt: skip
 
 
 def write_journey_advice(found: JourneyAdvice, path: str | Path) -> None:
@@ -402,9 +378,9 @@ def write_journey_advice(found: JourneyAdvice, path: str | Path) -> None:
         for row in found.rows:
             permitted = "" if row.permitted is None else f"{KMH * row.permitted:.1f}"
             ahead = ["", "", "", ""]
-            if row.point is not None:
-                lowest, highest = KMH * row.point.lowest, KMH * row.point.highest
-                ahead = [f"{KMH * row.point.target:.0f}", f"{row.to_km:.3f}", f"{lowest:.1f}",
+            if row.instruction is not None:
+                lowest, highest = KMH * row.instruction.lowest, KMH * row.instruction.highest
+                ahead = [f"{KMH * row.instruction.target:.0f}", f"{row.to_km:.3f}", f"{lowest:.1f}",
                          f"{highest:.1f}"]  # fmt: skip
             table.writerow(
                 (
@@ -465,3 +441,64 @@ def driver_table(found: JourneyAdvice) -> WordTable:
         if row.event == "arrives":
             table.add_section()
     return table
+
+
+def with_advice(trip: Trip, trajectory: Trajectory, row: int | None = None) -> Trip:
+    """A trip with what the trajectory advises beside it, as its ``/reference`` topic.
+
+    Parameters
+    ----------
+    trip : Trip
+        With the train's position; its clock starts with the first movement inside the trajectory.
+    trajectory : Trajectory
+    row : int, optional
+        Configuration; the one that arrives last without it.
+
+    Raises
+    ------
+    InputError
+        If trip and trajectory are of different lines or directions, the trip is never where the
+        trajectory is, or it followed a trajectory already.
+    """
+    name, line = trip.name, trip.metadata.get("line", trajectory.line)
+    way = trip.metadata.get("direction", "forward")
+    if line != trajectory.line or way != trajectory.direction:
+        raise InputError(
+            f"the trajectory is for line '{trajectory.line}' {trajectory.direction},"
+            f" trip '{name}' ran on '{line}' {way}",
+            remedy="give the trajectory of that line and direction",
+        )
+    if REFERENCE.name in trip:
+        raise InputError(f"trip '{name}' carries a reference already: it followed a trajectory")
+    chosen = trajectory.latest if row is None else row
+    state = trip[TRAIN_STATE.name]
+    position = state["position"].to_numpy(dtype=np.float64)
+    first, last = trajectory.positions[[0, -1]]
+    inside = np.isfinite(position) & (position >= first) & (position <= last)
+    if not inside.any():
+        raise InputError(
+            f"trip '{name}' is never between km {first / 1e3:.3f} and km {last / 1e3:.3f}",
+            remedy="give a trip over the trajectory's section",
+        )
+    index, position = state.index[inside], position[inside]
+    seconds = (index - index[0]).total_seconds().to_numpy()
+    moved = np.flatnonzero(position > position[0] + 1.0)
+    departed = float(seconds[max(int(moved[0]) - 1, 0)]) if moved.size else 0.0
+    planned = np.interp(position, trajectory.positions, trajectory.times[chosen])
+    cell = trajectory.cell_of(position)
+    frame = frame_of(
+        REFERENCE,
+        index,
+        {
+            "speed": trajectory.speed_at(chosen, position),
+            "tractive_effort": trajectory.tractive_effort_at(position),
+            "braking_effort": trajectory.braking_effort[chosen, cell],
+            "lateness": seconds - departed + float(planned[0]) - planned,
+        },
+    )
+    return trip.with_topic(frame).with_step(
+        "advise",
+        software=f"trainlog {__version__}",
+        configuration=trajectory.configurations[chosen].name,
+        inputs={"trajectory": sha256(trajectory_to_bytes(trajectory))},
+    )

@@ -1,361 +1,412 @@
-"""Advice that can be followed word by word with every configuration of a plan.
+"""What a trajectory asks a driver to do: a few rows that every configuration can follow.
 
-A plan's phases leave to the reader what a driver must be given: where to brake for a lower limit,
-and which speed not to exceed. Limits are those of the line; without it, the speeds planned.
+The rows follow the phases of the certificate: full and partial traction, a speed to hold, coasting,
+braking. Which of them each cell belongs to is found at once, by dynamic programming: a change costs
+as much as a change of speed that no row states. No row names traction or braking where none of the
+configurations drives or brakes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from analysis.trajectory.phases import AdvicePoint, Phase, rounded_down
-from trainlog.arrays import FloatArray
-from trainlog.railway import StepProfile, Trajectory
-from trainlog.spans import runs_of
+from analysis.trajectory.phases import Phase, phases_of
+from trainlog.arrays import FloatArray, IntArray
+from trainlog.railway import Line, StepProfile, Trajectory
+from trainlog.railway.kilometres import in_km
 from trainlog.units import KMH
 
-DRIVEABLE = 8.0
-"""What takes less time is joined with what comes before or after it, unless it brakes for a limit
-or a stop [s]."""
+HELD = 2.0 / KMH
+"""A speed is held where it stays within this of a whole number of km/h [m/s]."""
 
-NOTICE = 10.0
-"""So long before a lower limit its braking is advised at least [s]."""
+NOTICED = 1.0 / KMH
+"""Change of speed that the advice states [m/s]."""
 
-COMFORTABLE = 0.5
-"""Deceleration to a lower limit that is counted on at most [m/s²]."""
+_CHANGE = 2.5 / KMH
+"""Change of speed that is worth a row of its own, however short it is [m/s]."""
 
-_SHARE = 0.85
-"""Part of the planned deceleration that is counted on."""
+_DRIFT = 0.005
+"""Cost of a speed that is held, for each second and each m/s beside the planned one [m/s]."""
 
-_FASTER = 5.0 / KMH
-"""How much faster than planned a train may come to a lower limit [m/s]."""
+_PARTIAL, _FULL, _GENTLE, _UNSAID = 0.03, 0.1, 0.02, 0.02
+"""Cost of a second [m/s]: of partial traction, of full traction where it is partial, of a brake, of
+coasting where the plan drives."""
 
-_LITTLE = 3.0 / KMH
-"""The same for the stop, ahead of which all brake as planned [m/s]."""
+_AHEAD = 8.0
+"""A speed that is held is below all limits that begin within this time [s]."""
 
-_SLOW = 8.0 / KMH
-"""Further below a limit no configuration needs a word about it [m/s]."""
+_NEAR = 8.0 / KMH
+"""A limit is stated where a configuration that coasts comes so near to it [m/s]."""
 
-_APPROACH = 2_000.0
-"""Ahead of a limit or a stop, where decelerations are looked for [m]."""
+_WHOLE = 1e-2
+"""What a whole number of km/h may lack for rounding errors."""
 
-_BEFORE = 300.0
-"""Ahead of a limit, where speeds decide whether it is of concern [m]."""
+_PHASES = (Phase.MAXIMUM_TRACTION, Phase.CRUISING, Phase.COASTING, Phase.MAXIMUM_BRAKING)
+"""What a row may ask for; speeds to hold are numbered after them."""
 
-_REACH = 12_000.0
-"""Longest braking that is looked for [m]."""
+_COAST, _BRAKE, _HOLD = 2, 3, 4
 
-_LONG_PARTIAL = 20.0
-"""Rising partial traction below this goes on as full traction [s]."""
+
+def _rounded(speed: float, most: float) -> float:
+    """The whole km/h nearest to a speed that are not above another one [m/s]."""
+    return float(min(np.round(KMH * speed), np.floor(KMH * most + _WHOLE))) / KMH
+
+
+def rounded_down(speed: float) -> float:
+    """A speed [m/s] in whole km/h, never more than it is.
+
+    Examples
+    --------
+    >>> round(3.6 * rounded_down(25.2 + 0.25), 3)
+    91.0
+    """
+    return float(np.floor(KMH * speed + _WHOLE)) / KMH
 
 
 @dataclass(frozen=True, slots=True)
-class _Stretch:
-    """One instruction between two places [m]; `target` where it brakes for a limit or a stop."""
+class Cap:
+    """A speed [m/s] not to exceed between two positions [m]."""
 
+    speed: float
     start: float
     end: float
-    point: AdvicePoint
-    target: float | None = None
-
-    @property
-    def kind(self) -> tuple[int, bool]:
-        """What the driver does; stretches of one kind are one."""
-        return int(self.point.phase), self.point.hold
 
 
-class _Plan:
-    """The speeds of all configurations, the permitted ones and the braking that is planned."""
+@dataclass(frozen=True, slots=True)
+class Instruction:
+    """What to do from one place to the next.
 
-    def __init__(self, trajectory: Trajectory, row: int, limits: StepProfile | None) -> None:
-        self.places, self.speeds = trajectory.positions, trajectory.speeds
-        self.row, self.limits = row, limits
-        self.times = trajectory.times[row]
-        self.highest = self.speeds.max(axis=0)
-        self.top = float(self.highest.max())
-        step = np.diff(self.places)
-        self.deceleration = -np.diff(0.5 * self.speeds**2, axis=1) / step
-        letters = trajectory.certificate["phases"]
-        self.full = np.array([[each == "B" for each in row_] for row_ in letters])
-        self.brakes = self.full | np.array([[each == "H" for each in row_] for row_ in letters])
+    Attributes
+    ----------
+    position, end : float [m]
+    time : float [s]
+        Since departure.
+    speed, until : float [m/s]
+        Planned at both ends.
+    phase : Phase
+    hold : bool
+        Whether a speed is to be held.
+    target : float [m/s]
+        Speed to hold, to reach or to brake to; in whole km/h, rounded down.
+    lowest, highest : float [m/s]
+        Planned between the ends.
+    fastest : float [m/s]
+        Where it ends, of all configurations.
+    by : float [m]
+        Where the target is to be reached.
+    course : tuple of float [m/s]
+        Speeds between which it rises and falls, from the first to that at the end.
+    caps : tuple of Cap
+        Speeds not to exceed on the way.
+    """
 
-    def extremes(self, start: float, end: float) -> tuple[float, float, float]:
-        """Lowest and highest speed of the one configuration, highest of all, between places."""
-        inside = (self.places > start) & (self.places < end)
-        own = np.append(self.speeds[self.row, inside], self.at([start, end]))
-        ends = np.interp([start, end], self.places, self.highest)
-        return (
-            float(own.min()),
-            float(own.max()),
-            float(np.append(self.highest[inside], ends).max()),
-        )
+    position: float
+    end: float
+    time: float
+    speed: float
+    until: float
+    phase: Phase
+    hold: bool
+    target: float
+    lowest: float
+    highest: float
+    fastest: float
+    by: float
+    course: tuple[float, ...] = ()
+    caps: tuple[Cap, ...] = ()
 
-    def at(self, places: Sequence[float]) -> FloatArray:
-        """Speed of the one configuration."""
-        return np.asarray(np.interp(places, self.places, self.speeds[self.row]))
+    def words(self, line: Line | None = None) -> str:
+        """The instruction as a driver reads it, in the operator's kilometres with the line."""
+        to, by = f"{KMH * self.target:.0f} km/h", f"by km {_km(line, self.by)}"
+        if self.hold:
+            return f"hold {to}"
+        if self.phase is Phase.COASTING:
+            return f"coast to km {_km(line, self.end)}{self._course()}{self._caps(line)}"
+        if self.phase is Phase.MAXIMUM_TRACTION:
+            if self.highest - self.until > NOTICED:
+                return f"full traction, at most {to}{self._course()}{self._caps(line)}"
+            return f"full traction to {to}{self._caps(line)}"
+        if self.phase is Phase.CRUISING:
+            return f"partial traction to {to} {by}{self._caps(line)}"
+        if 0.0 < self.target >= min(self.speed - NOTICED, self.until + NOTICED):
+            return f"brake, if faster, to {to} {by}{self._caps(line)}"
+        verb = "brake gently" if self.phase is Phase.PARTIAL_BRAKING else "brake"
+        words = f"{verb} to {to} {by}" if self.target > 0.0 else f"{verb} to a stand"
+        return f"{words}{self._caps(line)}"
 
-    def course(self, start: float, end: float) -> tuple[float, ...]:
-        """Speeds of the one configuration between which it rises and falls."""
-        inside = self.places[(self.places > start) & (self.places < end)]
-        speeds = self.at([start, *inside.tolist(), end])
-        turns = sorted({0, int(np.argmin(speeds)), int(np.argmax(speeds)), speeds.size - 1})
-        return tuple(speeds[turns].tolist())
+    def _course(self) -> str:
+        """How the speed falls and rises: ``": speed falls to 8 km/h"``."""
+        turns = [
+            ("falls" if after < before else "rises", KMH * after)
+            for before, after in pairwise(self.course)
+            if abs(after - before) > NOTICED
+        ]
+        words = ", ".join(f"{verb} to {speed:.0f}" for verb, speed in turns)
+        return f": speed {words} km/h" if words else ""
 
-    def usual(self, start: float, end: float) -> float:
-        """The speed in the middle of those between two places [m/s]."""
-        return float(np.median(self.at(np.linspace(start, end, 101).tolist())))
+    def _caps(self, line: Line | None) -> str:
+        """Speeds not to exceed: ``"; at most 90 km/h to km 0.504"``."""
+        words = []
+        for number, cap in enumerate(self.caps):
+            goes_on = any(each.start == cap.end for each in self.caps[number + 1 :])
+            place = f" from km {_km(line, cap.start)}" if cap.start > self.position else ""
+            if cap.start == cap.end:
+                place = f" at km {_km(line, cap.end)}"
+            elif cap.end < self.end and not goes_on:
+                place += f" to km {_km(line, cap.end)}"
+            words.append(f"{KMH * cap.speed:.0f} km/h{place}")
+        return f"; at most {', '.join(words)}" if words else ""
 
-    def lasts(self, start: float, end: float) -> float:
-        """Time between two places [s]."""
-        return float(np.diff(np.interp([start, end], self.places, self.times))[0])
 
-    def lowest_limit(self, start: float, end: float) -> float:
-        """The lowest permitted speed between two places; without limits the highest planned."""
-        if self.limits is None:
-            return self.extremes(start, end)[2]
-        inside = (self.limits.positions > start) & (self.limits.positions < end)
-        return float(np.append(self.limits.values[inside], self.limits(start)).min())
+def _course(speeds: list[float]) -> tuple[float, ...]:
+    """Speeds between which it rises and falls by more than what is held [m/s]."""
+    found, last, way = [speeds[0]], speeds[0], 0.0
+    for speed in speeds[1:]:
+        if way * (speed - last) > 0.0:
+            last = speed
+        elif abs(speed - last) > HELD:
+            found += [last] if way else []
+            last, way = speed, speed - last
+    found += [last] if way else []
+    return tuple(found if found[-1] == speeds[-1] else [*found, speeds[-1]])
 
-    def falls(self) -> list[tuple[float, float]]:
-        """Places of lower limits, and the speed from there on; the end of the run is the last."""
-        first, last = float(self.places[0]), float(self.places[-1])
-        found = list[tuple[float, float]]()
-        if self.limits is not None:
-            capped = np.minimum(self.limits.values, self.top)
-            edges = zip(self.limits.positions[1:].tolist(), pairwise(capped.tolist()), strict=True)
-            found = [
-                (place, after)
-                for place, (before, after) in edges
-                if after < before and first < place < last
-                and self.extremes(max(place - _BEFORE, first), place)[2] > after - _SLOW
-            ]  # fmt: skip
-        else:
-            for row, brakes in enumerate(self.brakes):
-                for start, end in runs_of(brakes):
-                    if self.speeds[row, start] - self.speeds[row, end] > 2.0 / KMH:
-                        found.append((float(self.places[end]), float(self.highest[end])))
-            found = [each for each in sorted(set(found)) if each[0] < last]
-        return [*found, (last, float(self.highest[-1]))]
 
-    def rate(self, place: float) -> float:
-        """Deceleration [m/s²] to count on ahead of a place: part of the least planned there."""
-        near = (self.places[1:] > place - _APPROACH) & (self.places[1:] <= place + 1.0)
-        cells = self.full & near
-        cells = cells if cells.any() else self.full
-        found = self.deceleration[cells & (self.deceleration > 0.02)]
-        return _SHARE * float(np.quantile(found, 0.1)) if found.size else 0.25
-
-    def begin(self, place: float, target: float) -> float:
-        """Where to brake from, so that every configuration is at `target` by `place`."""
-        first = float(self.places[0])
-        at = np.linspace(max(place - _REACH, first), place, 4001)
-        stop = place >= float(self.places[-1])
-        rate = self.rate(place) if stop else min(self.rate(place), COMFORTABLE)
-        highest = np.interp(at, self.places, self.highest) + (_LITTLE if stop else _FASTER)
-        if self.limits is not None:
-            highest = np.minimum(highest, self.limits(at))
-        slow = highest**2 <= target**2 + 2.0 * rate * (place - at)
-        fast = np.flatnonzero(~slow[:-1])
-        enough = np.flatnonzero(slow[:-1])
-        # The last place from which it is enough; beyond it some are too fast.
-        start = place if not fast.size else float(at[enough.max()]) if enough.size else first
-        pace = float(np.interp(start, at, highest))
-        return max(min(start, place - NOTICE * pace, self._planned(place)), first)
-
-    def _planned(self, place: float) -> float:
-        """Where the first configuration begins to brake fully for `place`."""
-        end = int(np.searchsorted(self.places, place - 1e-6))
-        starts = [float(place)]
-        for brakes in self.full:
-            start = end
-            while start > 0 and brakes[start - 1]:
-                start -= 1
-            starts.append(float(self.places[start]))
-        return min(starts)
+def _km(line: Line | None, position: float) -> str:
+    return f"{float(in_km(line, position)):.3f}"
 
 
 def instructions(
-    trajectory: Trajectory,
-    row: int,
-    points: Sequence[AdvicePoint],
-    limits: StepProfile | None,
-) -> tuple[AdvicePoint, ...]:
-    """Points that a driver can follow word by word, from those at which phases begin.
+    trajectory: Trajectory, limits: StepProfile | None = None, row: int | None = None
+) -> tuple[Instruction, ...]:
+    """What a driver is to do from place to place, as a trajectory's certificate has it.
 
-    Speeds are whole km/h, rounded down, nowhere above the lowest limit until the next point. Each
-    lower limit that any configuration comes near has its own point, from which a comfortable
-    deceleration is enough for the fastest; so has the stop.
+    Speeds are whole km/h, rounded down.
 
     Parameters
     ----------
     trajectory : Trajectory
-    row : int
-        Configuration of the points.
-    points : sequence of AdvicePoint
-    limits : StepProfile or None [m/s]
-        Of the line, in the direction of travel; None: speeds planned take their place.
+    limits : StepProfile, optional [m/s]
+        Of the line, in the direction of travel; without them, the highest speeds planned.
+    row : int, optional
+        Configuration whose speeds and times are stated; the one that arrives last without it.
+
+    Raises
+    ------
+    InputError
+        If the trajectory does not come from `optimise`.
     """
-    plan = _Plan(trajectory, row, limits)
-    ends = [*(point.position for point in points[1:]), float(plan.places[-1])]
-    stretches = [
-        _Stretch(point.position, end, point) for point, end in zip(points, ends, strict=True)
-    ]
-    stretches = _without_partial(stretches, plan)
-    stretches = _joined(_with_braking(stretches, _braking(plan, stretches), points[-1]), plan)
-    stretches = [
-        replace(each, point=replace(each.point, target=plan.extremes(each.start, each.end)[1]))
-        for each in stretches
-    ]
-    stretches = [part for each in stretches for part in _split(each, plan)]
-    found = list[AdvicePoint]()
-    for point in (_worded(each, plan) for each in stretches):
-        if found and point.hold and found[-1].hold and point.target == found[-1].target:
-            # One speed to hold, up to a limit that is lower or higher without being reached.
-            stretch = _Stretch(found[-1].position, point.end, point)
-            point = _worded(stretch, plan)
-            found.pop()
-        found.append(point)
-    return tuple(found)
+    plan = _Plan(trajectory, limits, trajectory.latest if row is None else row)
+    chosen = plan.chosen()
+    starts = np.flatnonzero(np.diff(chosen, prepend=-1)).tolist()
+    ends = [*starts[1:], chosen.size]
+    found = list[Instruction]()
+    # From the last to the first: each leads to the speed that the next one holds.
+    for start, end in zip(reversed(starts), reversed(ends), strict=True):
+        after = found[-1] if found else None
+        found.append(plan.instruction(start, end, int(chosen[start]), after))
+    return tuple(reversed(found))
 
 
-def _braking(plan: _Plan, stretches: list[_Stretch]) -> list[tuple[float, float, float]]:
-    """Start, end and final speed of the braking for each lower limit and for the stop."""
-    found = list[tuple[float, float, float]]()
-    for place, after in reversed(plan.falls()):
-        target = rounded_down(after) if after > 1.0 / KMH else 0.0
-        if found and _held_below(place, target, stretches, plan):
-            continue
-        if found:
-            start, end, final = found[0]
-            if end - place < DRIVEABLE * target and final > 0.0:
-                # Two limits next to each other: the lower one by the first of them.
-                found[0] = (plan.begin(place, min(final, target)), place, min(final, target))
-                continue
-            if start < place:
-                rate = min(plan.rate(end), COMFORTABLE if final > 0.0 else np.inf)
-                reach = float(np.sqrt(final**2 + 2.0 * rate * (end - place)))
-                target = max(rounded_down(min(target, reach)), min(final, target))
-                found[0] = (place, end, final)
-        found.insert(0, (plan.begin(place, target), place, target))
-    return found
+class _Plan:
+    """The phases and speeds of one configuration, and where any of them brakes."""
 
+    def __init__(self, trajectory: Trajectory, limits: StepProfile | None, row: int) -> None:
+        self.trajectory, self.limits = trajectory, limits
+        if limits is not None:
+            # Of the train's own top speed the plan shows how far it was used.
+            top = np.minimum(limits.values, trajectory.speeds.max())
+            self.limits = StepProfile(limits.positions, top)
+        self.places, self.times = trajectory.positions, trajectory.times[row]
+        self.speeds, self.highest = trajectory.speeds[row], trajectory.speeds.max(axis=0)
+        every = np.array([phases_of(trajectory, each) for each in range(len(trajectory.speeds))])
+        self.phases = every[row]
+        self.brakes = np.any(every >= Phase.PARTIAL_BRAKING, axis=0)
+        inertia = np.array([each.inertia for each in trajectory.configurations])[:, None]
+        braking = trajectory.braking_effort / inertia
+        self.net = np.abs(trajectory.tractive_effort / inertia[row] - braking[row])
+        self.braking = braking.max(axis=0)
+        faster = KMH * np.array([self.speeds.min(), self.speeds.max()])
+        self.whole = np.arange(max(np.floor(faster[0]) - 1.0, 1.0), faster[1] + 2.0) / KMH
 
-def _held_below(place: float, target: float, stretches: list[_Stretch], plan: _Plan) -> bool:
-    """Whether one speed not above `target` is held for long before and at a place."""
-    for each in stretches:
-        if each.point.hold and each.start < place < each.end:
-            held = rounded_down(plan.usual(each.start, each.end)) <= target + 1e-9
-            return held and plan.lasts(each.start, place) > 2.0 * _LONG_PARTIAL
-    return False
+    def chosen(self) -> IntArray:
+        """Label of each cell: a place in `_PHASES`, then one for each speed to hold."""
+        costs = self._costs()
+        count = costs.shape[1]
+        total, before = costs[:, 0].copy(), np.zeros(costs.shape, dtype=np.int64)
+        stay = np.arange(costs.shape[0])
+        for cell in range(1, count):
+            best = int(np.argmin(total))
+            least = np.full(total.size, total[best] + _CHANGE)
+            origin = np.full(total.size, best)
+            if best == _COAST:
+                # What coasts faster than the speed to hold has to brake first.
+                least[_HOLD:] += np.maximum(self.highest[cell] - self.whole - HELD, 0.0)
+                other = int(np.argmin(np.where(stay == _COAST, np.inf, total)))
+                better = (total[other] + _CHANGE < least) & (stay != _COAST)
+                least[better], origin[better] = total[other] + _CHANGE, other
+            change = total > least
+            before[:, cell] = np.where(change, origin, stay)
+            total = np.where(change, least, total) + costs[:, cell]
+        found = np.empty(count, dtype=np.int64)
+        found[-1] = int(np.argmin(total))
+        for cell in range(count - 1, 0, -1):
+            found[cell - 1] = before[found[cell], cell]
+        for cell in np.flatnonzero(np.diff(found)).tolist():
+            self._brake_on(found, cell + 1)
+        return found
 
+    def _brake_on(self, chosen: IntArray, cell: int) -> None:
+        """Let a brake before a speed to hold last until all have come down to that speed."""
+        label = int(chosen[cell])
+        if label < _HOLD or chosen[cell - 1] != _BRAKE:
+            return
+        fast = self.highest[:-1] > self.whole[label - _HOLD] + HELD
+        while cell < chosen.size and chosen[cell] == label and self.brakes[cell] and fast[cell]:
+            chosen[cell] = _BRAKE
+            cell += 1
 
-def _split(each: _Stretch, plan: _Plan) -> list[_Stretch]:
-    """A stretch in parts, where a limit that slows it rises on the way."""
-    if plan.limits is None or each.target is not None or each.point.phase > Phase.COASTING:
-        return [each]
-    wanted = plan.extremes(each.start, each.end)[2]
-    if each.point.hold:
-        wanted = plan.usual(each.start, each.end)
-    inside = (plan.limits.positions > each.start) & (plan.limits.positions < each.end)
-    for place in plan.limits.positions[inside][::-1].tolist():
-        before, after = plan.lowest_limit(each.start, place), plan.lowest_limit(place, each.end)
-        if before < min(wanted, after) - 1e-6:
-            first = _split(replace(each, end=place), plan)
-            return [*first, *_split(replace(each, start=place), plan)]
-    return [each]
+    def _costs(self) -> FloatArray:
+        """What each label, (s, n), leaves unsaid of the speed in each cell [m/s]."""
+        seconds, phases = np.diff(self.times), self.phases
+        change, rise = self.net * seconds, np.maximum(np.diff(self.speeds), 0.0)
+        drives, full = phases <= Phase.CRUISING, phases == Phase.MAXIMUM_TRACTION
+        own, hard = phases >= Phase.PARTIAL_BRAKING, phases == Phase.MAXIMUM_BRAKING
+        others = np.where(self.brakes, self.braking, 0.0) * seconds
+        rows = [
+            np.where(full, 0.0, np.where(drives, _FULL * seconds, np.inf)),
+            np.where(full, 10.0 * _PARTIAL, np.where(drives, _PARTIAL, np.inf)) * seconds,
+            np.where(drives, change + _UNSAID * seconds, np.where(own, change, others)),
+            np.where(self.brakes, np.where(hard, 0.0, _GENTLE * seconds) + rise, np.inf),
+        ]
+        beside = np.abs(self.speeds - self.whole[:, None])
+        worst = np.maximum(beside[:, 1:], beside[:, :-1])
+        mean = 0.5 * (beside[:, 1:] + beside[:, :-1])
+        possible = (worst <= HELD) & (self.whole[:, None] <= self._most() + _WHOLE / KMH)
+        return np.vstack([*rows, np.where(possible, _DRIFT * mean * seconds, np.inf)])
 
+    def _most(self) -> FloatArray:
+        """The highest speed to hold in each cell [m/s]."""
+        if self.limits is None:
+            return self._limit(self.places[:-1], self.places[1:])
+        soon = self.places[1:] + _AHEAD * self.speeds[1:]
+        ahead = self._limit(self.places[:-1], soon)
+        most = self._limit(self.places[:-1], self.places[1:] + 1e-3)
+        most = np.where(self.speeds[:-1] <= ahead + HELD, ahead, most)
+        # Where a brake follows, it begins at no higher speed than planned.
+        counted = np.concatenate(([0], np.cumsum(self.brakes)))
+        cells = np.minimum(np.searchsorted(self.places, soon), self.brakes.size)
+        highest = np.maximum(self.highest[1:], self.highest[:-1]) + 0.5 / KMH
+        return np.where(counted[cells] > counted[:-1], np.minimum(most, highest), most)
 
-def _with_braking(
-    stretches: list[_Stretch], braking: list[tuple[float, float, float]], model: AdvicePoint
-) -> list[_Stretch]:
-    """The stretches, with the braking for limits and stops in the place of what was there."""
-    found, left = list[_Stretch](), stretches[0].start
-    for start, end, target in [*braking, (stretches[-1].end, stretches[-1].end, 0.0)]:
-        for each in stretches:
-            begin, stop = max(each.start, left), min(each.end, start)
-            if begin < stop:
-                found.append(replace(each, start=begin, end=stop))
-        if start < end:
-            phase = Phase.MAXIMUM_BRAKING
-            brake = replace(model, phase=phase, hold=False)
-            found.append(_Stretch(max(start, left), end, brake, target))
-        left = end
-    return found
+    def _limit(self, start: FloatArray, end: FloatArray) -> FloatArray:
+        """Lowest limit between places [m/s]; without limits the highest speed planned."""
+        edges, values = self.places, np.maximum(self.highest, np.append(self.highest[1:], 0.0))
+        if self.limits is not None:
+            edges, values = self.limits.positions, self.limits.values
+        first = np.maximum(np.searchsorted(edges, start + 1e-6, side="right") - 1, 0)
+        last = np.maximum(np.searchsorted(edges, end - 1e-6), first + 1)
+        spans = zip(first.tolist(), last.tolist(), strict=True)
+        return np.array([values[begin:past].min() for begin, past in spans], np.float64)
 
+    def instruction(
+        self, start: int, end: int, label: int, after: Instruction | None
+    ) -> Instruction:
+        """The row of one label from the node `start` to the node `end`."""
+        speed, until = float(self.speeds[start]), float(self.speeds[end])
+        inside, fastest = self.speeds[start : end + 1], float(self.highest[end])
+        hold = label >= _HOLD
+        phase = Phase.CRUISING if hold else _PHASES[label]
+        follows = after.target if after is not None and after.hold else None
+        target = until
+        if hold:
+            target = float(self.whole[label - _HOLD])
+        elif phase is Phase.MAXIMUM_BRAKING:
+            own = self.phases[start:end]
+            if not np.any(own >= Phase.PARTIAL_BRAKING):
+                target = fastest
+            elif not np.any(own == Phase.MAXIMUM_BRAKING):
+                phase = Phase.PARTIAL_BRAKING
+        elif phase is Phase.MAXIMUM_TRACTION and inside.max() - until > NOTICED:
+            target, follows = float(inside.max()), None
+        drives = phase <= Phase.CRUISING and not hold
+        most = target
+        if follows is not None and not hold and phase is not Phase.COASTING:
+            target = most = follows
+        elif drives:
+            most = float(self._limit(self.places[[end - 1]], self.places[[end]])[0])
+        found = Instruction(
+            float(self.places[start]),
+            float(self.places[end]),
+            float(self.times[start]),
+            speed,
+            until,
+            phase,
+            hold,
+            _rounded(target, most),
+            float(inside.min()),
+            float(inside.max()),
+            fastest,
+            self._by(start, end, target) if phase > Phase.COASTING else float(self.places[end]),
+            _course(inside.tolist()),
+        )
+        caps = list[Cap]()
+        for cap in self._caps(found, after):
+            if caps and caps[-1].speed <= cap.speed and caps[-1].end >= cap.start and not drives:
+                cap = replace(caps.pop(), end=cap.end)
+            caps.append(cap)
+        return replace(found, caps=tuple(caps))
 
-def _without_partial(stretches: list[_Stretch], plan: _Plan) -> list[_Stretch]:
-    """Short partial traction that goes on where full traction ends is full traction, too."""
-    found = stretches[:1]
-    for each in stretches[1:]:
-        before, short = found[-1], plan.lasts(each.start, each.end) < _LONG_PARTIAL
-        partial = each.point.phase is Phase.CRUISING and not each.point.hold
-        if partial and short and before.point.phase is Phase.MAXIMUM_TRACTION:
-            found[-1] = replace(before, end=each.end)
-        else:
-            found.append(each)
-    return found
+    def _by(self, start: int, end: int, target: float) -> float:
+        """Where a limit asks first for the speed that a brake leads to; else where it ends [m]."""
+        first, last = self.places[[start, end]].tolist()
+        if self.limits is None:
+            return float(last)
+        edges = self.limits.positions
+        asks = (self.limits.values < target + NOTICED) & (edges > first) & (edges < last)
+        return float(edges[asks].min(initial=last))
 
+    def _caps(self, row: Instruction, after: Instruction | None) -> Iterator[Cap]:
+        """Speeds that a configuration may come near on the way, other than the target."""
+        if row.hold:
+            return
+        drives = row.phase <= Phase.CRUISING
+        edges = np.zeros(0) if self.limits is None else self.limits.positions
+        inside = edges[(edges > row.position + 1e-3) & (edges < row.end - 1e-3)].tolist()
+        before = np.inf
+        for first, last in pairwise([row.position, *inside, row.end]):
+            if self.limits is None:
+                break
+            limit = float(self.limits(first + 1e-3))
+            near = self.highest_between(first, last) > limit - _NEAR
+            cells = slice(*np.searchsorted(self.places, [first, last]))
+            speeds = self.trajectory.speeds[:, cells]
+            rises = np.any(speeds.max(axis=1) > speeds[:, 0] + 0.1 * NOTICED)
+            if row.phase > Phase.COASTING and first == row.position:
+                pass
+            elif drives and near and limit < row.target - _WHOLE / KMH:
+                yield Cap(rounded_down(limit), row.position, last)
+            elif near and not drives and (rises or before > limit) and first < row.by:
+                yield Cap(rounded_down(limit), first, last)
+            before = limit
+        if row.phase is Phase.COASTING:
+            past = np.array([row.end + _AHEAD * row.until])
+            soon = (
+                np.inf if self.limits is None else float(self._limit(np.array([row.end]), past)[0])
+            )
+            brakes = after is not None and after.phase > Phase.COASTING
+            if brakes or row.fastest > min(row.until, soon - 2.0 * NOTICED) + NOTICED:
+                yield Cap(
+                    rounded_down(row.fastest if brakes else min(row.fastest, soon)),
+                    row.end,
+                    row.end,
+                )
 
-def _joined(stretches: list[_Stretch], plan: _Plan) -> list[_Stretch]:
-    """Without what is too short to be driven, and without neighbours of one kind."""
-    found = list[_Stretch]()
-    begin: float | None = None
-    for number, each in enumerate(stretches):
-        if begin is not None:
-            each, begin = replace(each, start=begin), None
-        before = found[-1] if found else None
-        if each.target is None and plan.lasts(each.start, each.end) < DRIVEABLE:
-            if before is not None and before.target is None:
-                following = stretches[number + 1] if number + 1 < len(stretches) else each
-                gains = each.point.phase is Phase.MAXIMUM_TRACTION and following.target is None
-                found[-1] = before if gains else replace(before, end=each.end)
-                begin = each.start if gains else None
-                continue
-            if number + 1 < len(stretches) and before is not None:
-                begin = each.start
-                continue
-        same = before is not None and before.kind == each.kind and not each.point.hold
-        if same and before is not None and before.target is None and each.target is None:
-            found[-1] = replace(before, end=each.end)
-            continue
-        found.append(each)
-    return found
-
-
-def _worded(each: _Stretch, plan: _Plan) -> AdvicePoint:
-    """The point of a stretch: its speeds, and which not to exceed."""
-    lowest, highest, highest_of_all = plan.extremes(each.start, each.end)
-    limit = plan.lowest_limit(each.start, each.end)
-    speed, until = plan.at([each.start, each.end]).tolist()
-    phase, hold = each.point.phase, each.point.hold
-    target, capped = until, False
-    if each.target is not None:
-        target = each.target
-    elif hold:
-        target = plan.usual(each.start, each.end)
-    elif phase is Phase.MAXIMUM_TRACTION:
-        target = each.point.target
-    elif phase is Phase.COASTING:
-        target = min(limit, plan.top)
-        inside = (plan.places >= each.start) & (plan.places <= each.end)
-        rises = np.any(np.diff(plan.speeds[:, inside], axis=1) > 0.0)
-        capped = bool(rises and highest_of_all > target - _SLOW)
-    target = min(target, limit, plan.top)
-    return replace(
-        each.point,
-        position=each.start,
-        time=float(np.interp(each.start, plan.places, plan.times)),
-        speed=speed,
-        until=until,
-        end=each.end,
-        target=rounded_down(target) if target > 0.0 else 0.0,
-        lowest=lowest,
-        highest=highest,
-        permitted=limit if plan.limits is not None else None,
-        capped=capped,
-        course=plan.course(each.start, each.end),
-    )
+    def highest_between(self, first: float, last: float) -> float:
+        """Highest speed of all configurations between two places [m/s]."""
+        inside = (self.places >= first) & (self.places <= last)
+        ends = np.interp([first, last], self.places, self.highest)
+        return float(np.append(self.highest[inside], ends).max())

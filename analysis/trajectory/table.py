@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     # They bring the solvers, which a table of a trajectory's file does without.
     from analysis.trajectory.journey import JourneyPlan
     from analysis.trajectory.optimiser import Front
-    from analysis.trajectory.phases import AdvicePoint
 
 FROM_START = replace(POSITION, unit="")
 """A position under a heading that says km."""
@@ -215,28 +214,6 @@ def journey_table(plan: JourneyPlan, line: Line | None = None) -> WordTable:
             float(found["line_energy"][row] if mixed else found["energy"]),
             found["total_gap"],
             float(price),
-        )
-    return table
-
-
-def advice_table(points: Sequence[AdvicePoint], line: Line | None = None) -> WordTable:
-    """Driver advice: where to do what; with the line as travelled in the operator's kilometres."""
-    table = new_table(
-        "Driver advice",
-        Column("km", FROM_START, key="position"),
-        Column("time", DURATION, each=True),
-        Column("speed", replace(SPEED, digits=0), each=True),
-        Column("advice"),
-        Column("at its end", replace(SPEED, digits=0), each=True, key="until"),
-        name="advice",
-    )
-    for point in points:
-        table.add_cells(
-            _km(line, point.position),
-            Said(point.time, clock(point.time)),
-            point.speed,
-            point.words,
-            point.until,
         )
     return table
 

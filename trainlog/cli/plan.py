@@ -266,19 +266,22 @@ def _refuse(why: str, given: Mapping[str, object], remedy: str = "") -> None:
 def _write(trajectory: Trajectory, problem: TrajectoryProblem, output: Path) -> None:
     """Write a trajectory, its picture and its advice, and print what it is."""
     from analysis.trajectory.adhesion import adhesion_words
-    from analysis.trajectory.instructions import instructions
-    from analysis.trajectory.phases import advice, write_advice
+    from analysis.trajectory.advice import driver_table, journey_advice, write_journey_advice
     from analysis.trajectory.plot import draw_trajectory
-    from analysis.trajectory.table import advice_table, certified, trajectory_table
+    from analysis.trajectory.table import certified, trajectory_table
     from trainlog.formats.trajectory import write_trajectory
 
-    points = instructions(trajectory, trajectory.latest, advice(trajectory), problem.limits)
+    advice = journey_advice([trajectory], problem.line)
     write_trajectory(trajectory, output)
     draw_trajectory(trajectory, problem.line, output.with_suffix(".png"))
-    write_advice(points, output.with_suffix(".csv"))
-    made = current().content.setdefault("trajectories", [])
-    made.append({"trajectory": output, **certified(trajectory)})
-    console.print(trajectory_table(trajectory), advice_table(points, problem.line))
+    write_journey_advice(advice, output.with_suffix(".csv"))
+    content = current().content
+    content.setdefault("trajectories", []).append({"trajectory": output, **certified(trajectory)})
+    console.print(trajectory_table(trajectory))
+    if current().as_json:
+        content.setdefault("advice", []).extend(advice.details()["advice"])
+    else:
+        console.print(driver_table(advice))
     for words in adhesion_words(problem, trajectory):
         console.print(f"  {words}", highlight=False, soft_wrap=True)
     wrote(output, output.with_suffix(".png"), output.with_suffix(".csv"))
@@ -396,7 +399,7 @@ def advice(
 
 def _advise(log: Path, trajectory: Path, output: Path) -> None:
     """Write a log with a trajectory's advice beside what was driven."""
-    from analysis.trajectory.phases import with_advice
+    from analysis.trajectory.advice import with_advice
     from trainlog.formats.trajectory import read_trajectory
     from trainlog.mcap import read_log, write_log
 

@@ -1,0 +1,73 @@
+"""The law of advice: what it names the plan does, and its speeds follow one another."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+
+import numpy as np
+
+from analysis.trajectory.advice import AdviceRow
+from analysis.trajectory.instructions import HELD
+from trainlog.railway import Trajectory
+from trainlog.spans import runs_of
+
+KMH = 3.6
+ROUNDING = 0.51 / KMH
+UNSAID = 6.0 / KMH
+"""Most that traction which no row names may add to the speed at once [m/s]."""
+
+
+def breaches(plan: Trajectory, rows: list[AdviceRow]) -> list[str]:
+    """What the rows of one section's advice state that its plan does not contain."""
+    changes = [row for row in rows if row.event == "changes"]
+    letters = np.array([list(each) for each in plan.certificate["phases"]])
+    brakes = np.isin(letters, ["H", "B"]).any(axis=0)
+    drives = np.isin(letters, ["T", "P"]).any(axis=0)
+    own, places = plan.latest, plan.positions
+    ends = [*(row.position for row in changes[1:]), float(places[-1])]
+    found = []
+    for row, end in zip(changes, ends, strict=True):
+        cells = (places[:-1] >= row.position - 1e-6) & (places[1:] <= end + 1e-6)
+        speeds = plan.speeds[own][(places >= row.position - 1e-6) & (places <= end + 1e-6)]
+        begin, last, words = speeds[0], speeds[-1], row.words
+        target = re.match(
+            r"(?:hold|brake[^;]* to|full traction to|partial traction to) (\d+)", words
+        )
+        speed = float(target[1]) / KMH if target else None
+        if "brake" in words and not brakes[cells].all():
+            found.append(f"{words}: nobody brakes on {(~brakes[cells]).sum()} cells")
+        if "traction" in words and not drives[cells].all():
+            found.append(f"{words}: nobody drives on {(~drives[cells]).sum()} cells")
+        if words.startswith("hold") and np.abs(speeds - speed).max() > HELD + ROUNDING:
+            found.append(f"{words}: {KMH * speeds.min():.0f} to {KMH * speeds.max():.0f} km/h")
+        if not words.startswith("hold") and speed is not None:
+            slower = words.startswith("brake, if faster") and last < speed
+            if abs(last - speed) > HELD + ROUNDING and not slower:
+                found.append(f"{words}: ends at {KMH * last:.0f} km/h")
+        if words.startswith(("coast", "brake")):
+            pull = plan.tractive_effort[cells] / plan.configurations[own].inertia
+            pull *= np.diff(plan.times[own])[cells]
+            runs = runs_of(np.isin(letters[own, cells], ["T", "P"]))
+            gains = [
+                min(pull[start:past].sum(), speeds[start : past + 1].max() - speeds[start])
+                for start, past in runs
+            ]
+            gained = max(gains, default=0.0)
+            if gained > UNSAID:
+                found.append(f"{words}: {KMH * gained:.0f} km/h by traction are left out")
+        if "to a stand" in words and last > ROUNDING:
+            found.append(f"{words}: ends at {KMH * last:.0f} km/h")
+        if abs(begin - row.speed) > 1e-6 or abs(last - row.until) > 1e-6:
+            found.append(f"{words}: other speeds at its ends")
+    for before, after in pairwise(changes):
+        if before.until != after.speed:
+            found.append(f"{after.words} begins at another speed than the row before ends at")
+        if before.words.split(";")[0] == after.words.split(";")[0]:
+            found.append(f"{after.words}: twice")
+        kinds = [
+            re.match(r"(\w+)(?: gently|, if faster)?", each.words)[1] for each in (before, after)
+        ]
+        if kinds[0] == kinds[1] and kinds[0] != "hold":
+            found.append(f"{before.words} and {after.words} are of one kind")
+    return found
