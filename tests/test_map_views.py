@@ -189,9 +189,9 @@ def test_the_names_that_remove_takes_are_listed(
 ) -> None:
     path = tmp_path / "wil.map"
     path.write_bytes(Path(trainlog.sample("CH_StGallen_Wil.map")).read_bytes())
-    with pytest.raises(InputError, match=r"trainlog show .*wil.map --trips lists its trips"):
+    with pytest.raises(InputError, match=r"trainlog show .*wil.map --all lists its trips"):
         run(["map", "remove", str(path), "nope"])
-    assert run(["show", str(path), "--trips"]) == 0
+    assert run(["show", str(path), "--all"]) == 0
     listed = " ".join(capsys.readouterr().out.split())
     assert "trip-03 wet 2024-10-07 yes" in listed
 
@@ -354,7 +354,7 @@ def test_the_command_prints_json_and_states_the_zone_that_it_assumed(
     assert len(notes) == len(found["notes"]) + 1 == 3
     assert all(each in shown for each in notes)
     assert (tmp_path / "wet.png").stat().st_size > 20_000
-    for given, message in (("8", "not a part of a line"), ("8:9", "what a picture shows")):
+    for given, message in (("8:8", "not a part of a line"), ("8:9", "what a picture shows")):
         with pytest.raises(InputError, match=message):
             run(["map", "show", str(tmp_path / "absent.map"), "--km", given])
     assert run([*words[:-1], "2024-10-09T08:00+02:00"]) == 0

@@ -135,17 +135,18 @@ def test_a_map_read_with_less_risk_leaves_less_adhesion_and_the_file_states_it(
         (("--assumed-adhesion", "0.1"), "leave out --assumed-adhesion or give a map"),
         (("--dwell", "30"), "leave out --dwell or give a journey"),
         (("--running-time", "1200", "--reserve", "5"), "leave out --reserve"),
-        (("--reserve", "nan"), "must be 0 or more, not nan%; 7 per cent over the least time are"),
+        (("--reserve", "nan"), "--reserve 'nan' is not a valid share; write it as 7 or 7%"),
+        (("--reserve", "-5%"), "must be 0 or more, not -5%; 7 per cent over the least time are"),
         ((*MAP, "--assumed-adhesion", "8"), "above 0 and at most 1, not 8"),
         (("--km", "5:3"), "from km 5.000 to km 3.000 is no section"),
         (("--km", "29:31"), "is no section of a line of 29.556 km"),
         (("--km", "Gossau"), "write kilometres as 3.2:7.5"),
         (("--km", "1:9", "--initial-speed", "400"), "400.0 km/h is above the"),
         (("--initial-speed", "-1"), "must be finite and not negative"),
-        (("--final-speed", "inf"), "must be finite and not negative"),
-        (("--final-speed", "nan"), "must be finite and not negative"),
+        (("--final-speed", "inf"), "--final-speed 'inf' is not a valid speed; write it as 80"),
+        (("--running-time", "20:75"), "--running-time '20:75' is not a valid time; write it as"),
         ((*MAP, "--sigmas", "-1"), "give 0 or more"),
-        ((*MAP, "--sigmas", "nan"), "give 0 or more"),
+        ((*MAP, "--sigmas", "nan"), "is not a valid number"),
         ((*MAP, "--sigmas", "1", "--risk", "0.1"), "leave out --sigmas"),
         ((*MAP, "--risk", "0"), "a risk must be between 0 and 1, not 0"),
         ((*MAP, "--risk", "5"), "one trip in twenty"),
@@ -244,3 +245,14 @@ def test_a_load_is_of_the_train_file_alone(observed: Path, tmp_path: Path) -> No
         cli.run(["plan", str(observed), *SAMPLES, "--load", "8t", *output])
     with pytest.raises(InputError, match="is not plausible for a train of 122000 kg"):
         cli.run(["plan", *SAMPLES, "--load", "800t", *output])
+
+
+def test_values_are_taken_as_people_write_them(observed: Path, tmp_path: Path) -> None:
+    words = ("--km", "3.2km:7500m", "--initial-speed", "20m/s", "--final-speed", "36 km/h")
+    written = asked(observed, tmp_path, *words, "--running-time", "4:30")
+    plain = ("--km", "3.2:7.5", "--initial-speed", 72, "--final-speed", 36)
+    same = asked(observed, tmp_path, *plain, "--running-time", 270)
+    assert written.running_time == same.running_time == 270.0
+    assert np.array_equal(written.speeds, same.speeds)
+    reserve = [asked(observed, tmp_path, "--km", ":4", "--reserve", each) for each in ("7%", "7")]
+    assert reserve[0].running_time == reserve[1].running_time

@@ -83,6 +83,7 @@ _FACTORS = {
     ("permil", "1"): 0.001,
     ("t", "kg"): 1000.0,
     ("km", "km"): 1.0,
+    ("h", "h"): 1.0,
     ("m", "km"): 0.001,
     ("ms", "s"): 0.001,
     ("min", "s"): 60.0,
@@ -306,6 +307,8 @@ class Measure:
             return None
         try:
             unit = _WRITTEN.get((found["unit"] or "").lower(), found["unit"] or self.usual)
+            if unit not in _GIVEN:  # of which "hh" would be hectohours
+                return None
             return float(to_si(float(found["number"]), unit, self.unit))
         except InputError:
             return None
@@ -335,7 +338,11 @@ class Measure:
 _WRITTEN = {"kmh": "km/h", "kph": "km/h"}
 """Units as people write them, too."""
 
+_GIVEN = frozenset((*_COMMON, "1", "min", "h", "mph", "‰"))
+"""Units that values may be given in."""
+
 TIME = Measure("time", "s", "s", "90, 90s, 15min or 17:30")
+HOURS = Measure("time", "h", "h", "24, 24h or 90min")
 SPEED = Measure("speed", "m/s", "km/h", "80, 80km/h or 22m/s")
 SHARE = Measure("share", "1", "1", "0.07 or 7%")
 PERCENT = Measure("share", "1", "%", "7 or 7%")

@@ -23,6 +23,7 @@ from trainlog.cli.options import (
     distinct,
     line_of_log,
     logs_in,
+    measured,
     source_span,
     stretch,
     times,
@@ -41,7 +42,7 @@ from trainlog.cli.terminal import (
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.progress import task, track
-from trainlog.units import KMH
+from trainlog.units import KMH, PERCENT, SPEED
 
 if TYPE_CHECKING:
     from trainlog.mcap.convert import Converted
@@ -80,8 +81,10 @@ def import_(
     name: Annotated[str | None, typer.Option(help="With --formation: name of the train.")] = None,
     loaded: Annotated[
         float | None,
-        typer.Option(
-            min=0.0, max=100.0, help="Of a railtoolkit train: per cent of its load on board."
+        measured(
+            "--loaded",
+            of=PERCENT.between(0.0, 1.0),
+            help="Of a railtoolkit train: share of its load on board.",
         ),
     ] = None,
     mass_model: Annotated[
@@ -99,11 +102,10 @@ def import_(
     category: CategoryOption = None,
     limit: Annotated[
         float | None,
-        typer.Option(
-            min=1.0,
-            max=600.0,
-            help="Of a network: speed limit in km/h where the file states none; default: its"
-            " lowest.",
+        measured(
+            "--limit",
+            of=SPEED.between(1.0 / KMH, 600.0 / KMH),
+            help="Of a network: speed limit where the file states none; default: its lowest.",
         ),
     ] = None,
 ) -> None:
@@ -130,8 +132,8 @@ def import_(
     )
     options = ImportOptions(
         electrification, traction, braking, mass_model, acceleration_limits, curve_resistance,
-        None if loaded is None else loaded / 100.0, category,
-        None if limit is None else limit / KMH,
+        loaded, category,
+        limit,
     )  # fmt: skip
     if formation is None and name is not None:
         raise InputError("--name is that of a formation", remedy="give --formation, too")

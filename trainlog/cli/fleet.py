@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from trainlog.cli.options import CatalogueOption, ZoneOption, destination
+from trainlog.cli.options import CatalogueOption, ZoneOption, destination, measured
 from trainlog.cli.terminal import console, current, print_error, print_warning, show, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write, output_folder
 from trainlog.progress import task
+from trainlog.units import PERCENT
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -422,11 +423,13 @@ def fleet_trains(
     ] = None,
     trips: TripsOption = None,
     false_alarms: Annotated[
-        float,
-        typer.Option(
-            metavar="PERCENT", help="Share (%) of healthy trains that raise an alarm in a month."
+        float | None,
+        measured(
+            "--false-alarms",
+            of=PERCENT.above(0.0, 0.2),
+            help="Share of healthy trains that raise an alarm in a month; default: 1%.",
         ),
-    ] = 1.0,
+    ] = None,
 ) -> None:
     """Show resistance, drift and findings of every train: which ones are not like the others.
 
@@ -447,13 +450,10 @@ def fleet_trains(
     from analysis.fleet.trains_table import trains_data
     from trainlog.catalogue import open_catalogue
 
-    if not 0.0 < false_alarms <= 20.0:
-        raise InputError(
-            f"--false-alarms {false_alarms:g} must be above 0 and at most 20",
-            remedy="give a share in %, such as 1",
-        )
     with open_catalogue(catalogue) as known:
-        found = trains_in(known, kind=kind, where=trips, rate=false_alarms / 100.0)
+        found = trains_in(
+            known, kind=kind, where=trips, rate=0.01 if false_alarms is None else false_alarms
+        )
     shown = found if train is None else found.only(train)
     written = []
     with output_folder(output):

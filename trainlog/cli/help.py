@@ -13,36 +13,21 @@ WIDEST_NAME = 30
 """Columns of an option's name and type beside its help; a longer one stands above it."""
 
 SHOWN_TYPES: dict[str, str] = {
-    "assumed_adhesion": "ADHESION",
     "at": "TIME",
     "before": "DAY",
     "change": "CHANGE",
     "characteristic": "FILE",
     "configurations": "NAMES",
-    "cover": "PERCENT",
-    "dwell": "SECONDS",
     "electrification": "NAME",
     "end": "TIME",
     "facts": "KEY=VALUE",
-    "final_speed": "KM/H",
     "format": "NAME",
     "formation": "VEHICLES",
-    "hours": "HOURS",
-    "initial_speed": "KM/H",
     "km": "KM:KM",
-    "late": "SECONDS",
     "layer": "CONDITION",
-    "least": "ADHESION",
     "load": "LOAD",
-    "loaded": "PERCENT",
     "name": "NAME",
-    "rate": "SHARE",
-    "reserve": "PERCENT",
-    "risk": "PROBABILITY",
-    "running_time": "SECONDS",
-    "speed": "KM/H",
     "start": "TIME",
-    "time_limit": "SECONDS",
     "topic": "TOPIC",
     "zone": "ZONE",
 }
@@ -62,10 +47,8 @@ def shown_type(parameter: Any, ctx: Any) -> str:
         return "FOLDER" if (parameter.help or "").startswith("Folder") else "FILE"
     if annotation is int:
         return "N"
-    if annotation is float and parameter.name == "km":
-        return "KM"
-    if annotation in (float, str):
-        return SHOWN_TYPES.get(parameter.name, "NUMBER" if annotation is float else "TEXT")
+    if annotation is str:
+        return SHOWN_TYPES.get(parameter.name, "TEXT")
     return str(parameter.display_type(ctx)).strip("<>")
 
 

@@ -16,13 +16,14 @@ from trainlog.cli.options import (
     destination,
     distinct,
     logs_in,
+    measured,
 )
 from trainlog.cli.terminal import console, print_error, show, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import output_folder
 from trainlog.progress import track
-from trainlog.units import KMH
+from trainlog.units import PERCENT, SPEED
 
 
 def fit(
@@ -51,9 +52,11 @@ def fit(
     ] = None,
     cover: Annotated[
         float | None,
-        typer.Option(
-            help="Of efforts: share of trips (%) whose times and energies the set is to bound;"
-            " default: 95."
+        measured(
+            "--cover",
+            of=PERCENT.between(0.01, 0.9999),
+            help="Of efforts: share of trips whose times and energies the set is to bound;"
+            " default: 95%.",
         ),
     ] = None,
     configurations: Annotated[
@@ -84,7 +87,11 @@ def fit(
     ] = None,
     speed: Annotated[
         float | None,
-        typer.Option(help="Of adhesion: train speed in km/h, of points that do not state theirs."),
+        measured(
+            "--speed",
+            of=SPEED.above(0.0, 200.0),
+            help="Of adhesion: train speed of points that do not state theirs.",
+        ),
     ] = None,
 ) -> None:
     """Fit running resistance to trips, or adhesion to measured points.
@@ -146,18 +153,12 @@ def _fit_efforts(
     from trainlog.formats.summaries import SUFFIX, write_summaries
 
     kept = destination(output.with_suffix(SUFFIX), SUFFIX)
-    share = 95.0 if cover is None else cover
-    if not 1.0 <= share < 100.0:
-        raise InputError(
-            f"--cover {share:g} must be at least 1 and below 100",
-            remedy="give a share in %, such as 95",
-        )
     with nullcontext() if per_trip is None else output_folder(per_trip) as drawn:
         # Summaries first: the logs that they hold need not be read.
         paths = sorted(logs_in(logs), key=lambda path: path.suffix != SUFFIX)
         given = track(paths, "fitting", "log")
         try:
-            fits = fit_trips(given, cover=share / 100.0, most=configurations)
+            fits = fit_trips(given, cover=0.95 if cover is None else cover, most=configurations)
         except AllRefusedError as error:
             if drawn is not None:
                 wrote(*draw_each_refused(error.refused, drawn))
@@ -203,18 +204,12 @@ def _fit_adhesion(
 ) -> None:
     """Fit an adhesion characteristic to measured points."""
     from analysis.adhesion.characteristic import (
-        MOST_SPEED,
         fit_adhesion_characteristic,
     )
     from analysis.adhesion.plot import draw_characteristic
     from trainlog.formats.characteristic import write_characteristic
 
-    if speed is not None and not 0.0 < speed < KMH * MOST_SPEED:
-        raise InputError(
-            f"--speed: {speed:g} km/h is not between 0 and {KMH * MOST_SPEED:g} km/h",
-            remedy="give the train's speed in km/h",
-        )
-    found = fit_adhesion_characteristic(curve, family, speed=None if speed is None else speed / KMH)
+    found = fit_adhesion_characteristic(curve, family, speed=speed)
     write_characteristic(found.characteristic, output, found.provenance())
     draw_characteristic(found, shown)
     show(found)

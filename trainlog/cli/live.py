@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from trainlog.cli.options import destination, line_or_network, pairs
+from trainlog.cli.options import destination, line_or_network, measured, pairs
 from trainlog.cli.terminal import console, current, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
-from trainlog.units import KMH
+from trainlog.units import KMH, TIME
 
 if TYPE_CHECKING:
     from trainlog.ingest.live import LiveIngest
@@ -69,9 +69,10 @@ def record(
     ] = None,
     idle: Annotated[
         float | None,
-        typer.Option(
-            min=0.1,
-            help="End after so many seconds of silence, once data have come; default: at Ctrl-C.",
+        measured(
+            "--idle",
+            of=TIME.between(0.1),
+            help="End after this time of silence, once data have come; default: at Ctrl-C.",
         ),
     ] = None,
     replay: Annotated[

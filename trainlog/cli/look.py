@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,6 +19,7 @@ from trainlog.cli.options import (
     ToOption,
     destination,
     logs_in,
+    measured,
     moment,
     part_of,
 )
@@ -26,6 +27,7 @@ from trainlog.cli.terminal import console, print_error, show, state, working, wr
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.progress import track
+from trainlog.units import SPEED
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -73,9 +75,11 @@ def compare(
     ] = None,
     wind: Annotated[
         float | None,
-        typer.Option(
-            help="Standard deviation in m/s of the head wind that calculated bands assume, as for a"
-            " known calm day. Default: 1 where the head wind is recorded, else 5."
+        measured(
+            "--wind",
+            of=replace(SPEED.between(0.0), usual="m/s", examples="5, 5m/s or 18km/h"),
+            help="Standard deviation of the head wind that calculated bands assume, as for a"
+            " known calm day. Default: 1 m/s where the head wind is recorded, else 5 m/s.",
         ),
     ] = None,
     picture: Annotated[

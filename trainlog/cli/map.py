@@ -18,6 +18,7 @@ from trainlog.cli.options import (
     ZoneOption,
     destination,
     logs_in,
+    measured,
     moment,
     zone_assumed,
 )
@@ -25,6 +26,7 @@ from trainlog.cli.terminal import console, current, print_error, show, state, wr
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.progress import task, track as tracked
+from trainlog.units import HOURS, KILOMETRE, NUMBER, SHARE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -243,12 +245,7 @@ def _show_place(
     from trainlog.formats.condition import read_map
     from trainlog.railway.kilometres import position_of
 
-    try:
-        place = float(km)
-    except ValueError:
-        raise InputError(
-            f"--km '{km}' is not a kilometre", remedy="write 12.3, or a part of the line: 8:12"
-        ) from None
+    place = KILOMETRE.read(km, "--km")
     track = read_map(condition)
     known = course(track, line, condition)
     position = position_of(known, place)
@@ -288,13 +285,11 @@ def _kilometres(given: str | None) -> tuple[float, float] | None:
     """Two kilometres as given by ``--km 8:12``."""
     if given is None:
         return None
-    try:
-        start, end = (float(each) for each in given.split(":"))
-    except ValueError:
-        start = end = 0.0
-    if not abs(end - start) > 0.0:
-        raise InputError(f"'{given}' is not a part of a line", remedy="write it as --km 8:12")
-    return start, end
+    parts = given.split(":")
+    ends = [KILOMETRE.read(each, "--km") for each in parts] if len(parts) == 2 else [0.0, 0.0]
+    if ends[0] == ends[1]:
+        raise InputError(f"--km '{given}' is not a part of a line", remedy="write it as --km 8:12")
+    return ends[0], ends[1]
 
 
 @map_app.command("diff")
@@ -309,10 +304,14 @@ def map_diff(
     layer: LayersOption = None,
     line: CourseOption = None,
     rate: Annotated[
-        float, typer.Option(help="Share of the bins called changed that may be so by chance.")
+        float,
+        measured(
+            "--rate", of=SHARE, help="Share of the bins called changed that may be so by chance."
+        ),
     ] = 0.05,
     least: Annotated[
-        float, typer.Option(help="Difference of adhesion whose probability is stated.")
+        float,
+        measured("--least", of=NUMBER, help="Difference of adhesion whose probability is stated."),
     ] = 0.01,
     picture: Annotated[Path | None, typer.Option(help="Draw the difference here as well.")] = None,
 ) -> None:
@@ -415,7 +414,9 @@ def map_forecast(
     ],
     at: AtOption = None,
     zone: ZoneOption = None,
-    hours: Annotated[float, typer.Option(help="For how long it is said to hold.")] = 24.0,
+    hours: Annotated[
+        float, measured("--hours", of=HOURS, help="For how long it is said to hold.")
+    ] = 24.0,
     layer: Annotated[
         str | None, typer.Option(help="Rail condition; default: every one of the map.")
     ] = None,

@@ -13,7 +13,7 @@ import typer
 from trainlog.cli.terminal import console
 from trainlog.errors import InputError
 from trainlog.formats.files import logs_of
-from trainlog.units import DISTANCE, KILOMETRE, MASS, NANOSECONDS, NUMBER, Measure
+from trainlog.units import DISTANCE, KILOMETRE, MASS, NANOSECONDS, NUMBER, SHARE, Measure
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,6 +26,18 @@ if TYPE_CHECKING:
 
 NETWORK_SUFFIX = ".network.json"
 """End of the names of network files."""
+
+
+def measured(*names: str, of: Measure, help: str) -> Any:
+    """An option whose value is written as people write it; a command gets it in the unit of `of`.
+
+    A number that the command has for a default is in that unit, too.
+    """
+
+    def read(given: Any) -> float:
+        return of.read(given, names[0])
+
+    return typer.Option(*names, parser=read, metavar=of.noun.upper(), help=help)
 
 
 class ChosenTrips:
@@ -71,9 +83,11 @@ TrainOption = Annotated[
 
 RiskOption = Annotated[
     float | None,
-    typer.Option(
+    measured(
+        "--risk",
+        of=SHARE,
         help="With --map: probability, for each place and trip, that there is less adhesion than"
-        " is counted on, as the map expects it at the time of the run; such as 0.05."
+        " is counted on, as the map expects it at the time of the run; such as 0.05.",
     ),
 ]
 RunTimeOption = Annotated[
@@ -125,18 +139,6 @@ KilometreOption = Annotated[
         " them: 3.2:7.5, 3.2:, :7.5.",
     ),
 ]
-
-
-def option(*names: str, of: Measure, help: str) -> Any:
-    """An option whose value is written as people write it; a command gets it in the unit of `of`.
-
-    A number that the command has for a default is in that unit, too.
-    """
-
-    def read(given: Any) -> float:
-        return of.read(given, names[0])
-
-    return typer.Option(*names, parser=read, metavar=of.noun.upper(), help=help)
 
 
 SECONDS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0}

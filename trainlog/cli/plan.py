@@ -18,11 +18,12 @@ from trainlog.cli.options import (
     load_of,
     logs_in,
     map_of_run,
+    measured,
     stretch,
 )
 from trainlog.cli.terminal import console, current, state, working, wrote
 from trainlog.errors import InputError
-from trainlog.units import KMH
+from trainlog.units import NUMBER, PERCENT, SPEED, TIME
 
 if TYPE_CHECKING:
     from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
@@ -44,12 +45,14 @@ def plan(
         ),
     ] = None,
     running_time: Annotated[
-        float | None, typer.Option(help="Timetable's running time in seconds.")
+        float | None, measured("--running-time", of=TIME, help="Timetable's running time: 17:30.")
     ] = None,
     reserve: Annotated[
         float | None,
-        typer.Option(
-            help="Without --running-time: reserve over the least time in per cent; default: 7.",
+        measured(
+            "--reserve",
+            of=PERCENT,
+            help="Without --running-time: reserve over the least time; default: 7%.",
         ),
     ] = None,
     as_fast_as: Annotated[
@@ -82,8 +85,10 @@ def plan(
     ] = None,
     assumed_adhesion: Annotated[
         float | None,
-        typer.Option(
-            help="With --map: adhesion counted on where it has none; default: no limit there."
+        measured(
+            "--assumed-adhesion",
+            of=NUMBER,
+            help="With --map: adhesion counted on where it has none; default: no limit there.",
         ),
     ] = None,
     cells: Annotated[
@@ -101,7 +106,9 @@ def plan(
     ] = None,
     dwell: Annotated[
         float | None,
-        typer.Option(min=0.0, help="With --journey: least standing time at a stop (s)."),
+        measured(
+            "--dwell", of=TIME.between(0.0), help="With --journey: least standing time at a stop."
+        ),
     ] = None,
     km: Annotated[
         str | None,
@@ -112,15 +119,22 @@ def plan(
         ),
     ] = None,
     initial_speed: Annotated[
-        float | None, typer.Option(help="Speed where it begins, in km/h; default: standstill.")
+        float | None,
+        measured("--initial-speed", of=SPEED, help="Speed where it begins; default: standstill."),
     ] = None,
     final_speed: Annotated[
         float | None,
-        typer.Option(help="Speed where it ends, at most, in km/h; default: standstill."),
+        measured(
+            "--final-speed", of=SPEED, help="Speed where it ends, at most; default: standstill."
+        ),
     ] = None,
     sigmas: Annotated[
         float | None,
-        typer.Option(help="With --map: standard deviations taken off its estimate; default: 2."),
+        measured(
+            "--sigmas",
+            of=NUMBER,
+            help="With --map: standard deviations taken off its estimate; default: 2.",
+        ),
     ] = None,
     risk: RiskOption = None,
     at: RunTimeOption = None,
@@ -133,9 +147,10 @@ def plan(
     ] = False,
     time_limit: Annotated[
         float | None,
-        typer.Option(
-            min=0.1,
-            help="Seconds after which the best that was found is taken, with its gap; what has"
+        measured(
+            "--time-limit",
+            of=TIME.between(0.1),
+            help="Time after which the best that was found is taken, with its gap; what has"
             " begun is finished. Of each section, with --journey.",
         ),
     ] = None,
@@ -196,11 +211,11 @@ def plan(
         console.print("  no --layer is given: wet", highlight=False)
     given: dict[str, Any] = {
         "running_time": running_time,
-        "reserve": None if reserve is None else reserve / 100.0,
+        "reserve": reserve,
         "start": start,
         "end": end,
-        "initial_speed": None if initial_speed is None else initial_speed / KMH,
-        "final_speed": None if final_speed is None else final_speed / KMH,
+        "initial_speed": initial_speed,
+        "final_speed": final_speed,
         "weights": observed.weights if objective == "expected" else None,
         "condition_map": track,
         "sigmas": sigmas,
@@ -350,8 +365,10 @@ def advice(
     ] = None,
     dwell: Annotated[
         float | None,
-        typer.Option(
-            min=0.0, help="Standing time at stops (s), of sections planned one by one; default: 0."
+        measured(
+            "--dwell",
+            of=TIME.between(0.0),
+            help="Standing time at stops, of sections planned one by one; default: 0.",
         ),
     ] = None,
     onto: Annotated[

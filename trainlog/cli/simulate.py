@@ -18,11 +18,13 @@ from trainlog.cli.options import (
     lasting_change,
     line_and_train,
     map_of_run,
+    measured,
 )
 from trainlog.cli.terminal import about, console, print_error, state, wrote
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.files import output_folder
 from trainlog.progress import track
+from trainlog.units import TIME
 
 if TYPE_CHECKING:
     from trainlog.railway import Line, TrackConditionMap
@@ -100,7 +102,7 @@ def follow(
         ),
     ] = "hardest",
     weather: Annotated[Literal["dry", "wet"], typer.Option(help="The rail's condition.")] = "dry",
-    late: Annotated[float, typer.Option(min=0.0, help="Departure delay in seconds.")] = 0.0,
+    late: Annotated[float, measured("--late", of=TIME.between(0.0), help="Departure delay.")] = 0.0,
     condition: Annotated[
         Path | None,
         typer.Option("--map", help="Track-condition map that the train knows."),

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from trainlog.cli.options import Seed
+from trainlog.cli.options import Seed, measured
 from trainlog.cli.terminal import console, wrote
+from trainlog.units import SHARE, SPEED
 
 if TYPE_CHECKING:
     from analysis.studies.report import StudyReport
@@ -60,7 +61,10 @@ def consist(
     line: Annotated[
         Path | None, typer.Option(help="Line file; default: 12 km with a crest and a sag.")
     ] = None,
-    speed: Annotated[float, typer.Option(min=1.0, help="Speed to keep, in km/h.")] = 80.0,
+    speed: Annotated[
+        float | None,
+        measured("--speed", of=SPEED.above(0.0), help="Speed to keep; default: 80 km/h."),
+    ] = None,
 ) -> None:
     """Forces between the vehicles of a train: start, gradients, full and emergency braking.
 
@@ -73,7 +77,7 @@ def consist(
     from trainlog.units import KMH
 
     with _reported(output) as report:
-        main(report, ConsistOptions(file, line, speed / KMH))
+        main(report, ConsistOptions(file, line, 80.0 / KMH if speed is None else speed))
 
 
 @study_app.command("map-mpc")
@@ -93,10 +97,12 @@ def map_mpc(
     ] = False,
     risk: Annotated[
         list[float] | None,
-        typer.Option(
+        measured(
+            "--risk",
+            of=SHARE,
             help="Drive only the days, on a rail that changes, without a map, with its lasting"
             " estimate, and with what it expects of each day at this risk; may be given several"
-            " times."
+            " times.",
         ),
     ] = None,
     seed: Seed = 1,

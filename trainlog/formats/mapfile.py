@@ -375,7 +375,7 @@ class MapFile:
                 raise InputError(
                     f"the map holds no trip '{name}'",
                     file=self.path,
-                    remedy=f"trainlog show {self.path} --trips lists its trips",
+                    remedy=f"trainlog show {self.path} --all lists its trips",
                 )
             for row in rows:
                 if row.evidence is None:
