@@ -21,6 +21,8 @@ from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.presentation import new_table
 
+pytestmark = pytest.mark.usefixtures("remembered_estimates")
+
 
 @pytest.fixture
 def broken(tmp_path: Path) -> dict[str, Path]:

@@ -26,6 +26,8 @@ from trainlog.formats.parameters import read_parameters
 from trainlog.formats.trajectory import read_trajectory
 from trainlog.mcap import describe
 
+pytestmark = pytest.mark.usefixtures("remembered_estimates")
+
 NONSTOP = "trip-01,trip-09"
 """Configurations of two of the trips without a stop, to which the driven ones are compared."""
 

@@ -34,6 +34,8 @@ from trainlog.railway.evidence import DailyEvidence
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
 
+pytestmark = pytest.mark.usefixtures("remembered_estimates")
+
 SHORT = level_line(5_000.0)
 KILLED = Path(__file__).with_name("killed_updaters.py")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1]), "COLUMNS": "200"}

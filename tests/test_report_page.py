@@ -35,6 +35,8 @@ from trainlog.formats.trajectory import write_trajectory
 from trainlog.mcap import read_log, write_log
 from trainlog.presentation import kwh
 
+pytestmark = pytest.mark.usefixtures("remembered_estimates")
+
 
 class _Outline(HTMLParser):
     """Tags, attributes and headings of a page."""

@@ -13,6 +13,8 @@ import trainlog
 from analysis.reports.page import Page, Section
 from trainlog.values import same_values
 
+pytestmark = pytest.mark.usefixtures("remembered_estimates")
+
 LOG = trainlog.sample("nonstop.mcap")
 
 

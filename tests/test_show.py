@@ -16,6 +16,8 @@ from trainlog.formats.samples import sample
 from trainlog.mcap import write_log
 from trainlog.mcap.convert import convert
 
+pytestmark = pytest.mark.usefixtures("remembered_estimates")
+
 KINDS = {
     "nonstop.mcap": "log",
     "CH_StGallen_Wil.line.json": "line",

@@ -18,6 +18,8 @@ from trainlog.spans import in_spans, spans_of_pieces, spans_within
 from trainlog.topics import ESTIMATED_STATE, EVENTS, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 
+pytestmark = pytest.mark.usefixtures("remembered_estimates")
+
 SECOND = 10**9
 instants = st.integers(0, 5 * 10**18)
 

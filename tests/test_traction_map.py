@@ -40,6 +40,8 @@ from trainlog.railway.evidence import DailyEvidence
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
 
+pytestmark = pytest.mark.usefixtures("remembered_estimates")
+
 LINE = level_line(2_000.0)
 BINS, BIN = 80, 25.0
 PRIOR = Prior(float(np.log(0.28)), 0.3, 120.0)

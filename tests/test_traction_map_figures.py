@@ -17,6 +17,8 @@ from trainlog.formats.train import read_train
 from trainlog.railway import TrackConditionMap
 from trainlog.simulation import draw_scenarios, simulate
 
+pytestmark = pytest.mark.usefixtures("remembered_estimates")
+
 
 @cache
 def twelve_trips(seed: int) -> tuple[TrackConditionMap, tuple[Truth, ...]]:

@@ -24,6 +24,8 @@ from trainlog.railway.weather import Weather, sun_elevation
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
 
+pytestmark = pytest.mark.usefixtures("remembered_estimates")
+
 HOUR = 3600 * 10**9
 
 HEADER = "time [UTC],condition,temperature [degC],humidity [%],precipitation [mm/h]\n"
