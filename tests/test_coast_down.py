@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from analysis.charts import draw
 from analysis.resistance.coast_down import CoastDown, coast_down
 from analysis.resistance.coasting_fit import Curve, MassRatio, fit_segments, with_ratio
 from analysis.resistance.motion import motion_of, smoothed_over
-from analysis.resistance.plot import draw_without_gradient
 from analysis.resistance.unknown_gradient import coast_down_without_gradient, lever_at_rest
 from analysis.truth import truth_of
 from tests.coasting_trips import (
@@ -475,7 +475,7 @@ def test_the_picture_of_unknown_gradients_is_drawn(tmp_path: Path) -> None:
     for both in (False, True):
         trips, spans = coasting_over(8 if both else 4, both=both)
         result = coast_down_without_gradient(trips, HILLY, spans)
-        draw_without_gradient(result, tmp_path / f"{both}.png")
+        draw(result, tmp_path / f"{both}.png")
         assert (tmp_path / f"{both}.png").stat().st_size > 10_000
         assert result.tables()[0].rows
 

@@ -234,9 +234,52 @@ def test_without_scripts_the_still_pictures_stand(browser: Any, page_file: Path)
     opened.context.close()
 
 
-def test_on_a_narrow_screen_the_page_does_not_move_sideways(light: Opened) -> None:
-    light.page.set_viewport_size({"width": 420, "height": 800})
-    light.page.wait_for_timeout(300)
-    wide = light.page.evaluate("() => document.documentElement.scrollWidth")
-    light.page.set_viewport_size({"width": 1200, "height": 900})
-    assert wide <= 430
+def test_on_a_narrow_screen_tables_scroll_and_charts_are_drawn_to_the_width(light: Opened) -> None:
+    light.page.set_viewport_size({"width": 390, "height": 800})
+    light.page.evaluate("() => document.querySelectorAll('details').forEach(d => d.open = true)")
+    light.page.wait_for_timeout(1_500)
+    try:
+        assert light.page.evaluate("() => document.documentElement.scrollWidth") <= 390
+        wide = light.page.locator(".table").evaluate_all(
+            "all => all.filter(each => each.scrollWidth > each.clientWidth + 1)"
+            ".map(each => getComputedStyle(each).overflowX)"
+        )
+        assert set(wide) == {"auto"}
+        charts = [each for each in light.page.evaluate(CANVASES) if each["height"] > 80]
+        assert charts
+        assert all(200 < each["width"] <= 390 for each in charts)
+    finally:
+        fold = "() => document.querySelectorAll('details').forEach(d => d.open = false)"
+        light.page.evaluate(fold)
+        light.page.set_viewport_size({"width": 1200, "height": 900})
+        light.page.wait_for_timeout(500)
+
+
+def test_details_are_folded_on_a_screen_and_open_in_print(light: Opened) -> None:
+    words = "each => each.getBoundingClientRect().height"
+    folded = light.page.locator("details .inner").first
+    assert folded.evaluate(words) == 0
+    light.page.emulate_media(media="print")
+    printed = folded.evaluate(words)
+    light.page.emulate_media(media="screen")
+    assert printed > 20
+    # The contents lead into what is folded, and open it.
+    light.page.locator("nav a").last.click()
+    light.page.wait_for_timeout(200)
+    assert light.page.locator("details .inner").last.evaluate(words) > 20
+
+
+def test_a_name_in_the_legend_hides_its_curve(light: Opened) -> None:
+    key = light.page.locator(".key", has_text="permitted speed").first
+    shown = """() => {
+        const found = [];
+        for (const doc of Bokeh.documents) for (const model of doc._all_models.values())
+            if (model.name === "permitted speed") found.push(model.visible);
+        return found;
+    }"""
+    before = light.page.evaluate(shown)
+    key.click()
+    after = light.page.evaluate(shown)
+    key.click()
+    assert after.count(False) == 1
+    assert light.page.evaluate(shown) == before

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import warnings
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -20,6 +21,7 @@ from analysis.charts import Chart, Curve, Panel, draw_charts, rows_to_draw
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
 from analysis.reports import build, charts
+from analysis.reports.answers import verdict
 from analysis.reports.build import ReportOptions, kind_of, write_report
 from analysis.reports.charts import as_part
 from analysis.reports.page import Commands, Page, Section
@@ -351,3 +353,65 @@ def test_no_warning_is_lost_without_a_damaged_log(tmp_path: Path) -> None:
         warnings.simplefilter("error")
         write_report(sample("stopping.mcap"), tmp_path / "page.html")
     assert 'class="warning"' not in (tmp_path / "page.html").read_text("utf-8")
+
+
+def test_a_report_begins_with_five_answers(trip_page: str) -> None:
+    first = trip_page[trip_page.index('id="section-1"') : trip_page.index('id="section-2"')]
+    assert "<h2>Summary</h2>" in first
+    questions = re.findall(r'<th scope="row"[^>]*>([^<]*)</th>', first)
+    assert questions == [
+        "what was driven", "is the recording good", "where is it slippery", "what did it cost",
+        "what to do",
+    ]  # fmt: skip
+    assert "29.6 km in 23:07 min, 3 stops on the way" in first
+    assert "good: whole, without gaps, nothing doubtful" in first
+    assert "kWh from the line" in first
+    assert "trainlog map update run.mcap" in first
+
+
+def test_the_verdict_on_a_recording_gives_its_reasons() -> None:
+    trip = read_log(sample("stopping.mcap"))
+    assert verdict(trip).level == 0
+    damaged = verdict(trip, "12 messages are lost.")
+    assert str(damaged) == "usable with reservations: 12 messages are lost"
+    state = trip["/train/state"]
+    pause = (state.index < state.index[4_000]) | (state.index > state.index[4_500])
+    gap = verdict(replace(trip, topics={**trip.topics, "/train/state": state[pause]}))
+    assert gap.level == 1
+    assert gap.reasons[0].startswith("1 gap, 50 s in all")
+    long = (state.index < state.index[2_000]) | (state.index > state.index[8_000])
+    assert verdict(replace(trip, topics={**trip.topics, "/train/state": state[long]})).level == 2
+    topics = {name: frame for name, frame in trip.topics.items() if name != "/train/axles"}
+    without = verdict(replace(trip, topics=topics))
+    assert (without.level, without.reasons) == (0, ("not recorded: wheel speeds, wheel efforts",))
+    nowhere = state.assign(position=np.nan)
+    blind = verdict(replace(trip, topics={**trip.topics, "/train/state": nowhere}))
+    assert blind.level == 2
+    assert "not recorded: position" in blind.reasons
+
+
+def test_details_fold_and_the_contents_lead_into_them(trip_page: str) -> None:
+    outline = _Outline(trip_page)
+    assert outline.tags.count("details") == outline.tags.count("summary") == 5
+    for folded in re.findall(r"<details>.*?</details>", trip_page, flags=re.S):
+        # The place to which the contents lead is in the folded part: a browser opens it.
+        assert re.search(r'<summary><h2>.*?</h2></summary>\s*<div id="section-\d"', folded)
+
+
+def test_the_overview_of_a_folder_names_its_files(tmp_path: Path) -> None:
+    (tmp_path / "trips").mkdir()
+    for name in ("a.mcap", "b.mcap"):
+        shutil.copy(sample("nonstop.mcap"), tmp_path / "trips" / name)
+    write_trajectory(planned(), tmp_path / "plan.json")
+    page = write_report(tmp_path, tmp_path.parent / "page.html")
+    (files,) = [each for each in page.sections[0].parts if getattr(each, "title", "") == "Files"]
+    assert [row[0] for row in files.rows] == ["plan.json", "trips/a.mcap", "trips/b.mcap"]
+
+
+def test_one_line_draws_a_trip() -> None:
+    trip = read_log(sample("stopping.mcap"))
+    figure = trip.plot(zone=Zone("Europe/Zurich"))
+    assert [axes.get_ylabel() for axes in figure.axes] == ["km/h", "kN", "gradient, ‰", "km/h"]
+    assert figure.axes[-1].get_xlabel() == "minutes since 10:00:00 Europe/Zurich"
+    with pytest.raises(InputError, match="no speed with a position is recorded"):
+        replace(trip, topics={"/events": trip["/events"]}).plot()

@@ -14,6 +14,7 @@ from hypothesis import given, settings, strategies as st
 from resistance_trips import RESISTANCE, TRAIN, changed, constant_speed, trip
 from rich.console import Console
 
+from analysis.charts import draw, draw_charts
 from analysis.resistance import (
     TripFit,
     TripRefusedError,
@@ -25,7 +26,7 @@ from analysis.resistance import (
 from analysis.resistance.combination import nearest_physical
 from analysis.resistance.fit import History
 from analysis.resistance.logs import AllRefusedError, fit
-from analysis.resistance.plot import draw_each_refused, draw_fits, draw_refused, draw_trip
+from analysis.resistance.plot import draw_each_refused, refused_chart
 from analysis.resistance.recording import SpeedScale, Timeline
 from analysis.resistance.regression import Residuals, powers
 from analysis.resistance.windows import WindowPoints
@@ -264,11 +265,12 @@ def test_logs_to_parameters_and_pictures(tmp_path: Path) -> None:
     back = read_parameters(tmp_path / "parameters.json")
     assert back.configurations == fits.parameters.configurations
     assert back.details == fits.parameters.details
-    for number, draw in enumerate((draw_fits, draw_fits)):
+    for number in range(2):
         draw(fits, tmp_path / f"fits-{number}.png")
-    draw_trip(fits.trips[0], tmp_path / "trip.png")
-    draw_refused("dull", fits.refused["dull"], tmp_path / "dull.png")
-    draw_refused("blind", TripRefusedError("not recorded", "nothing"), tmp_path / "blind.png")
+    draw(fits.trips[0], tmp_path / "trip.png")
+    blind = TripRefusedError("not recorded", "nothing")
+    for name, refusal in (("dull", fits.refused["dull"]), ("blind", blind)):
+        draw_charts(refused_chart(name, refusal), tmp_path / f"{name}.png")
     assert (tmp_path / "dull.png").stat().st_size > (tmp_path / "blind.png").stat().st_size > 1000
     first, second = ((tmp_path / f"fits-{k}.png").read_bytes() for k in (0, 1))
     assert first == second

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from trainlog.arrays import FloatArray
 from trainlog.display import as_html, as_text, counted
 from trainlog.errors import LogError, NotRecordedError
+from trainlog.plotted import Plotted
 from trainlog.spans import Spans, in_spans, position_limits, spans_within, time_limits, utc
 from trainlog.topics import Topic, attributes, column_field
 from trainlog.units import NANOSECONDS, clock
@@ -47,7 +48,7 @@ MOST_SHOWN = 6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Trip:
+class Trip(Plotted):
     """One train trip.
 
     It is a mapping of topics: ``trip["/train/state"]`` is a frame, ``in`` asks for a topic, a loop
@@ -81,6 +82,8 @@ class Trip:
     >>> trip == trip.between(trip.start, trip.end)
     True
     """
+
+    charts_by: ClassVar[str] = "analysis.reports.trip:trip_charts"
 
     topics: dict[str, pd.DataFrame]
     metadata: dict[str, str] = field(default_factory=dict)

@@ -53,6 +53,9 @@ from trainlog.units import KMH, clock
 MOST_DETAILED = 4
 """Trips of a folder that are shown one by one; more are a table and one chart."""
 
+MOST_NAMED = 40
+"""Logs of a folder that the overview names; the others are counted."""
+
 MOST_DRAWN = 40
 """Trips whose speeds one chart shows."""
 
@@ -256,7 +259,7 @@ def _folder_page(folder: Path, options: ReportOptions) -> Page:
             remedy="logs (.mcap), parameter sets, maps, trajectories, coast-downs and studies are"
             " shown, in the folder and in those in it",
         )
-    first = [*_bad(problems), *_summed_up(folder), *_saved(found)]
+    first = [*_bad(problems), *_summed_up(folder), *_saved(found), _files_named(found, folder)]
     every = [Section("Overview", first), *sections, _origin(used, options, folder)]
     stated = tuple(f"{name}: {words}" for name, words in problems.items())
     return Page(f"Results: {folder.resolve().name}", "", every, stated)
@@ -319,6 +322,21 @@ def _bad(problems: Mapping[str, str]) -> Iterator[Part]:
     for name, words in problems.items():
         table.add_row(name, words)
     yield table
+
+
+def _files_named(found: _Folder, folder: Path) -> Part:
+    """The files that are shown, each by its name, and what it is."""
+    table = new_table("Files", "file", "what it is")
+    for kind, path in found.results:
+        table.add_row(_name(path, folder), _TITLES[kind].lower())
+    for logs in found.logs.values():
+        for log in logs[:MOST_NAMED]:
+            table.add_row(_name(log, folder), "trip")
+        if len(logs) > MOST_NAMED:
+            table.add_row(f"{counted(len(logs) - MOST_NAMED, 'more log')} beside them", "trips")
+    for study in found.studies:
+        table.add_row(_name(study, folder), "study")
+    return table
 
 
 def _summed_up(folder: Path) -> list[Part]:
@@ -479,7 +497,7 @@ def origin(files: Sequence[Path], folder: Path, command: str) -> Section:
     parts.append("Commands, without the options that the files do not state:")
     parts.append(Commands(tuple(commands)))
     parts.append(f"This page: trainlog {__version__}; SI units inside, km, km/h, ‰ and kWh shown.")
-    return Section("Provenance", parts, whole_page=True)
+    return Section("Provenance", parts, whole_page=True, folded=True)
 
 
 _COMMANDS = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Hashable, Iterable, Sequence
 from functools import partial
 from itertools import combinations_with_replacement
@@ -11,15 +12,17 @@ from typing import Any
 
 import numpy as np
 
+from analysis.adhesion.condition_table import bins_table
 from analysis.adhesion.map_history import map_history
+from analysis.adhesion.map_plot import lowest_places
 from analysis.adhesion.map_state import MapState, line_of_map, map_state
-from analysis.charts import BLUE, GREY, SKY, Chart, Curve, Panel, rows_to_draw, stations_of
+from analysis.charts import BLUE, SKY, Chart, Curve, Panel, rows_to_draw, stations_of
+from analysis.reports.answers import map_words, summary_section
 from analysis.reports.charts import as_part, as_parts
 from analysis.reports.page import Part, Section, Warned
 from analysis.reports.pictures import Picture, drawn
 from analysis.reports.trip import facts_table, gradient_panel, limit_curve
 from analysis.resistance.logs import Fits, fit
-from analysis.resistance.plot import draw_fits
 from analysis.trajectory.advice import driver_table, journey_advice
 from analysis.trajectory.phases import Phase
 from analysis.trajectory.plot import COLOURS, draw_trajectory
@@ -89,26 +92,31 @@ def fit_sections(path: Path, logs: Sequence[Path] = ()) -> list[Section]:
         ]  # fmt: skip
         return [Section("Running resistance", [*doubts, *_set_alone(found), *without])]
     return [
-        Section(
-            "Running resistance",
-            [*doubts, as_part(_resistance_chart(fits)), *fits.shown()],
-        ),
-        Section(
-            "Trips of the fit",
-            [_trips_table(fits), *_residuals(fits)],
-        ),
-        Section(
-            "Observed set",
-            [
-                drawn(
-                    partial(draw_fits, fits),
-                    f"Running resistance of {found.train}: curves of all trips, the observed"
-                    " configurations, mass and power of each trip, correlation of coefficients.",
-                ),
-                _configurations(found),
-            ],
-        ),
+        _fit_summary(fits),
+        Section("Running resistance", [*doubts, *as_parts(fits.charts()), *fits.shown()]),
+        Section("Trips of the fit", [_trips_table(fits), *_residuals(fits)], folded=True),
+        Section("Observed set", [_configurations(found)], folded=True),
     ]
+
+
+def _fit_summary(fits: Fits) -> Section:
+    """The first page of a fit."""
+    common = fits.common
+    at = 80.0 / KMH
+    low, high = (each.item() / 1e3 for each in common.band(np.array([at])))
+    drag = float(common.resistance(at)) / 1e3
+    refused = fits.drives[fits.drives["refused"] != ""]
+    reasons = [f"{name}: {count}" for name, count in refused["refused"].value_counts().items()]
+    used = f"{len(common.trips)} of {counted(len(fits.drives), 'trip')} determine the curve"
+    said = f"; refused: {', '.join(reasons)}" if reasons else ""
+    return summary_section(
+        f"{counted(len(fits.drives), 'trip')} of {common.train}",
+        used + said,
+        "",
+        f"running resistance at 80 km/h: {drag:.2f} kN (95 %: {low:.2f} to {high:.2f}), which is"
+        f" {drag / 3.6:.2f} kWh per km at the wheel rims",
+        ["plan with the observed set: trainlog plan parameters.json --line LINE --train TRAIN"],
+    )
 
 
 def _fitted_again(found: ParameterSet, files: Sequence[Path]) -> Fits | str:
@@ -132,41 +140,6 @@ def _same(one: ParameterSet, other: ParameterSet) -> bool:
         and np.isclose(mine.mass, its.mass, rtol=1e-6)
         and np.isclose(float(mine.resistance(20.0)), float(its.resistance(20.0)), rtol=1e-6)
         for mine, its in pairs
-    )
-
-
-def _resistance_chart(fits: Fits) -> Chart:
-    common = fits.common
-    speed = np.linspace(0.0, common.asked[1], 120)
-    low, high = common.band(speed)
-    value = common.resistance(speed)
-    hover = {
-        "speed": [f"{each:.0f} km/h" for each in (KMH * speed).tolist()],
-        "resistance": [f"{each:.2f} kN" for each in (value / 1e3).tolist()],
-        "95 % band": [
-            f"{a:.2f} to {b:.2f} kN"
-            for a, b in zip((low / 1e3).tolist(), (high / 1e3).tolist(), strict=True)
-        ],
-    }
-    seen = list[Curve]()
-    if fits.trips:
-        x = np.concatenate([one.points.speed[one.points.used] for one in fits.trips])
-        y = np.concatenate([one.points.value[one.points.used] for one in fits.trips])
-        rows = _sample(y.size, 600)
-        seen = [Curve("means over 10 s", KMH * x[rows], y[rows] / 1e3, GREY, "points", width=1.2)]
-    each = [
-        Curve("each configuration" if number == 0 else "", KMH * speed,
-              np.asarray(one.resistance(speed)) / 1e3, SKY, width=0.9)
-        for number, one in enumerate(fits.parameters.configurations)
-    ]  # fmt: skip
-    together = Curve("all trips, mean and 95 % band", KMH * speed, value / 1e3, BLUE, "line",
-                     low / 1e3, high / 1e3, hover, 2.0)  # fmt: skip
-    return Chart(
-        "speed, km/h",
-        [Panel("running resistance, kN", [*seen, *each, together], 1.8)],
-        f"Running resistance of {fits.common.train} over speed, with its 95 % band.",
-        "The curve of all trips together with the 95 % band of the mean, and the curves of the"
-        " observed configurations.",
     )
 
 
@@ -296,13 +269,28 @@ def map_sections(path: Path, line: Path | None = None) -> list[Section]:
     if not track.layers:
         return [Section("Track condition", ["The map has no layer yet: no trip counts in it."])]
     state = map_state(track, None, line=course)
+    bins = bins_table(track, course)
     sections = [
-        Section("Track condition", [*as_parts(track.charts(line=course)), *state.shown()]),
+        summary_section(
+            f"line {track.line}, {track.length / 1e3:.1f} km: {counted(len(track.trips), 'trip')}",
+            [*dict.fromkeys(said for trip in track.trips for said in trip.get("notes", ()))]
+            or "no recorder lacked what slip is measured by",
+            map_words(track, bins, lowest_places(bins)),
+            "",
+            [
+                f"plan with it: trainlog plan --map {shlex.quote(path.name)} --risk 0.05",
+                "count in more trips where nothing was observed: trainlog map update LOGS --map"
+                f" {shlex.quote(path.name)}",
+            ],
+        ),
+        Section("Track condition", as_parts(track.charts(line=course))),
+        Section("Places, spots and changes", state.shown(), folded=True),
     ]
     note(f"{path.name}: history of the lowest places")
-    sections.append(Section("History of the lowest places", _histories(track, state, course)))
+    histories = _histories(track, state, course)
+    sections.append(Section("History of the lowest places", histories, folded=True))
     note(f"{path.name}: verification")
-    sections.append(Section("Verification", _verified(track)))
+    sections.append(Section("Verification", _verified(track), folded=True))
     return sections
 
 
@@ -476,21 +464,8 @@ def coast_down_sections(path: Path) -> list[Section]:
     parts: list[Part] = [
         facts_table([("trips", counted(len(found.trips), "trip")), ("gradient", found.gradient)])
     ]
-    if found.curve is not None:
-        curve = found.curve
-        values = [1e3 * each for each in (curve.deceleration, curve.low, curve.high)]
-        hover = {
-            "speed": [f"{each:.0f} km/h" for each in (KMH * curve.speeds).tolist()],
-            "resistance over inertia": [f"{each:.1f} mm/s²" for each in values[0].tolist()],
-            "95 % band": [
-                f"{a:.1f} to {b:.1f} mm/s²"
-                for a, b in zip(values[1].tolist(), values[2].tolist(), strict=True)
-            ],
-        }
-        line = Curve("", KMH * curve.speeds, values[0], BLUE, "line", values[1], values[2], hover)
-        alt = "Resistance over inertia of the coasting train over speed, with its 95 % band."
-        chart = Chart("speed, km/h", [Panel("resistance over inertia, mm/s²", [line], 1.4)], alt)
-        parts.insert(0, as_part(chart))
+    if found.curve is not None or found.pieces:
+        parts[:0] = as_parts(found.charts())
     return [Section("Coast-down", [*parts, *found.shown()])]
 
 

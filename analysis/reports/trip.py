@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -29,10 +30,12 @@ from analysis.charts import (
 )
 from analysis.comparison.driven import SHORTEST_STOP, station_at
 from analysis.comparison.groups import TripCost, trip_cost
-from analysis.reports.charts import as_part
+from analysis.fleet.trips import TOPICS
+from analysis.reports.answers import Verdict, slip_words, summary_section, verdict
+from analysis.reports.charts import as_parts
 from analysis.reports.page import Part, Section, Warned
 from trainlog.arrays import FloatArray
-from trainlog.display import counted
+from trainlog.display import counted, lateness
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.attached import line_of, passport_of
 from trainlog.ingest.report import report_of
@@ -50,15 +53,7 @@ from trainlog.units import KMH, PER_MILLE, clock
 MOST_EVENTS = 20
 """Slip events that are listed one by one."""
 
-_READ = (
-    *POSITION_TOPICS,
-    TRAIN_CONTROLS.name,
-    REFERENCE.name,
-    "/train/axles",
-    "/train/slip_protection",
-    "/gnss/motion",
-    "/events",
-)
+_READ = tuple(dict.fromkeys((*POSITION_TOPICS, *TOPICS)))
 
 
 @dataclass(frozen=True)
@@ -245,15 +240,32 @@ def trip_sections(log: Path, zone: Zone = Zone()) -> list[Section]:
     trip = read_log(log, [name for name in _READ if name in {t.name for t in description.topics}])
     line = _line(trip)
     motion = Motion.of(trip)
-    doubts = [] if description.account.whole else [Warned(description.account.sentence)]
+    damage = "" if description.account.whole else description.account.sentence
     cost = _tried(lambda: trip_cost(trip))
+    slipped = _tried(lambda: slip(trip))
+    judged = verdict(trip, damage)
     sections = [
-        Section("Trip", [*doubts, _facts(trip, motion, zone, cost)]),
-        Section("Speed and efforts", _course(trip, motion, line, zone)),
-        Section("Stops and stations", _stops_part(motion, line, zone)),
-        Section("Energy", _energy(cost)),
-        Section("Slip", _slip(trip, zone)),
-        Section("Recording", [*_quality(trip), *render(replace(description, path=Path(log.name)))]),
+        summary_section(
+            _driven(trip, motion, line, zone, cost),
+            str(judged),
+            slip_words(slipped, line),
+            _cost_words(cost),
+            _next_steps(log, slipped, judged, line),
+        ),
+        Section("Speed and efforts", _course(trip, zone)),
+        Section("Stops and stations", _stops_part(motion, line, zone), folded=True),
+        Section("Energy", _energy(cost), folded=True),
+        Section("Slip", _slip(slipped, trip, zone), folded=True),
+        Section(
+            "Recording",
+            [
+                *([Warned(damage)] if damage else []),
+                _facts(trip, motion, zone, cost),
+                *_quality(trip),
+                *render(replace(description, path=Path(log.name))),
+            ],
+            folded=True,
+        ),
     ]
     return [section for section in sections if section.parts]
 
@@ -308,6 +320,45 @@ def _facts(trip: Trip, motion: Motion, zone: Zone, cost: object) -> WordTable:
     return facts_table(rows)
 
 
+def _driven(trip: Trip, motion: Motion, line: Line | None, zone: Zone, cost: object) -> list[str]:
+    """From where to where, when, how far, how long, by which train."""
+    calls = station_calls(motion, line)
+    ends = [each.name for each in calls if each.stopped and each.name]
+    words = [f"{ends[0]} to {ends[-1]}"] if len(ends) > 1 else []
+    if isinstance(cost, TripCost):
+        stops = counted(cost.stops, "stop") + " on the way"
+        words.append(f"{cost.distance / 1e3:.1f} km in {clock(cost.running_time)}, {stops}")
+    rail = trip.metadata.get("weather", "")
+    by = ", ".join(filter(None, [trip.metadata.get("train", ""), f"{rail} rail" if rail else ""]))
+    when = f"{zone.date(motion.time[0])} {zone.name}" if motion.time.size else ""
+    return [": ".join(filter(None, [trip.name, ", ".join(words)])), by, when]
+
+
+def _cost_words(cost: object) -> list[str]:
+    if not isinstance(cost, TripCost):
+        return [f"not known: {cost}"]
+    words = [f"{kwh(cost.traction)} of traction at the wheel rims; {kwh(cost.line)} from the line"]
+    if cost.distance > 0.0:
+        words.append(f"{cost.traction / 3.6e6 / (cost.distance / 1e3):.1f} kWh of traction per km")
+    if cost.late is not None:
+        words.append(f"on arrival {lateness(cost.late)}, against the trajectory")
+    return words
+
+
+def _next_steps(log: Path, slipped: object, judged: Verdict, line: Line | None) -> list[str]:
+    """What follows from what the trip shows."""
+    name = shlex.quote(log.name)
+    steps = ["see what is doubtful under Recording"] if judged.level else []
+    if line is None:
+        steps.append(f"give it its line: trainlog ingest --line LINE; {name} has none")
+    if isinstance(slipped, SlipAnalysis) and len(slipped.events) and line is not None:
+        steps.append(f"add its slip to a map: trainlog map update {name} --map LINE.map")
+    if judged.level < 2:
+        steps.append(f"fit the running resistance: trainlog fit {name} -o parameters.json")
+    steps.append(f"look at it over time and position: trainlog replay {name}")
+    return steps
+
+
 def _number(word: str | None) -> bool:
     try:
         return word is not None and bool(np.isfinite(float(word)))
@@ -315,10 +366,32 @@ def _number(word: str | None) -> bool:
         return False
 
 
-def _course(trip: Trip, motion: Motion, line: Line | None, zone: Zone) -> list[Part]:
-    """Speed and efforts over km, and speed over time."""
+def trip_charts(trip: Trip, *, zone: Zone = Zone()) -> list[Chart]:
+    """Speed and efforts of a trip over km, and its speed over time.
+
+    Parameters
+    ----------
+    trip : Trip
+    zone : Zone
+        The clock in which times are stated.
+
+    Raises
+    ------
+    InputError
+        If no speed with a position is recorded.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> [chart.x for chart in trip_charts(trainlog.read("sample_logs/stopping.mcap"))]
+    ['km in the direction of travel', 'minutes since 08:00:00 UTC']
+    """
+    motion, line = Motion.of(trip), _line(trip)
     if not motion.position.size:
-        return [Warned("No speed with a position is recorded: there is no course to draw.")]
+        raise InputError(
+            f"trip '{trip.name}': no speed with a position is recorded",
+            remedy="there is no course to draw: ingest the recording with the line",
+        )
     efforts = _efforts(trip, motion.time)
     rows = rows_to_draw(motion.speed, *(each for _, each, *_ in efforts[:2]))
     part = Motion(motion.time[rows], motion.position[rows], motion.speed[rows])
@@ -376,8 +449,12 @@ def _course(trip: Trip, motion: Motion, line: Line | None, zone: Zone) -> list[P
         [Panel("km/h", [_speed_curve(minutes, part, line, zone)], 1.0, from_zero=True)],
         f"Speed of trip {trip.name} over time, with its stops.",
     )
-    shown = [as_part(over_km)] if forward else []
-    return [*shown, as_part(over_time)]
+    return [over_km, over_time] if forward else [over_time]
+
+
+def _course(trip: Trip, zone: Zone) -> list[Part]:
+    charts = _tried(lambda: trip_charts(trip, zone=zone))
+    return [Warned(f"{charts}.")] if isinstance(charts, TrainlogError) else list(as_parts(charts))
 
 
 def _speed_curve(x: FloatArray, part: Motion, line: Line | None, zone: Zone) -> Curve:
@@ -495,8 +572,7 @@ def _energy(cost: object) -> list[Part]:
     return [facts_table(rows), *cost.notes]
 
 
-def _slip(trip: Trip, zone: Zone) -> list[Part]:
-    found = _tried(lambda: slip(trip))
+def _slip(found: object, trip: Trip, zone: Zone) -> list[Part]:
     if isinstance(found, TrainlogError):
         return [f"Not known: {found}."]
     assert isinstance(found, SlipAnalysis)

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -155,6 +155,8 @@ class CoastDown(Presented):
     digests : dict of str to str
         SHA-256 of the files that it was made from; see `Sources`.
     """
+
+    charts_by: ClassVar[str] = "analysis.resistance.plot:coast_down_charts"
 
     train: str
     curve: Curve

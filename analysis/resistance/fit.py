@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 import pandas as pd
@@ -164,6 +164,8 @@ class TripFit(Presented):
     notes : tuple of str
         What the recording does not show and the band does not hold, in words.
     """
+
+    charts_by: ClassVar[str] = "analysis.resistance.plot:trip_fit_charts"
 
     trip: str
     train: str

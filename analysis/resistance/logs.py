@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
@@ -102,6 +103,8 @@ class Fits(Presented):
     parameters : ParameterSet
         The observed configurations, ready to be written.
     """
+
+    charts_by: ClassVar[str] = "analysis.resistance.plot:fits_charts"
 
     trips: tuple[TripFit, ...]
     refused: dict[str, TripRefusedError]

@@ -1,23 +1,14 @@
-"""Pictures of the running resistance: the data, each trip's curve, all of them together.
-
----
-
-Pictures of one trip: its fit and what the residuals say of it, or why it was refused.
-
----
-
-Pictures of the coast-down: where the train coasted, and the curve with its band.
-"""
+"""Charts of the running resistance: of many trips, of one, of the coast-down."""
 
 from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 from scipy.special import ndtri
 
 from analysis.charts import (
@@ -30,11 +21,15 @@ from analysis.charts import (
     PURPLE,
     RED,
     SKY,
-    dress,
-    headline,
-    legend,
-    new_figure,
-    write_figure,
+    Cells,
+    Chart,
+    Curve,
+    Label,
+    Panel,
+    Rule,
+    draw,
+    draw_charts,
+    shades,
 )
 from analysis.resistance.coast_down import CoastDown
 from analysis.resistance.coasting_fit import TripCoastDown
@@ -54,184 +49,159 @@ KILONEWTON, TONNE = 1e3, 1e3
 MOST_DRAWN = 300
 """More curves than this are not drawn."""
 
-ON_PALE = "#1a1a1a"
-"""Text on a coloured ground, which stays what it is where a page turns dark."""
-
 MOST_NAMED = 40
 """More trips than this are not named one by one."""
 
+SHOWN = 4
+"""Trips of a coast-down whose speed is drawn."""
 
-def draw_fits(fits: Fits, path: str | Path) -> None:
-    """Draw what a set of trips says.
+MASKS = {"gap": GREY, "standstill": GREEN, "braking": ORANGE, "slip": PURPLE}
+"""Colour of what is masked, by reason."""
+
+SPEED = "speed [km/h]"
+
+
+# ------------------------------------------------------------------------------------ many trips
+
+
+def fits_charts(fits: Fits) -> list[Chart]:
+    """What a set of trips says of the running resistance.
 
     Curves with the common band; the observed configurations over all trips; mass and power of
     each trip; correlation of the coefficients.
     """
-    figure = new_figure(11.0, 9.0)
-    (left, right), (below, corner) = figure.subplots(2, 2, width_ratios=(3, 2))
-    _together(left, fits)
-    _observed(right, fits)
-    _per_trip(below, fits)
-    draw_correlation(corner, fits.common.covariance, "correlation of the mean's coefficients")
     trips = counted(len(fits.common.trips), "trip")
     count = len(fits.drives) - len(fits.common.trips) - len(fits.same)
     refused = f", {count} refused" if count else ""
-    headline(figure, f"{fits.common.train}: running resistance from {trips}{refused}")
-    write_figure(figure, path)
+    title = f"{fits.common.train}: running resistance from {trips}{refused}"
+    about = "correlation of the mean's coefficients"
+    return [
+        _together(fits, title),
+        _observed(fits),
+        *_per_trip(fits),
+        correlation_chart(fits.common.covariance, about),
+    ]
 
 
-def _together(axes: Axes, fits: Fits) -> None:
+def _together(fits: Fits, title: str) -> Chart:
     """Windows of the trips fitted now, each trip's curve, the common one with its band."""
     common = fits.common
-    speed = speeds_to_draw(common.asked)
+    speed = _speeds(common.asked)
     drag = common.resistance(speed)
+    curves = list[Curve]()
     if fits.trips:
         seen = np.concatenate([fit.points.speed[fit.points.used] for fit in fits.trips])
         drag = np.concatenate([fit.points.value[fit.points.used] for fit in fits.trips])
-        axes.plot(
-            KMH * seen,
-            drag / KILONEWTON,
-            ".",
-            color=GREY,
-            alpha=0.35,
-            markersize=3,
-            markeredgewidth=0,
-            label=f"{seen.size} means over 10 s",
-        )
+        rows = _some(seen.size, 1_500)
+        of = "" if rows.size == seen.size else f", {rows.size} of them drawn"
+        curves.append(
+            Curve(f"{seen.size} means over 10 s{of}", KMH * seen[rows], drag[rows] / KILONEWTON,
+                  GREY, "points", width=1.2, opacity=0.5)
+        )  # fmt: skip
     accepted = fits.drives[fits.drives["refused"] == ""]
-    curves = parameters_of(accepted)[_some(len(accepted)), :3] @ powers(speed).T
-    lines = axes.plot(KMH * speed, curves.T / KILONEWTON, color=SKY, linewidth=0.8)
-    lines[0].set_label(_counted("each trip", len(curves), len(accepted)))
-    draw_curve(axes, common, speed, BLUE, "all trips: mean and its 95 % band")
-    axes.set_ylim(*resistance_limits(common.resistance(speed), drag))
-    dress(axes, x="speed [km/h]", y="running resistance [kN]")
-    legend(axes, "upper left", markerscale=2)
+    each = parameters_of(accepted)[_some(len(accepted), MOST_DRAWN), :3] @ powers(speed).T
+    label = _drawn("each trip", len(each), len(accepted))
+    curves += _family(label, KMH * speed, each / KILONEWTON, SKY, 0.8)
+    curves.append(_band_curve(common, speed, "all trips: mean and its 95 % band"))
+    limits = _resistance_limits(common.resistance(speed), drag)
+    return Chart(
+        SPEED,
+        [Panel("running resistance [kN]", curves, 1.6, limits=limits)],
+        f"Running resistance of {common.train} over speed, with its 95 % band.",
+        "The curve of all trips together with the 95 % band of the mean, and those of each trip.",
+        title=title,
+        width=0.6,
+    )
 
 
-def _observed(axes: Axes, fits: Fits) -> None:
+def _observed(fits: Fits) -> Chart:
     """The configurations' curves over the common one, and those of all trips."""
     common, found = fits.common, fits.parameters
-    speed = speeds_to_draw(common.asked)
+    speed = _speeds(common.asked)
     mean = common.resistance(speed)
     spread = 100.0 * common.spread(speed) / mean
-    axes.fill_between(
-        KMH * speed,
-        -spread,
-        spread,
-        color=ORANGE,
-        alpha=0.2,
-        linewidth=0,
-        label="between trips, 1σ",
-    )
-    betas = common.betas[_some(len(common.betas))]
-    lines = axes.plot(
-        KMH * speed, 100.0 * ((betas @ powers(speed).T) / mean - 1.0).T, color=PALE, linewidth=0.8
-    )
-    lines[0].set_label(_counted("each trip, drawn to the mean", len(betas), len(common.betas)))
+    betas = common.betas[_some(len(common.betas), MOST_DRAWN)]
     chosen = np.array([each.resistance(speed) for each in found.configurations])
-    lines = axes.plot(KMH * speed, 100.0 * (chosen / mean - 1.0).T, color=BLUE, linewidth=0.9)
-    lines[0].set_label("observed configurations")
-    axes.axhline(0.0, color=INK, linewidth=0.8)
+    label = _drawn("each trip, drawn to the mean", len(betas), len(common.betas))
+    curves = [
+        Curve("between trips, 1σ", KMH * speed, spread, ORANGE, "area", -spread, opacity=0.35),
+        *_family(label, KMH * speed, 100.0 * ((betas @ powers(speed).T) / mean - 1.0), PALE, 0.8),
+        *_family("observed configurations", KMH * speed, 100.0 * (chosen / mean - 1.0), BLUE, 0.9),
+    ]
     title = (
         f"{len(chosen)} configurations, worst case of {100.0 * found.cover['level']:.1f} % of trips"
     )
-    dress(axes, x="speed [km/h]", y="difference from the mean [%]", title=title)
-    low, high = axes.get_ylim()
-    axes.set_ylim(low - 0.25 * (high - low), high)  # space for the legend
-    low, high = axes.get_ylim()
-    axes.set_ylim(low - 0.25 * (high - low), high)  # space for the legend
-    legend(axes, "lower left")
+    return Chart(
+        SPEED,
+        [Panel("difference from the mean [%]", curves, 1.6, rules=[Rule(0.0)])],
+        "Observed configurations and trips over the speed, against the mean of all trips.",
+        title=title, beside=True, width=0.4,
+    )  # fmt: skip
 
 
-def _per_trip(axes: Axes, fits: Fits) -> None:
+def _per_trip(fits: Fits) -> list[Chart]:
     """Mass and power of each trip with their 95 % bands; of many trips the distribution."""
     accepted = fits.drives[fits.drives["refused"] == ""]
     mass = accepted["mass"].to_numpy(np.float64) / TONNE
-    reach = 1.96 * np.sqrt(accepted["covariance_mass_mass"].to_numpy(np.float64)) / TONNE
     if len(accepted) > MOST_NAMED:
-        axes.hist(mass, bins=40, color=SKY)
-        dress(axes, x="mass [t]", y="trips", title=f"mass of {counted(len(accepted), 'trip')}")
-        return
-    rows = np.arange(len(accepted))
-    axes.errorbar(
-        mass, rows, xerr=reach, fmt="o", color=BLUE, markersize=3, elinewidth=1.2, label="mass"
-    )
-    axes.set_yticks(rows, accepted["trip"].tolist(), fontsize=7)
-    axes.invert_yaxis()
-    dress(axes, x="mass [t], 95 % band", y="", title="mass, and power where its limit was reached")
-    axes.tick_params(axis="y", labelsize=7)
-    power = accepted["max_power"].to_numpy(np.float64) / 1e3
-    if np.isfinite(power).any():
-        above = axes.twiny()
-        above.errorbar(
-            power,
-            rows,
-            xerr=1.96 * accepted["max_power_std"].to_numpy(np.float64) / 1e3,
-            fmt="s",
-            color=ORANGE,
-            markersize=3,
-            elinewidth=1.2,
+        counts, edges = np.histogram(mass, bins=40)
+        bars = Curve(
+            "", 0.5 * (edges[1:] + edges[:-1]), counts, SKY, "bars", width=np.diff(edges)[0]
         )
-        above.set_xlabel("power [kW]", color=ORANGE, fontsize=9)
-        above.tick_params(axis="x", colors=ORANGE, labelsize=8)
-        above.spines[["right", "top"]].set_visible(False)
+        title = f"mass of {counted(len(accepted), 'trip')}"
+        return [Chart("mass [t]", [Panel("trips", [bars])], title, title=title, width=0.6)]
+    std = np.sqrt(accepted["covariance_mass_mass"].to_numpy(np.float64)) / TONNE
+    power = accepted["max_power"].to_numpy(np.float64) / 1e3
+    shown = [("mass [t]", mass, std, BLUE)]
+    if np.isfinite(power).any():
+        shown.append(("power [kW]", power, accepted["max_power_std"].to_numpy() / 1e3, ORANGE))
+    rows = np.arange(len(accepted))
+    names = accepted["trip"].tolist()
+    return [
+        Chart(
+            what,
+            [
+                Panel(
+                    "",
+                    [
+                        Curve("", value, rows, colour, "points", value - 1.96 * each,
+                              value + 1.96 * each, width=1.6, across=True)
+                    ],
+                    max(1.0, 0.06 * len(rows)),
+                    rows=names if number == 0 else [" "] * len(names),
+                )
+            ],
+            f"{what.capitalize()} of each trip with its 95 % band.",
+            title=what.split(" ")[0] + (", 95 % band" if number == 0 else " where it was reached"),
+            span=_reach(value, each), beside=number > 0, width=0.34 if number == 0 else 0.26,
+        )
+        for number, (what, value, each, colour) in enumerate(shown)
+    ]  # fmt: skip
 
 
-def draw_correlation(axes: Axes, covariance: FloatArray, title: str) -> None:
-    """Heat map of the correlation that a covariance (p, p) of r0, r1, r2, mass says."""
+def _reach(value: FloatArray, std: FloatArray) -> tuple[float, float]:
+    """Ends of an axis that has all bands."""
+    low, high = np.nanmin(value - 1.96 * std), np.nanmax(value + 1.96 * std)
+    margin = 0.05 * float(high - low) or 1.0
+    return float(low) - margin, float(high) + margin
+
+
+def correlation_chart(covariance: FloatArray, title: str) -> Chart:
+    """The correlation that a covariance (p, p) of r0, r1, r2, mass says, as coloured cells."""
     std = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(std, std)
     names = ("r0", "r1", "r2", "mass")[: std.size]
-    axes.imshow(correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
-    for i, j in np.ndindex(correlation.shape):
-        value = correlation[i, j]
-        colour = "white" if abs(value) > 0.6 else ON_PALE
-        axes.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=8, color=colour)
-    axes.set_xticks(range(std.size), names)
-    axes.set_yticks(range(std.size), names)
-    axes.set_title(title, loc="left", fontsize=10, color=INK)
-    axes.tick_params(colors=INK, labelsize=9, length=0)
-    for side in axes.spines.values():
-        side.set_visible(False)
+    edges = np.arange(std.size + 1) - 0.5
+    words = np.array([[f"{value:.2f}" for value in row] for row in correlation])
+    cells = Cells(edges, edges, shades(correlation, "RdBu_r", (-1.0, 1.0)), words=words)
+    return Chart(
+        "", [Panel("", [cells], 1.1, rows=names, limits=(std.size - 0.5, -0.5))],
+        f"{title[0].upper()}{title[1:]}.", title=title, span=(-0.5, std.size - 0.5),
+        ticks=list(enumerate(names)), beside=True, width=0.4,
+    )  # fmt: skip
 
 
-def _some(count: int) -> IntArray:
-    """Rows to draw: all, or `MOST_DRAWN` evenly spaced ones."""
-    spaced = np.linspace(0, count - 1, min(count, MOST_DRAWN))
-    return np.unique(np.round(spaced).astype(np.int64))
-
-
-def _counted(what: str, drawn: int, count: int) -> str:
-    return what if drawn == count else f"{what} ({drawn} of {count} drawn)"
-
-
-def draw_curve(
-    axes: Axes, fit: TripFit | CommonFit, speed: FloatArray, colour: str, label: str
-) -> None:
-    """A drag curve over the speed with its band."""
-    low, high = fit.band(speed)
-    axes.fill_between(
-        KMH * speed, low / KILONEWTON, high / KILONEWTON, color=colour, alpha=0.25, linewidth=0
-    )
-    axes.plot(
-        KMH * speed, fit.resistance(speed) / KILONEWTON, color=colour, linewidth=1.8, label=label
-    )
-
-
-def resistance_limits(curve: FloatArray, points: FloatArray) -> tuple[float, float]:
-    """Range of the axis [kN]: the curve and nearly all points."""
-    low, high = np.quantile(points, [0.02, 0.98])
-    top = max(float(high), 1.15 * float(curve.max()))
-    return min(float(low), 0.0) / KILONEWTON, top / KILONEWTON
-
-
-def speeds_to_draw(asked: tuple[float, float]) -> FloatArray:
-    """From standstill to the highest speed asked for [m/s]."""
-    return np.linspace(0.0, asked[1], 120)
-
-
-MASKS = {"gap": GREY, "standstill": GREEN, "braking": ORANGE, "slip": PURPLE}
-"""Colour of what is masked, by reason."""
+# -------------------------------------------------------------------------------------- one trip
 
 
 def draw_each(fits: Fits, folder: Path) -> list[Path]:
@@ -239,16 +209,16 @@ def draw_each(fits: Fits, folder: Path) -> list[Path]:
     paths = []
     for fit in fits.trips:
         paths.append(folder / f"{_file_name(fit.trip)}.png")
-        draw_trip(fit, paths[-1])
+        draw(fit, paths[-1])
     return paths + draw_each_refused(fits.refused, folder)
 
 
 def draw_each_refused(refused: Mapping[str, TripRefusedError], folder: Path) -> list[Path]:
-    """Draw every trip that was refused now, a file each; returns their paths."""
+    """Draw why each trip was refused, and what was masked over it, a file each."""
     paths = []
     for trip, refusal in refused.items():
         paths.append(folder / f"{_file_name(trip)}.png")
-        draw_refused(trip, refusal, paths[-1])
+        draw_charts(refused_chart(trip, refusal), paths[-1])
     return paths
 
 
@@ -257,234 +227,260 @@ def _file_name(trip: str) -> str:
     return re.sub(r"[^\w .()+-]", "_", trip) or "trip"
 
 
-def draw_trip(fit: TripFit, path: str | Path) -> None:
-    """Draw one trip.
+def trip_fit_charts(fit: TripFit) -> list[Chart]:
+    """The fit of one trip, and what the residuals say of it.
 
     Curve with its band, what was learnt as the trip went on; residuals over time and speed, their
     correlation and distribution; correlation of the parameters; what was masked.
     """
-    figure = new_figure(13.0, 13.5)
-    grid = figure.add_gridspec(4, 3, width_ratios=(2.0, 2.0, 2.0), height_ratios=(4, 2.6, 2.8, 2.4))
-    _data(figure.add_subplot(grid[0, :2]), fit)
-    _learning(figure.add_subplot(grid[0, 2]), fit)
     diagnosis, residuals = diagnosed(fit.residuals), fit.residuals
-    over_time = figure.add_subplot(grid[1, :2])
-    over_time.plot(residuals.time / 60.0, residuals.value, ".", color=SKY, markersize=3)
-    _in_bounds(over_time)
     doubts = "\n".join(diagnosis.doubts) or "residuals as the noise model expects them"
-    dress(over_time, x="time [min]", y="residual [σ]", title=doubts)
-    draw_correlation(figure.add_subplot(grid[1, 2]), fit.covariance, "correlation")
-    over_speed = figure.add_subplot(grid[2, 0])
-    over_speed.plot(KMH * residuals.speed, residuals.value, ".", color=SKY, markersize=3)
-    _in_bounds(over_speed)
-    dress(over_speed, x="speed [km/h]", y="residual [σ]", title=_p(diagnosis.flatness, "flat"))
-    _neighbours(
-        figure.add_subplot(grid[2, 1]), residuals, _p(diagnosis.independence, "independent")
-    )
-    _distribution(figure.add_subplot(grid[2, 2]), residuals, _p(diagnosis.normality, "normal"))
-    draw_timeline(figure.add_subplot(grid[3, :]), fit.timeline)
-    headline(figure, f"{fit.train}, {fit.trip}: running resistance")
-    write_figure(figure, path)
+    value = residuals.value
+    return [
+        _data(fit),
+        _learning(fit),
+        _residual_chart("time [min]", residuals.time / 60.0, value, doubts, width=0.66),
+        correlation_chart(fit.covariance, "correlation"),
+        _residual_chart(
+            SPEED, KMH * residuals.speed, value, _p(diagnosis.flatness, "flat"), width=0.33
+        ),
+        _neighbours(residuals, _p(diagnosis.independence, "independent")),
+        _distribution(residuals, _p(diagnosis.normality, "normal")),
+        timeline_chart(fit.timeline, "what was masked, and why"),
+    ]
 
 
-def draw_refused(trip: str, refusal: TripRefusedError, path: str | Path) -> None:
-    """Draw why a trip was refused: the reason, and what was masked over the trip."""
-    figure = new_figure(11.0, 4.2)
-    axes = figure.add_subplot()
-    if refusal.timeline is None or not refusal.timeline.time.size:
-        axes.set_axis_off()
-    else:
-        draw_timeline(axes, refusal.timeline)
+def refused_chart(trip: str, refusal: TripRefusedError) -> Chart:
+    """Why a trip was refused: the reason, and what was masked over the trip."""
     title = f"{trip}: refused, {refusal.reason}\n{textwrap.fill(str(refusal), 130)}"
-    headline(figure, title, colour=RED, size=10.0)
-    write_figure(figure, path)
+    if refusal.timeline is None or not refusal.timeline.time.size:
+        nothing = Label(0.5, "nothing of it can be drawn", 0.5)
+        return Chart("", [Panel("", [], 0.6, labels=[nothing], bare=True)], title, title=title)
+    return timeline_chart(refusal.timeline, title)
 
 
-def draw_timeline(axes: Axes, timeline: Timeline) -> None:
+def timeline_chart(timeline: Timeline, title: str) -> Chart:
     """Speed over time, and below it what was masked, a bar for each reason."""
-    minutes = timeline.time / 60.0
-    speed = KMH * timeline.speed
+    minutes, speed = timeline.time / 60.0, KMH * timeline.speed
     top = max(float(np.max(speed, initial=1.0)), 1.0)
-    axes.plot(minutes, speed, color=BLUE, linewidth=1.0)
+    curves = [Curve("", minutes, speed, BLUE, width=1.0)]
     height = 0.08 * top
     for number, (reason, mask) in enumerate(timeline.masks.items(), start=1):
         low = -(number + 0.4) * height
-        axes.fill_between(
-            minutes,
-            low,
-            low + 0.8 * height,
-            where=mask.tolist(),
-            color=MASKS.get(reason, GREY),
-            step="post",
-            linewidth=0,
-            label=f"{reason} {float(mask.mean()):.0%}",
-        )
-    axes.set_ylim(-(len(timeline.masks) + 1) * height, 1.08 * top)
-    axes.set_yticks([tick for tick in axes.get_yticks() if 0.0 <= tick <= top])
-    dress(axes, x="time [min]", y="speed [km/h]", title="what was masked, and why")
-    legend(axes, "lower right", bbox_to_anchor=(1.0, 1.0), ncols=4)
+        level = np.where(mask, low + 0.8 * height, np.nan)
+        curves.append(
+            Curve(f"{reason} {float(mask.mean()):.0%}", minutes, level, MASKS.get(reason, GREY),
+                  "area", np.full(level.size, low))
+        )  # fmt: skip
+    limits = (-(len(timeline.masks) + 1) * height, 1.08 * top)
+    alt = "Speed over time, with what was masked below it."
+    return Chart("time [min]", [Panel(SPEED, curves, 1.0, limits=limits)], alt, title=title)
 
 
-def _data(axes: Axes, fit: TripFit) -> None:
-    speed = speeds_to_draw(fit.asked)
+def _data(fit: TripFit) -> Chart:
+    speed = _speeds(fit.asked)
     points, used = fit.points, fit.points.used
-    axes.errorbar(
-        KMH * points.speed[used],
-        points.value[used] / KILONEWTON,
-        yerr=points.std[used] / KILONEWTON,
-        fmt=".",
-        color=GREY,
-        elinewidth=0.5,
-        markersize=4,
-        label=f"{int(used.sum())} means over 10 s, with their noise",
-    )
+    value, std = points.value / KILONEWTON, points.std / KILONEWTON
+    curves = [
+        Curve(f"{int(used.sum())} means over 10 s, with their noise", KMH * points.speed[used],
+              value[used], GREY, "points", (value - std)[used], (value + std)[used], width=1.6)
+    ]  # fmt: skip
     if not used.all():
-        axes.plot(
-            KMH * points.speed[~used],
-            points.value[~used] / KILONEWTON,
-            "x",
-            color=RED,
-            label=f"{int((~used).sum())} outliers, axes out",
+        label = f"{int((~used).sum())} outliers, axes out"
+        curves.append(
+            Curve(
+                label, KMH * points.speed[~used], value[~used], RED, "points", mark="x", width=2.5
+            )
         )
-    draw_curve(axes, fit, speed, BLUE, "fitted, 95 % band of the whole curve")
-    axes.set_ylim(*resistance_limits(fit.resistance(speed), points.value[used]))
-    dress(axes, x="speed [km/h]", y="running resistance [kN]", title=_summary(fit))
-    legend(axes, "upper left")
+    curves.append(_band_curve(fit, speed, "fitted, 95 % band of the whole curve"))
+    r = fit.resistance
+    title = (
+        f"{fit.train}, {fit.trip}: running resistance\n"
+        f"{r.r0:.0f} N + {r.r1:.1f} N/(m/s) v + {r.r2:.2f} N/(m/s)² v²,"
+        f" mass {fit.mass / TONNE:.1f} ± {1.96 * fit.mass_std / TONNE:.1f} t"
+    )
+    limits = _resistance_limits(fit.resistance(speed), points.value[used])
+    return Chart(
+        SPEED, [Panel("running resistance [kN]", curves, 1.5, limits=limits)],
+        f"Running resistance of trip {fit.trip} over speed, with its 95 % band.",
+        title=title, width=0.66,
+    )  # fmt: skip
 
 
-def _learning(axes: Axes, fit: TripFit) -> None:
+def _learning(fit: TripFit) -> Chart:
     """Resistance at the highest speed asked for and mass, as the recursion learnt them."""
     top = fit.asked[1]
     basis = np.array([1.0, top, top**2])
     history = fit.history
     minutes = np.asarray((history.time - history.time[0]).total_seconds()) / 60.0
-    drag = history.beta[:, :3] @ basis
-    std = np.sqrt(np.einsum("i,nij,j->n", basis, history.covariance[:, :3, :3], basis))
     final = float(fit.resistance(top))
-    axes.fill_between(
-        minutes,
-        (drag - 2.0 * std) / final,
-        (drag + 2.0 * std) / final,
-        color=BLUE,
-        alpha=0.2,
-        linewidth=0,
-    )
-    axes.plot(minutes, drag / final, color=BLUE, label=f"resistance at {KMH * top:.0f} km/h, ±2σ")
-    axes.plot(
-        minutes,
-        history.beta[:, 3] / fit.mass,
-        color=ORANGE,
-        label=f"mass ({fit.mass / TONNE:.1f} t)",
-    )
-    axes.set_ylim(0.7, 1.3)
-    dress(axes, x="time [min]", y="over the final estimate", title="learnt as the trip went on")
-    legend(axes, "upper right")
+    drag = history.beta[:, :3] @ basis / final
+    std = np.sqrt(np.einsum("i,nij,j->n", basis, history.covariance[:, :3, :3], basis)) / final
+    curves = [
+        Curve(f"resistance at {KMH * top:.0f} km/h, ±2σ", minutes, drag, BLUE, "line",
+              drag - 2.0 * std, drag + 2.0 * std),
+        Curve(f"mass ({fit.mass / TONNE:.1f} t)", minutes, history.beta[:, 3] / fit.mass, ORANGE),
+    ]  # fmt: skip
+    title = "learnt as the trip went on"
+    return Chart(
+        "time [min]", [Panel("over the final estimate", curves, 1.5, limits=(0.7, 1.3))],
+        "What was learnt of resistance and mass as the trip went on.",
+        title=title, beside=True, width=0.34,
+    )  # fmt: skip
 
 
-def _summary(fit: TripFit) -> str:
-    r = fit.resistance
-    return (
-        f"{r.r0:.0f} N + {r.r1:.1f} N/(m/s) v + {r.r2:.2f} N/(m/s)² v²,"
-        f" mass {fit.mass / TONNE:.1f} ± {1.96 * fit.mass_std / TONNE:.1f} t"
-    )
+def _residual_chart(what: str, x: FloatArray, y: FloatArray, title: str, *, width: float) -> Chart:
+    """Residuals, with the lines that 95 of 100 normal ones keep."""
+    rules = [Rule(0.0), *(Rule(each, GREY, dash="--") for each in (-1.96, 1.96))]
+    curve = Curve("", x, y, SKY, "points", width=1.2)
+    return Chart(
+        what, [Panel("residual [σ]", [curve], 1.0, rules=rules)],
+        f"Residuals over the {what.split(' ')[0]}, in standard deviations of the noise model.",
+        title=title, width=width,
+    )  # fmt: skip
 
 
-def _in_bounds(axes: Axes) -> None:
-    """Lines that 95 of 100 normal residuals keep."""
-    axes.axhline(0.0, color=INK, linewidth=0.8)
-    for bound in (-1.96, 1.96):
-        axes.axhline(bound, color=GREY, linewidth=0.8, linestyle="--")
-
-
-def _neighbours(axes: Axes, residuals: Residuals, title: str) -> None:
+def _neighbours(residuals: Residuals, title: str) -> Chart:
     """Autocorrelation, with the bounds that 95 of 100 independent residuals keep."""
     correlation = residuals.correlation(2 * LAGS)
-    axes.bar(np.arange(1, correlation.size + 1), correlation, color=SKY)
     bound = 1.96 / np.sqrt(max(residuals.value.size, 1))
-    for each in (-bound, bound):
-        axes.axhline(each, color=GREY, linewidth=0.8, linestyle="--")
-    axes.axhline(0.0, color=INK, linewidth=0.8)
     reach = max(0.2, 1.1 * float(np.max(np.abs(correlation), initial=0.0)))
-    axes.set_ylim(-reach, reach)
-    dress(axes, x="lag [windows]", y="autocorrelation", title=title)
+    bars = Curve("", np.arange(1, correlation.size + 1), correlation, SKY, "bars", width=0.8)
+    rules = [Rule(0.0), *(Rule(each, GREY, dash="--") for each in (-bound, bound))]
+    return Chart(
+        "lag [windows]",
+        [Panel("autocorrelation", [bars], 1.0, limits=(-reach, reach), rules=rules)],
+        "Autocorrelation of the residuals.", title=title, beside=True, width=0.33,
+        span=(0.4, correlation.size + 0.6),
+    )  # fmt: skip
 
 
-def _distribution(axes: Axes, residuals: Residuals, title: str) -> None:
+def _distribution(residuals: Residuals, title: str) -> Chart:
     """Quantiles of the residuals over those of the normal distribution."""
     value = np.sort(residuals.value)
     expected = ndtri((np.arange(value.size) + 0.5) / value.size)
-    axes.plot(expected, value, ".", color=SKY, markersize=3)
     reach = float(np.max(np.abs(expected), initial=1.0))
-    axes.plot([-reach, reach], [-reach, reach], color=INK, linewidth=0.8)
-    dress(axes, x="normal quantile", y="residual [σ]", title=title)
+    ends = np.array([-reach, reach])
+    curves = [
+        Curve("", expected, value, SKY, "points", width=1.2),
+        Curve("", ends, ends, INK, width=0.8),
+    ]
+    return Chart(
+        "normal quantile", [Panel("residual [σ]", curves)],
+        "Quantiles of the residuals over those of the normal distribution.",
+        title=title, beside=True, width=0.33,
+    )  # fmt: skip
 
 
 def _p(probability: float, what: str) -> str:
     return f"{what}: p = {probability:.2g}"
 
 
-SHOWN = 4
-"""Trips whose speed is drawn."""
+# ------------------------------------------------------------------------------------ coast-down
 
 
-def draw_coast_down(found: CoastDown, path: str | Path) -> None:
-    """Draw the coasting segments over speed and distance, the curve, its band and the windows."""
+def coast_down_charts(found: CoastDown) -> list[Chart]:
+    """The coasting segments over speed and distance; the curve, its band and the windows."""
     shown = sorted(found.trips, key=lambda fit: -fit.coasted)[:SHOWN]
-    figure = new_figure(12.0, max(5.2, 1.5 * len(shown) + 1.0))
-    grid = figure.add_gridspec(len(shown), 2, width_ratios=(3, 2))
-    for row, fit in enumerate(shown):
-        axes = figure.add_subplot(grid[row, 0])
-        _segments(axes, fit)
-        dress(
-            axes,
-            x="chainage [km]" if row == len(shown) - 1 else "",
-            y="speed [km/h]",
-            title=f"{fit.trip}: coasting for {fit.coasted:.0f} s",
-        )
-        if row == 0:
-            legend(axes, "lower left", ncols=3)
-    _curve(figure.add_subplot(grid[:, 1]), found)
     refused = f", {len(found.refused)} refused" if found.refused else ""
-    count = len(found.trips)
-    headline(
-        figure,
+    title = (
         f"{found.train or 'train'}: running resistance from the coasting of"
-        f" {count} trip{'s' if count > 1 else ''}{refused}",
+        f" {counted(len(found.trips), 'trip')}{refused}"
     )
-    write_figure(figure, path)
+    # Trips drive over places of their own: each has a chart.
+    segments = [_segments(fit) for fit in shown]
+    return [_coasting_curve(found, title), *segments]
 
 
-def draw_without_gradient(result: CoastDownResult, path: str | Path) -> None:
-    """Draw what is identified with the gradient unknown: each piece's sum, and the curve if any."""
-    figure = new_figure(11.0, 5.2)
-    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+def _segments(fit: TripCoastDown) -> Chart:
+    motion = fit.motion
+    kilometre, speed = motion.position / 1e3, KMH * motion.speed
+    curves = [Curve("speed", kilometre, speed, GREY, width=0.7)]
+    for segments, colour, label in (
+        (fit.segments, BLUE, "coasting"),
+        (fit.outlier_segments, RED, "left out: contradicts the others"),
+    ):
+        inside = np.zeros(speed.size, dtype=np.bool_)
+        for segment in segments:
+            inside |= (motion.time >= segment.start) & (motion.time <= segment.end)
+        if inside.any():
+            lone = np.where(inside, speed, np.nan)
+            curves.append(Curve(label, kilometre, lone, colour, width=2.2))
+    title = f"{fit.trip}: coasting for {fit.coasted:.0f} s"
+    return Chart(
+        "chainage [km]", [Panel(SPEED, curves, 0.7, from_zero=True)],
+        f"Speed of trip {fit.trip} over chainage, with its coasting.", title=title,
+    )  # fmt: skip
+
+
+def _coasting_curve(found: CoastDown, title: str) -> Chart:
+    curve = found.curve
+    speed, value, std, used = (
+        np.concatenate([getattr(fit.points, name) for fit in found.trips])
+        for name in ("speed", "value", "std", "used")
+    )
+    label = f"{int(used.sum())} windows of 10 s and less, with the speed's noise"
+    curves = [
+        Curve(label, KMH * speed[used], value[used], GREY, "points", (value - std)[used],
+              (value + std)[used], width=1.2, opacity=0.6 if len(found.trips) < 4 else 0.3)
+    ]  # fmt: skip
+    if not np.all(used):
+        curves.append(
+            Curve("outliers, left out", KMH * speed[~used], value[~used], ORANGE, "points",
+                  mark="x", width=2.5)
+        )  # fmt: skip
+    low, high = curve.covered
+    every = np.linspace(low, high, 120)
+    below, above = curve.band(every)
+    whole = Curve("95 % band of it all", KMH * every, curve(every), SKY, "line", below, above,
+                  width=1.2, dash="--")  # fmt: skip
+    curves.append(whole)
+    if curve.supported is not None:
+        known = np.linspace(*curve.supported, 120)
+        ends = f"{KMH * known[0]:.0f} to {KMH * known[-1]:.0f} km/h"
+        curves.append(Curve(f"curve, supported {ends}", KMH * known, curve(known), BLUE, width=2.0))
+    ratio = found.ratio
+    top = 1.6 * float(np.max(curve(every)))
+    words = f"mass over inertia {ratio.value:.3f} ± {1.96 * ratio.std:.3f} ({ratio.source})"
+    return Chart(
+        SPEED,
+        [Panel("running resistance over inertia [m/s²]", curves, 1.6, words, limits=(0.0, top))],
+        "Running resistance over inertia of the coasting train over speed, with its 95 % band.",
+        title=title,
+    )
+
+
+def result_charts(result: CoastDownResult) -> list[Chart]:
+    """The curve of a coast-down; with the gradient unknown beside it each piece's sum."""
+    if result.curve is not None and not result.pieces:
+        return [replace(_curve_without_gradient(result), beside=False, width=1.0)]
+    curves = list[Curve]()
     for way, colour in (("forward", BLUE), ("reverse", ORANGE)):
         pieces = [piece for piece in result.pieces if piece["direction"] == way]
         if pieces:
-            left.errorbar(
-                [np.mean(piece["position"]) / 1e3 for piece in pieces],
-                [piece["deceleration"] for piece in pieces],
-                yerr=[1.96 * piece["std"] for piece in pieces],
-                fmt=".",
-                color=colour,
-                elinewidth=0.8,
-                label=f"{pieces[0]['quantity']}, {way}, 95 %",
-            )
-    dress(left, x="chainage [km]", y="deceleration [m/s²]", title="of each piece of track")
-    legend(left, "upper left")
-    _curve_without_gradient(right, result)
-    headline(figure, "Coasting with the gradient unknown")
-    write_figure(figure, path)
+            value = np.array([piece["deceleration"] for piece in pieces])
+            reach = 1.96 * np.array([piece["std"] for piece in pieces])
+            curves.append(
+                Curve(f"{pieces[0]['quantity']}, {way}, 95 %",
+                      [np.mean(piece["position"]) / 1e3 for piece in pieces], value, colour,
+                      "points", value - reach, value + reach, width=1.6)
+            )  # fmt: skip
+    title = "Coasting with the gradient unknown"
+    pieces_chart = Chart(
+        "chainage [km]", [Panel("deceleration [m/s²]", curves, 1.6, "of each piece of track")],
+        "Deceleration of each piece of track that was coasted.", title=title, width=0.6,
+    )  # fmt: skip
+    return [pieces_chart, _curve_without_gradient(result)]
 
 
-def _curve_without_gradient(axes: Axes, result: CoastDownResult) -> None:
+def _curve_without_gradient(result: CoastDownResult) -> Chart:
     """The curve, or what it is without its constant part."""
     curve = result.curve
     if curve is not None:
         speed, value, low, high = curve.speeds, curve.deceleration, curve.low, curve.high
         what, title = (
             "running resistance over inertia [m/s²]",
-            "all of it, by pieces coasted both ways",
+            "all of it, by pieces coasted both ways" if result.pieces else "with its 95 % band",
         )
     else:
         c1, c2 = result["c1"].value or 0.0, result["c2"].value or 0.0
@@ -497,77 +493,62 @@ def _curve_without_gradient(axes: Axes, result: CoastDownResult) -> None:
         low, high = value - 1.96 * std, value + 1.96 * std
         what = f"more than at {KMH * lowest:.0f} km/h [m/s²]"
         title = "growth with speed; c0 is merged with the gradient"
-    axes.fill_between(KMH * speed, low, high, color=BLUE, alpha=0.25, linewidth=0, label="95 %")
-    axes.plot(KMH * speed, value, color=BLUE, linewidth=1.8)
-    legend(axes, "upper left")
-    dress(axes, x="speed [km/h]", y=what, title=title)
+    hover = {
+        "speed": [f"{each:.0f} km/h" for each in (KMH * speed).tolist()],
+        "value": [f"{1e3 * each:.1f} mm/s²" for each in value.tolist()],
+        "95 % band": [
+            f"{1e3 * a:.1f} to {1e3 * b:.1f} mm/s²"
+            for a, b in zip(low.tolist(), high.tolist(), strict=True)
+        ],
+    }
+    line = Curve("curve, 95 %", KMH * speed, value, BLUE, "line", low, high, hover, 1.8)
+    return Chart(SPEED, [Panel(what, [line], 1.6, title)], f"{title[0].upper()}{title[1:]}.",
+                 beside=True, width=0.4)  # fmt: skip
 
 
-def _segments(axes: Axes, fit: TripCoastDown) -> None:
-    motion = fit.motion
-    kilometre, speed = motion.position / 1e3, KMH * motion.speed
-    axes.plot(kilometre, speed, color=GREY, linewidth=0.7, label="speed")
-    for segments, colour, label in (
-        (fit.segments, BLUE, "coasting"),
-        (fit.outlier_segments, RED, "left out: contradicts the others"),
-    ):
-        for number, segment in enumerate(segments):
-            inside = (motion.time >= segment.start) & (motion.time <= segment.end)
-            axes.plot(
-                kilometre[inside],
-                speed[inside],
-                color=colour,
-                linewidth=2.2,
-                label=label if number == 0 else None,
-            )
-    axes.set_ylim(bottom=0.0)
+# ----------------------------------------------------------------------------------------- parts
 
 
-def _curve(axes: Axes, found: CoastDown) -> None:
-    curve = found.curve
-    _windows(axes, found.trips)
-    low, high = curve.covered
-    speed = np.linspace(low, high, 120)
-    below, above = curve.band(speed)
-    axes.fill_between(
-        KMH * speed, below, above, color=BLUE, alpha=0.25, linewidth=0, label="95 % band of it all"
-    )
-    axes.plot(KMH * speed, curve(speed), color=SKY, linewidth=1.2, linestyle="--")
-    if curve.supported is not None:
-        known = np.linspace(*curve.supported, 120)
-        axes.plot(
-            KMH * known,
-            curve(known),
-            color=BLUE,
-            linewidth=2.0,
-            label=f"curve, supported {KMH * known[0]:.0f} to {KMH * known[-1]:.0f} km/h",
-        )
-    axes.set_ylim(0.0, 1.6 * float(np.max(curve(speed))))
-    ratio = found.ratio
-    dress(
-        axes,
-        x="speed [km/h]",
-        y="running resistance over inertia [m/s²]",
-        title=f"mass over inertia {ratio.value:.3f} ± {1.96 * ratio.std:.3f} ({ratio.source})",
-    )
-    legend(axes, "upper left")
+def _band_curve(fit: TripFit | CommonFit, speed: FloatArray, label: str) -> Curve:
+    """A drag curve over the speed with its band."""
+    low, high = (each / KILONEWTON for each in fit.band(speed))
+    value = fit.resistance(speed) / KILONEWTON
+    hover = {
+        "speed": [f"{each:.0f} km/h" for each in (KMH * speed).tolist()],
+        "resistance": [f"{each:.2f} kN" for each in value.tolist()],
+        "95 % band": [
+            f"{a:.2f} to {b:.2f} kN" for a, b in zip(low.tolist(), high.tolist(), strict=True)
+        ],
+    }
+    return Curve(label, KMH * speed, value, BLUE, "line", low, high, hover, 1.8)
 
 
-def _windows(axes: Axes, trips: Sequence[TripCoastDown]) -> None:
-    speed, value, std, used = (
-        np.concatenate([getattr(fit.points, name) for fit in trips])
-        for name in ("speed", "value", "std", "used")
-    )
-    axes.errorbar(
-        KMH * speed[used],
-        value[used],
-        yerr=std[used],
-        fmt=".",
-        color=GREY,
-        elinewidth=0.4,
-        markersize=3,
-        alpha=0.6 if len(trips) < 4 else 0.3,
-        label=f"{int(used.sum())} windows of 10 s and less, with the speed's noise",
-    )
-    if not np.all(used):
-        axes.plot(KMH * speed[~used], value[~used], "x", color=ORANGE, label="outliers, left out")
+def _family(label: str, x: FloatArray, rows: FloatArray, colour: str, width: float) -> list[Curve]:
+    """Curves of one kind, with breaks between them, as one."""
+    if not len(rows):
+        return []
+    gap = np.full((len(rows), 1), np.nan)
+    along = np.column_stack([np.broadcast_to(x, rows.shape), gap]).ravel()
+    return [Curve(label, along, np.column_stack([rows, gap]).ravel(), colour, width=width)]
+
+
+def _resistance_limits(curve: FloatArray, points: FloatArray) -> tuple[float, float]:
+    """Range of the axis [kN]: the curve and nearly all points."""
+    low, high = np.quantile(points, [0.02, 0.98])
+    top = max(float(high), 1.15 * float(curve.max()))
+    return min(float(low), 0.0) / KILONEWTON, top / KILONEWTON
+
+
+def _speeds(asked: tuple[float, float]) -> FloatArray:
+    """From standstill to the highest speed asked for [m/s]."""
+    return np.linspace(0.0, asked[1], 120)
+
+
+def _some(count: int, most: int) -> IntArray:
+    """Rows to draw: all, or `most` evenly spaced ones."""
+    spaced = np.linspace(0, count - 1, min(count, most))
+    return np.unique(np.round(spaced).astype(np.int64))
+
+
+def _drawn(what: str, drawn: int, count: int) -> str:
+    return what if drawn == count else f"{what} ({drawn} of {count} drawn)"

@@ -147,8 +147,9 @@ def _fit_efforts(
     per_trip: Path | None,
 ) -> None:
     """Fit running resistance from recorded efforts, per trip and together."""
+    from analysis.charts import draw
     from analysis.resistance.logs import AllRefusedError, fit as fit_trips
-    from analysis.resistance.plot import draw_each, draw_each_refused, draw_fits
+    from analysis.resistance.plot import draw_each, draw_each_refused
     from trainlog.formats.parameters import write_parameters
     from trainlog.formats.summaries import SUFFIX, write_summaries
 
@@ -165,7 +166,7 @@ def _fit_efforts(
             raise
         write_parameters(fits.parameters, output)
         write_summaries(fits.summaries, kept)
-        draw_fits(fits, shown)
+        draw(fits, shown)
         show(fits)
         wrote(output, kept, shown)
         if drawn is not None:
@@ -176,7 +177,8 @@ def _fit_coasting(
     logs: list[Path], output: Path, shown: Path, line: Path | None, gradient: str
 ) -> None:
     """Fit running resistance from where the train coasts."""
-    from analysis.resistance import coast_down as coasting, plot, unknown_gradient
+    from analysis.charts import draw
+    from analysis.resistance import coast_down as coasting, unknown_gradient
     from trainlog.formats.parameters import write_coast_down
 
     every = track(logs_in(logs), "finding coasting", "log")
@@ -187,10 +189,10 @@ def _fit_coasting(
         result = found.result
     write_coast_down(result, output)
     if gradient == "unknown":
-        plot.draw_without_gradient(result, shown)
+        draw(result, shown)
         show(result)
     else:
-        plot.draw_coast_down(found, shown)
+        draw(found, shown)
         show(found)
     wrote(output, shown)
 

@@ -298,6 +298,8 @@ class CoastDownResult(Presented):
     provenance : dict
     """
 
+    charts_by: ClassVar[str] = "analysis.resistance.plot:result_charts"
+
     train: str
     gradient: Gradient
     quantities: tuple[Identified, ...]
