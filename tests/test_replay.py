@@ -32,6 +32,7 @@ from trainlog.railway import TrackConditionMap
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, PassingSpot
 from trainlog.replay import ReplayOptions, write_replay
 from trainlog.replay.clock import clock_of
+from trainlog.replay.condition import CLASS_COLOURS
 from trainlog.replay.curves import CURVES
 from trainlog.replay.samples import Samples, broken, thinned
 from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of
@@ -620,3 +621,34 @@ def test_another_forecast_is_another_recording(tmp_path: Path) -> None:
         write_replay([made_trip()], path, condition_map=replace(condition, layers=layers))
         ids.add(RrdReader(path).recordings()[0].recording_id)
     assert len(ids) == 2
+
+
+def test_the_colours_of_adhesion_have_a_legend_that_shows_on_a_dark_ground(tmp_path: Path) -> None:
+    path = tmp_path / "map.rrd"
+    write_replay([made_trip()], path, condition_map=condition_of())
+    entity = "/lines/hill/condition/dry"
+    labels = static(path, f"{entity}/legend", "Points2D:labels")
+    assert list(labels) == ["< 0.05", "< 0.08", "< 0.12", "< 0.20", "≥ 0.20"]
+    # Of each class enough light, against a ground that is nearly black.
+    light = CLASS_COLOURS @ np.array([0.299, 0.587, 0.114])
+    assert light.min() > 90.0
+    course = static(path, "/lines/hill/track", "LineStrips2D:strips")
+    south = np.vstack(list(course[0]))[:, 1].max()
+    assert min(place[1] for place in static(path, f"{entity}/legend", "Points2D:positions")) > south
+
+
+def test_lateness_has_its_sign_at_the_cursor(tmp_path: Path) -> None:
+    trip = made_trip()
+    state = trip["/train/state"]
+    late = np.linspace(-5.0, 12.0, len(state))
+    zero = np.zeros(len(state))
+    frame = frame_of(
+        topics.REFERENCE,
+        state.index,
+        {each.name: late if each.name == "lateness" else zero for each in topics.REFERENCE.fields},
+    )
+    path = tmp_path / "late.rrd"
+    write_replay([replace(trip, topics={**trip.topics, topics.REFERENCE.name: frame})], path)
+    texts = [str(each) for each in rows(path, "/trips/up/cursor")["TextDocument:text"]]
+    assert any("-5.0 s, early" in each for each in texts[:3])
+    assert "+12.0 s, late" in texts[-1] or "+11.9 s, late" in texts[-1]

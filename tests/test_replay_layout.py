@@ -154,7 +154,11 @@ def test_each_view_is_a_tab_and_has_one_a_trip(
     names = ["up", "down", "up again"]
     particulars = [[f"Trip {name}" for name in names]] * 2
     assert sorted(pages) == ([] if count == 1 else sorted([names] * 3 + particulars))
-    over = {"Speed forward [km/h]", "Speed reverse [km/h]", "Running time behind up [s]"}
+    over = {
+        "Speed forward [km/h]",
+        "Speed reverse [km/h]",
+        "Lateness against up [s]: late above 0, early below",
+    }
     assert (over <= layout.names()) == (count > 1)
 
 

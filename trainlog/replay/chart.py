@@ -20,6 +20,9 @@ from trainlog.replay.curves import Colour
 from trainlog.replay.samples import send_rows, send_static
 from trainlog.units import EARTH_RADIUS
 
+LEGEND_BELOW = 0.06
+"""How far south of a course its legend stands, against its larger side."""
+
 
 @dataclass(frozen=True)
 class Chart:
@@ -78,6 +81,32 @@ class Chart:
             return
         named = {} if label is None else {"labels": [label], "show_labels": True}
         points = rr.Points2D(self.plan(degrees), draw_order=1.0, **style, **named)
+        send_static(recording, entity, points)
+
+    def legend(
+        self,
+        recording: Any,
+        entity: str,
+        course: FloatArray,
+        names: Sequence[str],
+        colours: Any,
+        radius: float,
+    ) -> None:
+        """Draw named dots in a row south of a course [deg], (n, 2), for all times.
+
+        Nothing over tiles, where Rerun gives dots no names.
+        """
+        if self.tiles:
+            return
+        drawn = self.plan(course)
+        low, high = drawn.min(axis=0), drawn.max(axis=0)
+        size = max(float(np.max(high - low)), 1.0)
+        x = low[0] + size * np.linspace(0.05, 0.85, len(names))
+        places = np.column_stack((x, np.full(len(names), high[1] + LEGEND_BELOW * size)))
+        points = rr.Points2D(
+            places, draw_order=1.0, radii=rr.Radius.ui_points(radius), colors=colours,
+            labels=list(names), show_labels=True,
+        )  # fmt: skip
         send_static(recording, entity, points)
 
     def moving(

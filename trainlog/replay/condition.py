@@ -7,12 +7,17 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib import colormaps
 
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway import Geometry, Line, TrackConditionMap
-from trainlog.railway.condition import ConditionLayer, PassingSpot
+from trainlog.railway.condition import (
+    ADHESION_BOUNDS,
+    ADHESION_COLOURS,
+    ConditionLayer,
+    PassingSpot,
+    adhesion_class,
+)
 from trainlog.railway.kilometres import km_words
 from trainlog.replay.chart import Chart
 from trainlog.replay.clock import Clock, Instants, Nanoseconds
@@ -29,8 +34,22 @@ EXPECTED, SPOT = COLOURS["planned"], COLOURS["limit"]
 LIKELY = 0.05
 """A spot is drawn if it lies there with this probability at least."""
 
-LOWEST, HIGHEST = 0.05, 0.40
-"""Maximum adhesion at the ends of the map's colour scale."""
+CLASS_COLOURS = np.array(
+    [[int(each[i : i + 2], 16) for i in (1, 3, 5)] for each in ADHESION_COLOURS], dtype=np.uint8
+)
+"""Of the classes of maximum adhesion: they show on the viewer's dark ground, too."""
+
+LEGEND = (
+    f"< {ADHESION_BOUNDS[0]:.2f}",
+    *(f"< {each:.2f}" for each in ADHESION_BOUNDS[1:]),
+    f"≥ {ADHESION_BOUNDS[-1]:.2f}",
+)
+"""Their names in the legend."""
+
+COLOURS_IN_WORDS = ", ".join(
+    f"{colour} {name}"
+    for colour, name in zip(("red", "orange", "yellow", "light blue", "blue"), LEGEND, strict=True)
+)
 
 BIN_SIZE, SPOT_WIDTH = 4.0, 5.0
 """Radius of a bin and half width of a spot on the map, in points."""
@@ -222,7 +241,10 @@ def _date(day: int) -> str:
 def draw_bins_on_map(
     recording: Any, line: str, geometry: Geometry, passage: Passage, chart: Chart
 ) -> None:
-    """Draw the observed bins of a layer as dots, dark to light from low to high adhesion.
+    """Draw the observed bins of a layer as dots in the colours of their classes, with a legend.
+
+    Rerun has no legend for places: on the plan it is a row of named dots beside the line. Over
+    tiles, where dots have no names, the title of the view names the colours.
 
     Parameters
     ----------
@@ -236,14 +258,11 @@ def draw_bins_on_map(
     seen = np.isfinite(adhesion)
     if not seen.any():
         return
-    share = np.clip((adhesion[seen] - LOWEST) / (HIGHEST - LOWEST), 0.0, 1.0)
-    chart.dots(
-        recording,
-        path_of("lines", line, "condition", passage.layer),
-        np.column_stack(geometry.at(track.centres[seen])),
-        np.rint(255 * colormaps["plasma"](share)[:, :3]).astype(np.uint8),
-        BIN_SIZE,
-    )
+    root = path_of("lines", line, "condition", passage.layer)
+    places = np.column_stack(geometry.at(track.centres[seen]))
+    chart.dots(recording, root, places, CLASS_COLOURS[adhesion_class(adhesion[seen])], BIN_SIZE)
+    course = np.column_stack((geometry.latitudes, geometry.longitudes))
+    chart.legend(recording, f"{root}/legend", course, LEGEND, CLASS_COLOURS, BIN_SIZE)
 
 
 def observed(condition: TrackConditionMap | None) -> list[str]:

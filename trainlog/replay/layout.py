@@ -19,6 +19,7 @@ from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.replay.chart import Chart
 from trainlog.replay.clock import ELAPSED, POSITION, TIME
+from trainlog.replay.condition import COLOURS_IN_WORDS
 from trainlog.replay.curves import PANELS, PHASES, SPEEDS_SHOWN, Colour, Panel
 from trainlog.replay.overlay import BEHIND, SLOWER
 from trainlog.replay.samples import path_of
@@ -285,7 +286,7 @@ def _differences(reference: str) -> tuple[tuple[str, str], ...]:
     """Entities of the differences and their titles, from the bottom to the top."""
     return (
         (SLOWER, f"Speed less that of {reference} [km/h]"),
-        (BEHIND, f"Running time behind {reference} [s]"),
+        (BEHIND, f"Lateness against {reference} [s]: late above 0, early below"),
     )
 
 
@@ -456,8 +457,9 @@ def _chart(
     for line in dict.fromkeys(trip.line for trip in placed if trip.line):
         drawn += [f"{line}/track", f"{line}/stations/**"]
         if layer:
-            drawn.append(f"{line}/condition/{path_of(layer)[1:]}")
+            drawn.append(f"{line}/condition/{path_of(layer)[1:]}/**")
             title = f"Line and its maximum adhesion, {layer}"
+            title += f": {COLOURS_IN_WORDS}" * contents.chart.tiles
     extent = np.stack([trip.extent for trip in placed if trip.extent is not None])
     whole = np.column_stack((extent[:, :, 0].min(axis=0), extent[:, :, 1].max(axis=0)))
     if not contents.chart.tiles:

@@ -26,7 +26,8 @@ from trainlog.replay.samples import (
     send_rows,
     send_static,
 )
-from trainlog.topics import ESTIMATED_STATE, GNSS_MOTION, TRAIN_STATE
+from trainlog.resampling import interpolated
+from trainlog.topics import ESTIMATED_STATE, GNSS_MOTION, REFERENCE, TRAIN_STATE
 from trainlog.trip import Trip
 from trainlog.units import KMH, NANOSECONDS, PER_MILLE
 
@@ -204,7 +205,8 @@ class Whereabouts:
         first, begun = first[second > self._last], self._last >= 0
         self._last = int(second[-1])
         instants = self._clock.instants(time[first])
-        texts = self.texts(instants.position, speed[first])
+        late = lateness_of(piece, time[first])
+        texts = self.texts(instants.position, speed[first], late)
         if not begun and instants.position.size:
             begins, text = from_whole_kilometre(instants), texts[0].partition("\n")[0]
             if begins.position[0] < begins.position[1]:
@@ -218,8 +220,10 @@ class Whereabouts:
         )
         return True
 
-    def texts(self, position: FloatArray, speed: FloatArray) -> list[str]:
-        """What is written at each position [m], at each speed [m/s]; Markdown."""
+    def texts(
+        self, position: FloatArray, speed: FloatArray, late: FloatArray | None = None
+    ) -> list[str]:
+        """What is written at each position [m], speed [m/s] and lateness [s]; Markdown."""
         line = self._line
         kilometre = in_km(line, position)
         speeds = [
@@ -230,6 +234,11 @@ class Whereabouts:
             f"# km {place:.3f}\n\n## {shown}"
             for place, shown in zip(kilometre.tolist(), speeds, strict=True)
         ]
+        if late is not None:
+            heads = [
+                head if np.isnan(each) else f"{head}\n\n{signed_lateness(each)}"
+                for head, each in zip(heads, late.tolist(), strict=True)
+            ]
         if line is None:
             return heads
         inside = np.clip(position, 0.0, line.length)
@@ -245,6 +254,28 @@ class Whereabouts:
                 heads, limits.tolist(), slopes.tolist(), names, strict=True
             )
         ]
+
+
+def signed_lateness(seconds: float) -> str:
+    """Lateness with its sign, and what the sign means.
+
+    Examples
+    --------
+    >>> signed_lateness(12.34), signed_lateness(-3.0), signed_lateness(0.02)
+    ('+12.3 s, late', '-3.0 s, early', '0.0 s, on time')
+    """
+    rounded = round(seconds, 1)
+    if rounded == 0.0:
+        return "0.0 s, on time"
+    return f"{rounded:+.1f} s, {'late' if rounded > 0.0 else 'early'}"
+
+
+def lateness_of(piece: Trip, time: Nanoseconds) -> FloatArray | None:
+    """Lateness [s] against the trajectory that a trip followed, at each time; None without one."""
+    frame = piece.topics.get(REFERENCE.name)
+    if frame is None or frame.empty or "lateness" not in frame:
+        return None
+    return interpolated(frame, "lateness", pd.to_datetime(time, utc=True), 2.0)
 
 
 def speed_of(piece: Trip) -> tuple[Nanoseconds, FloatArray] | None:
