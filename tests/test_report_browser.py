@@ -151,7 +151,7 @@ def test_every_picture_is_drawn_light_and_dark(light: Opened, dark: Opened) -> N
             ".map(each => [each.getBoundingClientRect().width,"
             " each.tagName === 'IMG' ? each.naturalHeight : each.getBBox().height])"
         )
-        assert len(sizes) >= 2
+        assert len(sizes) >= 1
         assert all(width > 200 and height > 50 for width, height in sizes)
         canvases = opened.page.evaluate(CANVASES)
         plots = opened.page.locator(".plot").count()
@@ -256,17 +256,17 @@ def test_on_a_narrow_screen_tables_scroll_and_charts_are_drawn_to_the_width(ligh
 
 
 def test_details_are_folded_on_a_screen_and_open_in_print(light: Opened) -> None:
-    words = "each => each.getBoundingClientRect().height"
-    folded = light.page.locator("details .inner").first
-    assert folded.evaluate(words) == 0
+    seen = "all => all.map(each => each.checkVisibility())"
+    folded = light.page.locator("details .inner")
+    assert not any(folded.evaluate_all(seen))
     light.page.emulate_media(media="print")
-    printed = folded.evaluate(words)
+    printed = folded.evaluate_all(seen)
     light.page.emulate_media(media="screen")
-    assert printed > 20
+    assert all(printed)
     # The contents lead into what is folded, and open it.
     light.page.locator("nav a").last.click()
     light.page.wait_for_timeout(200)
-    assert light.page.locator("details .inner").last.evaluate(words) > 20
+    assert folded.evaluate_all(seen)[-1]
 
 
 def test_a_name_in_the_legend_hides_its_curve(light: Opened) -> None:

@@ -193,7 +193,9 @@ def test_a_fit_is_shown_with_its_trips_and_an_edited_one_with_a_doubt(tmp_path: 
     assert "is not beside it" in (tmp_path / "alone.html").read_text("utf-8")
     write_summaries(fits.summaries, tmp_path / "set.parquet")
     whole = write_report(tmp_path / "set.json", tmp_path / "whole.html")
-    assert [each.title for each in whole.sections][1:3] == ["Trips of the fit", "Observed set"]
+    titles = [each.title for each in whole.sections]
+    assert titles[:2] == ["Summary", "Running resistance"]
+    assert titles[2:4] == ["Trips of the fit", "Observed set"]
     options = ReportOptions(logs=(sample("nonstop.mcap"),))
     write_report(tmp_path / "set.json", tmp_path / "logs.html", options)
     assert "What the fit did not explain" in (tmp_path / "logs.html").read_text("utf-8")
