@@ -126,5 +126,5 @@ def test_speeds_are_whole_rounded_down_and_below_each_limit_of_the_row() -> None
     words = [row.words for row in found.rows]
     assert "brake to 91 km/h by km 5.000" in words
     # Without the line the speeds that are planned take the place of the limits.
-    nameless = [row.words for row in journey_advice([plan], None).rows]
+    nameless = [row.words for row in journey_advice([replace(plan, provenance={})]).rows]
     assert any(each.startswith("brake to 91 km/h by km 5.0") for each in nameless)

@@ -24,7 +24,8 @@ from analysis.trajectory.advice import (
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InputError
-from trainlog.formats.line import read_line
+from trainlog.formats.attached import line_of_plan
+from trainlog.formats.line import line_to_bytes, read_line
 from trainlog.formats.samples import sample
 from trainlog.formats.train import read_train
 from trainlog.formats.trajectory import read_trajectory, write_trajectory
@@ -200,13 +201,43 @@ def test_sections_planned_one_by_one_stand_as_long_as_is_asked_for(
     assert cells[0] == ["Wil", "Uzwil", "Flawil", "Gossau SG"]
     assert all((cells[2][1], cells[3][1]))
     # Without the line the places are kilometres.
-    nameless = journey_advice(unaware, None)
+    nameless = journey_advice(unaware)
     assert not nameless.named
     assert all(row.station == row.place == "" for row in nameless.rows)
     # A file keeps when its section departs.
     write_trajectory(sections[1], tmp_path / "plan.json")
     kept = read_trajectory(tmp_path / "plan.json").provenance["journey"]["departure"]
     assert kept == pytest.approx(sections[0].running_time + DWELL)
+
+
+def test_a_plan_on_any_line_knows_its_stations_and_limits_without_the_lines_file(
+    sections: tuple[Trajectory, ...],
+    line: Line,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Of a line that is not among the samples; a file of an earlier version asks for it."""
+    named = replace(line.reversed(), name="elsewhere")
+    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
+    problem = TrajectoryProblem(
+        named, train, [Configuration.of(train)], end=9_469.4, direction="reverse"
+    )
+    plan = optimise(problem, OptimiserOptions(cells=60))
+    write_trajectory(plan, tmp_path / "plan.json")
+    kept = line_of_plan(read_trajectory(tmp_path / "plan.json"))
+    assert kept is not None
+    assert line_to_bytes(kept) == line_to_bytes(named)
+    words = ("advice", tmp_path / "plan.json", "-o", tmp_path / "advice.html")
+    assert run(monkeypatch, capsys, *words)[0] == 0
+    with (tmp_path / "advice.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert (rows[0]["station"], rows[-1]["station"]) == ("Wil", "Uzwil")
+    assert all(row["permitted_kmh"] for row in rows if row["event"] == "changes")
+    early = {name: value for name, value in plan.provenance.items() if name != "line"}
+    write_trajectory(replace(plan, provenance=early), tmp_path / "plan.json")
+    assert run(monkeypatch, capsys, *words)[0] == 0
+    assert "do not hold line &#x27;elsewhere&#x27;" in (tmp_path / "advice.html").read_text("utf-8")
 
 
 def test_the_table_of_another_command_is_not_overwritten(

@@ -47,7 +47,7 @@ def write_driver_advice(
     page, table : path
         The HTML and the CSV file, each written whole or not at all.
     line : path, optional
-        Line file; default: a sample line of the name.
+        Line file; default: the line that they were planned on.
     start : float [s], optional
         Time of day of the first departure.
     dwell : float [s]
@@ -101,7 +101,7 @@ def _subtitle(found: JourneyAdvice) -> str:
 def _parts(found: JourneyAdvice, line: Line | None, files: Sequence[Path]) -> list[Section]:
     doubts: list[Part] = []
     if line is None:
-        words = f"Line '{found.line}' is not among the samples: give it, for the stations' names."
+        words = f"The plans do not hold line '{found.line}': give it, for limits and stations."
         doubts = [Warned(words)]
     counts = {len(each.configurations) for each in found.sections}
     if counts == {1}:

@@ -39,7 +39,9 @@ from trainlog.formats.files import (
     logs_of,
     read_bytes,
     refuse_reading,
+    sha256,
     sha256_of,
+    to_bytes,
 )
 from trainlog.formats.mapfile import MapFile
 from trainlog.mcap import read_log
@@ -526,7 +528,9 @@ def _steps(path: Path) -> list[Mapping[str, Any]]:
         stated = json.loads(read_bytes(path)).get("provenance", {})
     except (TrainlogError, ValueError):
         return []
-    made_by = {"trajectory": "optimise", "parameters": "fit"}.get(kind, kind)
+    if isinstance(stated, dict) and isinstance(stated.get("line"), dict):
+        stated = stated | {"line": sha256(to_bytes(stated["line"]))}
+    made_by = {"trajectory": "plan", "parameters": "fit"}.get(kind, kind)
     return [{"step": made_by, **stated}] if isinstance(stated, dict) and stated else []
 
 

@@ -33,6 +33,7 @@ from analysis.verification.table import score_table
 from trainlog.arrays import IntArray
 from trainlog.display import counted, lateness
 from trainlog.errors import InputError, TrainlogError
+from trainlog.formats.attached import line_of_plan
 from trainlog.formats.condition import read_map
 from trainlog.formats.line import read_line
 from trainlog.formats.parameters import read_coast_down, read_parameters
@@ -331,7 +332,7 @@ def trajectory_sections(path: Path, line: Path | None = None) -> list[Section]:
     path : path
         Trajectory file.
     line : path, optional
-        Line file; default: a sample line of that name.
+        Line file; default: the line that the trajectory was planned on.
     """
     trajectory = read_trajectory(path)
     course = line_of_trajectory(trajectory, line)
@@ -339,8 +340,8 @@ def trajectory_sections(path: Path, line: Path | None = None) -> list[Section]:
     sections = [Section("Trajectory", parts)]
     if course is None:
         parts.append(
-            Warned(f"Line '{trajectory.line}' is not among the samples: without --line its limits,"
-                   " gradients and stations are not shown.")
+            Warned(f"The file does not hold line '{trajectory.line}', as an earlier version wrote"
+                   " it: without --line its limits, gradients and stations are not shown.")
         )  # fmt: skip
     if "audit" in trajectory.certificate:
         sections.append(
@@ -361,30 +362,36 @@ def trajectory_sections(path: Path, line: Path | None = None) -> list[Section]:
 
 
 def line_of_trajectory(trajectory: Trajectory, given: Path | None) -> Line | None:
-    """The line of a trajectory in the direction of travel; None where it is not known.
+    """The line of a trajectory in the direction of travel: as given, or as it was planned on.
+
+    None where the file does not hold it, as earlier versions wrote it, and no sample has its name.
 
     Raises
     ------
     InputError
         If the one that is given is another line, or ends before the trajectory does.
     """
-    line = None
-    if given is not None:
-        line = read_line(given)
-        if line.name != trajectory.line or line.length < trajectory.positions[-1] - 1.0:
+    last = float(trajectory.positions[-1])
+    if given is None:
+        kept = line_of_plan(trajectory)
+        if kept is not None:
+            return kept
+        found = [read_line(sample(each)) for each in names() if each.endswith(".line.json")]
+        lines = [
+            each for each in found if each.name == trajectory.line and each.length >= last - 1.0
+        ]
+        if not lines:
+            return None
+    else:
+        lines = [read_line(given)]
+        if lines[0].name != trajectory.line or lines[0].length < last - 1.0:
             raise InputError(
-                f"is line '{line.name}' of {line.length / 1e3:.3f} km; the trajectory is of"
-                f" '{trajectory.line}' to km {trajectory.positions[-1] / 1e3:.3f}",
+                f"is line '{lines[0].name}' of {lines[0].length / 1e3:.3f} km; the trajectory is of"
+                f" '{trajectory.line}' to km {last / 1e3:.3f}",
                 file=given,
                 remedy="give the line that it was planned on",
             )
-    else:
-        for name in names():
-            if name == f"{trajectory.line}.line.json":
-                line = read_line(sample(name))
-    if line is None or line.length < trajectory.positions[-1] - 1.0:
-        return None
-    return line.reversed() if trajectory.direction == "reverse" else line
+    return lines[0].reversed() if trajectory.direction == "reverse" else lines[0]
 
 
 def _trajectory_chart(trajectory: Trajectory, line: Line | None) -> Chart:

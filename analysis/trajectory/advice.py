@@ -26,6 +26,7 @@ from analysis.trajectory.phases import Phase
 from trainlog import __version__
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
+from trainlog.formats.attached import line_of_plan
 from trainlog.formats.files import atomic_write, sha256
 from trainlog.formats.trajectory import trajectory_to_bytes
 from trainlog.presentation import WordTable, new_table
@@ -230,7 +231,7 @@ def with_times(
 
 def journey_advice(
     sections: Sequence[Trajectory],
-    line: Line | None,
+    line: Line | None = None,
     *,
     start: float | None = None,
     dwell: float = 0.0,
@@ -242,8 +243,9 @@ def journey_advice(
     sections : sequence of Trajectory
         From stop to stop, in any order; a single one is a journey, too. Those that
         ``trainlog plan --journey`` wrote know when they depart.
-    line : Line or None
-        As travelled; None leaves out the names of the stations.
+    line : Line, optional
+        As travelled; default: the one that the sections were planned on. Files of earlier versions
+        do not hold it: limits and the names of stations are left out.
     start : float [s], optional
         Time of day of the first departure (`time_of_day`).
     dwell : float [s]
@@ -257,7 +259,7 @@ def journey_advice(
 
     Examples
     --------
-    >>> journey_advice([], None)
+    >>> journey_advice([])
     Traceback (most recent call last):
     trainlog.errors.InputError: no trajectory was given; give those of the journey's sections
     """
@@ -265,6 +267,7 @@ def journey_advice(
         raise InputError("no trajectory was given", remedy="give those of the journey's sections")
     ordered = sorted(sections, key=lambda each: float(each.positions[0]))
     _check_sections(ordered)
+    line = line_of_plan(ordered[-1]) if line is None else line
     departures = _departures(ordered, dwell)
     rows = [
         row

@@ -50,6 +50,7 @@ from analysis.trajectory.rollout import LEAST_TIME_MARGIN, least_time_together
 from trainlog.arrays import FloatArray
 from trainlog.display import as_html, as_text, counted, picture
 from trainlog.errors import InfeasibleError, InputError, TrainlogError
+from trainlog.formats.attached import line_kept
 from trainlog.progress import note, task, track
 from trainlog.railway import Trajectory
 from trainlog.units import JOULES_PER_KWH
@@ -173,6 +174,7 @@ def _optimised(asked: TrajectoryProblem, options: OptimiserOptions) -> Trajector
         provenance={
             "method": "cone relaxation and sequential quadratic programs, Cunillera et al. (2022)",
             "settings": _settings(asked, options),
+            "line": line_kept(problem.line),
         },
     )
 

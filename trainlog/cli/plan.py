@@ -361,7 +361,7 @@ def advice(
     ] = None,
     line: Annotated[
         Path | None,
-        typer.Option("--line", help="Line file, where the line is not among the samples."),
+        typer.Option("--line", help="Line file; default: the line that the trajectory holds."),
     ] = None,
     dwell: Annotated[
         float | None,

@@ -1,19 +1,22 @@
-"""The line, the train and the passport that a trip carries with it."""
+"""The line, the train and the passport that a trip carries with it; the line of a trajectory."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from trainlog.errors import LogError
-from trainlog.formats.files import sha256
-from trainlog.formats.line import line_from_bytes
+from trainlog.formats.files import sha256, to_bytes
+from trainlog.formats.line import line_from_bytes, line_to_bytes
 from trainlog.formats.passport import passport_from_bytes, passport_to_bytes
 from trainlog.formats.train import train_from_bytes
 from trainlog.railway.line import Line
 from trainlog.railway.passport import Passport, Quantity
 from trainlog.railway.train import Train
+from trainlog.railway.trajectory import Trajectory
 from trainlog.trip import LINE_ATTACHMENT, PASSPORT_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 from trainlog.version import __version__
 
@@ -51,6 +54,39 @@ def line_of(trip: Trip) -> Line:
             remedy="metadata 'direction' must be 'forward' or 'reverse'",
         )
     return line.reversed() if direction == "reverse" else line
+
+
+def line_kept(line: Line) -> dict[str, Any]:
+    """What a trajectory keeps of its line, as ``provenance["line"]``: the content of its file."""
+    content: dict[str, Any] = json.loads(line_to_bytes(line))
+    return content
+
+
+def line_of_plan(trajectory: Trajectory) -> Line | None:
+    """The line that a trajectory was planned on, in its direction of travel.
+
+    None of trajectories whose file an earlier version wrote: it does not hold the line.
+
+    Raises
+    ------
+    InputError
+        If what the file holds is not a line.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> from analysis import OptimiserOptions, TrajectoryProblem, optimise
+    >>> line = trainlog.read_line("sample").reversed()
+    >>> train = trainlog.read_train("sample")
+    >>> nominal = [trainlog.Configuration.of(train)]
+    >>> problem = TrajectoryProblem(line, train, nominal, end=9_286.1, direction="reverse")
+    >>> line_of_plan(optimise(problem, OptimiserOptions(60))).stations[0].name
+    'Wil'
+    """
+    kept = trajectory.provenance.get("line")
+    if kept is None:
+        return None
+    return line_from_bytes(to_bytes(kept), file=f"the line in the trajectory on {trajectory.line}")
 
 
 def train_of(trip: Trip) -> Train:
