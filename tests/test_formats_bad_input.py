@@ -270,7 +270,12 @@ OTHER_CASES = [
     ("journey", "timing_points.values.1.2", 4, "f.json: journey 'J': time window at km 0.009 ends"),
     ("journey", "timing_points.values.0.0", 50, "f.json: journey 'J': timing point at km 0.009 co"),
     ("journey", "timing_points.values", [], "f.json: journey 'J': needs at least a departure and"),
-    ("parameters", "configurations.0.mass.value", -1, "f.json: configuration 'a': mass and power"),
+    (
+        "parameters",
+        "configurations.0.mass.value",
+        -1,
+        "f.json, configurations[0]: configuration 'a': mass and power",
+    ),
     ("parameters", "common_covariance.values.1", [1], "f.json, common_covariance.values: needs 3"),
     (
         "parameters",

@@ -7,27 +7,27 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
-from pydantic import BaseModel
 
 from trainlog.declaration import Declared, entries
-from trainlog.formats.parameters import (
-    ConfigurationPart,
-    ResistancePart,
-    _CoastDownFile,
-    _CurvePart,
-    _ParametersFile,
-    _QuantityPart,
-)
+from trainlog.formats.parameters import CoastDownResult, DragCurve, Identified
 from trainlog.formats.samples import sample
-from trainlog.formats.schema import File
-from trainlog.formats.trajectory import _TrajectoryFile
 from trainlog.railway.axle_loads import AxleGeometry
 from trainlog.railway.consist import Consist, ConsistBrake, Coupler, Vehicle
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.journey import Journey
 from trainlog.railway.line import Geometry, Line, LineReference, Survey
 from trainlog.railway.network import Edge, Network
-from trainlog.railway.train import BRAKING_PARAMETERS, Axles, Brake, BrakingCurves, Train
+from trainlog.railway.resistance import RunningResistance
+from trainlog.railway.train import (
+    BRAKING_PARAMETERS,
+    Axles,
+    Brake,
+    BrakingCurves,
+    Configuration,
+    ParameterSet,
+    Train,
+)
+from trainlog.railway.trajectory import Trajectory
 
 TEXT = (Path(__file__).parents[1] / "docs" / "formats.md").read_text("utf-8")
 SECTIONS: list[tuple[str, tuple[type, ...]]] = [
@@ -39,9 +39,9 @@ SECTIONS: list[tuple[str, tuple[type, ...]]] = [
         (Consist, ConsistBrake, Vehicle, Coupler),
     ),
     ("## Journey", (Journey,)),
-    ("## Parameters", (_ParametersFile, ConfigurationPart, ResistancePart)),
-    ("## Trajectory", (_TrajectoryFile,)),
-    ("## Coast-down", (_CoastDownFile, _QuantityPart, _CurvePart)),
+    ("## Parameters", (ParameterSet, Configuration, RunningResistance)),
+    ("## Trajectory", (Trajectory,)),
+    ("## Coast-down", (CoastDownResult, Identified, DragCurve)),
 ]
 
 
@@ -49,23 +49,17 @@ SECTIONS: list[tuple[str, tuple[type, ...]]] = [
 def test_every_key_is_described(title: str, models: tuple[type, ...]) -> None:
     section = TEXT.split(f"{title}\n")[1].split("\n## ")[0]
     for model in models:
-        if not issubclass(model, BaseModel):
-            for entry in entries(model):
-                assert f"`{entry.key}`" in section, entry.key
-                if issubclass(model, Declared):
-                    assert (f"*`{entry.key}`*" in section) is not entry.required, entry.key
-            continue
-        for name, field in model.model_fields.items():
-            assert f"`{name}`" in section, name
-            if issubclass(model, File):
-                assert (f"*`{name}`*" in section) is not field.is_required(), name
+        for entry in entries(model):
+            assert f"`{entry.key}`" in section, entry.key
+            if issubclass(model, Declared) and model.FORMAT:
+                assert (f"*`{entry.key}`*" in section) is not entry.required, entry.key
     if title == "## Train":
         assert all(f"`{name}`" in section for name in BRAKING_PARAMETERS)
 
 
 def test_every_format_is_in_the_list() -> None:
     for _, (model, *_others) in SECTIONS:
-        assert issubclass(model, (File, Declared))
+        assert issubclass(model, Declared)
         assert f"`{model.FORMAT}`" in TEXT
         assert (2 if model.FORMAT in ("trainlog/line", "trainlog/network") else 1) == model.VERSION
 

@@ -510,7 +510,7 @@ class Table(Form):
     def read(self, found: Any, kind: Any) -> Any:
         """What the rows describe."""
         columns = self.columns or columns_of(_row_of(kind))
-        content = self._columns_read(found, columns)
+        content = self.read_columns(found, columns)
         if kind is None:
             return content
         if is_dataclass(kind):
@@ -525,7 +525,8 @@ class Table(Form):
             return tuple(rows)
         return tuple(each_of(row, enumerate(rows), "values"))
 
-    def _columns_read(self, found: Any, columns: tuple[Column, ...]) -> tuple[Any, ...]:
+    def read_columns(self, found: Any, columns: tuple[Column, ...]) -> tuple[Any, ...]:
+        """Each column in SI."""
         names = [column.name for column in columns if column.unit]
 
         def rows_of(values: Any) -> list[Any]:
@@ -741,6 +742,55 @@ class Ends(Form):
 
 
 @dataclass(frozen=True)
+class Matrix(Form):
+    """Rows of numbers, whose units are those of what they belong to; an array inside."""
+
+    def read(self, found: Any, kind: Any) -> FloatArray:  # noqa: ARG002
+        """The matrix."""
+        rows = _items(found, lambda row: _items(row, _number))
+        if len({len(row) for row in rows}) > 1:
+            raise InputError("rows differ in length")
+        return np.array(rows, dtype=np.float64).reshape(len(rows), -1 if rows else 0)
+
+    def write(self, value: Any, in_si: bool = False) -> Any:  # noqa: ARG002
+        """Its rows."""
+        return shortest(value.tolist())
+
+
+@dataclass(frozen=True)
+class Covariance(Form):
+    """A covariance with the units of its rows; an entry's is that of its row times its column."""
+
+    units: tuple[tuple[str, str], ...] = ()
+    """Name and SI unit of each row."""
+
+    def read(self, found: Any, kind: Any) -> FloatArray:  # noqa: ARG002
+        """The covariance in SI units."""
+        names = [name for name, _ in self.units]
+        units, rows = _keys(
+            found,
+            units=lambda each: _keys(each, **{name: Text() for name in names}),
+            values=lambda each: _items(each, lambda row: _items(row, _number)),
+        )
+        size = len(names)
+        if [len(row) for row in rows] != [size] * size:
+            raise InputError(
+                f"needs {size} rows of {size} numbers",
+                place="values",
+                remedy=f"give {size} by {size}",
+            )
+        try:
+            scale = [factor(unit, si)[0] for unit, (_, si) in zip(units, self.units, strict=True)]
+        except InputError as error:
+            raise InputError(error.problem, place="units", remedy=error.remedy) from error
+        return np.asarray(rows * np.outer(scale, scale))
+
+    def write(self, value: Any, in_si: bool = False) -> Any:  # noqa: ARG002
+        """The covariance and its units."""
+        return {"units": dict(self.units), "values": shortest(value.tolist())}
+
+
+@dataclass(frozen=True)
 class Json(Form):
     """What was noted beside a result: an object of any JSON."""
 
@@ -791,10 +841,13 @@ class Many(Form):
         How many there are at least.
     runs : bool
         Whether equal neighbours share an entry, which then has a `count`.
+    in_si : bool
+        Whether they are written in SI units.
     """
 
     least: int = 0
     runs: bool = False
+    in_si: bool = False
 
     def read(self, found: Any, kind: Any) -> Any:
         """The things, in the type that holds them."""
@@ -819,6 +872,9 @@ class Many(Form):
 
     def write(self, value: Any, in_si: bool = False) -> Any:
         """What describes each of them."""
+        if not value or not is_dataclass(value[0]):
+            return plain(list(value), self.key)
+        in_si = in_si or self.in_si
         written = [form_of(type(each)).write(each, in_si) for each in value]
         if not self.runs:
             return written
@@ -951,7 +1007,7 @@ def entries(kind: type) -> tuple[Entry, ...]:
     for field in fields(kind):
         hint = hints[field.name]
         form = form_of(hint)
-        if form.stated == "never":
+        if form.stated == "never" or not field.init:
             continue
         default = field.default
         if field.default_factory is not MISSING:
@@ -963,12 +1019,12 @@ def entries(kind: type) -> tuple[Entry, ...]:
             table = Table(columns, fields=True)
             made[form.table] = Entry(form.table, names, table, None, MISSING)
             continue
-        key = form.key or field.name
+        form = replace(form, key=form.key or field.name)
         if isinstance(form, Table) and not form.columns:
             form = replace(form, columns=columns_of(_row_of(_bare(hint))))
         if isinstance(form, Number) and form.gaps and default is MISSING:
             default = np.nan
-        made[key] = Entry(key, (field.name,), form, _bare(hint), default)
+        made[form.key] = Entry(form.key, (field.name,), form, _bare(hint), default)
     first = getattr(kind, "ORDER", ())
     return tuple([made[key] for key in first] + [e for k, e in made.items() if k not in first])
 

@@ -616,5 +616,5 @@ def _quality(trip: Trip) -> list[Part]:
         parts.append(facts_table(rows, "Read, kept and repaired"))
     known = passport_of(trip)
     if known is not None:
-        parts.append(facts_table(list(known.rows().items()), "Passport of the recorder"))
+        parts.append(facts_table(list(known.summary().items()), "Passport of the recorder"))
     return parts

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import Field
 
 from trainlog.arrays import FloatArray
+from trainlog.declaration import Column, Declared, Json, Quantity, Table
 from trainlog.errors import InputError
-from trainlog.formats.files import read_bytes, write_bytes
+from trainlog.formats.declared import (
+    built,
+    file_content,
+    thing_from_bytes,
+    thing_to_bytes,
+    write_thing,
+)
+from trainlog.formats.files import read_bytes
 from trainlog.formats.headed import HeadedTable, read_headed
-from trainlog.formats.parameters import Details
-from trainlog.formats.schema import Column, File, Part, Quantity, Table, built
 from trainlog.railway.adhesion import (
     GREATEST_ADHESION,
     AdhesionCharacteristic,
@@ -38,76 +44,98 @@ PRESETS = ("polach-dry", "polach-wet")
 """Names under which the characteristics of Polach (2005) can be given in place of a file."""
 
 
-class _OverSlipSpeed(Part):
+@dataclass(frozen=True)
+class _OverSlipSpeed:
     a: _PerSpeed
     b: _PerSpeed
     c: _Pure
 
 
-class _OverCreepage(Part):
+@dataclass(frozen=True)
+class _OverCreepage:
     a: _Pure
     b: _Pure
     c: _Pure
 
 
-class _Polach(Part):
-    stiffness: _Pure
-    adhesion_factor: _Pure
-    slip_factor: _Pure
-    friction: _Pure
-    friction_ratio: _Pure
-    friction_decay: _PerSpeed
+@dataclass(frozen=True)
+class _Table(Table):
+    """A table of adhesion over one of the variables of slip."""
+
+    variable: SlipVariable = "creepage"
+
+    def read(self, found: Any, kind: Any) -> AdhesionTable:  # noqa: ARG002
+        """The table."""
+        slips, adhesions = self.read_columns(found, self.columns)
+        return AdhesionTable(slips, adhesions, self.variable)
+
+    def write(self, value: Any, in_si: bool = False) -> Any:
+        """Its two columns."""
+        pair = Table(self.columns, fields=True)
+        return pair.write((value.slips, value.adhesions), in_si)
 
 
-_CREEPAGES = Table((Column("creepage", "%", "1"), Column("adhesion", "1", "1")))
-_SLIP_SPEEDS = Table((Column("slip_speed", "m/s", "m/s"), Column("adhesion", "1", "1")))
+_CREEPAGES = (Column("creepage", "%", "1"), Column("adhesion", "1", "1"))
+_SLIP_SPEEDS = (Column("slip_speed", "m/s", "m/s"), Column("adhesion", "1", "1"))
 
 
-class _CharacteristicFile(File):
+@dataclass(frozen=True, eq=False, repr=False)
+class CharacteristicFile(Declared):
+    """One of the ways in which a file gives adhesion over slip; see `characteristic`."""
+
     FORMAT: ClassVar[str] = "trainlog/characteristic"
 
     exponentials_over_slip_speed: _OverSlipSpeed | None = None
     exponentials_over_creepage: _OverCreepage | None = None
-    polach: _Polach | None = None
-    table_over_creepage: Annotated[tuple[FloatArray, FloatArray], _CREEPAGES] | None = None
-    table_over_slip_speed: Annotated[tuple[FloatArray, FloatArray], _SLIP_SPEEDS] | None = None
-    provenance: Details = Field(default_factory=dict)
+    polach: PolachCurve | None = None
+    table_over_creepage: Annotated[AdhesionTable | None, _Table(_CREEPAGES)] = None
+    table_over_slip_speed: Annotated[
+        AdhesionTable | None, _Table(_SLIP_SPEEDS, variable="slip speed")
+    ] = None
+    provenance: Annotated[dict[str, Any], Json(stated="written")] = field(default_factory=dict)
 
-    def content(self) -> AdhesionCharacteristic:
-        """The characteristic that the file describes."""
+    def problems(self) -> Iterator[InputError]:
+        """Not exactly one characteristic."""
         given = [name for name in _FAMILIES if getattr(self, name) is not None]
         if len(given) != 1:
-            raise InputError(
+            yield InputError(
                 f"describes {len(given)} characteristics, expected one",
                 remedy=f"give one of {', '.join(_FAMILIES)}",
             )
-        part = getattr(self, given[0])
-        if given[0] == "polach":
-            return PolachCurve(**dict(part))
-        variable: SlipVariable = "creepage" if given[0].endswith("creepage") else "slip speed"
-        if given[0].startswith("table"):
-            slips, adhesions = part
-            return AdhesionTable(slips, adhesions, variable)
-        return CreepCurve(part.a, part.b, part.c, part.c, variable)
+
+    @property
+    def characteristic(self) -> AdhesionCharacteristic:
+        """The characteristic that the file describes."""
+        creepage, speed = self.exponentials_over_creepage, self.exponentials_over_slip_speed
+        if creepage is not None:
+            return CreepCurve(creepage.a, creepage.b, creepage.c, creepage.c, "creepage")
+        if speed is not None:
+            return CreepCurve(speed.a, speed.b, speed.c, speed.c, "slip speed")
+        found = self.polach or self.table_over_creepage or self.table_over_slip_speed
+        assert found is not None
+        return found
 
     @staticmethod
-    def of(characteristic: AdhesionCharacteristic, provenance: Details) -> _CharacteristicFile:
+    def of(
+        characteristic: AdhesionCharacteristic, provenance: dict[str, Any]
+    ) -> CharacteristicFile:
         """The file that describes a characteristic."""
         over = characteristic.variable.replace(" ", "_")
-        part: Any
+        part: Any = characteristic
         if isinstance(characteristic, PolachCurve):
-            name, part = "polach", _Polach.holding(characteristic)
+            name = "polach"
         elif isinstance(characteristic, AdhesionTable):
-            name, part = f"table_over_{over}", (characteristic.slips, characteristic.adhesions)
+            name = f"table_over_{over}"
         elif isinstance(characteristic, CreepCurve):
             kind = _OverCreepage if over == "creepage" else _OverSlipSpeed
-            name, part = f"exponentials_over_{over}", kind.holding(characteristic)
+            part = kind(characteristic.a, characteristic.b, characteristic.c)
+            name = f"exponentials_over_{over}"
         else:
             raise InputError(f"a {type(characteristic).__name__} cannot be written as a file")
-        return _CharacteristicFile.model_construct(**{name: part}, provenance=provenance)
+        return CharacteristicFile(**{name: part}, provenance=provenance)
 
 
-_FAMILIES = tuple(name for name in _CharacteristicFile.model_fields if name != "provenance")
+_FAMILIES = tuple(each.name for each in fields(CharacteristicFile) if each.name != "provenance")
 """Keys that describe a characteristic."""
 
 
@@ -127,11 +155,11 @@ def characteristic_from_bytes(
     >>> characteristic_from_bytes(characteristic_to_bytes(wet)) == wet
     True
     """
-    return built(_CharacteristicFile.from_bytes(data, file).content, file)
+    return thing_from_bytes(CharacteristicFile, data, file).characteristic
 
 
 def characteristic_to_bytes(
-    characteristic: AdhesionCharacteristic, provenance: Details | None = None
+    characteristic: AdhesionCharacteristic, provenance: dict[str, Any] | None = None
 ) -> bytes:
     """The bytes of the characteristic's file.
 
@@ -141,12 +169,12 @@ def characteristic_to_bytes(
     >>> b"exponentials_over_slip_speed" in characteristic_to_bytes(WET)
     True
     """
-    return _CharacteristicFile.of(characteristic, provenance or {}).to_bytes()
+    return thing_to_bytes(CharacteristicFile.of(characteristic, provenance or {}))
 
 
 def characteristic_content(characteristic: AdhesionCharacteristic) -> dict[str, Any]:
     """What stands in a characteristic's file, to stand in another."""
-    return _CharacteristicFile.of(characteristic, {}).file_content()
+    return file_content(CharacteristicFile.of(characteristic, {}))
 
 
 def read_characteristic(path: str | Path) -> AdhesionCharacteristic:
@@ -182,7 +210,9 @@ def read_characteristic(path: str | Path) -> AdhesionCharacteristic:
 
 
 def write_characteristic(
-    characteristic: AdhesionCharacteristic, path: str | Path, provenance: Details | None = None
+    characteristic: AdhesionCharacteristic,
+    path: str | Path,
+    provenance: dict[str, Any] | None = None,
 ) -> None:
     """Write an adhesion characteristic to a file, JSON or TOML, whole or not at all.
 
@@ -202,7 +232,7 @@ def write_characteristic(
     ...     read_characteristic(Path(folder) / "dry.json") == polach_curve("dry")
     True
     """
-    write_bytes(path, _CharacteristicFile.of(characteristic, provenance or {}).bytes_for(path))
+    write_thing(CharacteristicFile.of(characteristic, provenance or {}), path, CharacteristicFile)
 
 
 def read_adhesion_points(path: str | Path) -> AdhesionPoints:

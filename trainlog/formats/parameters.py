@@ -5,151 +5,19 @@ Observed parameter sets and coast-down results; docs/formats.md describes their 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-import numpy as np
-from pydantic import Field, JsonValue
-
 from trainlog.arrays import FloatArray
+from trainlog.declaration import Array, Declared, Json, Many, Matrix
 from trainlog.display import counted, span
 from trainlog.errors import InputError
-from trainlog.formats.files import check_written, plain, read_bytes, shortest, write_bytes
-from trainlog.formats.schema import Array, File, Part, Quantity, built
+from trainlog.formats.declared import read_thing, thing_from_bytes, thing_to_bytes, write_thing
 from trainlog.presentation import PLAIN, Band, Column, Presented, Said, WordTable, new_table
-from trainlog.railway.resistance import RunningResistance
-from trainlog.railway.train import Configuration, ParameterSet
-from trainlog.units import KMH, factor
-
-_Mass = Annotated[float, Quantity("kg", "kg")]
-_Power = Annotated[float, Quantity("W", "W")]
-_Speed = Annotated[float, Quantity("m/s", "m/s")]
-_UNITS = ("N", "N/(m/s)", "N/(m/s)^2")
-Details = dict[str, JsonValue]
-"""What was noted beside a result; any JSON."""
-
-
-class ResistancePart(Part):
-    """Running resistance ``R(v) = r0 + r1 v + r2 v²``."""
-
-    r0: Annotated[float, Quantity(_UNITS[0], _UNITS[0])]
-    r1: Annotated[float, Quantity(_UNITS[1], _UNITS[1])]
-    r2: Annotated[float, Quantity(_UNITS[2], _UNITS[2])]
-
-    def resistance(self) -> RunningResistance:
-        """The running resistance that the part describes."""
-        return RunningResistance(self.r0, self.r1, self.r2)
-
-    @staticmethod
-    def of(resistance: RunningResistance) -> ResistancePart:
-        """The part that describes a running resistance."""
-        return ResistancePart.holding(resistance)
-
-
-class ConfigurationPart(Part):
-    """One configuration of a train."""
-
-    name: str
-    mass: _Mass
-    rotating_mass: _Mass
-    max_power: _Power
-    running_resistance: ResistancePart
-
-    def configuration(self) -> Configuration:
-        """The configuration that the part describes."""
-        resistance = self.running_resistance.resistance()
-        return Configuration(self.name, self.mass, self.rotating_mass, resistance, self.max_power)
-
-    @staticmethod
-    def of(configuration: Configuration) -> ConfigurationPart:
-        """The part that describes a configuration."""
-        resistance = ResistancePart.of(configuration.resistance)
-        return ConfigurationPart.holding(configuration, running_resistance=resistance)
-
-
-class _CoefficientUnits(Part):
-    r0: str
-    r1: str
-    r2: str
-
-
-class _Covariance(Part):
-    """Covariance of ``(r0, r1, r2)``; an entry's unit is that of its row times its column."""
-
-    units: _CoefficientUnits
-    values: list[list[float]]
-
-    def matrix(self) -> FloatArray:
-        """The (3, 3) covariance in SI units."""
-        if [len(row) for row in self.values] != [3, 3, 3]:
-            raise InputError(
-                "needs 3 rows of 3 numbers", place="common_covariance.values", remedy="give 3 by 3"
-            )
-        declared_units = (self.units.r0, self.units.r1, self.units.r2)
-        try:
-            scale = [factor(u, si)[0] for u, si in zip(declared_units, _UNITS, strict=True)]
-        except InputError as error:
-            raise InputError(
-                error.problem, place="common_covariance.units", remedy=error.remedy
-            ) from error
-        return np.array(self.values, dtype=np.float64) * np.outer(scale, scale)
-
-    @staticmethod
-    def of(matrix: FloatArray) -> _Covariance:
-        """The part that describes a covariance in SI units."""
-        r0, r1, r2 = _UNITS
-        return _Covariance.model_construct(
-            units=_CoefficientUnits(r0=r0, r1=r1, r2=r2), values=shortest(matrix.tolist())
-        )
-
-
-class _Range(Part):
-    lowest: _Speed
-    highest: _Speed
-
-
-class _ParametersFile(File):
-    FORMAT: ClassVar[str] = "trainlog/parameters"
-
-    train: str
-    speed_range: _Range
-    configurations: list[ConfigurationPart]
-    common: ResistancePart | None = None
-    common_covariance: _Covariance | None = None
-    details: list[Details] = Field(default_factory=list)
-    provenance: Details = Field(default_factory=dict)
-    cover: Details = Field(default_factory=dict)
-
-    def parameters(self) -> ParameterSet:
-        """The parameter set that the file describes."""
-        covariance = self.common_covariance
-        return ParameterSet(
-            train=self.train,
-            configurations=tuple(part.configuration() for part in self.configurations),
-            common=None if self.common is None else self.common.resistance(),
-            common_covariance=None if covariance is None else covariance.matrix(),
-            speed_range=(self.speed_range.lowest, self.speed_range.highest),
-            details=self.details,
-            provenance=self.provenance,
-            cover=self.cover,
-        )
-
-    @staticmethod
-    def of(parameters: ParameterSet) -> _ParametersFile:
-        """The file that describes a parameter set."""
-        lowest, highest = parameters.speed_range
-        common, covariance = parameters.common, parameters.common_covariance
-        return _ParametersFile.holding(
-            parameters,
-            speed_range=_Range.model_construct(lowest=lowest, highest=highest),
-            configurations=[ConfigurationPart.of(item) for item in parameters.configurations],
-            common=None if common is None else ResistancePart.of(common),
-            common_covariance=None if covariance is None else _Covariance.of(covariance),
-            details=plain(parameters.details, "details"),
-            provenance=plain(parameters.provenance, "provenance"),
-            cover=plain(parameters.cover, "cover"),
-        )
+from trainlog.railway.train import ParameterSet
+from trainlog.units import KMH
 
 
 def parameters_from_bytes(data: bytes, *, file: str | Path = "parameters.json") -> ParameterSet:
@@ -167,7 +35,7 @@ def parameters_from_bytes(data: bytes, *, file: str | Path = "parameters.json") 
     Traceback (most recent call last):
     trainlog.errors.InputError: parameters.json, version: version 2 is newer than...
     """
-    return built(_ParametersFile.from_bytes(data, file).parameters, file)
+    return thing_from_bytes(ParameterSet, data, file)
 
 
 def parameters_to_bytes(parameters: ParameterSet) -> bytes:
@@ -175,14 +43,14 @@ def parameters_to_bytes(parameters: ParameterSet) -> bytes:
 
     Examples
     --------
-    >>> from trainlog.railway.resistance import RunningResistance
+    >>> from trainlog import Configuration, RunningResistance
     >>> resistance = RunningResistance(2000.0, 50.0, 8.0)
     >>> empty = Configuration("empty", 122e3, 9e3, resistance, 2.6e6)
     >>> found = ParameterSet("FLIRT", (empty,), speed_range=(5.0, 40.0))
     >>> parameters_from_bytes(parameters_to_bytes(found)).train
     'FLIRT'
     """
-    return _ParametersFile.of(parameters).to_bytes()
+    return thing_to_bytes(parameters)
 
 
 def read_parameters(path: str | Path) -> ParameterSet:
@@ -194,7 +62,7 @@ def read_parameters(path: str | Path) -> ParameterSet:
     Traceback (most recent call last):
     trainlog.errors.InputError: absent.json: does not exist; check the path
     """
-    return parameters_from_bytes(read_bytes(path), file=path)
+    return read_thing(ParameterSet, path)
 
 
 def write_parameters(parameters: ParameterSet, path: str | Path) -> None:
@@ -204,7 +72,7 @@ def write_parameters(parameters: ParameterSet, path: str | Path) -> None:
     --------
     >>> from pathlib import Path
     >>> import tempfile
-    >>> from trainlog.railway.resistance import RunningResistance
+    >>> from trainlog import Configuration, RunningResistance
     >>> resistance = RunningResistance(2000.0, 50.0, 8.0)
     >>> empty = Configuration("empty", 122e3, 9e3, resistance, 2.6e6)
     >>> found = ParameterSet("FLIRT", (empty,), speed_range=(5.0, 40.0))
@@ -213,8 +81,7 @@ def write_parameters(parameters: ParameterSet, path: str | Path) -> None:
     ...     read_parameters(Path(folder) / "flirt.parameters.json").configurations[0].mass
     122000.0
     """
-    check_written(parameters, ParameterSet)
-    write_bytes(path, parameters_to_bytes(parameters))
+    write_thing(parameters, path, ParameterSet)
 
 
 Gradient = Literal["line", "unknown"]
@@ -236,8 +103,8 @@ class Identified:
 
     name: str
     unit: str
-    value: float | None
-    std: float | None
+    value: float | None = None
+    std: float | None = None
     reason: str | None = None
 
 
@@ -252,10 +119,10 @@ class DragCurve:
     deceleration, low, high : array [m/s²]
     """
 
-    speeds: FloatArray
-    deceleration: FloatArray
-    low: FloatArray
-    high: FloatArray
+    speeds: Annotated[FloatArray, Array("m/s")]
+    deceleration: Annotated[FloatArray, Array("m/s^2")]
+    low: Annotated[FloatArray, Array("m/s^2")]
+    high: Annotated[FloatArray, Array("m/s^2")]
 
     def __repr__(self) -> str:
         return f"DragCurve: {span(self.speeds, KMH)} km/h, {span(self.deceleration, 1e3)} mm/s²"
@@ -277,7 +144,7 @@ QUANTITY_COLUMNS = (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CoastDownResult(Presented):
+class CoastDownResult(Presented, Declared):
     """What was learnt of running resistance from coasting.
 
     Attributes
@@ -299,15 +166,28 @@ class CoastDownResult(Presented):
     """
 
     charts_by: ClassVar[str] = "analysis.resistance.plot:result_charts"
+    __hash__ = Declared.__hash__
+
+    FORMAT: ClassVar[str] = "trainlog/coast-down"
 
     train: str
     gradient: Gradient
-    quantities: tuple[Identified, ...]
-    covariance: FloatArray
+    quantities: Annotated[tuple[Identified, ...], Many(least=1)]
+    covariance: Annotated[FloatArray, Matrix()]
     curve: DragCurve | None = None
-    trips: list[dict[str, Any]] = field(default_factory=list)
-    pieces: list[dict[str, Any]] = field(default_factory=list)
-    provenance: dict[str, Any] = field(default_factory=dict)
+    trips: Annotated[list[dict[str, Any]], Many(stated="written")] = field(default_factory=list)
+    pieces: Annotated[list[dict[str, Any]], Many(stated="written")] = field(default_factory=list)
+    provenance: Annotated[dict[str, Any], Json(stated="written")] = field(default_factory=dict)
+
+    def problems(self) -> Iterator[InputError]:
+        """A covariance that is not of the quantities."""
+        known = sum(each.value is not None for each in self.quantities)
+        if self.covariance.shape != (known, known):
+            yield InputError(
+                f"needs {known} rows of {known} numbers, one for each quantity that has a value",
+                place="covariance",
+                remedy="give a row and a column for each of them",
+            )
 
     def __getitem__(self, name: str) -> Identified:
         """The quantity of that name; KeyError if there is none."""
@@ -353,70 +233,6 @@ def _in_words(quantity: Identified) -> str:
     return f"{quantity.value:.5g} {quantity.unit}{std}"
 
 
-class _QuantityPart(Part):
-    name: str
-    unit: str
-    value: float | None = None
-    std: float | None = None
-    reason: str | None = None
-
-
-class _CurvePart(Part):
-    speeds: Annotated[FloatArray, Array("m/s")]
-    deceleration: Annotated[FloatArray, Array("m/s^2")]
-    low: Annotated[FloatArray, Array("m/s^2")]
-    high: Annotated[FloatArray, Array("m/s^2")]
-
-
-class _CoastDownFile(File):
-    FORMAT: ClassVar[str] = "trainlog/coast-down"
-
-    train: str
-    gradient: Gradient
-    quantities: list[_QuantityPart] = Field(min_length=1)
-    covariance: list[list[float]]
-    curve: _CurvePart | None = None
-    trips: list[Details] = Field(default_factory=list)
-    pieces: list[Details] = Field(default_factory=list)
-    provenance: Details = Field(default_factory=dict)
-
-    def result(self) -> CoastDownResult:
-        """What the file describes."""
-        known = [part for part in self.quantities if part.value is not None]
-        if [len(row) for row in self.covariance] != len(known) * [len(known)]:
-            raise InputError(
-                f"needs {len(known)} rows of {len(known)} numbers, one for each quantity that has"
-                " a value",
-                place="covariance",
-                remedy="give a row and a column for each of them",
-            )
-        curve = self.curve
-        return CoastDownResult(
-            train=self.train,
-            gradient=self.gradient,
-            quantities=tuple(Identified(**dict(part)) for part in self.quantities),
-            covariance=np.array(self.covariance, dtype=np.float64).reshape(len(known), len(known)),
-            curve=None if curve is None else DragCurve(**dict(curve)),
-            trips=self.trips,
-            pieces=self.pieces,
-            provenance=self.provenance,
-        )
-
-    @staticmethod
-    def of(result: CoastDownResult) -> _CoastDownFile:
-        """The file that describes a result."""
-        curve = result.curve
-        return _CoastDownFile.holding(
-            result,
-            quantities=[_QuantityPart.holding(each) for each in result.quantities],
-            covariance=shortest(result.covariance.tolist()),
-            curve=None if curve is None else _CurvePart.holding(curve),
-            trips=plain(result.trips, "trips"),
-            pieces=plain(result.pieces, "pieces"),
-            provenance=plain(result.provenance, "provenance"),
-        )
-
-
 def coast_down_from_bytes(data: bytes, *, file: str | Path = "coast-down.json") -> CoastDownResult:
     """The result in the bytes of a coast-down file; `file` is what errors call it.
 
@@ -431,7 +247,7 @@ def coast_down_from_bytes(data: bytes, *, file: str | Path = "coast-down.json") 
     Traceback (most recent call last):
     trainlog.errors.InputError: coast-down.json: is empty; expected JSON
     """
-    return built(_CoastDownFile.from_bytes(data, file).result, file)
+    return thing_from_bytes(CoastDownResult, data, file)
 
 
 def coast_down_to_bytes(result: CoastDownResult) -> bytes:
@@ -439,12 +255,13 @@ def coast_down_to_bytes(result: CoastDownResult) -> bytes:
 
     Examples
     --------
+    >>> import numpy as np
     >>> mass = Identified("mass", "kg", None, None, "coasting gives resistance by mass only")
     >>> result = CoastDownResult("FLIRT", "line", (mass,), np.zeros((0, 0)))
     >>> coast_down_from_bytes(coast_down_to_bytes(result))["mass"].reason
     'coasting gives resistance by mass only'
     """
-    return _CoastDownFile.of(result).to_bytes()
+    return thing_to_bytes(result)
 
 
 def read_coast_down(path: str | Path) -> CoastDownResult:
@@ -456,7 +273,7 @@ def read_coast_down(path: str | Path) -> CoastDownResult:
     Traceback (most recent call last):
     trainlog.errors.InputError: absent.json: does not exist; check the path
     """
-    return coast_down_from_bytes(read_bytes(path), file=path)
+    return read_thing(CoastDownResult, path)
 
 
 def write_coast_down(result: CoastDownResult, path: str | Path) -> None:
@@ -465,6 +282,7 @@ def write_coast_down(result: CoastDownResult, path: str | Path) -> None:
     Examples
     --------
     >>> import tempfile
+    >>> import numpy as np
     >>> mass = Identified("mass", "kg", None, None, "coasting gives resistance by mass only")
     >>> result = CoastDownResult("FLIRT", "line", (mass,), np.zeros((0, 0)))
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -472,4 +290,4 @@ def write_coast_down(result: CoastDownResult, path: str | Path) -> None:
     ...     read_coast_down(Path(folder) / "flirt.json").train
     'FLIRT'
     """
-    write_bytes(path, coast_down_to_bytes(result))
+    write_thing(result, path, CoastDownResult)

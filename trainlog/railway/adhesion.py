@@ -17,12 +17,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray
+from trainlog.declaration import Quantity
 from trainlog.errors import InputError
 
 SlipVariable = Literal["creepage", "slip speed"]
@@ -262,12 +263,12 @@ class PolachCurve(AdhesionCharacteristic):
     [0.269, 0.242, 0.224]
     """
 
-    stiffness: float
-    adhesion_factor: float
-    slip_factor: float
-    friction: float
-    friction_ratio: float = 1.0
-    friction_decay: float = 0.0
+    stiffness: Annotated[float, Quantity("1", "1")]
+    adhesion_factor: Annotated[float, Quantity("1", "1")]
+    slip_factor: Annotated[float, Quantity("1", "1")]
+    friction: Annotated[float, Quantity("1", "1")]
+    friction_ratio: Annotated[float, Quantity("1", "1", stated="required")] = 1.0
+    friction_decay: Annotated[float, Quantity("s/m", "s/m", stated="required")] = 0.0
     variable: SlipVariable = field(default="creepage", init=False)
 
     def __post_init__(self) -> None:

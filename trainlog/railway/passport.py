@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
 
-from trainlog.display import as_html, as_text
+from trainlog.declaration import ByName, Declared, Many, Number, Text
 from trainlog.errors import InputError
 
 Source = Literal["recorded", "estimated", "assumed"]
@@ -38,10 +38,10 @@ class Quantity:
     (1.02, 2.98)
     """
 
-    value: float
-    std: float
+    value: Annotated[float, Number(gaps=True)]
+    std: Annotated[float, Number(gaps=True)]
     source: Source
-    reason: str = ""
+    reason: Annotated[str, Text(stated="written")] = ""
 
     def __post_init__(self) -> None:
         if self.source not in SOURCES:
@@ -77,8 +77,8 @@ class Quantity:
         return f"{f'{size} {unit}'.rstrip()}, {self.source}{ending}"
 
 
-@dataclass(frozen=True, repr=False)
-class Passport:
+@dataclass(frozen=True, eq=False, repr=False)
+class Passport(Declared):
     """What is known of a recorded trip beside its samples.
 
     Attributes
@@ -119,6 +119,8 @@ class Passport:
     (4, 'recorded')
     """
 
+    FORMAT: ClassVar[str] = "trainlog/passport"
+
     trip: str
     effort_delay: Quantity
     effort_gain: Quantity
@@ -126,10 +128,14 @@ class Passport:
     load: Quantity
     effort_over_mass: Quantity
     axle_effort_ratio: Quantity
-    speed_noise: Mapping[str, Quantity] = field(default_factory=dict)
-    wheel_factor: tuple[Quantity, ...] = ()
-    sample_time: Mapping[str, float] = field(default_factory=dict)
-    findings: tuple[str, ...] = ()
+    speed_noise: Annotated[Mapping[str, Quantity], ByName(stated="written")] = field(
+        default_factory=dict
+    )
+    wheel_factor: Annotated[tuple[Quantity, ...], Many(stated="written")] = ()
+    sample_time: Annotated[Mapping[str, float], ByName(stated="written")] = field(
+        default_factory=dict
+    )
+    findings: Annotated[tuple[str, ...], Many(stated="written")] = ()
     creep_lead: Quantity = Quantity(0.0, 0.0, "recorded")
 
     @property
@@ -142,17 +148,12 @@ class Passport:
         std = float(np.sqrt(max(late.std**2 - lead.std**2, 0.0))) if late.known else late.std
         return replace(late, value=late.value - lead.value, std=std)
 
-    def __repr__(self) -> str:
-        return as_text(self._title, self.rows())
-
-    def _repr_html_(self) -> str:
-        return as_html(self._title, self.rows())
-
     @property
-    def _title(self) -> str:
+    def title(self) -> str:
+        """Of which trip."""
         return f"Passport of trip '{self.trip}'"
 
-    def rows(self) -> dict[str, str]:
+    def summary(self) -> dict[str, str]:
         """Each quantity in words, by its name."""
         lead = {"creep lead": self.creep_lead.text("s")} if self.creep_lead.value else {}
         rows = {

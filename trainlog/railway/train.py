@@ -17,7 +17,10 @@ from trainlog.declaration import (
     POSITIVE_SHARE,
     SHARE,
     Column,
+    Covariance,
     Declared,
+    Ends,
+    Json,
     Many,
     Named,
     Part,
@@ -28,7 +31,7 @@ from trainlog.declaration import (
     check,
     form_for,
 )
-from trainlog.display import as_html, as_text, span
+from trainlog.display import span
 from trainlog.errors import InputError
 from trainlog.railway.axle_loads import AxleGeometry, load_transfer
 from trainlog.railway.effort import EffortCurve
@@ -607,11 +610,13 @@ class Configuration:
     (10000.0, True)
     """
 
+    ORDER: ClassVar[tuple[str, ...]] = ("name", "mass", "rotating_mass", "max_power")
+
     name: str
-    mass: float
-    rotating_mass: float
-    resistance: RunningResistance
-    max_power: float
+    mass: Annotated[float, Quantity("kg", "kg")]
+    rotating_mass: Annotated[float, Quantity("kg", "kg")]
+    resistance: Annotated[RunningResistance, Part(key="running_resistance", in_si=True)]
+    max_power: Annotated[float, Quantity("W", "W")]
 
     def __post_init__(self) -> None:
         if not (self.mass > 0.0 and self.rotating_mass >= 0.0 and self.max_power > 0.0):
@@ -650,8 +655,8 @@ class Configuration:
         )
 
 
-@dataclass(frozen=True, repr=False)
-class ParameterSet:
+@dataclass(frozen=True, eq=False, repr=False)
+class ParameterSet(Declared):
     """The observed set of configurations of a train, and the fit of all its trips together.
 
     Attributes
@@ -681,14 +686,23 @@ class ParameterSet:
     ['0 kg', '20000 kg']
     """
 
+    FORMAT: ClassVar[str] = "trainlog/parameters"
+    ORDER: ClassVar[tuple[str, ...]] = ("train", "speed_range")
+
     train: str
     configurations: tuple[Configuration, ...]
-    common: RunningResistance | None = None
-    common_covariance: FloatArray | None = None
-    speed_range: tuple[float, float] = (0.0, 0.0)
-    details: list[dict[str, Any]] = field(default_factory=list)
-    provenance: dict[str, Any] = field(default_factory=dict)
-    cover: dict[str, Any] = field(default_factory=dict)
+    common: Annotated[RunningResistance | None, Part(in_si=True)] = None
+    common_covariance: Annotated[
+        FloatArray | None,
+        Covariance((("r0", "N"), ("r1", "N/(m/s)"), ("r2", "N/(m/s)^2"))),
+    ] = None
+    speed_range: Annotated[tuple[float, float], Ends(Quantity("m/s", "m/s"), stated="required")] = (
+        0.0,
+        0.0,
+    )
+    details: Annotated[list[dict[str, Any]], Many(stated="written")] = field(default_factory=list)
+    provenance: Annotated[dict[str, Any], Json(stated="written")] = field(default_factory=dict)
+    cover: Annotated[dict[str, Any], Json(stated="written")] = field(default_factory=dict)
 
     @property
     def weights(self) -> tuple[float, ...]:
@@ -732,13 +746,13 @@ class ParameterSet:
                 remedy="give that train, or fit its own logs",
             )
 
-    def __repr__(self) -> str:
-        return as_text(f"Parameter set of train '{self.train}'", self._summary())
+    @property
+    def title(self) -> str:
+        """Of which train."""
+        return f"Parameter set of train '{self.train}'"
 
-    def _repr_html_(self) -> str:
-        return as_html(f"Parameter set of train '{self.train}'", self._summary())
-
-    def _summary(self) -> dict[str, str]:
+    def summary(self) -> dict[str, str]:
+        """Spans of the configurations, and the fit of all trips together."""
         every = self.configurations
         rows = {"configurations": str(len(every))}
         if every:
@@ -749,6 +763,5 @@ class ParameterSet:
             drag = [float(c.resistance(at)) for c in every]
             rows["resistance"] = f"{span(drag, 1e-3, 2)} kN at {KMH * at:.0f} km/h"
         if self.common is not None:
-            r = self.common
-            rows["together"] = f"{r.r0:.0f} N + {r.r1:.1f} N/(m/s) v + {r.r2:.2f} N/(m/s)² v²"
+            rows["together"] = str(self.common)
         return rows

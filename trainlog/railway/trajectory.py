@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray, IntArray
-from trainlog.display import as_html, as_text, lateness, picture, span
+from trainlog.declaration import Array, Choice, Declared, Json, Many, Quantity, check
+from trainlog.display import as_html, lateness, picture, span
 from trainlog.errors import InputError
 from trainlog.railway.line import Line
 from trainlog.railway.train import Configuration, Train
 from trainlog.units import JOULES_PER_KWH, KMH, clock
+
+_ROUNDING = 1e-6
+"""What a solver's zero may fall short of zero [N], [m/s]."""
 
 _ENERGY = {
     "wheel": "worst-case energy at the wheel rims",
@@ -24,7 +29,7 @@ _ENERGY = {
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Trajectory:
+class Trajectory(Declared):
     """A robust trajectory between two stops.
 
     The braking effort is constant in each cell between two neighbouring positions, the tractive
@@ -74,23 +79,29 @@ class Trajectory:
     np.float64(14.14)
     """
 
+    FORMAT: ClassVar[str] = "trainlog/trajectory"
+    ORDER: ClassVar[tuple[str, ...]] = (
+        "line", "train", "direction", "running_time", "configurations", "positions",
+        "tractive_effort", "tractive_effort_fall", "braking_effort", "speeds", "times",
+    )  # fmt: skip
+
     line: str
     train: str
-    positions: FloatArray
-    configurations: tuple[Configuration, ...]
-    speeds: FloatArray
-    times: FloatArray
-    tractive_effort: FloatArray
-    braking_effort: FloatArray
-    running_time: float
-    tractive_effort_fall: FloatArray = field(default_factory=lambda: np.zeros(0))
-    direction: Literal["forward", "reverse"] = "forward"
-    certificate: dict[str, Any] = field(default_factory=dict)
-    provenance: dict[str, Any] = field(default_factory=dict)
+    positions: Annotated[FloatArray, Array("m")]
+    configurations: Annotated[tuple[Configuration, ...], Many(least=1)]
+    speeds: Annotated[FloatArray, Array("m/s", dimensions=2)]
+    times: Annotated[FloatArray, Array("s", dimensions=2)]
+    tractive_effort: Annotated[FloatArray, Array("N")]
+    braking_effort: Annotated[FloatArray, Array("N", dimensions=2)]
+    running_time: Annotated[float, Quantity("s", "s")]
+    tractive_effort_fall: Annotated[FloatArray, Array("N", stated="written")] = field(
+        default_factory=lambda: np.zeros(0)
+    )
+    direction: Annotated[Literal["forward", "reverse"], Choice(stated="written")] = "forward"
+    certificate: Annotated[dict[str, Any], Json(stated="written")] = field(default_factory=dict)
+    provenance: Annotated[dict[str, Any], Json(stated="written")] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.direction not in ("forward", "reverse"):
-            raise InputError(f"trajectory: direction '{self.direction}' is unknown")
         q, n = len(self.configurations), self.positions.size - 1
         if self.tractive_effort_fall.size == 0:
             object.__setattr__(self, "tractive_effort_fall", np.zeros(n))
@@ -106,9 +117,32 @@ class Trajectory:
                 raise InputError(
                     f"trajectory: {name} has shape {getattr(self, name).shape}, needs {shape}"
                 )
+        check(self)
 
-    def __repr__(self) -> str:
-        return as_text(self._title, self._summary())
+    def problems(self) -> Iterator[InputError]:
+        """What no train can do."""
+        falling = np.flatnonzero(np.diff(self.positions) <= 0.0)
+        if falling.size or self.positions.size < 2:
+            row = int(falling[0]) + 1 if falling.size else 0
+            yield InputError(
+                "positions must increase",
+                place=f"positions.values[{row}]",
+                remedy="give at least two",
+            )
+        for name in ("tractive_effort", "braking_effort", "speeds"):
+            if np.any(getattr(self, name) < -_ROUNDING):
+                yield InputError(
+                    "must not be negative", place=f"{name}.values", remedy="correct it"
+                )
+        steep = np.flatnonzero(
+            0.5 * np.abs(self.tractive_effort_fall) > self.tractive_effort + _ROUNDING
+        )
+        if steep.size:
+            yield InputError(
+                "the tractive effort must not fall below zero within a cell",
+                place=f"tractive_effort_fall.values[{steep[0]}]",
+                remedy="correct it",
+            )
 
     def _repr_html_(self) -> str:
         row = self.latest
@@ -118,17 +152,19 @@ class Trajectory:
             "speed [km/h]": (KMH * self.speed_at(row, place)).round(1),
             "effort [kN]": (effort / 1e3).round(1),
         }
-        return as_html(self._title, self._summary(), picture(place, drawn))
+        return as_html(self.title, self.summary(), picture(place, drawn))
 
     @property
-    def _title(self) -> str:
+    def title(self) -> str:
+        """Train, line and stretch."""
         first, last = self.positions[[0, -1]] / 1e3
         against = " against the chainage" * (self.direction == "reverse")
         return (
             f"Trajectory of {self.train} on {self.line}{against}, km {first:.3f} to km {last:.3f}"
         )
 
-    def _summary(self) -> dict[str, str]:
+    def summary(self) -> dict[str, str]:
+        """Running time, energy and what it was planned for."""
         names, certificate = [each.name for each in self.configurations], self.certificate
         listed = ", ".join(names[:3]) + f" ... ({len(names)})" * (len(names) > 3)
         rows = {"running time": clock(self.running_time), "configurations": listed}
