@@ -59,7 +59,7 @@ def as_toml(content: Mapping[str, Any], comments: Mapping[str, str]) -> str:
         if key in tables:
             lines += ["", *noted, *_table(key, content[key])]
         else:
-            lines += [*noted, f"{key} = {_value(content[key])}"]
+            lines += [*noted, f"{key} = {toml_value(content[key])}"]
     return "\n".join(lines) + "\n"
 
 
@@ -71,21 +71,28 @@ def _table(name: str, content: Mapping[str, Any]) -> list[str]:
     lines, inner = [f"[{name}]"], []
     for key, value in content.items():
         if key == "values":
-            lines += ["values = [", *(f"  {_value(row)}," for row in value), "]"]
+            lines += ["values = [", *(f"  {toml_value(row)}," for row in value), "]"]
         elif key != "units" and _is_table(value):
             inner += ["", *_table(f"{name}.{key}", value)]
         else:
-            lines.append(f"{key} = {_value(value)}")
+            lines.append(f"{key} = {toml_value(value)}")
     return lines + inner
 
 
-def _value(value: Any) -> str:
+def toml_value(value: Any) -> str:
+    """A value as TOML has it, in a line.
+
+    Examples
+    --------
+    >>> toml_value({"unit": "km", "values": (1, 2.5)})
+    '{ unit = "km", values = [1, 2.5] }'
+    """
     if value is None:
         return "nan"
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + " }"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_value, value)) + "]"
+        return "{ " + ", ".join(f"{_key(k)} = {toml_value(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
     if isinstance(value, str):
         # What JSON escapes TOML reads alike, but for characters beyond the first 65,536.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import datetime
-import json
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterator
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from trainlog.display import as_html, as_text, counted
 from trainlog.errors import InputError
+from trainlog.formats.toml import toml_value
 from trainlog.ingest.parts import parts_of
 from trainlog.ingest.placing import OVERRUN, placed
 from trainlog.ingest.profile import Profile, parse_profile
@@ -39,6 +41,9 @@ SHOWN = {
     "deg": ("°", 1.0, 6), "V": ("kV", 1e-3, 2), "Pa": ("bar", 1e-5, 2), "m/s^2": ("m/s²", 1.0, 2),
 }  # fmt: skip
 """Units of the preview: those of railway people, factor, decimals."""
+
+STATED = ("scale", "offset", "part", "sign", "meaning", "notation")
+"""Keys of a column that a profile holds where they are not the usual ones."""
 
 PREVIEW = 3
 """Rows of the preview from the file's begin, and from where the train is fast."""
@@ -95,13 +100,17 @@ class Proposal:
             for r in self.readings
             if r.alternative
         ]
-        for row in self.evidence.to_dict("records"):
+        for row, unit in self._rows():
             if row["alternative"]:
-                unit = f" [{row['unit']}]" if row["unit"] else ""
                 found += [
                     f"{row['column']}: {row['field']}{unit} ({row['why']}); or {row['alternative']}"
                 ]
         return tuple(found)
+
+    def _rows(self) -> Iterator[tuple[dict[Hashable, Any], str]]:
+        """The rows of the evidence, each with its unit in brackets if it has one."""
+        for row in self.evidence.to_dict("records"):
+            yield row, f" [{row['unit']}]" if row["unit"] else ""
 
     def fits(self, path: str | Path) -> bool:
         """Whether another file has the same columns, so that the profile can be used for it."""
@@ -115,8 +124,7 @@ class Proposal:
     def lines(self) -> list[str]:
         """The proposal in words, a line each."""
         found = [f"{r.what}: {r.taken} ({r.why})" for r in self.readings]
-        for row in self.evidence.to_dict("records"):
-            unit = f" [{row['unit']}]" if row["unit"] else ""
+        for row, unit in self._rows():
             reason = "; ".join(filter(None, [row["why"], row["check"]]))
             found.append(f"{row['column']} -> {row['field']}{unit}: {reason}")
         found += [f"not used: {name}: {why}" for name, why in self.not_used.items()]
@@ -139,8 +147,7 @@ class Proposal:
 
     def _summary(self) -> dict[str, str]:
         rows = {reading.what: reading.taken for reading in self.readings}
-        for row in self.evidence.to_dict("records"):
-            unit = f" [{row['unit']}]" if row["unit"] else ""
+        for row, unit in self._rows():
             rows[row["field"]] = f"{row['column']}{unit}"
         rows["not used"] = ", ".join(self.not_used) or "-"
         rows["open"] = counted(len(self.open), "reading")
@@ -237,18 +244,9 @@ def _order(field: str) -> int:
 
 
 def _evidence(proposed: list[Proposed]) -> pd.DataFrame:
-    rows = [
-        {
-            "column": ", ".join(each.columns),
-            "field": each.field,
-            "unit": each.unit,
-            "why": each.why,
-            "check": each.check,
-            "alternative": each.alternative,
-        }
-        for each in proposed
-    ]
-    return pd.DataFrame(rows, columns=["column", "field", "unit", "why", "check", "alternative"])
+    names = ["field", "unit", "why", "check", "alternative"]
+    rows = [[", ".join(each.columns), *(getattr(each, n) for n in names)] for each in proposed]
+    return pd.DataFrame(rows, columns=["column", *names])
 
 
 def _start(parts: list[Recording], line: Line, train: Train | None) -> Reading | None:
@@ -360,7 +358,7 @@ def _toml(
         ),
         'format = "trainlog/recorder-profile"',
         "version = 1",
-        f"name = {_quoted('Proposed from ' + layout.path.name)}",
+        f"name = {toml_value('Proposed from ' + layout.path.name)}",
         "",
     ]
     if layout.format == "csv" and layout.options.header and not clock.one_file:
@@ -370,7 +368,7 @@ def _toml(
             "# Files with these columns are recognised (folder TRAINLOG_PROFILES).",
             "[detect]",
         ]
-        lines += [f"columns = {_list(tuple(dict.fromkeys(used)))}", ""]
+        lines += [f"columns = {toml_value(tuple(dict.fromkeys(used)))}", ""]
     lines += _file_section(layout, found)
     lines += _time_section(clock)
     lines.append("[columns]")
@@ -381,7 +379,7 @@ def _toml(
         lines += _column_lines(each)
     if not_used:
         lines += ["", "# Not used:"]
-        lines += [f"#   {_quoted(name)}: {_plain(why)}" for name, why in not_used.items()]
+        lines += [f"#   {toml_value(name)}: {_plain(why)}" for name, why in not_used.items()]
     lines += [
         "",
         "[trip]",
@@ -404,15 +402,14 @@ def _toml(
 
 
 def _file_section(layout: Layout, found: dict[str, Reading]) -> list[str]:
-    lines = ["[file]", f"format = {_quoted(layout.format)}"]
+    lines = ["[file]", f"format = {toml_value(layout.format)}"]
     if layout.format != "csv":
         return [*lines, ""]
     options = layout.options
-    for key, value, what in (
-        ("encoding", _quoted(options.encoding), "encoding"),
-        ("delimiter", _quoted(options.delimiter), "delimiter"),
-        ("decimal", _quoted(options.decimal), "decimal mark"),
-    ):
+    for key, what in (
+        ("encoding", "encoding"), ("delimiter", "delimiter"), ("decimal", "decimal mark"),
+    ):  # fmt: skip
+        value = toml_value(getattr(options, key))
         lines.append(f"{key} = {value}  # {_plain(found[what].why)}")
     lines.append(f"header = {options.header if options.header is not None else 1}")
     if options.skip_after_header:
@@ -420,7 +417,9 @@ def _file_section(layout: Layout, found: dict[str, Reading]) -> list[str]:
         note = f"  # a line of units: {_plain(units.why)}" if units else ""
         lines.append(f"skip_after_header = {options.skip_after_header}{note}")
     if options.missing != MISSING:
-        lines.append(f"missing = {_list(options.missing)}  # {_plain(found['missing values'].why)}")
+        lines.append(
+            f"missing = {toml_value(options.missing)}  # {_plain(found['missing values'].why)}"
+        )
     return [*lines, ""]
 
 
@@ -432,19 +431,19 @@ def _time_section(clock: Clock) -> list[str]:
             lines += _wrapped(f"open: or {reading.alternative}")
     options = clock.options
     if options.column is not None:
-        lines.append(f"column = {_quoted(options.column)}")
+        lines.append(f"column = {toml_value(options.column)}")
     else:
-        lines.append(f"columns = {_list(options.columns)}")
+        lines.append(f"columns = {toml_value(options.columns)}")
     default = TimeOptions(column="time")
     for key in ("format", "unit", "timezone"):
         value = getattr(options, key)
         if value != getattr(default, key) or (key == "timezone" and options.format != "epoch"):
-            lines.append(f"{key} = {_quoted(value)}")
+            lines.append(f"{key} = {toml_value(value)}")
     if any(each.what == "time zone" and each.alternative for each in clock.readings):
         lines += [
             "# Trips state this assumption. Correct timezone, or remove this line if it is right:"
         ]
-        lines.append(f"assumed_timezone = {_quoted(options.timezone)}")
+        lines.append(f"assumed_timezone = {toml_value(options.timezone)}")
     if isinstance(options.start, datetime.datetime):
         lines.append(f"start = {options.start.isoformat()}")
     if options.date is not None:
@@ -457,26 +456,16 @@ def _column_lines(each: Proposed) -> list[str]:
     if each.alternative:
         lines += _wrapped(f"open: or {each.alternative}")
     if each.field.startswith("/train/axles."):
-        keys = [f"columns = {_list(each.columns)}"]
+        keys = [f"columns = {toml_value(each.columns)}"]
     else:
-        keys = [f"column = {_quoted(each.columns[0])}"]
+        keys = [f"column = {toml_value(each.columns[0])}"]
     if each.unit:
-        keys.append(f"unit = {_quoted(each.unit)}")
-    keys += [f"scale = {each.scale!r}"] if each.scale != 1.0 else []
-    keys += [f"offset = {each.offset!r}"] if each.offset else []
-    keys += [f'part = "{each.part}"'] if each.part != "all" else []
-    keys += [f"sign = {each.sign}"] if each.sign != 1 else []
-    keys += [f"meaning = {_quoted(each.meaning)}"] if each.meaning else []
-    keys += [f'notation = "{each.notation}"'] if each.notation != "number" else []
+        keys.append(f"unit = {toml_value(each.unit)}")
+    for item in fields(each):
+        value = getattr(each, item.name)
+        if item.name in STATED and value != item.default:
+            keys.append(f"{item.name} = {toml_value(value)}")
     return [*lines, f'"{each.field}" = {{ {", ".join(keys)} }}']
-
-
-def _quoted(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False)
-
-
-def _list(words: tuple[str, ...]) -> str:
-    return f"[{', '.join(map(_quoted, words))}]"
 
 
 def _plain(text: str) -> str:

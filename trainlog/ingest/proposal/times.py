@@ -5,7 +5,8 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 import pyarrow as pa
@@ -85,14 +86,20 @@ def clock_of(layout: Layout, meanings: dict[str, Meaning]) -> Clock:
     InputError
         If no column counts time forward; as `NoRecordingError`, if none is called a time either.
     """
+    named = [n for n in layout.names if {"clock", "date"} & set(meanings[n].quantities)]
+    order = [*named, *(name for name in layout.names if name not in named)]
     tried: list[str] = []
-    for find in (_typed, _parts, _date_and_clock, _epoch, _elapsed):
-        found = find(layout, meanings, tried)
-        if found is not None:
-            return found
+    found = (
+        _typed(layout, order, tried)
+        or _parts(layout)
+        or _date_and_clock(layout, order)
+        or _epoch(layout, order)
+        or _elapsed(layout, meanings, tried)
+    )
+    if found is not None:
+        return found
     shown = ", ".join(layout.names[:12]) + (", ..." if len(layout.names) > 12 else "")
     noted = f" ({'; '.join(tried)})" if tried else ""
-    named = any({"clock", "date"} & set(meaning.quantities) for meaning in meanings.values())
     kind = InputError if tried or named else NoRecordingError
     raise kind(
         f"is no recording of a trip: no column is a time that goes forward{noted}",
@@ -101,8 +108,10 @@ def clock_of(layout: Layout, meanings: dict[str, Meaning]) -> Clock:
     )
 
 
-def _read(layout: Layout, options: TimeOptions) -> IntArray | None:
-    """The times; None unless most rows have one and most steps go forward."""
+def _clock(
+    layout: Layout, options: TimeOptions, *readings: Reading, one_file: bool = False
+) -> Clock | None:
+    """The time so read; None unless most rows have one and most steps go forward."""
     try:
         time = read_time(layout.table, options, layout.options.decimal, layout.path)
     except (InputError, ValueError, OverflowError, pa.ArrowException):
@@ -114,18 +123,12 @@ def _read(layout: Layout, options: TimeOptions) -> IntArray | None:
     steps = np.diff(known)
     if known[0] == known[-1] or np.mean(steps >= 0) < FORWARD or not np.any(steps > 0):
         return None
-    return time
+    return Clock(options, time, readings, one_file)
 
 
-def _clock_names(layout: Layout, meanings: dict[str, Meaning], *quantities: str) -> list[str]:
-    """Columns whose name says time or date first, then others."""
-    named = [name for name in layout.names if set(meanings[name].quantities) & set(quantities)]
-    return [*named, *(name for name in layout.names if name not in named)]
-
-
-def _typed(layout: Layout, meanings: dict[str, Meaning], tried: list[str]) -> Clock | None:
+def _typed(layout: Layout, order: list[str], tried: list[str]) -> Clock | None:
     """A column that the file types as a time stamp."""
-    for name in _clock_names(layout, meanings, "clock", "date"):
+    for name in order:
         kind = layout.table[name].type
         if not pa.types.is_timestamp(kind):
             continue
@@ -134,21 +137,15 @@ def _typed(layout: Layout, meanings: dict[str, Meaning], tried: list[str]) -> Cl
             if kind.tz
             else _zone(layout, (name,))
         )
-        options = TimeOptions(column=name, timezone=zone)
-        time = _read(layout, options)
-        if time is not None:
-            return Clock(
-                options, time, (Reading("time", name, "the file types it as time stamps"), reading)
-            )
+        typed = Reading("time", name, "the file types it as time stamps")
+        found = _clock(layout, TimeOptions(column=name, timezone=zone), typed, reading)
+        if found is not None:
+            return found
         tried.append(f"'{name}' is a time stamp that does not go forward")
     return None
 
 
-def _parts(
-    layout: Layout,
-    meanings: dict[str, Meaning],  # noqa: ARG001
-    tried: list[str],  # noqa: ARG001
-) -> Clock | None:
+def _parts(layout: Layout) -> Clock | None:
     """Six columns: year, month, day, hour, minute, second."""
     found: dict[str, str] = {}
     for part, spellings in vocabulary()["parts"].items():
@@ -160,39 +157,23 @@ def _parts(
     names = tuple(found[part] for part in ("year", "month", "day", "hour", "minute", "second"))
     zone, reading = _zone(layout, names)
     options = TimeOptions(columns=names, format="parts", timezone=zone)
-    time = _read(layout, options)
-    if time is None:
-        return None
     why = "six columns named year to second"
-    return Clock(options, time, (Reading("time", ", ".join(names), why), reading))
+    return _clock(layout, options, Reading("time", ", ".join(names), why), reading)
 
 
-def _date_and_clock(
-    layout: Layout,
-    meanings: dict[str, Meaning],
-    tried: list[str],  # noqa: ARG001
-) -> Clock | None:
+def _date_and_clock(layout: Layout, order: list[str]) -> Clock | None:
     """Text: date and time of day in one column, in two, or the time of day alone."""
     texts = {name: _cells(layout, name) for name in layout.names}
-    order = _clock_names(layout, meanings, "clock", "date")
     # Of several the one that states UTC, then the one whose name says time.
-    order.sort(key=lambda name: zone_of(name) != "UTC")
-    for name in order:
-        found = _one_column(layout, name, texts[name])
-        if found is not None:
-            return found
+    order = sorted(order, key=lambda name: zone_of(name) != "UTC")
     dates = [n for n in order if _share(_DATE, texts[n]) > READABLE or _compact_date(texts[n])]
     clocks = [n for n in order if _share(_CLOCK, texts[n]) > READABLE]
-    for clock in clocks:
-        for date in dates:
-            found = _two_columns(layout, date, clock, texts)
-            if found is not None:
-                return found
-    for clock in clocks:
-        found = _clock_alone(layout, clock, texts[clock])
-        if found is not None:
-            return found
-    return None
+    found = chain(
+        (_one_column(layout, name, texts[name]) for name in order),
+        (_two_columns(layout, date, clock, texts) for clock in clocks for date in dates),
+        (_clock_alone(layout, clock, texts[clock]) for clock in clocks),
+    )
+    return next((each for each in found if each is not None), None)
 
 
 def _cells(layout: Layout, name: str) -> list[str]:
@@ -220,10 +201,10 @@ def _one_column(layout: Layout, name: str, cells: list[str]) -> Clock | None:
     else:
         zone, zoned = _zone(layout, (name,))
     if _share(_ISO, cells) > READABLE and any(":" in cell for cell in cells):
-        options = TimeOptions(column=name, timezone=zone)
-        time = _read(layout, options)
-        if time is not None:
-            return Clock(options, time, (Reading("time", name, f"ISO 8601, '{cells[0]}'"), zoned))
+        iso = Reading("time", name, f"ISO 8601, '{cells[0]}'")
+        found = _clock(layout, TimeOptions(column=name, timezone=zone), iso, zoned)
+        if found is not None:
+            return found
     compact = _COMPACT.match(cells[0])
     if compact and _share(_COMPACT, cells) > READABLE:
         pattern = f"%Y%m%d{compact.group(2)}%H%M%S" + (
@@ -233,9 +214,9 @@ def _one_column(layout: Layout, name: str, cells: list[str]) -> Clock | None:
         if compact.group(5):
             zone, zoned = "UTC", Reading("time zone", "UTC", "the cells end in Z")
         options = TimeOptions(column=name, format=pattern, timezone=zone)
-        time = _read(layout, options)
-        if time is not None:
-            return Clock(options, time, (Reading("time", name, f"'{cells[0]}'"), zoned))
+        found = _clock(layout, options, Reading("time", name, f"'{cells[0]}'"), zoned)
+        if found is not None:
+            return found
     if _share(_BOTH, cells) <= READABLE:
         return None
     halves = [match for match in map(_BOTH.match, cells) if match]
@@ -245,11 +226,8 @@ def _one_column(layout: Layout, name: str, cells: list[str]) -> Clock | None:
     if date is None or clock is None:
         return None
     options = TimeOptions(column=name, format=f"{date}{halves[0]['sep']}{clock}", timezone=zone)
-    time = _read(layout, options)
-    if time is None:
-        return None
-    readings = (Reading("time", f"{name}, {options.format}", f"'{cells[0]}'"), dated, zoned)
-    return Clock(options, time, readings)
+    named = Reading("time", f"{name}, {options.format}", f"'{cells[0]}'")
+    return _clock(layout, options, named, dated, zoned)
 
 
 def _two_columns(
@@ -263,12 +241,9 @@ def _two_columns(
     options = TimeOptions(columns=(date, clock), format=f"{day} {hour}", timezone=zone)
     if "%z" in hour:
         zoned = Reading("time zone", "as each cell states", f"'{texts[clock][0]}'")
-    time = _read(layout, options)
-    if time is None:
-        return None
     shown = f"'{texts[date][0]}' and '{texts[clock][0]}'"
     named = Reading("time", f"{date}, {clock}, {options.format}", shown)
-    return Clock(options, time, (named, dated, zoned))
+    return _clock(layout, options, named, dated, zoned)
 
 
 def _clock_alone(layout: Layout, name: str, cells: list[str]) -> Clock | None:
@@ -282,20 +257,14 @@ def _clock_alone(layout: Layout, name: str, cells: list[str]) -> Clock | None:
     if pattern is None or elapsed or (begins_at_zero and day is None and not first["p"]):
         start = datetime.datetime.combine(day or UNKNOWN_DAY, datetime.time(), datetime.UTC)
         options = TimeOptions(column=name, format="elapsed", start=start)
-        time = _read(layout, options)
-        if time is None:
-            return None
         named = Reading(
             "time", f"{name}, elapsed", f"'{cells[0]}' begins at zero", "the time of day"
         )
-        return Clock(options, time, (named, _started(day, where)), one_file=True)
+        return _clock(layout, options, named, _started(day, where), one_file=True)
     zone, zoned = _zone(layout, (name,))
     options = TimeOptions(column=name, format=pattern, date=day or UNKNOWN_DAY, timezone=zone)
-    time = _read(layout, options)
-    if time is None:
-        return None
     named = Reading("time", f"{name}, {pattern}", f"'{cells[0]}', without a date")
-    return Clock(options, time, (named, _started(day, where), zoned), one_file=True)
+    return _clock(layout, options, named, _started(day, where), zoned, one_file=True)
 
 
 def _started(day: datetime.date | None, where: str) -> Reading:
@@ -416,13 +385,9 @@ def _clock_pattern(cells: list[str]) -> str | None:
     return pattern
 
 
-def _epoch(
-    layout: Layout,
-    meanings: dict[str, Meaning],
-    tried: list[str],  # noqa: ARG001
-) -> Clock | None:
+def _epoch(layout: Layout, order: list[str]) -> Clock | None:
     """A count since 1970."""
-    for name in _clock_names(layout, meanings, "clock", "date"):
+    for name in order:
         values = numbers(layout.table[name], layout.options.decimal)[0]
         known = values[np.isfinite(values)]
         if known.size < 2:
@@ -432,13 +397,12 @@ def _epoch(
             if not low <= middle <= high or float(np.ptp(known)) == 0.0:
                 continue
             options = TimeOptions(column=name, format="epoch", unit=unit)
-            time = _read(layout, options)
-            if time is not None:
-                instant = datetime.datetime.fromtimestamp(
-                    float(time[time != NO_TIME][0]) / NANOSECONDS, datetime.UTC
-                )
+            found = _clock(layout, options)
+            if found is not None:
+                first = float(found.time[found.time != NO_TIME][0]) / NANOSECONDS
+                instant = datetime.datetime.fromtimestamp(first, datetime.UTC)
                 why = f"counts {unit} since 1970: the first is {instant:%Y-%m-%d %H:%M:%S} UTC"
-                return Clock(options, time, (Reading("time", f"{name}, epoch [{unit}]", why),))
+                return replace(found, readings=(Reading("time", f"{name}, epoch [{unit}]", why),))
     return None
 
 
@@ -472,10 +436,10 @@ def _elapsed(layout: Layout, meanings: dict[str, Meaning], tried: list[str]) -> 
         day, where = _day(layout)
         start = datetime.datetime.combine(day or UNKNOWN_DAY, datetime.time(), datetime.UTC)
         options = TimeOptions(column=name, format="elapsed", unit=unit, start=start)
-        time = _read(layout, options)
-        if time is not None:
-            named_so = Reading("time", f"{name}, elapsed [{unit}]", why, other)
-            return Clock(options, time, (named_so, _started(day, where)), one_file=True)
+        counted = Reading("time", f"{name}, elapsed [{unit}]", why, other)
+        found = _clock(layout, options, counted, _started(day, where), one_file=True)
+        if found is not None:
+            return found
     return None
 
 
