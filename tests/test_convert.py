@@ -29,7 +29,7 @@ FOREIGN = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"
 
 @pytest.fixture(autouse=True)
 def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "ROWS", 100)
+    monkeypatch.setattr(module, "ROWS", 400)
 
 
 @pytest.fixture

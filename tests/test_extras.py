@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -25,7 +26,20 @@ importlib.util.find_spec = lambda name, *_: None if name in {modules} else found
 {program}
 """
 
-COMMAND = "sys.argv = ['trainlog', *{words}]; from trainlog.cli.main import main; main()"
+COMMANDS = """
+import io, json
+from contextlib import redirect_stderr
+from trainlog.cli.main import main
+ended = []
+for words in {commands}:
+    sys.argv = ["trainlog", *words]
+    with redirect_stderr(io.StringIO()) as said:
+        try:
+            main()
+        except SystemExit as error:
+            ended.append((error.code, said.getvalue()))
+print(json.dumps(ended))
+"""
 
 SAMPLES = ["--line", "sample", "--train", "sample"]
 
@@ -53,24 +67,26 @@ main()
     assert (tmp_path / "fit.json").exists()
 
 
-@pytest.mark.parametrize(
-    ("words", "extra"),
-    [
-        (["replay", str(sample("nonstop.mcap")), "-o", "out.rrd"], "replay"),
-        (["plan", "fit.json", "-o", "out.json"], "plan"),
-        (["simulate", "follow", "out.json", *SAMPLES, "-o", "driven"], "plan"),
-        (["study", "robust-minimax", "-o", "study"], "plan"),
-    ],
+MISSING = (
+    (["replay", str(sample("nonstop.mcap")), "-o", "out.rrd"], "replay"),
+    (["plan", "fit.json", "-o", "out.json"], "plan"),
+    (["simulate", "follow", "out.json", *SAMPLES, "-o", "driven"], "plan"),
+    (["study", "robust-minimax", "-o", "study"], "plan"),
 )
-def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(
-    tmp_path: Path, words: list[str], extra: str
-) -> None:
+"""Commands that need a package, and its extra."""
+
+
+def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(tmp_path: Path) -> None:
     (tmp_path / "fit.json").write_text("{}")
     (tmp_path / "out.json").write_text("{}")
-    ended = without_extras(COMMAND.format(words=words), tmp_path)
-    assert ended.returncode == 2
-    (line,) = ended.stderr.strip().splitlines()
-    assert line.endswith(f"which is not installed; pip install 'trainlog[{extra}]'")
+    program = COMMANDS.format(commands=[words for words, _ in MISSING])
+    done = without_extras(program, tmp_path)
+    assert done.returncode == 0, done.stderr
+    ended = json.loads(done.stdout.splitlines()[-1])
+    for (status, said), (words, extra) in zip(ended, MISSING, strict=True):
+        assert status == 2, words
+        (line,) = said.strip().splitlines()
+        assert line.endswith(f"which is not installed; pip install 'trainlog[{extra}]'"), words
     assert not list(tmp_path.glob("*.rrd"))
 
 

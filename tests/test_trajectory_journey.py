@@ -165,7 +165,7 @@ def test_reserve_is_shared_so_that_a_second_is_worth_the_same_everywhere() -> No
 def test_a_journey_names_the_configuration_that_takes_most_in_all(objective: str) -> None:
     journey = Journey("stops", "hilly", (stop(0.0, 0.0, 0.0), stop(5_000.0), stop(8_000.0)))
     configurations = drawn(FLIRT, 3, seed=3)
-    options = {"dwell": 30.0, "reserve": 0.12, "cells": 100, "objective": objective}
+    options = {"dwell": 30.0, "reserve": 0.12, "cells": 60, "objective": objective}
     plan = optimised_journey(hilly_line(), FLIRT, configurations, journey, **options)  # type: ignore[arg-type]
     certificate = plan.certificate
     totals = sum(np.array(each.certificate[f"{objective}_energy"]) for each in plan.sections)
@@ -181,7 +181,7 @@ def test_a_journey_at_the_line_is_worst_for_one_configuration_in_all_its_section
     journey = Journey("stops", "hilly", (stop(0.0, 0.0, 0.0), stop(5_000.0), stop(8_000.0)))
     configurations = drawn(FLIRT, 3, seed=3)
     asked = (hilly_line(), FLIRT, configurations)
-    plan = optimised_journey(*asked, journey, dwell=30.0, reserve=0.12, cells=100, objective="line")
+    plan = optimised_journey(*asked, journey, dwell=30.0, reserve=0.12, cells=60, objective="line")
     certificate, times = plan.certificate, plan.arrivals - plan.departures
     apart = [
         optimised(*asked, start=start, end=end, running_time=time, cells=60, objective="line")
