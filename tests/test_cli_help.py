@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from collections import defaultdict
-from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 import typer
 from command import run
-from typer.core import TyperGroup
 
 from trainlog.cli import main as cli
+from trainlog.cli.commands import FORMER, WORDS
+
+DOCS = Path(__file__).parents[1] / "docs"
+sys.path.insert(0, str(DOCS / "tools"))
+
+from options import commands, own_options, with_options  # noqa: E402
 
 DIFFERENT = {
     "--configurations": "how many a fit gives; which a simulation drives",
@@ -30,16 +37,6 @@ DIFFERENT = {
     "--weather": "of a simulated trip; a table of times",
 }
 """Options whose values are not of one kind in all commands."""
-
-
-def commands(of: Any = None, name: str = "") -> Iterator[tuple[str, Any]]:
-    """All commands by their words."""
-    for word, command in (of or typer.main.get_command(cli.app)).commands.items():
-        words = f"{name} {word}".strip()
-        if isinstance(command, TyperGroup):
-            yield from commands(command, words)
-        else:
-            yield words, command
 
 
 @pytest.mark.parametrize("columns", ["80", pytest.param("120", marks=pytest.mark.long)])
@@ -62,11 +59,45 @@ def test_help_of_every_command_fits_the_terminal_and_loses_nothing(
             assert not lost, (words, lost)
 
 
-def test_help_of_every_command_has_an_example(
+def examples(command: Any) -> list[list[str]]:
+    """The words of the examples in a command's help."""
+    return [
+        shlex.split(each.removeprefix("Example: trainlog "))
+        for each in (command.help or "").split("\n\n")
+        if each.startswith("Example: trainlog ")
+    ]
+
+
+@pytest.mark.parametrize("words", [words for words, _ in commands()])
+def test_every_command_has_an_example_that_parses_and_at_most_twelve_options(words: str) -> None:
+    command = dict(commands())[words]
+    found = examples(command)
+    assert found
+    for example in found:
+        given = example[len(words.split()) :]
+        assert example[: len(words.split())] == words.split()
+        command.make_context(words, given)
+    assert len(own_options(words, command)) <= 12
+
+
+def test_former_names_are_answered_with_the_new_one(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for words, command in commands():
-        assert f"trainlog {words}" in (command.help or ""), words
+    for former, new in FORMER.items():
+        status, shown, complaint = run(monkeypatch, capsys, *former.split(), "-x")
+        assert (status, shown, complaint.count("\n")) == (2, "", 1), former
+        assert f"'{former}' is now 'trainlog {new}'" in complaint
+        assert new.split()[0] in WORDS
+
+
+def test_the_help_of_the_program_says_of_each_word_what_its_own_help_does() -> None:
+    for word, command in typer.main.get_command(cli.app).commands.items():
+        assert (command.help or "").partition("\n")[0] == WORDS[word].help
+
+
+def test_the_page_lists_the_options_of_all_commands() -> None:
+    page = (DOCS / "command-line.md").read_text("utf-8")
+    assert page == with_options(page), "run docs/tools/options.py docs/command-line.md"
 
 
 def test_the_same_option_is_the_same_everywhere() -> None:

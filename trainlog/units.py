@@ -69,7 +69,11 @@ def _registry() -> UnitRegistry[Any]:
 
 
 _FACTORS = {
-    (unit, unit): 1.0 for unit in ("%", "1", "A", "deg", "m", "m/s", "m/s^2", "m^2", "s", "kg", "N")
+    (unit, unit): 1.0
+    for unit in (
+        *("%", "1", "A", "deg", "m", "m/s", "m/s^2", "m^2", "s", "kg", "N", "W"),
+        *("N/(m/s)", "N/(m/s)^2"),
+    )
 } | {
     ("%", "1"): 0.01,
     ("bar", "Pa"): 100000.0,

@@ -7,7 +7,6 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 
 def same_values(first: Any, second: Any) -> bool:
@@ -22,6 +21,8 @@ def same_values(first: Any, second: Any) -> bool:
     """
     if first is second:
         return True
+    import pandas as pd  # takes a while, and the help of the commands needs none of it
+
     if type(first) is not type(second):
         return False
     if isinstance(first, np.ndarray):

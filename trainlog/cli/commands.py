@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 from typer.core import TyperCommand, TyperGroup
-from typer.models import ParameterInfo
+from typer.models import ArgumentInfo, ParameterInfo
 
 from trainlog.cli.help import print_help, shown_type
 from trainlog.cli.options import (
@@ -31,6 +31,7 @@ from trainlog.cli.progress_bar import ProgressDisplay, progress_shown
 from trainlog.cli.terminal import Output, console, output_of, print_error
 from trainlog.display import counted
 from trainlog.errors import InputError
+from trainlog.formats.samples import SAMPLE
 from trainlog.formats.settings import read_settings
 
 if TYPE_CHECKING:
@@ -282,6 +283,8 @@ def _with_output(callback: Callable[..., Any]) -> Callable[..., Any]:
         for name, annotation in {**given, "quiet": QUIET}.items()
     ]
 
+    inputs = [each.name for each in signature.parameters.values() if _is_input(each)]
+
     @wraps(callback)
     def command(
         *parts: Any, context: typer.Context, quiet: bool, as_json: bool = False, **rest: Any
@@ -294,6 +297,8 @@ def _with_output(callback: Callable[..., Any]) -> Callable[..., Any]:
                 known = read_settings()
                 console.shown_as = known.speed, known.zone
             try:
+                for name in inputs:
+                    _check_exists(rest[name])
                 return callback(*parts, **rest)
             except KeyboardInterrupt:
                 _state_interruption(output, display)
@@ -307,6 +312,29 @@ def _with_output(callback: Callable[..., Any]) -> Callable[..., Any]:
     command.__annotations__ = {each.name: each.annotation for each in parameters}
     del command.__wrapped__  # its signature is not what is asked for
     return command
+
+
+INPUTS = ("line", "train", "profile", "network", "trajectory", "onto")
+"""Options that name a file to be read."""
+
+
+def _is_input(parameter: inspect.Parameter) -> bool:
+    """Whether a parameter names files to be read."""
+    argument = any(isinstance(each, ArgumentInfo) for each in _notes(parameter))
+    return "Path" in str(parameter.annotation) and (argument or parameter.name in INPUTS)
+
+
+def _check_exists(given: Any) -> None:
+    """Refuse a file that is missing before the packages are imported that would read it.
+
+    Of several files those that are missing say nothing of the others: the command states them.
+    """
+    paths = given if isinstance(given, list) else [given]
+    if len(paths) != 1 or not isinstance(paths[0], Path):
+        return
+    (path,) = paths
+    if not path.exists() and "#" not in path.name and str(path) != SAMPLE:
+        raise InputError("does not exist", file=path, remedy="check the path")
 
 
 def _state_interruption(output: Output, display: ProgressDisplay) -> None:

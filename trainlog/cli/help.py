@@ -70,7 +70,7 @@ def print_help(command: Any, ctx: Any) -> None:
     options = [each for each in parameters if each.param_type_name == "option"]
     for title, group in (("Arguments", arguments), ("Options", options)):
         if group:
-            console.print(_panel(title, [_described(each, ctx) for each in group]))
+            console.print(_panel(title, [described(each, ctx) for each in group]))
 
 
 def _panel(title: str, rows: Iterable[tuple[str, str]]) -> RenderableType:
@@ -98,7 +98,7 @@ def _panel(title: str, rows: Iterable[tuple[str, str]]) -> RenderableType:
     return Panel(grid, title=title, title_align="left", border_style="dim")
 
 
-def _described(parameter: Any, ctx: Any) -> tuple[str, str]:
+def described(parameter: Any, ctx: Any) -> tuple[str, str]:
     """Name and type of a parameter, and its help with what is taken without it."""
     if parameter.param_type_name == "argument":
         name = parameter.display_name_raw + ("..." if parameter.nargs != 1 else "")

@@ -424,6 +424,8 @@ def report(
             raise InputError(
                 f"{option} is for the catalogue of a fleet", remedy=f"leave out {option}"
             )
+    if output is not None and not Path(results).exists():
+        raise InputError("does not exist", file=results, remedy="check the path")
     _report(Path(results), output, line, logs or [], zone)
 
 

@@ -170,7 +170,6 @@ def plan(
 
     Example: trainlog plan --train my.train.toml --line A-B.line.json -o trajectory.json
     """
-    from analysis.comparison.groups import fastest_nonstop
     from analysis.trajectory.optimiser import optimise as solve
     from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 
@@ -201,6 +200,8 @@ def plan(
             remedy="state its length in the train's file",
         )
     if as_fast_as is not None:
+        from analysis.comparison.groups import fastest_nonstop
+
         running_time = fastest_nonstop(logs_in([as_fast_as]), the_line)
     own_line = the_line
     if reverse:

@@ -22,11 +22,11 @@ from rich.console import Console, Group
 
 from trainlog.display import in_speed_unit, in_zone
 from trainlog.errors import MOST_LISTED, TrainlogError
-from trainlog.presentation import Presented, WordTable
 from trainlog.progress import task, track
 
 if TYPE_CHECKING:
     from trainlog.mcap import Account
+    from trainlog.presentation import Presented
 
 Item = TypeVar("Item")
 
@@ -73,6 +73,8 @@ class Output:
 
     def gather(self, part: object) -> None:
         """Keep something printed for the JSON object: a table by its name, a sentence as a note."""
+        from trainlog.presentation import WordTable
+
         if isinstance(part, Group):
             for each in part.renderables:
                 self.gather(each)

@@ -1,0 +1,72 @@
+"""The options of all commands, listed on the page of the command line: made from the commands.
+
+    python docs/tools/options.py docs/command-line.md
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+from trainlog.cli.help import described
+from trainlog.cli.main import app
+
+BEGIN, END = "<!-- options -->", "<!-- end of options -->"
+
+COMMON = {"--json", "--quiet", "--help", "--trips", "--catalogue"}
+"""Options of every command, or of every command that takes logs."""
+
+
+def commands(group: Any = None, words: str = "") -> Iterator[tuple[str, Any]]:
+    """All commands by their words."""
+    for word, command in (group or typer.main.get_command(app)).commands.items():
+        name = f"{words} {word}".strip()
+        if isinstance(command, TyperGroup):
+            yield from commands(command, name)
+        else:
+            yield name, command
+
+
+def own_options(name: str, command: Any) -> list[Any]:
+    """The options that are a command's own."""
+    every = command.get_params(typer.Context(command, info_name=name))
+    return [
+        each for each in every if each.param_type_name == "option" and not COMMON & set(each.opts)
+    ]
+
+
+def listed() -> str:
+    """Each command with what it does, its arguments and its own options."""
+    parts = []
+    for name, command in commands():
+        context = typer.Context(command, info_name=name)
+        first = (command.help or "").partition("\n")[0]
+        arguments = [
+            each for each in command.get_params(context) if each.param_type_name == "argument"
+        ]
+        rows = [described(each, context) for each in [*arguments, *own_options(name, command)]]
+        table = [f"| `{_cell(what)}` | {_cell(words)} |" for what, words in rows]
+        parts.append("\n".join([f"### {name}", "", first, "", "| | |", "|---|---|", *table]))
+    return "\n\n".join(parts)
+
+
+def _cell(text: str) -> str:
+    plain = re.sub(r"\[/?(?:dim|bold)\]", "", text)
+    return plain.replace("|", r"\|")
+
+
+def with_options(page: str) -> str:
+    """The page with the options as they are now."""
+    before, after = page.partition(BEGIN)[0], page.partition(END)[2]
+    return f"{before}{BEGIN}\n\n{listed()}\n\n{END}{after}"
+
+
+if __name__ == "__main__":
+    path = Path(sys.argv[1])
+    path.write_text(with_options(path.read_text("utf-8")), "utf-8")
