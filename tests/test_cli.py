@@ -57,7 +57,7 @@ COMMANDS: dict[str, list[str]] = {
     "map history": ["map", "show", "BAD", "--km", "1", "--picture", "OUT.png"],
     "map export": ["map", "export", "BAD", "-o", "OUT.csv"],
     "map show": ["map", "show", "BAD", "--picture", "OUT.png"],
-    "replay": ["replay", "BAD", "-o", "OUT.rrd", "--no-viewer"],
+    "replay": ["replay", "BAD", "-o", "OUT.rrd"],
     "compare": ["compare", "BAD", "--with", "BAD"],
     "ingest": ["ingest", "BAD", "-o", "OUT"],
     "import": ["import", "BAD", "-o", "OUT"],
@@ -138,9 +138,7 @@ def test_info_tells_what_is_left_of_a_cut_log(
 def test_what_is_left_of_a_cut_log_is_used_with_a_warning(
     cut: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    status, _, complaint = run(
-        monkeypatch, capsys, "replay", cut, "-o", tmp_path / "cut.rrd", "--no-viewer"
-    )
+    status, _, complaint = run(monkeypatch, capsys, "replay", cut, "-o", tmp_path / "cut.rrd")
     assert status == 0
     for line in complaint.splitlines():
         assert line.startswith(f"trainlog: warning: {cut}: is damaged: ")
@@ -158,8 +156,8 @@ def test_what_is_left_of_a_cut_log_is_used_with_a_warning(
         ["simulate", "drive", "--count", "zero", "-o", "x"],
         ["simulate", "drive", "--count", "0", "-o", "x"],
         ["simulate", "drive", "--seed", "-1", "-o", "x"],
-        ["plan", "a.json", "--braking", "hard", "-o", "x"],
-        ["plan", "a.json", "--cells", "100000000", "-o", "x"],
+        ["plan", "a.json", "--set", "braking=hard", "-o", "x"],
+        ["plan", "a.json", "--set", "cells=100000000", "-o", "x"],
     ],
 )
 def test_wrong_words_are_explained_in_one_line(
@@ -329,7 +327,7 @@ def test_a_damaged_log_is_reported_once_a_command(
     for words in (
         ("fit", half, "-o", tmp_path / "fit.json"),
         ("map", "update", half, "--layer", "dry", "--map", tmp_path / "wil.map"),
-        ("replay", half, "-o", tmp_path / "half.rrd", "--no-viewer"),
+        ("replay", half, "-o", tmp_path / "half.rrd"),
     ):
         status, _, complaint = run(monkeypatch, capsys, *words)
         assert status == 0
@@ -459,7 +457,7 @@ def test_what_a_value_may_be_is_told_in_our_own_words(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     status, _, complaint = run(
-        monkeypatch, capsys, "plan", "p.json", "-o", "t.json", "--braking", "weird"
+        monkeypatch, capsys, "plan", "p.json", "-o", "t.json", "--set", "braking=weird"
     )
     assert status == 2
     assert "Value error" not in complaint
@@ -603,7 +601,7 @@ def test_options_that_contradict_are_refused(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("words", [["replay", "--no-viewer"], ["convert"]])
+@pytest.mark.parametrize("words", [["replay"], ["convert"]])
 def test_a_part_that_holds_nothing_is_told_with_its_file(
     words: list[str],
     tmp_path: Path,

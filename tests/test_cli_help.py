@@ -18,7 +18,7 @@ from trainlog.cli.commands import FORMER, WORDS
 DOCS = Path(__file__).parents[1] / "docs"
 sys.path.insert(0, str(DOCS / "tools"))
 
-from options import commands, own_options, with_options  # noqa: E402
+from options import commands, context_of, own_options, with_options  # noqa: E402
 
 DIFFERENT = {
     "--configurations": "how many a fit gives; which a simulation drives",
@@ -53,7 +53,7 @@ def test_help_of_every_command_fits_the_terminal_and_loses_nothing(
         assert "…" not in shown, words
         assert not any(each in shown for each in ("<bool>", "<path>", "<int", "<float>", "Path]"))
         every = " ".join(shown.replace("│", " ").split())
-        for parameter in command.get_params(typer.Context(command, info_name=words)):
+        for parameter in command.get_params(context_of(words, command)):
             assert all(option in every for option in parameter.opts if "-" in option), words
             lost = set((parameter.help or "").split()) - set(every.split())
             assert not lost, (words, lost)
@@ -76,7 +76,7 @@ def test_every_command_has_an_example_that_parses_and_at_most_twelve_options(wor
     for example in found:
         given = example[len(words.split()) :]
         assert example[: len(words.split())] == words.split()
-        command.make_context(words, given)
+        command.make_context(words, given, help_option_names=["-h", "--help"])
     assert len(own_options(words, command)) <= 12
 
 
@@ -103,7 +103,7 @@ def test_the_page_lists_the_options_of_all_commands() -> None:
 def test_the_same_option_is_the_same_everywhere() -> None:
     seen = defaultdict(set)
     for words, command in commands():
-        context = typer.Context(command, info_name=words)
+        context = context_of(words, command)
         for each in command.get_params(context):
             for name in (opt for opt in each.opts if opt.startswith("--")):
                 short = tuple(opt for opt in each.opts if not opt.startswith("--"))

@@ -54,7 +54,7 @@ convert one.network.json -o one.geojson
 map merge wil.map sample_logs/CH_StGallen_Wil.map -o both.map
 map remove wil.map trip-01
 map compact both.map --before 2024-10-08
-plan parameters.json --line sample --train sample --cells 30 -o trajectory.json
+plan parameters.json --line sample --train sample --set cells=30 -o trajectory.json
 settings
 show sample_logs/nonstop.mcap
 convert sample_logs/nonstop.mcap -o part.mcap --km 3:5

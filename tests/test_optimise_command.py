@@ -41,13 +41,13 @@ def asked(parameters: Path, folder: Path, *words: object) -> Trajectory:
     """The trajectory that the command writes."""
     output = folder / "trajectory.json"
     own = shutil.copy(parameters, folder)
-    given = ("plan", own, *SAMPLES, "--cells", 60, *words, "-o", output)
+    given = ("plan", own, *SAMPLES, "--set", "cells=60", *words, "-o", output)
     assert cli.run([str(word) for word in given]) == 0
     return read_trajectory(output)
 
 
 def test_a_run_begins_and_ends_where_and_as_fast_as_given(observed: Path, tmp_path: Path) -> None:
-    speeds = ("--initial-speed", 72, "--final-speed", 36)
+    speeds = ("--set", "initial-speed=72", "--set", "final-speed=36")
     found = asked(observed, tmp_path, "--km", "3.2:7.5", *speeds)
     assert (found.positions[0], found.positions[-1]) == (3200.0, 7500.0)
     assert found.speeds[:, 0] == pytest.approx(72 / KMH, abs=1e-9)
@@ -88,7 +88,7 @@ def test_limits_that_protect_the_whole_train_hold_until_its_end_has_passed(
     line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
     reserve = ("--km", ":6", "--reserve", 1)
     front = asked(observed, tmp_path, *reserve)
-    whole = asked(observed, tmp_path, *reserve, "--protect", "train")
+    whole = asked(observed, tmp_path, *reserve, "--set", "protect=train")
     assert whole.provenance["settings"]["protected_length"] == train.length
 
     def over(found: Trajectory) -> float:
@@ -104,7 +104,7 @@ def test_limits_that_protect_the_whole_train_hold_until_its_end_has_passed(
 def test_a_map_read_with_more_caution_leaves_less_adhesion(observed: Path, tmp_path: Path) -> None:
     least = [
         max(asked(observed, tmp_path, "--km", ":4", *MAP, *words).certificate["least_time"])
-        for words in (("--sigmas", 0), (), ("--sigmas", 4))
+        for words in (("--set", "sigmas=0"), (), ("--set", "sigmas=4"))
     ]
     assert least[0] < least[1] < least[2]
 
@@ -113,7 +113,17 @@ def test_a_map_read_with_less_risk_leaves_less_adhesion_and_the_file_states_it(
     observed: Path, tmp_path: Path
 ) -> None:
     risky, careful = (
-        asked(observed, tmp_path, "--km", ":4", *MAP, "--risk", risk, "--at", "2024-10-08T06:00Z")
+        asked(
+            observed,
+            tmp_path,
+            "--km",
+            ":4",
+            *MAP,
+            "--set",
+            f"risk={risk}",
+            "--at",
+            "2024-10-08T06:00Z",
+        )
         for risk in (0.2, 0.001)
     )
     assert max(risky.certificate["least_time"]) < max(careful.certificate["least_time"])
@@ -124,33 +134,41 @@ def test_a_map_read_with_less_risk_leaves_less_adhesion_and_the_file_states_it(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--journey", "j.json", "--km", "1:2"), "--km cannot be taken: --journey gives"),
-        (("--journey", "j.json", "--initial-speed", "0"), "leave out --initial-speed"),
-        (("--journey", "j.json", "--final-speed", "9"), "leave out --final-speed"),
-        (("--journey", "j.json", "--pareto"), "leave out --pareto"),
-        (("--journey", "j.json", "--as-fast-as", "x"), "leave out --as-fast-as"),
-        (("--running-time", "9", "--as-fast-as", "x"), "leave out --as-fast-as"),
-        (("--km", "1:2", "--as-fast-as", "x"), "from end to end of the line; leave out --km"),
-        (("--sigmas", "1"), "leave out --sigmas or give a map"),
-        (("--assumed-adhesion", "0.1"), "leave out --assumed-adhesion or give a map"),
-        (("--dwell", "30"), "leave out --dwell or give a journey"),
+        (("--stops", "j.json", "--km", "1:2"), "--km cannot be taken: --stops gives"),
+        (("--stops", "j.json", "--set", "initial-speed=0"), "leave out --set initial-speed"),
+        (("--stops", "j.json", "--set", "final-speed=9"), "leave out --set final-speed"),
+        (("--stops", "j.json", "--reserve", "3,7"), "give one, or leave out --stops"),
+        (("--running-time", "9", "--reserve", "3"), "leave out --reserve"),
+        (("--stops", "Wil,Gosau SG"), "did you mean 'Gossau SG'?"),
+        (("--set", "dwel=3"), "did you mean dwell?"),
+        (("--set", "braking=hard"), "is not one of recourse, common"),
+        (
+            ("--km", "1:2", "--running-time", "x.mcap"),
+            "from end to end of the line; leave out --km",
+        ),
+        (("--set", "sigmas=1"), "leave out --set sigmas or give a map"),
+        (("--set", "assumed-adhesion=0.1"), "leave out --set assumed-adhesion or give a map"),
+        (("--set", "dwell=30"), "leave out --set dwell or give them"),
         (("--running-time", "1200", "--reserve", "5"), "leave out --reserve"),
         (("--reserve", "nan"), "--reserve 'nan' is not a valid share; write it as 7 or 7%"),
         (("--reserve", "-5%"), "must be 0 or more, not -5%; 7 per cent over the least time are"),
-        ((*MAP, "--assumed-adhesion", "8"), "above 0 and at most 1, not 8"),
+        ((*MAP, "--set", "assumed-adhesion=8"), "above 0 and at most 1, not 8"),
         (("--km", "5:3"), "from km 5.000 to km 3.000 is no section"),
         (("--km", "29:31"), "is no section of a line of 29.556 km"),
         (("--km", "Gossau"), "write kilometres as 3.2:7.5"),
-        (("--km", "1:9", "--initial-speed", "400"), "400.0 km/h is above the"),
-        (("--initial-speed", "-1"), "must be finite and not negative"),
-        (("--final-speed", "inf"), "--final-speed 'inf' is not a valid speed; write it as 80"),
+        (("--km", "1:9", "--set", "initial-speed=400"), "400.0 km/h is above the"),
+        (("--set", "initial-speed=-1"), "must be finite and not negative"),
+        (
+            ("--set", "final-speed=inf"),
+            "--set final-speed 'inf' is not a valid speed; write it as 80",
+        ),
         (("--running-time", "20:75"), "--running-time '20:75' is not a valid time; write it as"),
-        ((*MAP, "--sigmas", "-1"), "give 0 or more"),
-        ((*MAP, "--sigmas", "nan"), "is not a valid number"),
-        ((*MAP, "--sigmas", "1", "--risk", "0.1"), "leave out --sigmas"),
-        ((*MAP, "--risk", "0"), "a risk must be between 0 and 1, not 0"),
-        ((*MAP, "--risk", "5"), "one trip in twenty"),
-        (("--risk", "0.05"), "leave out --risk or give a map"),
+        ((*MAP, "--set", "sigmas=-1"), "give 0 or more"),
+        ((*MAP, "--set", "sigmas=nan"), "is not a valid number"),
+        ((*MAP, "--set", "sigmas=1", "--set", "risk=0.1"), "leave out --set sigmas"),
+        ((*MAP, "--set", "risk=0"), "a risk must be between 0 and 1, not 0"),
+        ((*MAP, "--set", "risk=5"), "one trip in twenty"),
+        (("--set", "risk=0.05"), "leave out --set risk or give a map"),
         (("--at", "2026-11-22"), "leave out --at or give a map"),
         ((*MAP, "--at", "soon"), "'soon' is not a time"),
         ((*MAP, "--at", "2024-10-07T06:00Z"), "no evidence of a day before 2024-10-07"),
@@ -183,7 +201,7 @@ def test_what_is_counted_on_is_stated(
     ):
         assert words in plain
     assert "promises" not in plain
-    time = ("--at", "2024-10-08T06:00Z", "--assumed-adhesion", 0.05, "--layer", "wet")
+    time = ("--at", "2024-10-08T06:00Z", "--set", "assumed-adhesion=0.05", "--layer", "wet")
     asked(observed, tmp_path, "--km", ":4", *MAP, *time)
     expected = " ".join(capsys.readouterr().out.split())
     assert "is expected at 2024-10-08T06:00:00+00:00, with passing spots, less 2" in expected
@@ -225,7 +243,7 @@ def test_a_train_file_alone_is_planned_for_and_the_result_states_it(
     output, trips = tmp_path / "trajectory.json", tmp_path / "trips"
     train = read_train(sample(DEFAULT_TRAIN))
     rail = ("--train", sample(DEFAULT_TRAIN), "--line", sample(DEFAULT_LINE))
-    words = ("plan", *rail, "--load", "8t", "--km", ":4", "--cells", 60, "-o", output)
+    words = ("plan", *rail, "--set", "load=8t", "--km", ":4", "--set", "cells=60", "-o", output)
     assert cli.run([str(word) for word in words]) == 0
     assert "without a band of observed trips" in " ".join(capsys.readouterr().out.split())
     found = read_trajectory(output)
@@ -242,15 +260,15 @@ def test_a_train_file_alone_is_planned_for_and_the_result_states_it(
 def test_a_load_is_of_the_train_file_alone(observed: Path, tmp_path: Path) -> None:
     output = ("-o", str(tmp_path / "t.json"))
     with pytest.raises(InputError, match="the parameter set holds the masses"):
-        cli.run(["plan", str(observed), *SAMPLES, "--load", "8t", *output])
+        cli.run(["plan", str(observed), *SAMPLES, "--set", "load=8t", *output])
     with pytest.raises(InputError, match="is not plausible for a train of 122000 kg"):
-        cli.run(["plan", *SAMPLES, "--load", "800t", *output])
+        cli.run(["plan", *SAMPLES, "--set", "load=800t", *output])
 
 
 def test_values_are_taken_as_people_write_them(observed: Path, tmp_path: Path) -> None:
-    words = ("--km", "3.2km:7500m", "--initial-speed", "20m/s", "--final-speed", "36 km/h")
+    words = ("--km", "3.2km:7500m", "--set", "initial-speed=20m/s", "--set", "final-speed=36 km/h")
     written = asked(observed, tmp_path, *words, "--running-time", "4:30")
-    plain = ("--km", "3.2:7.5", "--initial-speed", 72, "--final-speed", 36)
+    plain = ("--km", "3.2:7.5", "--set", "initial-speed=72", "--set", "final-speed=36")
     same = asked(observed, tmp_path, *plain, "--running-time", 270)
     assert written.running_time == same.running_time == 270.0
     assert np.array_equal(written.speeds, same.speeds)

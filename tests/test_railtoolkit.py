@@ -283,7 +283,7 @@ def test_a_formation_of_several_files_is_planned_for_from_the_keyboard(tmp_path:
     assert train.resistance(0.0) == pytest.approx(GRAVITY * (545 * 1.4 + 80 * 2.2) + wind)
     assert train.tractive_effort_limit([0.0, 20 / 3.6]) == pytest.approx([180e3, 100e3])
     line = tmp_path / "path.line.json"
-    plan = ["--train", str(tmp_path / "ore.train.json"), "--line", str(line), "--cells", "60"]
+    plan = ["--train", str(tmp_path / "ore.train.json"), "--line", str(line), "--set", "cells=60"]
     assert cli.run(["plan", *plan, "-o", str(tmp_path / "plan.json")]) == 0
     found = read_trajectory(tmp_path / "plan.json")
     assert found.certificate["certified"]

@@ -545,7 +545,7 @@ def test_a_disk_that_fills_up_leaves_nothing_behind(tmp_path: Path) -> None:
     )
     sample = Path(__file__).parents[1] / "sample_logs" / "nonstop.mcap"
     target = tmp_path / "full.rrd"
-    arguments = ["replay", str(sample), "-o", str(target), "--no-viewer"]
+    arguments = ["replay", str(sample), "-o", str(target)]
     done = subprocess.run(
         [sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=False
     )

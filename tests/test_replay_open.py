@@ -60,7 +60,7 @@ def test_without_a_display_a_window_is_refused_with_what_else_there_is(
     recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(viewer, "has_display", lambda: False)
-    with pytest.raises(InputError, match=r"no display .*--web.*--picture.*-o") as refused:
+    with pytest.raises(InputError, match=r"no display .*--web.*-o out.png.*-o") as refused:
         run_viewer(recording)
     assert "\n" not in str(refused.value)
 
@@ -75,7 +75,7 @@ def test_the_command_without_a_display_draws_nothing(tmp_path: Path) -> None:
     )
     assert made.returncode == 2
     assert "--web" in made.stderr
-    assert "--picture" in made.stderr
+    assert "-o out.png" in made.stderr
     assert not list(tmp_path.iterdir())
 
 

@@ -296,13 +296,13 @@ def test_commands_write_sections_a_front_and_advice(
     points = [TimingPoint(place, None, None, 0.0, 0.0) for place in (0.0, 9_000.0, 20_000.0)]
     write_journey(Journey("one stop", "CH_StGallen_Wil", tuple(points)), journey)
     samples = ("--line", "sample", "--train", "sample")
-    options = (*samples, "--dwell", 30, "--cells", 60, "--reserve", 15)
-    run("plan", parameters, "--journey", journey, *options, "-o", tmp_path / "a.json")
+    options = (*samples, "--set", "dwell=30", "--set", "cells=60", "--reserve", 15)
+    run("plan", parameters, "--stops", journey, *options, "-o", tmp_path / "a.json")
     for number in (1, 2):
         for suffix in ("json", "png", "csv"):
             assert (tmp_path / f"a-{number}.{suffix}").exists()
     assert "Journey one stop" in capsys.readouterr().out
-    expected = (*samples, "--reverse", "--cells", 60, "--objective", "expected")
+    expected = (*samples, "--reverse", "--set", "cells=60", "--set", "objective=expected")
     run("plan", parameters, *expected, "-o", tmp_path / "b.json")
     settings = read_trajectory(tmp_path / "b.json").provenance["settings"]
     assert read_trajectory(tmp_path / "b.json").direction == "reverse"

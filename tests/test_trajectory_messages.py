@@ -107,7 +107,7 @@ def test_limits_for_a_train_without_length_are_refused(tmp_path: Path) -> None:
     content = json.loads(sample("CH_Stadler_FLIRT_TPF.train.json").read_text("utf-8"))
     del content["length"]
     (tmp_path / "short.train.json").write_text(json.dumps(content))
-    arguments = ["plan", "--train", str(tmp_path / "short.train.json"), "--protect", "train"]
+    arguments = ["plan", "--train", str(tmp_path / "short.train.json"), "--set", "protect=train"]
     arguments += ["--line", "sample"]
     with pytest.raises(InputError, match="not known; state its length in the train's file"):
         run([*arguments, "-o", str(tmp_path / "a.json")])

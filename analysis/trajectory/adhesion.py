@@ -76,7 +76,7 @@ def adhesion_words(run: TrajectoryProblem, trajectory: Trajectory) -> list[str]:
         (km[usable.seen].sum(), "known from slip"),
         (km[usable.demonstrated].sum(), "demonstrated without slip"),
         (km[usable.assumed & ~free].sum(), f"assumed, {run.assumed_adhesion:g}"),
-        (km[free].sum(), "without a limit, for want of evidence (--assumed-adhesion sets one)"),
+        (km[free].sum(), "without a limit, for want of evidence (assumed-adhesion sets one)"),
     ]
     shares = ", ".join(f"{length:.1f} km {words}" for length, words in parts if length > 0.0)
     expected = track.layer(run.layer).expected(run.time)

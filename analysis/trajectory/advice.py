@@ -242,7 +242,7 @@ def journey_advice(
     ----------
     sections : sequence of Trajectory
         From stop to stop, in any order; a single one is a journey, too. Those that
-        ``trainlog plan --journey`` wrote know when they depart.
+        ``trainlog plan --stops`` wrote know when they depart.
     line : Line, optional
         As travelled; default: the one that the sections were planned on. Files of earlier versions
         do not hold it: limits and the names of stations are left out.
@@ -306,7 +306,7 @@ def _departures(sections: Sequence[Trajectory], dwell: float) -> FloatArray:
         if np.any(times[1:] < ends[:-1] - 1.0):
             raise InputError(
                 "the sections are of different plans: one departs before the one before arrives",
-                remedy="give the sections that one 'trainlog plan --journey' wrote",
+                remedy="give the sections that one 'trainlog plan --stops' wrote",
             )
         return np.asarray(times - times[0])
     lasts = [each.running_time + dwell for each in sections[:-1]]

@@ -68,15 +68,15 @@ def commands(log: Path, folder: Path) -> dict[str, list[str]]:
         "compare": ["compare", str(log), "--with", str(driven)],
         "optimise": [
             "plan", str(folder / "parameters.json"), "-o", str(folder / "trajectory.json"),
-            "--line", "sample", "--train", "sample", "--as-fast-as", str(log),
+            "--line", "sample", "--train", "sample", "--running-time", str(log),
         ],
         "fit": ["fit", str(log), "-o", str(folder / "parameters.json")],
         "map update": ["map", "update", str(log), "--map", str(folder / "wil.map")],
         "estimate": ["estimate", str(log), "-o", str(folder / "estimated")],
         "replay a stretch": [
-            "replay", str(folder / "min.mcap"), "-o", str(folder / "replay.rrd"), "--no-viewer",
+            "replay", str(folder / "min.mcap"), "-o", str(folder / "replay.rrd"),
         ],
-        "replay": ["replay", str(log), "-o", str(folder / "long.rrd"), "--no-viewer"],
+        "replay": ["replay", str(log), "-o", str(folder / "long.rrd")],
     }  # fmt: skip
 
 

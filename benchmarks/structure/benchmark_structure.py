@@ -85,7 +85,7 @@ COMMANDS = {
         *("plan", "{folder}/fit.json", "--line", "sample", "--train", "sample"),
         *("-o", "{folder}/trajectory.json"),
     ],
-    "replay": ["replay", "sample_logs/stopping.mcap", "-o", "{folder}/r.rrd", "--no-viewer"],
+    "replay": ["replay", "sample_logs/stopping.mcap", "-o", "{folder}/r.rrd"],
 }
 
 

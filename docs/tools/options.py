@@ -1,6 +1,6 @@
 """The options of all commands, listed on the page of the command line: made from the commands.
 
-    python docs/tools/options.py docs/command-line.md
+python docs/tools/options.py docs/command-line.md
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ COMMON = {"--json", "--quiet", "--help", "--trips", "--catalogue"}
 
 def commands(group: Any = None, words: str = "") -> Iterator[tuple[str, Any]]:
     """All commands by their words."""
-    for word, command in (group or typer.main.get_command(app)).commands.items():
+    group = group or typer.main.get_command(app)
+    for word, command in group.commands.items():
         name = f"{words} {word}".strip()
         if isinstance(command, TyperGroup):
             yield from commands(command, name)
@@ -33,9 +34,14 @@ def commands(group: Any = None, words: str = "") -> Iterator[tuple[str, Any]]:
             yield name, command
 
 
+def context_of(name: str, command: Any) -> typer.Context:
+    """The context in which a command is described, as the program has it."""
+    return typer.Context(command, info_name=name, help_option_names=["-h", "--help"])
+
+
 def own_options(name: str, command: Any) -> list[Any]:
     """The options that are a command's own."""
-    every = command.get_params(typer.Context(command, info_name=name))
+    every = command.get_params(context_of(name, command))
     return [
         each for each in every if each.param_type_name == "option" and not COMMON & set(each.opts)
     ]
@@ -45,7 +51,7 @@ def listed() -> str:
     """Each command with what it does, its arguments and its own options."""
     parts = []
     for name, command in commands():
-        context = typer.Context(command, info_name=name)
+        context = context_of(name, command)
         first = (command.help or "").partition("\n")[0]
         arguments = [
             each for each in command.get_params(context) if each.param_type_name == "argument"

@@ -87,7 +87,7 @@ def commands(output: Path) -> list[list[str]]:
         ["fit", trips, "-o", parameters],
         ["map", "update", trips, "--map", condition],
         ["map", "show", condition, "--picture", output / "wil.png"],
-        ["plan", parameters, *known, *rail, "--as-fast-as", trips, "-o", trajectory],
+        ["plan", parameters, *known, *rail, "--running-time", trips, "-o", trajectory],
         ["simulate", "follow", trajectory, *known, *known_rail, *every, *wet, "-o", driven],
         ["simulate", "follow", trajectory, *known, *every, *wet, "-o", blind],
         ["compare", trips, "--with", driven, "--with", blind],

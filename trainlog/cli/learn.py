@@ -226,7 +226,7 @@ def estimate(
         typer.Option(help="Table of the slip events of all logs (CSV): axle, creepage, energy ..."),
     ] = None,
 ) -> None:
-    """Add estimates to logs: smoothed motion, running resistance as it is learnt, adhesion, slip.
+    """Add estimates to logs: smoothed motion, running resistance, adhesion, slip.
 
     Example: trainlog estimate results/trips/trip-01.mcap -o results/estimated
     """

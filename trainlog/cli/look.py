@@ -195,10 +195,12 @@ def replay(
     logs: Logs,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Save the recording (.rrd) instead of opening it."),
-    ] = None,
-    picture: Annotated[
-        Path | None, typer.Option(help="Save a picture (.png) of a view; needs no display.")
+        typer.Option(
+            "--output",
+            "-o",
+            help="Save the recording (.rrd), or a picture of a view (.png, needs no display),"
+            " instead of opening it.",
+        ),
     ] = None,
     view: Annotated[
         str | None,
@@ -234,14 +236,9 @@ def replay(
     tiles: Annotated[
         bool, typer.Option("--tiles", help="Map tiles, which the viewer asks the network for.")
     ] = False,
-    web: Annotated[bool, typer.Option("--web", help="Open it in the browser.")] = False,
-    viewer: Annotated[
-        bool | None,
-        typer.Option(
-            "--viewer/--no-viewer",
-            help="Open the viewer. Default: unless it is saved or a picture is taken.",
-        ),
-    ] = None,
+    web: Annotated[
+        bool, typer.Option("--web", help="Open it in the browser, saved or not.")
+    ] = False,
 ) -> None:
     """Show trips in the Rerun viewer, by time and by position; or a part of them.
 
@@ -249,6 +246,8 @@ def replay(
     asks for nothing on the network.
 
     Example: trainlog replay results/trips/trip-01.mcap
+
+    Example: trainlog replay results/trips -o replay.png --view map
     """
     from trainlog.formats.condition import read_map
     from trainlog.formats.line import read_line
@@ -258,7 +257,9 @@ def replay(
     from trainlog.replay.layout import check_view
     from trainlog.replay.viewer import check_display, interruptible
 
-    opened = web or (viewer if viewer is not None else output is None and picture is None)
+    picture = output if output is not None and output.suffix == ".png" else None
+    saved = output if picture is None else None
+    opened = web or output is None
     if view is not None:
         check_view(view)
     if picture is not None:
@@ -266,7 +267,7 @@ def replay(
         if tiles:
             raise InputError(
                 "a picture is taken without the network, hence without map tiles",
-                remedy="leave out --tiles, or --picture",
+                remedy="leave out --tiles, or save the recording: -o replay.rrd",
             )
     found = logs_in(logs)
     if opened and not web:
@@ -290,7 +291,7 @@ def replay(
     part = partial(part_of, start=start, end=end, km=km, rows=PIECE, line=options.line)
     sources = [partial(part, log) for log in found]
     with interruptible(), TemporaryDirectory(prefix="trainlog-") as folder:
-        recording = Path(folder) / "replay.rrd" if output is None else output
+        recording = Path(folder) / "replay.rrd" if saved is None else saved
         made = write_replay(
             sources,
             recording,
@@ -299,8 +300,8 @@ def replay(
             options=options,
         )
         _state_replay(made)
-        if output is not None:
-            wrote(output)
+        if saved is not None:
+            wrote(saved)
         if picture is not None:
             with working(f"taking {picture.name}"):
                 take_picture(recording, picture)

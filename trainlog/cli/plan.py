@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from trainlog.cli.options import (
     LineOption,
-    RiskOption,
     RunTimeOption,
     TrainOption,
     destination,
     line_and_train,
-    load_of,
     logs_in,
     map_of_run,
     measured,
@@ -23,11 +23,115 @@ from trainlog.cli.options import (
 )
 from trainlog.cli.terminal import console, current, state, working, wrote
 from trainlog.errors import InputError
-from trainlog.units import NUMBER, PERCENT, SPEED, TIME
+from trainlog.units import MASS, NUMBER, PERCENT, SHARE, SPEED, TIME, Measure
 
 if TYPE_CHECKING:
     from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
-    from trainlog.railway import ParameterSet, Train, Trajectory
+    from trainlog.railway import Journey, Line, ParameterSet, Train, Trajectory
+
+
+def setting(of: Measure | tuple[str, ...], help: str) -> Any:
+    """A field of `PlanSettings`: how its value is read, and what it is."""
+    return field(default=None, metadata={"of": of, "help": help})
+
+
+@dataclass(frozen=True)
+class PlanSettings:
+    """What ``--set KEY=VALUE`` sets of a plan; None: the usual value."""
+
+    load: float | None = setting(
+        MASS.between(0.0), "without a parameter set: what the train carries; 0"
+    )
+    objective: str | None = setting(
+        ("wheel", "line", "expected"),
+        "traction at the wheel rims; or energy from the line, with efficiencies and what the"
+        " dynamic brake feeds back, at worst or as expected of the observed trips; wheel",
+    )
+    braking: str | None = setting(
+        ("recourse", "common"), "each configuration brakes for itself, or all alike; recourse"
+    )
+    protect: str | None = setting(
+        ("front", "train"),
+        "speed limits hold for the train's front, or all of its length; front",
+    )
+    initial_speed: float | None = setting(SPEED, "speed where it begins; 0")
+    final_speed: float | None = setting(SPEED, "speed where it ends, at most; 0")
+    dwell: float | None = setting(
+        TIME.between(0.0), "with --stops: least standing time at a stop; 0"
+    )
+    risk: float | None = setting(
+        SHARE,
+        "with --map: probability, for each place and trip, that there is less adhesion than is"
+        " counted on, as the map expects it at the time of the run, such as 0.05",
+    )
+    sigmas: float | None = setting(
+        NUMBER, "with --map, in place of risk: standard deviations taken off its estimate; 2"
+    )
+    assumed_adhesion: float | None = setting(
+        NUMBER, "with --map: adhesion counted on where it has none; no limit there"
+    )
+    cells: float | None = setting(
+        NUMBER.between(20.0, 20_000.0),
+        "cells of the grid, at least one for each step of the line; 500",
+    )
+    time_limit: float | None = setting(
+        TIME.between(0.1),
+        "time after which the best that was found is taken, with its gap; what has begun is"
+        " finished; of each section, with --stops",
+    )
+    referee: str | None = setting(
+        ("no", "yes"), "solve it again with CasADi and IPOPT, and compare; no"
+    )
+
+    @classmethod
+    def of(cls, words: Sequence[str]) -> PlanSettings:
+        """The settings of words ``KEY=VALUE``.
+
+        Raises
+        ------
+        InputError
+            If a key is unknown or given twice, or its value cannot be read.
+
+        Examples
+        --------
+        >>> PlanSettings.of(["load=12t", "final-speed=60"]).load
+        12000.0
+        """
+        known = {each.name.replace("_", "-"): each for each in fields(cls)}
+        found: dict[str, Any] = {}
+        for word in words:
+            key, equals, value = (each.strip() for each in word.partition("="))
+            if key not in known or not equals:
+                near = get_close_matches(key, known, n=1)
+                meant = f"did you mean {near[0]}? " if near and near[0] != key else ""
+                raise InputError(
+                    f"--set '{word}' is not a setting of a plan",
+                    remedy=f"{meant}write KEY=VALUE with one of {', '.join(known)}",
+                )
+            if known[key].name in found:
+                raise InputError(f"--set {key} is given twice", remedy="give it once")
+            found[known[key].name] = _value(known[key].metadata["of"], key, value)
+        return cls(**found)
+
+
+def _value(of: Measure | tuple[str, ...], key: str, value: str) -> Any:
+    """The value of a setting."""
+    if not isinstance(of, tuple):
+        return of.read(value, f"--set {key}")
+    if value not in of:
+        raise InputError(
+            f"--set {key}: '{value}' is not one of {', '.join(of)}", remedy="give one of these"
+        )
+    return value
+
+
+SETTINGS = "; ".join(
+    each.name.replace("_", "-")
+    + (f"={'|'.join(of)}" if isinstance(of := each.metadata["of"], tuple) else "")
+    + f" ({each.metadata['help']})"
+    for each in fields(PlanSettings)
+)
+"""The settings, each with what it is and its usual value, for the help."""
 
 
 def plan(
@@ -38,38 +142,40 @@ def plan(
     ] = None,
     line: LineOption = None,
     train: TrainOption = None,
-    load: Annotated[
+    running_time: Annotated[
         str | None,
         typer.Option(
-            help="Without a parameter set: what the train carries, kg or 12t; default: 0."
+            metavar="TIME|LOG",
+            help="Timetable's running time, 17:30; or that of the fastest non-stop trip of a log or"
+            " a folder.",
         ),
-    ] = None,
-    running_time: Annotated[
-        float | None, measured("--running-time", of=TIME, help="Timetable's running time: 17:30.")
     ] = None,
     reserve: Annotated[
-        float | None,
-        measured(
-            "--reserve",
-            of=PERCENT,
-            help="Without --running-time: reserve over the least time; default: 7%.",
-        ),
-    ] = None,
-    as_fast_as: Annotated[
-        Path | None,
-        typer.Option(help="Running time of the fastest non-stop trip of this log or folder."),
-    ] = None,
-    braking: Annotated[
-        Literal["recourse", "common"],
-        typer.Option(help="Each configuration brakes for itself, or all alike."),
-    ] = "recourse",
-    objective: Annotated[
-        Literal["wheel", "line", "expected"],
+        str | None,
         typer.Option(
-            help="Traction at the wheel rims; or energy from the line, with efficiencies and what"
-            " the dynamic brake feeds back, at worst or as expected of the observed trips."
+            help="Without --running-time: reserve over the least time, 7%; default: 7%. Of several,"
+            " 7,3,12, the first is planned, and the energy of all is shown over their times."
         ),
-    ] = "wheel",
+    ] = None,
+    stops: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,B,C|FILE",
+            help="Stations between which it runs and stops, or a journey file with stops and"
+            " passing points; one trajectory per section.",
+        ),
+    ] = None,
+    km: Annotated[
+        str | None,
+        typer.Option(
+            "--km",
+            help="Only between these kilometres, the operator's where the line has them, else in"
+            " the direction of travel: 3.2:7.5, 3.2:, :7.5.",
+        ),
+    ] = None,
+    reverse: Annotated[
+        bool, typer.Option("--reverse", help="Travel against the line's chainage.")
+    ] = False,
     condition: Annotated[
         Path | None,
         typer.Option(
@@ -83,80 +189,11 @@ def plan(
             help="With --map: its rail condition, such as dry, wet or leaves; default: wet."
         ),
     ] = None,
-    assumed_adhesion: Annotated[
-        float | None,
-        measured(
-            "--assumed-adhesion",
-            of=NUMBER,
-            help="With --map: adhesion counted on where it has none; default: no limit there.",
-        ),
-    ] = None,
-    cells: Annotated[
-        int,
-        typer.Option(
-            min=20, max=20_000, help="Cells of the grid; at least one for each step of the line."
-        ),
-    ] = 500,
-    reverse: Annotated[
-        bool, typer.Option("--reverse", help="Travel against the line's chainage.")
-    ] = False,
-    journey: Annotated[
-        Path | None,
-        typer.Option(help="Journey file: stops and passing points; one trajectory a section."),
-    ] = None,
-    dwell: Annotated[
-        float | None,
-        measured(
-            "--dwell", of=TIME.between(0.0), help="With --journey: least standing time at a stop."
-        ),
-    ] = None,
-    km: Annotated[
-        str | None,
-        typer.Option(
-            "--km",
-            help="Only between these kilometres, the operator's where the line has them, else in"
-            " the direction of travel: 3.2:7.5, 3.2:, :7.5.",
-        ),
-    ] = None,
-    initial_speed: Annotated[
-        float | None,
-        measured("--initial-speed", of=SPEED, help="Speed where it begins; default: standstill."),
-    ] = None,
-    final_speed: Annotated[
-        float | None,
-        measured(
-            "--final-speed", of=SPEED, help="Speed where it ends, at most; default: standstill."
-        ),
-    ] = None,
-    sigmas: Annotated[
-        float | None,
-        measured(
-            "--sigmas",
-            of=NUMBER,
-            help="With --map: standard deviations taken off its estimate; default: 2.",
-        ),
-    ] = None,
-    risk: RiskOption = None,
     at: RunTimeOption = None,
-    protect: Annotated[
-        Literal["front", "train"],
-        typer.Option(help="Speed limits hold for the train's front, or for all of its length."),
-    ] = "front",
-    pareto: Annotated[
-        bool, typer.Option("--pareto", help="Energy against running time too, and its picture.")
-    ] = False,
-    time_limit: Annotated[
-        float | None,
-        measured(
-            "--time-limit",
-            of=TIME.between(0.1),
-            help="Time after which the best that was found is taken, with its gap; what has"
-            " begun is finished. Of each section, with --journey.",
-        ),
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help=f"May be given several times: {SETTINGS}."),
     ] = None,
-    referee: Annotated[
-        bool, typer.Option("--referee", help="Solve it again with CasADi and IPOPT, and compare.")
-    ] = False,
 ) -> None:
     """Find the trajectory of least energy that every observed configuration can follow.
 
@@ -168,42 +205,27 @@ def plan(
 
     Example: trainlog plan fitted.json --line sample --train sample -o trajectory.json
 
-    Example: trainlog plan --train my.train.toml --line A-B.line.json -o trajectory.json
+    Example: trainlog plan --train my.train.toml --line A-B.line.json --set load=12t -o plan.json
+
+    Example: trainlog plan fitted.json --line A-B.line.json --stops Aach,Berg,Chur -o plan.json
     """
+    destination(output, ".json")
+    chosen = PlanSettings.of(settings or [])
+    reserves = [PERCENT.read(each, "--reserve") for each in reserve.split(",")] if reserve else []
+    _refuse_rivals(chosen, running_time, reserves, stops, km, condition, layer, at)
+
     from analysis.trajectory.optimiser import optimise as solve
     from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 
-    destination(output, ".json")
-    ends = {"--km": km, "--initial-speed": initial_speed, "--final-speed": final_speed}
-    times = {"--running-time": running_time, "--as-fast-as": as_fast_as}
-    if journey is not None:
-        rivals = {**times, "--pareto": pareto or None, **ends}
-        _refuse("--journey gives times, places and speeds itself", rivals)
-    else:
-        _refuse("there is no --journey with stops", {"--dwell": dwell}, "or give a journey")
-    if running_time is not None:
-        _refuse("--running-time gives the time", {"--as-fast-as": as_fast_as, "--reserve": reserve})
-    if as_fast_as is not None:
-        _refuse("--as-fast-as gives the time", {"--reserve": reserve})
-        _refuse("--as-fast-as is the time from end to end of the line", ends)
-    if condition is None:
-        of_map: dict[str, object] = {"--assumed-adhesion": assumed_adhesion, "--sigmas": sigmas}
-        of_map |= {"--risk": risk, "--at": at, "--layer": layer}
-        _refuse("there is no --map to be read", of_map, "or give a map")
-    if risk is not None:
-        _refuse("--risk says how cautiously the map is read", {"--sigmas": sigmas})
     the_line, the_train = line_and_train(line, train)
-    observed = _configurations(parameters, the_train, load)
-    if protect == "train" and not the_train.length:
+    observed = _configurations(parameters, the_train, chosen.load)
+    if chosen.protect == "train" and not the_train.length:
         raise InputError(
-            f"--protect train: the length of {the_train.name} is not known",
+            f"--set protect=train: the length of {the_train.name} is not known",
             remedy="state its length in the train's file",
         )
-    if as_fast_as is not None:
-        from analysis.comparison.groups import fastest_nonstop
-
-        running_time = fastest_nonstop(logs_in([as_fast_as]), the_line)
     own_line = the_line
+    time_given = None if running_time is None else _running_time(running_time, own_line)
     if reverse:
         the_line = the_line.reversed()
     start, end = stretch(km, the_line) or (None, None)
@@ -211,51 +233,140 @@ def plan(
     if track is not None and layer is None:
         console.print("  no --layer is given: wet", highlight=False)
     given: dict[str, Any] = {
-        "running_time": running_time,
-        "reserve": reserve,
+        "running_time": None if stops else time_given,
+        "reserve": reserves[0] if reserves else None,
         "start": start,
         "end": end,
-        "initial_speed": initial_speed,
-        "final_speed": final_speed,
-        "weights": observed.weights if objective == "expected" else None,
+        "initial_speed": chosen.initial_speed,
+        "final_speed": chosen.final_speed,
+        "weights": observed.weights if chosen.objective == "expected" else None,
         "condition_map": track,
-        "sigmas": sigmas,
-        "risk": risk,
+        "sigmas": chosen.sigmas,
+        "risk": chosen.risk,
         "time": time,
-        "assumed_adhesion": assumed_adhesion,
-        "protected_length": the_train.length if protect == "train" else None,
+        "assumed_adhesion": chosen.assumed_adhesion,
+        "protected_length": the_train.length if chosen.protect == "train" else None,
         "direction": "reverse" if reverse else None,
+        "braking": chosen.braking,
+        "objective": chosen.objective,
     }
     problem = TrajectoryProblem(
         the_line,
         the_train,
         observed.configurations,
-        braking=braking,
-        objective=objective,
         layer=layer or "wet",
         **{name: value for name, value in given.items() if value is not None},
     )
-    options = OptimiserOptions(cells, referee, time_limit=time_limit)
-    if journey is not None:
-        _journey(problem, options, journey, dwell or 0.0, output)
+    options = OptimiserOptions(
+        round(chosen.cells or 500), chosen.referee == "yes", time_limit=chosen.time_limit
+    )
+    if stops is not None:
+        journey = _journey_of(stops, the_line, time_given)
+        _journey(problem, options, journey, chosen.dwell or 0.0, output)
         return
     trajectory = solve(problem, options)
     _write(trajectory, problem, output)
-    if pareto:
-        _front(problem, options, output)
+    if len(reserves) > 1:
+        _front(problem, options, reserves, output)
 
 
-def _configurations(parameters: Path | None, train: Train, load: str | None) -> ParameterSet:
+def _refuse_rivals(
+    chosen: PlanSettings,
+    running_time: str | None,
+    reserves: list[float],
+    stops: str | None,
+    km: str | None,
+    condition: Path | None,
+    layer: str | None,
+    at: str | None,
+) -> None:
+    """Refuse options that contradict each other, before anything is read."""
+    ends = {
+        "--km": km,
+        "--set initial-speed": chosen.initial_speed,
+        "--set final-speed": chosen.final_speed,
+    }
+    if stops is not None:
+        _refuse("--stops gives places and speeds itself", ends)
+        if len(reserves) > 1:
+            raise InputError(
+                "--reserve: several reserves are compared of one run without stops",
+                remedy="give one, or leave out --stops",
+            )
+    else:
+        _refuse("there are no --stops", {"--set dwell": chosen.dwell}, "or give them")
+    if running_time is not None:
+        _refuse("--running-time gives the time", {"--reserve": reserves or None})
+        if _is_log(running_time):
+            _refuse("the time of a trip is from end to end of the line", ends)
+    if condition is None:
+        of_map = {
+            "--layer": layer,
+            "--at": at,
+            "--set risk": chosen.risk,
+            "--set sigmas": chosen.sigmas,
+            "--set assumed-adhesion": chosen.assumed_adhesion,
+        }
+        _refuse("there is no --map to be read", of_map, "or give a map")
+    if chosen.risk is not None:
+        _refuse("risk says how cautiously the map is read", {"--set sigmas": chosen.sigmas})
+
+
+def _is_log(given: str) -> bool:
+    return given.endswith(".mcap") or Path(given).exists()
+
+
+def _running_time(given: str, line: Line) -> float:
+    """A running time [s] that is stated, or that of the fastest non-stop trip of logs."""
+    if not _is_log(given):
+        return TIME.read(given, "--running-time")
+    from analysis.comparison.groups import fastest_nonstop
+
+    return fastest_nonstop(logs_in([Path(given)]), line)
+
+
+def _journey_of(stops: str, line: Line, running_time: float | None) -> Journey:
+    """The journey of a file, or of the stations named, with the running time that is given."""
+    from trainlog.formats.line import read_journey
+    from trainlog.railway.journey import Journey, TimingPoint
+
+    if Path(stops).exists() or stops.endswith((".json", ".toml")):
+        journey = read_journey(stops)
+    else:
+        points = [
+            TimingPoint(_station(each.strip(), line), None, None, 0.0, 0.0)
+            for each in stops.split(",")
+        ]
+        journey = Journey(stops, line.name, tuple(points))
+    if running_time is None:
+        return journey
+    *before, last = journey.points
+    return replace(journey, points=(*before, replace(last, latest=running_time)))
+
+
+def _station(name: str, line: Line) -> float:
+    """The position of a station [m]; one whose name is alike is suggested."""
+    places = {each.name: each.position for each in line.stations}
+    if name in places:
+        return places[name]
+    near = get_close_matches(name, places, n=1)
+    raise InputError(
+        f"--stops: there is no station '{name}' on {line.name}",
+        remedy=f"did you mean '{near[0]}'?" if near else f"there are {', '.join(places) or 'none'}",
+    )
+
+
+def _configurations(parameters: Path | None, train: Train, load: float | None) -> ParameterSet:
     """The observed set; without one the train as its file describes it."""
     from trainlog.formats.parameters import read_parameters
     from trainlog.railway import Configuration, ParameterSet
     from trainlog.railway.train import check_load
 
     if parameters is None:
-        carried = 0.0 if load is None else load_of(load)
+        carried = load or 0.0
         check_load(carried, train)
         return ParameterSet(train.name, (Configuration.of(train, carried),))
-    _refuse("the parameter set holds the masses", {"--load": load})
+    _refuse("the parameter set holds the masses", {"--set load": load})
     observed = read_parameters(parameters)
     observed.check_train(train.name)
     if not observed.configurations:
@@ -306,18 +417,17 @@ def _write(trajectory: Trajectory, problem: TrajectoryProblem, output: Path) -> 
 def _journey(
     problem: TrajectoryProblem,
     options: OptimiserOptions,
-    journey: Path,
+    journey: Journey,
     dwell: float,
     output: Path,
 ) -> None:
-    """Optimise a journey; a file a section, numbered."""
+    """Optimise a journey; one file per section, numbered."""
     from analysis.trajectory.advice import with_times
     from analysis.trajectory.journey import optimise_journey
     from analysis.trajectory.table import journey_table
-    from trainlog.formats.line import read_journey
 
     with working("optimising the sections"):
-        plan = optimise_journey(problem, read_journey(journey), options, dwell=dwell)
+        plan = optimise_journey(problem, journey, options, dwell=dwell)
     sections = with_times(plan.sections, plan.departures, plan.journey.name)
     files = [output.with_name(f"{output.stem}-{n + 1}.json") for n in range(len(sections))]
     for section, file in zip(sections, files, strict=True):
@@ -328,13 +438,15 @@ def _journey(
     console.print(words, highlight=False, soft_wrap=True)
 
 
-def _front(problem: TrajectoryProblem, options: OptimiserOptions, output: Path) -> None:
+def _front(
+    problem: TrajectoryProblem, options: OptimiserOptions, reserves: list[float], output: Path
+) -> None:
     """Energy against running time, printed and drawn."""
     from analysis.trajectory.optimiser import energy_against_time
     from analysis.trajectory.plot import draw_front
     from analysis.trajectory.table import front_table
 
-    front = energy_against_time(problem, options=options)
+    front = energy_against_time(problem, reserves, options)
     picture = output.with_name(f"{output.stem}-pareto.png")
     draw_front(front, picture)
     console.print(front_table(front))

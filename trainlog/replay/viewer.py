@@ -140,8 +140,8 @@ def check_display() -> None:
     if not has_display():
         raise InputError(
             "there is no display here to open a window on",
-            remedy="show it in a browser with --web, take a picture with --picture out.png, or save"
-            " it with -o replay.rrd",
+            remedy="show it in a browser with --web, take a picture with -o out.png, or save it"
+            " with -o replay.rrd",
         )
 
 
