@@ -279,7 +279,7 @@ def map_sections(path: Path, line: Path | None = None) -> list[Section]:
             map_words(track, bins, lowest_places(bins)),
             "",
             [
-                f"plan with it: trainlog plan --map {shlex.quote(path.name)} --risk 0.05",
+                f"plan with it: trainlog plan --map {shlex.quote(path.name)} --set risk=0.05",
                 "count in more trips where nothing was observed: trainlog map update LOGS --map"
                 f" {shlex.quote(path.name)}",
             ],
