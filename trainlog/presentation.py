@@ -652,7 +652,7 @@ class Presented(Plotted):
     A run
       speed  72.0 km/h
     >>> Run(20.0).data()
-    {'speed_m_s': 20.0}
+    {'speed_m_s': 20.0, 'notes': []}
     >>> Run(20.0) == Run(20.0)
     True
     """
