@@ -461,7 +461,7 @@ class Column(Form):
             return converted
         if np.any(converted == 0.0):
             raise InputError(
-                f"the {self.name.partition('_')[0]} is 0 {self.si}",
+                f"the {self.name.replace('_', ' ').partition(' ')[0]} is 0 {self.si}",
                 place=f"values[{int(np.argmax(converted == 0.0))}]",
                 remedy=f"straight track has the radius '{word}'",
             )
@@ -511,7 +511,7 @@ class Table(Form):
         """What the rows describe."""
         columns = self.columns or columns_of(_row_of(kind))
         content = self.read_columns(found, columns)
-        if kind is None:
+        if kind is None or self.fields:
             return content
         if is_dataclass(kind):
             return kind(*content)  # type: ignore[operator]
@@ -1019,7 +1019,8 @@ def entries(kind: type) -> tuple[Entry, ...]:
             table = Table(columns, fields=True)
             made[form.table] = Entry(form.table, names, table, None, MISSING)
             continue
-        form = replace(form, key=form.key or field.name)
+        name = field.name.replace("_", " ") if getattr(kind, "SPACED", False) else field.name
+        form = replace(form, key=form.key or name)
         if isinstance(form, Table) and not form.columns:
             form = replace(form, columns=columns_of(_row_of(_bare(hint))))
         if isinstance(form, Number) and form.gaps and default is MISSING:
@@ -1277,6 +1278,9 @@ class Declared:
 
     VERSION: ClassVar[int] = 1
     """The newest version of the file that is read; all older ones are, too."""
+
+    SPACED: ClassVar[bool] = False
+    """Whether keys have spaces where names have underscores."""
 
     ORDER: ClassVar[tuple[str, ...]] = ()
     """Keys that come first in the file; the others follow in the order of the fields."""

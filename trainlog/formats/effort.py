@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from trainlog.formats.declared import built
 from trainlog.formats.headed import read_headed
-from trainlog.formats.schema import built
 from trainlog.railway import EffortCurve
 from trainlog.units import to_si
 

@@ -17,9 +17,8 @@ from trainlog.formats import (
     train as train_format,
     ttobench,
 )
-from trainlog.formats.declared import write_thing
+from trainlog.formats.declared import built, write_thing
 from trainlog.formats.files import parse_json, read_bytes
-from trainlog.formats.schema import built
 from trainlog.formats.track_data import Infrastructure, LimitChoice
 from trainlog.railway import EffortCurve, Journey, Line, Train
 from trainlog.railway.network import Network

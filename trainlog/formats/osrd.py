@@ -17,8 +17,9 @@ from pydantic import Field
 
 from trainlog.display import span
 from trainlog.errors import InputError
+from trainlog.formats.declared import built
 from trainlog.formats.files import read_json
-from trainlog.formats.schema import Finite, Foreign, NotNegative, Positive, built, checked
+from trainlog.formats.schema import Finite, Foreign, NotNegative, Positive, checked
 from trainlog.formats.track_data import (
     EVERY_LIMIT,
     Account,

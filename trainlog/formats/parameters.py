@@ -166,7 +166,7 @@ class CoastDownResult(Presented, Declared):
     """
 
     charts_by: ClassVar[str] = "analysis.resistance.plot:result_charts"
-    __hash__ = Declared.__hash__
+    __hash__ = Declared.__hash__  # type: ignore[assignment]
 
     FORMAT: ClassVar[str] = "trainlog/coast-down"
 

@@ -18,8 +18,9 @@ import yaml
 from pydantic import BeforeValidator, Field
 
 from trainlog.errors import InputError
+from trainlog.formats.declared import built
 from trainlog.formats.files import read_bytes
-from trainlog.formats.schema import Finite, Foreign, NotNegative, Positive, built, checked
+from trainlog.formats.schema import Finite, Foreign, NotNegative, Positive, checked
 from trainlog.formats.ttobench import assumed_axles
 from trainlog.railway import EffortCurve, Line, Station, StepProfile, Train
 from trainlog.railway.consist import Formation, RollingVehicle

@@ -21,13 +21,13 @@ from trainlog.declaration import (
     content_beside,
     entries,
     example,
+    gathered,
     meanings,
 )
 from trainlog.errors import InputError
-from trainlog.formats.declared import file_content, write_thing
+from trainlog.formats.declared import built, file_content, write_thing
 from trainlog.formats.files import write_bytes
 from trainlog.formats.headed import HeadedTable, read_headed
-from trainlog.formats.schema import built, gathered
 from trainlog.formats.toml import as_toml
 from trainlog.railway import Line, Station, StepProfile, Train
 from trainlog.railway.journey import Journey

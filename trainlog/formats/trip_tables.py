@@ -11,11 +11,11 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -23,12 +23,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet as pq
-from pydantic import Field
 
 from trainlog.arrays import IntArray
+from trainlog.declaration import Declared, Must, Part, Whole, from_content
 from trainlog.errors import InputError, LogError
+from trainlog.formats.declared import thing_from_bytes
 from trainlog.formats.files import LOOKED_AT, atomic_folder, check_written, read_bytes, sha256
-from trainlog.formats.schema import File, Part
 from trainlog.spans import Spans, overlapping, position_limits, spans_of_pieces, time_limits
 from trainlog.topics import (
     RECORDED,
@@ -505,7 +505,8 @@ def _backward(last: int, times: IntArray) -> int | None:
 # ----------------------------------------------------------------------------------- the index
 
 
-class _TopicEntry(Part):
+@dataclass(frozen=True)
+class _TopicEntry:
     topic: str
     file: str
     footer: str
@@ -516,7 +517,8 @@ class _TopicEntry(Part):
         return _ParquetReader(path, self.footer, columns)
 
 
-class _CsvEntry(Part):
+@dataclass(frozen=True)
+class _CsvEntry:
     topic: str
     file: str
     columns: dict[str, str]
@@ -529,24 +531,39 @@ class _CsvEntry(Part):
         return _CsvReader(path, self.columns, self.attrs, columns)
 
 
-class _AttachmentEntry(Part):
+@dataclass(frozen=True)
+class _AttachmentEntry:
     name: str
     file: str
     sha256: str
 
 
-class TripIndex(File):
+@dataclass(frozen=True)
+class _Entry(Part):
+    """A topic's file, Parquet or CSV."""
+
+    def read(self, found: Any, kind: Any) -> Any:  # noqa: ARG002
+        """The entry."""
+        csv = isinstance(found, dict) and "columns" in found
+        return from_content(_CsvEntry if csv else _TopicEntry, found)
+
+
+_KNOWN_SCHEMAS = Must("is not a schema that is known", "update trainlog", 1.0, SCHEMA_VERSION)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TripIndex(Declared):
     """What ``trip.json`` of a folder of Parquet files holds."""
 
     FORMAT: ClassVar[str] = "trainlog/trip-parquet"
     SUFFIX: ClassVar[str] = ".parquet"
     WRITER: ClassVar[type[TopicWriter]] = _ParquetWriter
 
-    schema_version: int = Field(ge=1, le=SCHEMA_VERSION)
-    topics: Sequence[_TopicEntry | _CsvEntry]
+    schema_version: Annotated[int, Whole(must=_KNOWN_SCHEMAS)]
+    topics: tuple[Annotated[_TopicEntry | _CsvEntry, _Entry()], ...]
     metadata: dict[str, str]
     provenance: list[dict[str, Any]]
-    attachments: list[_AttachmentEntry]
+    attachments: tuple[_AttachmentEntry, ...]
 
 
 class CsvTripIndex(TripIndex):
@@ -869,7 +886,7 @@ def trip_index(folder: str | Path) -> TripIndex:
         raise InputError(what, file=folder, remedy="name a folder that 'trainlog convert' made")
     data = read_bytes(path / INDEX_FILE)
     kind = CsvTripIndex if CsvTripIndex.FORMAT.encode() in data[:LOOKED_AT] else TripIndex
-    return kind.from_bytes(data, path / INDEX_FILE)
+    return thing_from_bytes(kind, data, path / INDEX_FILE)
 
 
 @contextmanager

@@ -12,30 +12,32 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar, cast
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
-from pydantic import ConfigDict, Field
 
 from trainlog.arrays import FloatArray
-from trainlog.declaration import check_from_start, placed, readable
-from trainlog.errors import InputError
-from trainlog.formats.files import read_json, to_bytes, write_bytes
-from trainlog.formats.schema import (
+from trainlog.declaration import (
     INFINITY,
-    MISSING,
+    NOT_SET,
     Array,
     Column,
+    Declared,
     Named,
     Part,
     Quantity,
     Table,
-    built,
-    checked,
-    dumped,
+    Text,
+    content_of,
+    entries,
+    from_content,
 )
+from trainlog.errors import InputError
+from trainlog.formats.declared import built
+from trainlog.formats.files import read_json, to_bytes, write_bytes
 from trainlog.railway.journey import Journey, TimingPoint
 from trainlog.railway.line import CurvatureProfile, Line, Station, StepProfile, Tunnel
+from trainlog.railway.profiles import POSITION
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Axles, BrakingCurves, Train
 from trainlog.units import GRAVITY
@@ -43,7 +45,6 @@ from trainlog.units import GRAVITY
 LIBRARY_VERSION = "TTOBench v1.5"
 """The version of the layout, written into files that do not come from the library."""
 
-_POSITION = Column("position", "m", "m")
 _Length = Annotated[float, Quantity("m", "m")]
 _Mass = Annotated[float, Quantity("kg", "kg")]
 _Speed = Annotated[float, Quantity("km/h", "m/s")]
@@ -55,69 +56,44 @@ _Quadratic = Annotated[float, Quantity("kN/(km/h)^2", "N/(m/s)^2")]
 _Share = Annotated[float, Quantity("%", "1")]
 _Count = Annotated[float, Quantity("-", "1")]
 
-_Columns = tuple[Any, ...]
-_Stops = Annotated[FloatArray, Array("m")]
-_Limits = Annotated[_Columns, Table((_POSITION, Column("velocity", "km/h", "m/s")))]
-_Slopes = Annotated[_Columns, Table((_POSITION, Column("slope", "permil", "1")))]
-_Radii = Annotated[
-    _Columns,
-    Table(
-        (
-            _POSITION,
-            Column("radius at start", "m", "m", INFINITY),
-            Column("radius at end", "m", "m", INFINITY),
-        )
-    ),
-]
-_Tunnels = Annotated[
-    _Columns,
-    Table((_POSITION, Column("length", "m", "m"), Column("cross section", "m^2", "m^2"))),
-]
-_TunnelResistance = Annotated[
-    _Columns,
-    Table(
-        (
-            Column("cross section", "m^2", "m^2"),
-            Column("coefficient", "kN/(km/h)^2", "N/(m/s)^2"),
-        )
-    ),
-]
-_Curve = Annotated[
-    _Columns, Table((Column("velocity", "m/s", "m/s"), Column("deceleration", "m/s^2", "m/s^2")))
-]
-_TimingPoints = Annotated[
-    _Columns,
-    Table(
-        (
-            _POSITION,
-            Column("lower time constraint", "s", "s", MISSING),
-            Column("upper time constraint", "s", "s", MISSING),
-            Column("lower speed constraint", "km/h", "m/s", MISSING),
-            Column("upper speed constraint", "km/h", "m/s", MISSING),
-        )
-    ),
-]
-_TrackParameters = Annotated[
-    dict[str, float], Named({"M_NVAVADH": Quantity("-", "1"), "Kt_int": Quantity("-", "1")})
-]
+_LENGTH_TABLE = (
+    Column("position", "m", "m"),
+    Column("length", "m", "m"),
+    Column("cross section", "m^2", "m^2"),
+)
+_TUNNEL_RESISTANCE = (
+    Column("cross section", "m^2", "m^2"),
+    Column("coefficient", "kN/(km/h)^2", "N/(m/s)^2"),
+)
+_RADII = (
+    POSITION,
+    Column("radius at start", "m", "m", INFINITY, inverse=True),
+    Column("radius at end", "m", "m", INFINITY, inverse=True),
+)
+_TIMING_POINTS = (
+    Column("position", "m", "m"),
+    Column("lower time constraint", "s", "s", NOT_SET),
+    Column("upper time constraint", "s", "s", NOT_SET),
+    Column("lower speed constraint", "km/h", "m/s", NOT_SET),
+    Column("upper speed constraint", "km/h", "m/s", NOT_SET),
+)
+_DECELERATION = (Column("velocity", "m/s", "m/s"), Column("deceleration", "m/s^2", "m/s^2"))
+_Pairs = tuple[tuple[float, float], ...]
+_ETCS = "ETCS braking data"
 
 
-class Layout(Part):
-    """A part whose keys are words with spaces between."""
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Layout(Declared):
+    """A file whose keys are words with spaces between."""
 
-    model_config = ConfigDict(alias_generator=lambda name: name.replace("_", " "))
-
-    @classmethod
-    def filled(cls, **values: Any) -> Self:
-        """A part with these values, by the names of its fields, taken as they are."""
-        by_key = {str(cls.model_fields[name].alias): value for name, value in values.items()}
-        return cast(Self, cls.model_construct(None, **by_key))
+    SPACED: ClassVar[bool] = True
 
 
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Metadata(Layout):
     """Who made a file, and what it is called."""
 
-    id: str = Field(min_length=1)
+    id: Annotated[str, Text(least=1)]
     library_version: str
     created_by: str | None = None
     license: str | None = None
@@ -145,7 +121,7 @@ class Metadata(Layout):
             source,
         )
         version, author, licence, description = found.groups() if found else (None,) * 4
-        return Metadata.filled(
+        return Metadata(
             id=name,
             library_version=version or LIBRARY_VERSION,
             created_by=author,
@@ -155,30 +131,35 @@ class Metadata(Layout):
         )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class TrackLayout(Layout):
     """A track."""
 
     metadata: Metadata
     altitude: _Length | None = None
-    stops: _Stops
-    speed_limits: _Limits
-    gradients: _Slopes | None = None
-    curvatures: _Radii | None = None
-    tunnels: _Tunnels | None = None
-    etcs: _TrackParameters | None = Field(default=None, alias="ETCS braking data")
+    stops: Annotated[FloatArray, Array("m")]
+    speed_limits: Annotated[StepProfile, Table((POSITION, Column("velocity", "km/h", "m/s")))]
+    gradients: Annotated[StepProfile | None, Table((POSITION, Column("slope", "permil", "1")))] = (
+        None
+    )
+    curvatures: Annotated[CurvatureProfile | None, Table(_RADII)] = None
+    tunnels: Annotated[tuple[Tunnel, ...], Table(_LENGTH_TABLE)] = ()
+    etcs: Annotated[
+        dict[str, float] | None,
+        Named({"M_NVAVADH": Quantity("-", "1"), "Kt_int": Quantity("-", "1")}, key=_ETCS),
+    ] = None
 
     def line(self) -> Line:
         """The line that the track is."""
         _check_stops(self.stops)
-        gradients, curves = self.gradients, self.curvatures
         return Line(
             name=self.metadata.id,
             length=float(self.stops[-1]),
             stations=tuple(Station(f"km {s / 1e3:.3f}", s) for s in self.stops.tolist()),
-            speed_limits=_profile("speed limits", *self.speed_limits),
-            gradients=_LEVEL if gradients is None else _profile("gradients", *gradients),
-            curvatures=None if curves is None else _curvature_profile(*curves),
-            tunnels=_tunnels(self.tunnels),
+            speed_limits=self.speed_limits,
+            gradients=self.gradients or _LEVEL,
+            curvatures=self.curvatures,
+            tunnels=self.tunnels,
             altitude=self.altitude or 0.0,
             source=self.metadata.source,
             braking_parameters=self.etcs or {},
@@ -193,69 +174,16 @@ class TrackLayout(Layout):
                 f"line '{line.name}' does not begin and end at a station, as a TTOBench track does",
                 remedy="add stations at its ends",
             )
-        limits, gradients, curves = line.speed_limits, line.gradients, line.curvatures
-        return TrackLayout.filled(
+        return TrackLayout(
             metadata=Metadata.of(line.name, line.source),
             altitude=line.altitude,
             stops=stops,
-            speed_limits=(limits.positions, limits.values),
-            gradients=(gradients.positions, gradients.values),
-            curvatures=None if curves is None else _radii_of(curves),
-            tunnels=_tunnel_columns(line.tunnels),
+            speed_limits=line.speed_limits,
+            gradients=line.gradients,
+            curvatures=line.curvatures,
+            tunnels=line.tunnels,
             etcs=line.braking_parameters or None,
         )
-
-
-def _profile(place: str, positions: FloatArray, values: FloatArray) -> StepProfile:
-    """A step profile, whose errors name the row of the table at `place`."""
-    _check_rows(place, positions)
-    return StepProfile(positions, values)
-
-
-def _curvature_profile(
-    positions: FloatArray, start_radii: FloatArray, end_radii: FloatArray
-) -> CurvatureProfile:
-    """Curvature from signed radii [m], infinite on straight track; errors name the row."""
-    _check_rows("curvatures", positions)
-    none = (start_radii == 0.0) | (end_radii == 0.0)
-    if np.any(none):
-        raise InputError(
-            "the radius is 0 m",
-            place=f"curvatures.values[{int(np.argmax(none))}]",
-            remedy="straight track has the radius 'infinity'",
-        )
-    return CurvatureProfile(positions, 1.0 / start_radii, 1.0 / end_radii)
-
-
-def _tunnels(table: tuple[FloatArray, ...] | None) -> tuple[Tunnel, ...]:
-    """Tunnels from the columns of their table."""
-    if table is None:
-        return ()
-    return tuple(Tunnel(*map(float, row)) for row in zip(*table, strict=True))
-
-
-def _tunnel_columns(rows: tuple[Tunnel, ...]) -> tuple[list[float], ...] | None:
-    """The columns of the table of tunnels, or None if there are none."""
-    names = ("position", "length", "cross_section")
-    return tuple([getattr(tunnel, name) for tunnel in rows] for name in names) if rows else None
-
-
-def _radii_of(curves: CurvatureProfile) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Positions and signed radii [m] at start and end."""
-    return curves.positions, _radii(curves.start), _radii(curves.end)
-
-
-def _check_rows(place: str, positions: FloatArray) -> None:
-    """Refuse rows whose positions do not increase from 0."""
-    try:
-        check_from_start(positions)
-    except InputError as error:
-        raise InputError.listing(placed(error, place)) from error
-
-
-def _radii(curvature: FloatArray) -> FloatArray:
-    with np.errstate(divide="ignore", over="ignore"):
-        return readable(curvature, 1.0 / curvature, lambda radius: 1.0 / radius)
 
 
 _LEVEL = StepProfile(np.zeros(1), np.zeros(1))
@@ -277,60 +205,45 @@ def _check_stops(stops: FloatArray) -> None:
         )
 
 
-class Etcs(Part):
+@dataclass(frozen=True, eq=False, repr=False)
+class Etcs(Declared):
     """ETCS braking data of a train."""
 
-    emergency: _Curve | None = Field(default=None, alias="A_brake_emergency")
-    service: _Curve | None = Field(default=None, alias="A_brake_service")
-    dry: _Count | None = Field(default=None, alias="K_dry_rst")
-    wet: _Count | None = Field(default=None, alias="K_wet_rst")
-    cut_off: Annotated[float, Quantity("s", "s")] | None = Field(default=None, alias="T_traction")
-    build_up: Annotated[float, Quantity("s", "s")] | None = Field(default=None, alias="T_be")
-    service_build_up: Annotated[float, Quantity("s", "s")] | None = Field(
-        default=None, alias="T_bs"
-    )
-    uncertainty: Annotated[float, Quantity("%", "%")] | None = Field(
-        default=None, alias="v_uncertainty"
-    )
+    emergency: Annotated[_Pairs, Table(_DECELERATION, key="A_brake_emergency")] = ()
+    service: Annotated[_Pairs, Table(_DECELERATION, key="A_brake_service")] = ()
+    dry: Annotated[float | None, Quantity("-", "1", key="K_dry_rst")] = None
+    wet: Annotated[float | None, Quantity("-", "1", key="K_wet_rst")] = None
+    cut_off: Annotated[float | None, Quantity("s", "s", key="T_traction")] = None
+    build_up: Annotated[float | None, Quantity("s", "s", key="T_be")] = None
+    service_build_up: Annotated[float | None, Quantity("s", "s", key="T_bs")] = None
+    uncertainty: Annotated[float | None, Quantity("%", "%", key="v_uncertainty")] = None
 
     def curves(self) -> BrakingCurves:
         """The braking curves, and the constants by their published names."""
-        constants = {
-            str(field.alias): getattr(self, name)
-            for name, field in Etcs.model_fields.items()
-            if name not in ("emergency", "service") and getattr(self, name) is not None
-        }
-        emergency, service = _pairs(self.emergency), _pairs(self.service)
-        return BrakingCurves(emergency, service, constants)
+        constants = {name: getattr(self, field) for name, field in _published().items()}
+        known = {name: value for name, value in constants.items() if value is not None}
+        return BrakingCurves(self.emergency, self.service, known)
 
     @staticmethod
     def of(curves: BrakingCurves) -> Etcs:
         """The data that braking curves are."""
-        published = {str(field.alias) for field in Etcs.model_fields.values()}
+        published = _published()
         for name in curves.parameters:
             if name not in published:
                 raise InputError(
                     f"braking parameter '{name}' is not known to TTOBench",
                     remedy=f"known are {', '.join(sorted(published))}",
                 )
-        by_key: dict[str, Any] = {
-            "A_brake_emergency": _columns(curves.emergency),
-            "A_brake_service": _columns(curves.service),
-            **curves.parameters,
-        }
-        return Etcs.model_construct(None, **by_key)
+        constants = {published[name]: value for name, value in curves.parameters.items()}
+        return Etcs(curves.emergency, curves.service, **constants)
 
 
-def _pairs(table: _Columns | None) -> tuple[tuple[float, float], ...]:
-    """The rows of a table of two columns."""
-    return () if table is None else tuple((float(x), float(y)) for x, y in zip(*table, strict=True))
+def _published() -> dict[str, str]:
+    """Fields of the constants of `Etcs` by their published names."""
+    return {entry.key: entry.names[0] for entry in entries(Etcs) if entry.kind is float}
 
 
-def _columns(rows: tuple[tuple[float, float], ...]) -> _Columns | None:
-    """The two columns of a table, or None if it has no rows."""
-    return tuple(zip(*rows, strict=True)) or None
-
-
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class TrainLayout(Layout):
     """A train."""
 
@@ -353,8 +266,8 @@ class TrainLayout(Layout):
     rolling_resistance_r2: _Quadratic
     efficiency_traction: _Share | None = None
     efficiency_reg_brake: _Share | None = None
-    tunnel_resistance: _TunnelResistance | None = None
-    etcs: Etcs | None = Field(default=None, alias="ETCS braking data")
+    tunnel_resistance: Annotated[_Pairs, Table(_TUNNEL_RESISTANCE)] = ()
+    etcs: Annotated[Etcs | None, Part(key=_ETCS)] = None
 
     def train(self) -> Train:
         """The train that the file describes."""
@@ -373,7 +286,7 @@ class TrainLayout(Layout):
             resistance=RunningResistance(
                 self.rolling_resistance_r0, self.rolling_resistance_r1, self.rolling_resistance_r2
             ),
-            tunnel_resistance=_pairs(self.tunnel_resistance),
+            tunnel_resistance=self.tunnel_resistance,
             braking_curves=None if self.etcs is None else self.etcs.curves(),
             seats=_whole("num seats", self.num_seats),
             coaches=_whole("num coaches", self.num_coaches),
@@ -410,14 +323,14 @@ class TrainLayout(Layout):
             for theirs, ours in _TRAIN_FIELDS.items()
             if ours not in train.assumed and not (ours == "length" and train.length == 0.0)
         }
-        return TrainLayout.filled(
+        return TrainLayout(
             metadata=Metadata.of(train.name, train.source),
             num_seats=train.seats,
             num_coaches=train.coaches,
             rolling_resistance_r0=train.resistance.r0,
             rolling_resistance_r1=train.resistance.r1,
             rolling_resistance_r2=train.resistance.r2,
-            tunnel_resistance=_columns(train.tunnel_resistance),
+            tunnel_resistance=train.tunnel_resistance,
             etcs=None if train.braking_curves is None else Etcs.of(train.braking_curves),
             **known,
         )
@@ -480,27 +393,12 @@ def _whole(place: str, number: float | None) -> int | None:
     return int(number)
 
 
-def _timing_points(table: tuple[Any, ...]) -> tuple[TimingPoint, ...]:
-    """Timing points from the columns of their table, NaN where there is no bound."""
-    rows = np.column_stack(table)
-    return tuple(
-        TimingPoint(row[0], *(None if np.isnan(bound) else bound for bound in row[1:]))
-        for row in rows.tolist()
-    )
-
-
-def _timing_columns(points: tuple[TimingPoint, ...]) -> tuple[list[float], ...]:
-    """The columns of the table of timing points, NaN where there is no bound."""
-    names = TimingPoint.__dataclass_fields__
-    cells = ([getattr(point, name) for point in points] for name in names)
-    return tuple([np.nan if cell is None else cell for cell in column] for column in cells)
-
-
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class JourneyLayout(Layout):
     """A journey."""
 
     metadata: Metadata
-    timing_points: _TimingPoints
+    timing_points: Annotated[tuple[TimingPoint, ...], Table(_TIMING_POINTS)]
 
     def journey(self) -> Journey:
         """The journey that the file describes."""
@@ -511,16 +409,16 @@ class JourneyLayout(Layout):
         return Journey(
             name=self.metadata.id,
             line=self.metadata.associated_track,
-            points=_timing_points(self.timing_points),
+            points=self.timing_points,
             source=self.metadata.source,
         )
 
     @staticmethod
     def of(journey: Journey) -> JourneyLayout:
         """The file that describes a journey."""
-        return JourneyLayout.filled(
+        return JourneyLayout(
             metadata=Metadata.of(journey.name, journey.source, journey.line),
-            timing_points=_timing_columns(journey.points),
+            timing_points=journey.points,
         )
 
 
@@ -712,11 +610,11 @@ def _read(model: type[_Layout], kind: Kind, path: str | Path) -> _Layout:
         raise InputError(
             f"is a TTOBench {found}, expected a {kind}", file=path, remedy=f"give a {kind}"
         )
-    return checked(model, content, path)
+    return built(lambda: from_content(model, content), path)
 
 
 def _write(layout: Layout, path: str | Path) -> None:
-    write_bytes(path, to_bytes(dumped(layout)))
+    write_bytes(path, to_bytes(content_of(layout)))
 
 
 def _detect(content: Any, path: str | Path) -> Kind:
@@ -745,10 +643,10 @@ _ADHESION_COLUMNS = (
     "expected lower bound",
     "expected upper bound",
 )
-_AdhesionTable = Annotated[
-    _Columns,
-    Table((_POSITION, *(Column(name, "-", "1", MISSING) for name in _ADHESION_COLUMNS))),
-]
+_ADHESION = (
+    Column("position", "m", "m"),
+    *(Column(name, "-", "1", NOT_SET) for name in _ADHESION_COLUMNS),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -776,12 +674,13 @@ class AdhesionSections:
     values: tuple[FloatArray, ...]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class _AdhesionLayout(Layout):
     metadata: Metadata
-    rail_condition: str = Field(min_length=1)
+    rail_condition: Annotated[str, Text(least=1)]
     length: _Length
-    expected_at: str = ""
-    adhesion: _AdhesionTable
+    expected_at: Annotated[str, Text(stated="written")] = ""
+    adhesion: Annotated[tuple[FloatArray, ...], Table(_ADHESION, fields=True)]
 
 
 def write_adhesion(sections: AdhesionSections, path: str | Path) -> None:
@@ -798,14 +697,14 @@ def write_adhesion(sections: AdhesionSections, path: str | Path) -> None:
     ...     read_adhesion(Path(folder) / "wet.json").values[1]
     array([ nan, 0.12])
     """
-    layout = _AdhesionLayout.filled(
+    layout = _AdhesionLayout(
         metadata=Metadata.of(f"{sections.track} {sections.layer}", sections.source, sections.track),
         rail_condition=sections.layer,
         length=sections.length,
         expected_at=sections.expected_at,
         adhesion=sections.values,
     )
-    write_bytes(path, to_bytes(dumped(layout)))
+    write_bytes(path, to_bytes(content_of(layout)))
 
 
 def read_adhesion(path: str | Path) -> AdhesionSections:
@@ -822,7 +721,7 @@ def read_adhesion(path: str | Path) -> AdhesionSections:
     Traceback (most recent call last):
     trainlog.errors.InputError: absent.json: does not exist; check the path
     """
-    found = checked(_AdhesionLayout, read_json(path), path)
+    found = built(lambda: from_content(_AdhesionLayout, read_json(path)), path)
     return AdhesionSections(
         track=found.metadata.associated_track or found.metadata.id,
         layer=found.rail_condition,
