@@ -234,6 +234,12 @@ def test_groups_are_compared_by_their_mean_and_spread() -> None:
 
 def test_what_is_saved_is_named_as_saved_and_one_pair_is_one() -> None:
     found = compare_groups([trip("a", effort=60_000.0)], [trip("b", configuration="a")])
+    # 200 and 167 kWh at the wheel rims; from the line with efficiencies, and as much fed back.
+    assert found.sentence.startswith(
+        "Saved on 1 trip: 16.7% at the wheel rims (33.33 kWh of 200.00 kWh), 19.3% from the line ("
+    )
+    assert found.saved_words in found.sentence
+    assert found.saved_words == found.summary()["saved"]
     headings = found.tables()[0].heads
     assert "saved from the line" in headings
     assert "1 pair of trips" in repr(found)

@@ -14,6 +14,7 @@ import pytest
 
 from analysis.comparison.compare import Comparison, compare
 from analysis.comparison.driven import driven_trip
+from analysis.comparison.groups import trip_cost
 from analysis.comparison.plot import comparison_figure
 from trainlog import read_line, read_train
 from trainlog.cli import main as cli
@@ -28,6 +29,7 @@ from trainlog.simulation.scenario import Scenario
 from trainlog.spans import runs_of
 from trainlog.topics import TRAIN_SUPPLY
 from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of
+from trainlog.units import clock
 
 LINE = read_line(sample(DEFAULT_LINE))
 TRAIN = read_train(sample(DEFAULT_TRAIN))
@@ -128,6 +130,16 @@ def test_losses_add_up_to_the_difference_and_to_the_sections() -> None:
     assert times == pytest.approx(driven_trip(stopping()).duration, abs=0.2)
     # Three stops of some 42 s, and slowing down and starting for each.
     assert lost(found, "trip-03")["stop"] > 200.0
+
+
+def test_running_time_is_without_dwell_wherever_it_is_stated() -> None:
+    table = compare([stopping(), nonstop()]).trip("trip-03").table
+    cost = trip_cost(stopping())
+    assert cost.running_time == pytest.approx(table["running_time"].sum(), abs=0.2)
+    assert cost.dwell == pytest.approx(table[["dwell", "stood"]].sum().sum(), abs=0.2)
+    assert cost.dwell > 100.0
+    assert cost.times.startswith(f"{clock(cost.running_time)}, with {clock(cost.dwell)} of dwell")
+    assert trip_cost(nonstop()).times == clock(driven_trip(nonstop()).duration)
 
 
 def test_two_halves_lose_what_the_whole_loses() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -165,6 +166,22 @@ def test_driving_it_saves_energy_against_the_drivers(results: Path) -> None:
         limit = trip["/environment"].speed_limit.max()
         assert trip["/truth"].speed.max() <= limit + 0.3
         assert trip["/reference"].speed.notna().any()
+
+
+def test_readme_states_what_the_demo_prints(results: Path, request: pytest.FixtureRequest) -> None:
+    """What is saved is stated of the trips of all configurations."""
+    printed = " ".join((results.parent / "reported.txt").read_text("utf-8").split())
+    root = Path(demo.__file__).parents[2]
+    every = request.node.callspec.params["results"] == "all"
+    for name in ("README.md", "docs/validation.md"):
+        words = " ".join((root / name).read_text("utf-8").split())
+        gap = re.search(r"([\d.]+%) above the least of all", words)
+        assert gap is not None
+        assert f"{gap[1]} in all:" in printed
+        for place in ("at the wheel rims", "from the line"):
+            saved = re.search(rf"([\d.]+%) {place}", words)
+            assert saved is not None
+            assert not every or f"{saved[1]} {place} (" in printed
 
 
 def test_with_the_map_trips_are_on_time_and_hardly_slip(

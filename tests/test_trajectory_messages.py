@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,12 @@ import pytest
 from rich.console import Console
 from trajectory_cases import FLIRT, hilly_line, observed, optimised
 
+from analysis.reports.results import certificate_words
 from analysis.trajectory import active_set, optimiser
 from analysis.trajectory.plot import _title
-from analysis.trajectory.table import at_most, trajectory_table
+from analysis.trajectory.table import trajectory_table
 from trainlog.cli.main import run
+from trainlog.display import at_most
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.samples import sample
 from trainlog.formats.trajectory import read_trajectory, write_trajectory
@@ -101,6 +104,19 @@ def test_a_bound_is_rounded_up() -> None:
     assert at_most(0.000141, 2) == "0.02%"
     assert at_most(0.0002, 2) == "0.02%"
     assert at_most(0.0, 2) == "0.00%"
+
+
+def test_a_gap_is_the_same_wherever_it_is_stated() -> None:
+    """Rounded up in tables, titles of pictures, reports and at a prompt."""
+    plan = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=60)
+    plan = replace(plan, certificate=plan.certificate | {"total_gap": 0.00048412})
+    page = Console(width=120, file=StringIO())
+    page.print(trajectory_table(plan))
+    assert isinstance(page.file, StringIO)
+    stated = (page.file.getvalue(), repr(plan), _title(plan), *certificate_words(plan)[1:])
+    for words in stated:
+        assert "0.049%" in words
+        assert "0.048%" not in words
 
 
 def test_limits_for_a_train_without_length_are_refused(tmp_path: Path) -> None:

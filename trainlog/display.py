@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -104,6 +105,17 @@ def _points(s: FloatArray, y: FloatArray, known: BoolArray, steps: bool) -> list
         pairs = zip(across[::every], depth[::every], strict=True)
         found.append(" ".join(f"{each:.1f},{other:.1f}" for each, other in pairs))
     return found
+
+
+def at_most(share: float, digits: int = 3) -> str:
+    """A bound as a percentage, rounded up: what is stated holds.
+
+    Examples
+    --------
+    >>> at_most(0.000141), at_most(0.000141, 2)
+    ('0.015%', '0.02%')
+    """
+    return f"{math.ceil(round(share * 10 ** (digits + 2), 6)) / 10 ** (digits + 2):.{digits}%}"
 
 
 def counted(count: int, noun: str) -> str:

@@ -30,7 +30,7 @@ from trainlog.railway import Line, Train
 from trainlog.railway.train import NOMINAL
 from trainlog.topics import EVENTS, REFERENCE, TRAIN_SLIP_PROTECTION
 from trainlog.trip import LINE_ATTACHMENT, Trip
-from trainlog.units import JOULES_PER_KWH
+from trainlog.units import clock
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,9 @@ class TripCost:
     name, direction : str
     distance : float [m]
     running_time : float [s]
-        From the first to the last movement, dwell included.
+        In motion: without the dwell times at stops on the way.
+    dwell : float [s]
+        At stops on the way; with the running time it makes up the travel time.
     stops : int
         Standstills between departure and arrival.
     mass : float [kg]
@@ -67,6 +69,7 @@ class TripCost:
     direction: str
     distance: float
     running_time: float
+    dwell: float
     stops: int
     mass: float
     traction: float
@@ -76,6 +79,15 @@ class TripCost:
     slips: int | None = None
     late: float | None = None
     notes: tuple[str, ...] = ()
+
+    @property
+    def times(self) -> str:
+        """Running time, and of trips with stops the dwell times and the travel time, in words."""
+        running = clock(self.running_time)
+        if not self.dwell:
+            return running
+        travel = clock(self.running_time + self.dwell)
+        return f"{running}, with {clock(self.dwell)} of dwell {travel}"
 
     @property
     def unknown(self) -> bool:
@@ -112,6 +124,7 @@ def trip_cost(trip: Recorded) -> TripCost:
             f"trip '{bare.name}' has no recorded efforts: its energy is not known",
             place="topic /train/controls",
         )
+    running = float(driven.running[-1] - driven.running[0])
     traction, dynamic = (
         float(driven.sums[name][-1]) if name in driven.sums else 0.0
         for name in ("traction", "dynamic_braking")
@@ -124,7 +137,8 @@ def trip_cost(trip: Recorded) -> TripCost:
         name=bare.name,
         direction=driven.direction,
         distance=driven.distance,
-        running_time=driven.duration,
+        running_time=running,
+        dwell=driven.duration - running,
         stops=sum(stand.duration > 0.0 for stand in driven.stands),
         mass=driven.mass.value,
         traction=traction,
@@ -251,9 +265,13 @@ def _cost(of: TripCost) -> Said:
     return Said(of.traction, f"{kwh(of.traction)}, {of.running_time:.0f} s")
 
 
-def _saved(pair: Saving) -> Said:
-    words = f"{kwh(pair.traction)}, {pair.traction / pair.driver.traction:.1%}"
-    return Said(pair.traction, words)
+def _share(saved: float, spent: float) -> str:
+    return f"{saved / spent:.1%}" if spent > 0.0 else "not known"
+
+
+def _saved(pair: Saving, name: str) -> Said:
+    saved, spent = getattr(pair, name), getattr(pair.driver, name)
+    return Said(saved, f"{kwh(saved)}, {_share(saved, spent)}")
 
 
 def _late_cell(pair: Saving) -> Said | None:
@@ -270,8 +288,8 @@ PAIR_COLUMNS = (
     Column("trip", of=lambda pair: pair.driver.name),
     Column("driver", ENERGY, each=True, of=lambda pair: _cost(pair.driver)),
     Column("trajectory", ENERGY, each=True, of=lambda pair: _cost(pair.trajectory)),
-    Column("saved", ENERGY, each=True, of=_saved),
-    Column("saved from the line", ENERGY, each=True, of="line"),
+    Column("saved", ENERGY, each=True, of=lambda pair: _saved(pair, "traction")),
+    Column("saved from the line", ENERGY, each=True, of=lambda pair: _saved(pair, "line")),
     Column("behind it", DURATION, each=True, of=_late_cell, rank=1),
     Column("slips", of=_slips_cell, rank=1),
 )
@@ -299,11 +317,9 @@ class GroupComparison(Presented):
 
     def summary(self) -> dict[str, str]:
         """Energy saved, and running times."""
-        spent, saved = self.total_saved
         driver, own = self.running_times
         return {
-            "tractive energy": f"{saved / JOULES_PER_KWH:.2f} of"
-            f" {spent / JOULES_PER_KWH:.2f} kWh saved, {saved / spent:.1%}",
+            "saved": self.saved_words,
             "running time": f"{own:.0f} s on the trajectory, {driver:.0f} s by the drivers",
         }
 
@@ -328,23 +344,23 @@ class GroupComparison(Presented):
     @property
     def sentence(self) -> str:
         """What was saved on all trips together."""
-        spent, saved = self.total_saved
-        line = kwh(sum(pair.line for pair in self.pairs))
-        return (
-            f"Saved on {counted(len(self.pairs), 'trip')}: {kwh(saved)} of {kwh(spent)},"
-            f" {saved / spent:.1%}; {line} from the line; {running_times(self)}."
-        )
+        trips = counted(len(self.pairs), "trip")
+        return f"Saved on {trips}: {self.saved_words}; {running_times(self)}."
+
+    @property
+    def saved_words(self) -> str:
+        """What was saved at the wheel rims and from the line on all trips together."""
+        parts = []
+        for name, place in (("traction", "at the wheel rims"), ("line", "from the line")):
+            spent = sum(getattr(pair.driver, name) for pair in self.pairs)
+            saved = sum(getattr(pair, name) for pair in self.pairs)
+            parts.append(f"{_share(saved, spent)} {place} ({kwh(saved)} of {kwh(spent)})")
+        return ", ".join(parts)
 
     @property
     def notes(self) -> list[str]:
         """Where the trips of a pair differ in more than who drove."""
         return [f"{remark}." for remark in self.remarks]
-
-    @property
-    def total_saved(self) -> tuple[float, float]:
-        """Tractive work of the drivers, and what the trajectory saved of it [J]."""
-        spent = sum(pair.driver.traction for pair in self.pairs)
-        return spent, sum(pair.traction for pair in self.pairs)
 
     @property
     def running_times(self) -> tuple[float, float]:

@@ -26,12 +26,12 @@ from analysis.resistance.logs import Fits, fit
 from analysis.trajectory.advice import driver_table, journey_advice
 from analysis.trajectory.phases import Phase
 from analysis.trajectory.plot import COLOURS, draw_trajectory
-from analysis.trajectory.table import at_most, trajectory_table
+from analysis.trajectory.table import trajectory_table
 from analysis.verification.plot import draw_score
 from analysis.verification.scoring import score_rolling
 from analysis.verification.table import score_table
 from trainlog.arrays import IntArray
-from trainlog.display import counted, lateness
+from trainlog.display import at_most, counted, lateness
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.attached import line_of_plan
 from trainlog.formats.condition import read_map
@@ -458,7 +458,7 @@ def certificate_words(trajectory: Trajectory) -> list[str]:
         f" {audit['power']:.0%} of the power is used.",
         f"The plan takes {kwh(certificate['energy'])} ({trajectory.energy_label}). No {which_ones}"
         f" that keeps the same time could take less than {kwh(bound)}: it is at most"
-        f" {at_most(gap, 2)} above the best.",
+        f" {at_most(gap)} above the best.",
     ]
 
 

@@ -279,11 +279,7 @@ def _saved(folder: Path, logs: Sequence[Path]) -> tuple[str, str, str] | None:
         found = compare_groups(logs, followed)
     except LogError as refused:
         return "energy saved", f"not compared: {refused.problem}", str(folder)
-    pairs, (driver, saved) = found.pairs, found.total_saved
-    words = (
-        f"{kwh(saved / len(pairs))} a trip, {saved / driver:.1%} of the drivers' tractive energy"
-        f" ({counted(len(pairs), 'trip')}, {running_times(found)})"
-    )
+    words = f"{found.saved_words} on {counted(len(found.pairs), 'trip')} ({running_times(found)})"
     return "energy saved", words, str(folder)
 
 

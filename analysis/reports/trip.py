@@ -312,7 +312,7 @@ def _facts(trip: Trip, motion: Motion, zone: Zone, cost: object) -> WordTable:
             ("distance", f"{cost.distance / 1e3:.3f} km"),
             (
                 "running time",
-                f"{clock(cost.running_time)}, {counted(cost.stops, 'stop')} on the way",
+                f"{cost.times}; {counted(cost.stops, 'stop')} on the way",
             ),
             ("top speed", f"{KMH * cost.top_speed:.0f} km/h"),
             ("slip protection", "" if cost.slips is None else f"acted {cost.slips} times"),
@@ -327,7 +327,9 @@ def _driven(trip: Trip, motion: Motion, line: Line | None, zone: Zone, cost: obj
     words = [f"{ends[0]} to {ends[-1]}"] if len(ends) > 1 else []
     if isinstance(cost, TripCost):
         stops = counted(cost.stops, "stop") + " on the way"
-        words.append(f"{cost.distance / 1e3:.1f} km in {clock(cost.running_time)}, {stops}")
+        words.append(
+            f"{cost.distance / 1e3:.1f} km in {clock(cost.running_time + cost.dwell)}, {stops}"
+        )
     rail = trip.metadata.get("weather", "")
     by = ", ".join(filter(None, [trip.metadata.get("train", ""), f"{rail} rail" if rail else ""]))
     when = f"{zone.date(motion.time[0])} {zone.name}" if motion.time.size else ""

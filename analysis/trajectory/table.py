@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Group
 
-from trainlog.display import counted, lateness
+from trainlog.display import at_most, counted, lateness
 from trainlog.presentation import (
     DURATION,
     ENERGY,
@@ -137,19 +136,12 @@ def _gap(trajectory: Trajectory) -> str:
     if "total_gap" not in certificate:
         return f"{own}; what the cells cost is not known"
     total, cells = certificate["total_gap"], certificate["cells_cost"]
-    words = f"{at_most(total, 3)} in all: {own}, {cells:.3%} for the cells"
+    words = f"{at_most(total)} in all: {own}, {cells:.3%} for the cells"
     return words if certificate["certified"] else f"{words}; not certified"
 
 
-def at_most(share: float, digits: int) -> str:
-    """A bound as a percentage, rounded up.
-
-    Examples
-    --------
-    >>> at_most(0.000141, 2)
-    '0.02%'
-    """
-    return f"{math.ceil(round(share * 10 ** (digits + 2), 6)) / 10 ** (digits + 2):.{digits}%}"
+def _total_gap(certificate: dict[str, Any]) -> Said:
+    return Said(certificate["total_gap"], at_most(certificate["total_gap"]))
 
 
 def front_table(front: Front) -> WordTable:
@@ -170,7 +162,7 @@ def front_table(front: Front) -> WordTable:
             each.running_time,
             certificate["reserve"],
             certificate["energy"],
-            certificate["total_gap"],
+            _total_gap(certificate),
             float(price),
         )
     return table
@@ -212,7 +204,7 @@ def journey_table(plan: JourneyPlan, line: Line | None = None) -> WordTable:
             _km(line, each.positions[-1]),
             float(arrives),
             float(found["line_energy"][row] if mixed else found["energy"]),
-            found["total_gap"],
+            _total_gap(found),
             float(price),
         )
     return table

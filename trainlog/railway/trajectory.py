@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.declaration import Array, Choice, Declared, Json, Many, Quantity, check
-from trainlog.display import as_html, lateness, picture, span
+from trainlog.display import as_html, at_most, lateness, picture, span
 from trainlog.errors import InputError
 from trainlog.railway.line import Line
 from trainlog.railway.train import Configuration, Train
@@ -296,9 +296,9 @@ class Trajectory(Declared):
     def optimality(self) -> str:
         """How far the energy of the certificate is from the least possible at most, in words."""
         if "total_gap" in self.certificate:
-            return f"at most {self.certificate['total_gap']:.3%} above the least of all"
+            return f"at most {at_most(self.certificate['total_gap'])} above the least of all"
         # As files were written that bounded trajectories on their own cells alone.
-        return f"at most {self.certificate['gap']:.3%} above the least on these cells"
+        return f"at most {at_most(self.certificate['gap'])} above the least on these cells"
 
     @property
     def latest(self) -> int:
