@@ -629,6 +629,9 @@ TRUTH = Topic(
     ),
 )
 
+_SHAKEN, _TURNED = Bounds(-200.0, 200.0), Bounds(-40.0, 40.0)
+"""Of accelerations and rates of turn."""
+
 IMU = Topic(
     "/imu",
     "trainlog.Imu",
@@ -638,38 +641,13 @@ IMU = Topic(
             "specific_force_x",
             "m/s^2",
             "acceleration less gravity along the first axis",
-            bounds=Bounds(-200.0, 200.0),
+            bounds=_SHAKEN,
         ),
-        Field(
-            "specific_force_y",
-            "m/s^2",
-            "the same along the second axis",
-            bounds=Bounds(-200.0, 200.0),
-        ),
-        Field(
-            "specific_force_z",
-            "m/s^2",
-            "the same along the third axis",
-            bounds=Bounds(-200.0, 200.0),
-        ),
-        Field(
-            "angular_rate_x",
-            "rad/s",
-            "rate of turn about the first axis",
-            bounds=Bounds(-40.0, 40.0),
-        ),
-        Field(
-            "angular_rate_y",
-            "rad/s",
-            "rate of turn about the second axis",
-            bounds=Bounds(-40.0, 40.0),
-        ),
-        Field(
-            "angular_rate_z",
-            "rad/s",
-            "rate of turn about the third axis",
-            bounds=Bounds(-40.0, 40.0),
-        ),
+        Field("specific_force_y", "m/s^2", "the same along the second axis", bounds=_SHAKEN),
+        Field("specific_force_z", "m/s^2", "the same along the third axis", bounds=_SHAKEN),
+        Field("angular_rate_x", "rad/s", "rate of turn about the first axis", bounds=_TURNED),
+        Field("angular_rate_y", "rad/s", "rate of turn about the second axis", bounds=_TURNED),
+        Field("angular_rate_z", "rad/s", "rate of turn about the third axis", bounds=_TURNED),
     ),
 )
 
