@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
@@ -434,7 +435,9 @@ class Column(Form):
                         yield row, InputError("must be a valid string")
             return
         word = self.instead[0] if self.instead else 0
-        if not kinds - {float, int} and all(map(np.isfinite, map(_as_float, cells))):
+        numbers = cells if kinds <= {float, int} else [c for c in cells if type(c) in (float, int)]
+        known = len(numbers) + (cells.count(word) if self.instead else 0) == len(cells)
+        if known and _finite(numbers):
             return
         for row, cell in enumerate(cells):
             if self.instead and cell == word and type(cell) is type(word):
@@ -483,11 +486,12 @@ class Column(Form):
         return [w if f else word for w, f in zip(written, np.isfinite(numbers), strict=True)]
 
 
-def _as_float(number: Any) -> float:
+def _finite(numbers: Sequence[float]) -> bool:
+    """Whether all numbers are finite doubles."""
     try:
-        return float(number)
+        return all(map(math.isfinite, numbers))
     except OverflowError:
-        return np.inf
+        return False
 
 
 @dataclass(frozen=True)
@@ -591,8 +595,9 @@ def _row_of(kind: Any) -> Any:
 def _check_rows(rows: list[Any], columns: tuple[Column, ...]) -> None:
     """Refuse rows of a table that are no rows, or have wrong cells."""
     problems: list[tuple[int, int, InputError]] = []
-    ragged = {i for i, row in enumerate(rows) if type(row) is not list or len(row) != len(columns)}
-    for i in sorted(ragged):
+    size = len(columns)
+    ragged = [i for i, row in enumerate(rows) if type(row) is not list or len(row) != size]
+    for i in ragged:
         row = rows[i]
         if type(row) is not list:
             problems.append((i, 0, InputError("must be a valid list", place=f"[{i}]")))
@@ -604,7 +609,9 @@ def _check_rows(rows: list[Any], columns: tuple[Column, ...]) -> None:
                 lacking = InputError(f"'{j}' is missing", place=f"[{i}][{j}]", remedy="add it")
                 problems.append((i, j, lacking))
     for j, column in enumerate(columns):
-        whole = [i for i, row in enumerate(rows) if type(row) is list and len(row) > j]
+        whole: Sequence[int] = range(len(rows))
+        if ragged:
+            whole = [i for i, row in enumerate(rows) if type(row) is list and len(row) > j]
         for at, error in column.problems([rows[i][j] for i in whole]):
             problems.append((whole[at], j, placed(error, f"[{whole[at]}][{j}]")[0]))
     if problems:

@@ -1,0 +1,98 @@
+"""What follows from a declaration: one more field of a train, stated in one place."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any
+
+import pytest
+
+from trainlog.declaration import NOT_NEGATIVE, Quantity, check_plausible, entries, meanings
+from trainlog.errors import InputError
+from trainlog.formats.declared import file_content, read_thing, thing_to_bytes, write_thing
+from trainlog.formats.samples import sample
+from trainlog.formats.templates import template_of
+from trainlog.formats.train import read_train
+from trainlog.railway import Line, Train
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DwellTrain(Train):
+    """A train that states its shortest stop.
+
+    Attributes
+    ----------
+    least_dwell : float [s]
+        Shortest stop at a station.
+    """
+
+    least_dwell: Annotated[
+        float,
+        Quantity(
+            "s",
+            "s",
+            (0.5, 60, "stops take"),
+            must=NOT_NEGATIVE,
+            usual=3.0,
+            shown="stops: {} at least",
+        ),
+    ] = 0.0
+
+
+def dwell_train(**changes: Any) -> DwellTrain:
+    flirt = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
+    known = {each.name: getattr(flirt, each.name) for each in fields(Train)}
+    return DwellTrain(**known | changes)
+
+
+@pytest.mark.parametrize("name", ["dwell.train.json", "dwell.train.toml"])
+def test_a_new_field_is_written_and_read(tmp_path: Path, name: str) -> None:
+    train = dwell_train(least_dwell=2.5)
+    write_thing(train, tmp_path / name, DwellTrain)
+    assert file_content(train)["least_dwell"] == {"value": 2.5, "unit": "s"}
+    assert read_thing(DwellTrain, tmp_path / name) == train
+    assert read_thing(DwellTrain, tmp_path / name) != dwell_train(least_dwell=2.0)
+
+
+def test_a_file_without_the_new_field_is_read_and_written_as_before() -> None:
+    path = sample("CH_Stadler_FLIRT_TPF.train.json")
+    assert thing_to_bytes(read_thing(DwellTrain, path)) == path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "message"),
+    [
+        (-1, "s", "least_dwell: -1 s is negative; give 0 or more"),
+        (4, "m", "least_dwell.unit: unit 'm' cannot be read as s"),
+        (400, "s", "least_dwell: 400 s is not plausible: stops take 0.5 to 60 s; check the value"),
+        ("x", "s", "least_dwell.value: must be a valid number"),
+    ],
+)
+def test_the_new_field_is_checked(tmp_path: Path, value: Any, unit: str, message: str) -> None:
+    content = file_content(dwell_train()) | {"least_dwell": {"value": value, "unit": unit}}
+    path = tmp_path / "dwell.train.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError) as caught:
+        read_thing(DwellTrain, path)
+    assert str(caught.value).startswith(f"{path}, {message}")
+
+
+def test_the_new_field_is_in_template_and_summary() -> None:
+    text = template_of(DwellTrain)
+    assert "# Shortest stop at a station.\nleast_dwell = { value = 3, unit" in text
+    assert "stops       3 s at least" in repr(dwell_train(least_dwell=3.0))
+    assert "3 s at least" in dwell_train(least_dwell=3.0)._repr_html_()
+
+
+def test_what_is_assumed_is_not_judged() -> None:
+    with pytest.raises(InputError, match="stops take"):
+        check_plausible(dwell_train(least_dwell=100.0))
+    check_plausible(dwell_train(least_dwell=100.0, assumed=("least_dwell",)))
+
+
+@pytest.mark.parametrize("kind", [Train, Line])
+def test_each_field_of_a_docstring_is_a_field(kind: type) -> None:
+    named = {name for entry in entries(kind) for name in entry.names}
+    assert set(meanings(kind)) <= named
