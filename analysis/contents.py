@@ -12,7 +12,7 @@ import numpy as np
 
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.files import LOOKED_AT, is_map, mistaken_json
+from trainlog.formats.files import LOOKED_AT, is_map, mistaken_json, refuse_workbook
 from trainlog.railway import Line
 from trainlog.trip import Trip, seconds
 from trainlog.units import KMH
@@ -124,6 +124,7 @@ def contents_of(path: str | Path) -> Contents:
         from trainlog.formats.mdf import read_mdf_trip
 
         return Contents(path, "trip as MDF", read_mdf_trip(path))
+    refuse_workbook(head[:LOOKED_AT], path)
     what = mistaken_json(head[:LOOKED_AT])
     if what is not None and what not in RECORDED:
         remedy = "show what it was made of; 'trainlog replay' opens replays, archives are unpacked"

@@ -614,7 +614,8 @@ def test_a_part_that_holds_nothing_is_told_with_its_file(
         monkeypatch, capsys, words[0], log, *words[1:], "--km", "900:901", "-o", output
     )
     assert status == 2
-    assert f"{log}: holds nothing of the part asked for" in complaint
+    reach = "line 'CH_StGallen_Wil' has no km 900; its kilometres are 0.000 to 29.556"
+    assert reach in complaint
     assert not output.exists()
 
 
@@ -700,3 +701,42 @@ def test_slip_events_of_all_logs_are_tabled(
     status, _, complaint = run(monkeypatch, capsys, *words[:-1], tmp_path / "slips.txt")
     assert status == 2
     assert "not the name of a .csv file" in complaint
+
+
+@pytest.mark.parametrize("start", [b"PK\x03\x04....[Content_Types].xml", b"\xd0\xcf\x11\xe0"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["ingest", "BOOK", "-o", "OUT"],
+        ["show", "BOOK"],
+        ["fit", "BOOK", "-o", "OUT.json"],
+        ["fit", "BOOK", "--method", "adhesion", "-o", "OUT.json"],
+        ["plan", "--line", "BOOK", *TRAIN, "-o", "OUT.json"],
+        ["import", "BOOK", "-o", "OUT"],
+    ],
+    ids=lambda words: " ".join(words[:1]),
+)
+def test_a_workbook_is_answered_with_save_as_csv(
+    start: bytes,
+    words: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    book = tmp_path / "book.xlsx"
+    book.write_bytes(start + bytes(200))
+    given = [
+        str(book) if word == "BOOK" else word.replace("OUT", str(tmp_path / "out"))
+        for word in words
+    ]
+    status, _, complaint = run(monkeypatch, capsys, *given)
+    assert (status, complaint.count("\n")) == (2, 1)
+    assert "workbook" in complaint
+    assert "save its sheet as CSV" in complaint
+
+
+def test_a_file_without_a_version_is_answered_with_it(tmp_path: Path) -> None:
+    path = tmp_path / "a.line.json"
+    path.write_text('{"format": "trainlog/line"}', "utf-8")
+    with pytest.raises(InputError, match="states no version of the format trainlog/line; add the"):
+        read_line(path)

@@ -351,10 +351,16 @@ def test_places_that_are_not_known_are_refused_with_those_that_are_like_them() -
         network.route("A", "trunck")
     with pytest.raises(InputError, match="'x' is not a kilometre"):
         network.route("A", "trunk@x")
-    with pytest.raises(InputError, match=r"is not on edge 'trunk'; it is 3.000 km long"):
+    with pytest.raises(InputError, match=r"has no km 4; its kilometres are 0.000 to 3.000"):
         network.route("A", "trunk@4")
     with pytest.raises(InputError, match="needs two places"):
         network.route("A")
+    named = Network(
+        "named", (Node("West_station"), Node("East_station")),
+        (Edge("1", WHOLE, "West_station", "East_station"),),
+    )  # fmt: skip
+    with pytest.raises(InputError, match="has no place 'West'; did you mean 'West_station'"):
+        named.route("West", "East_station")
 
 
 def test_mistakes_in_a_file_name_the_edge(tmp_path: Path) -> None:

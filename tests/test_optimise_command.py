@@ -154,7 +154,7 @@ def test_a_map_read_with_less_risk_leaves_less_adhesion_and_the_file_states_it(
         (("--reserve", "-5%"), "must be 0 or more, not -5%; 7 per cent over the least time are"),
         ((*MAP, "--set", "assumed-adhesion=8"), "above 0 and at most 1, not 8"),
         (("--km", "5:3"), "from km 5.000 to km 3.000 is no section"),
-        (("--km", "29:31"), "is no section of a line of 29.556 km"),
+        (("--km", "29:31"), "has no km 31; its kilometres are 0.000 to 29.556"),
         (("--km", "Gossau"), "write kilometres as 3.2:7.5"),
         (("--km", "1:9", "--set", "initial-speed=400"), "400.0 km/h is above the"),
         (("--set", "initial-speed=-1"), "must be finite and not negative"),

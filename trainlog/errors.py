@@ -6,12 +6,28 @@ exits with status 2. Any other exception is a defect of trainlog itself.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 MOST_LISTED = 20
 """Problems of one file that a message lists."""
+
+
+def similar(name: str, known: Iterable[str], most: int = 3) -> list[str]:
+    """Known names that were perhaps meant: spelled alike, or beginning alike; capitals are equal.
+
+    Examples
+    --------
+    >>> similar("West", ["West_station", "East_station"]), similar("wsest", ["west", "east"])
+    (['West_station'], ['west', 'east'])
+    """
+    folded = {str(each).casefold(): str(each) for each in known}
+    word = name.casefold().strip()
+    close = get_close_matches(word, list(folded), n=most, cutoff=0.6)
+    parts = [each for each in folded if word and len(word) > 2 and word in each]
+    return [folded[each] for each in dict.fromkeys([*parts, *close])][:most]
 
 
 class TrainlogError(Exception):

@@ -66,6 +66,13 @@ def body_of(kind: type[Declared], data: bytes, file: str | Path) -> dict[str, An
             remedy="check which file is meant",
         )
     version = content.get("version")
+    if version is None:
+        raise InputError(
+            f"states no version of the format {name}",
+            file=file,
+            place="version",
+            remedy=f"add the version: {kind.VERSION} for a new file",
+        )
     if version not in range(1, kind.VERSION + 1) or isinstance(version, bool):
         newer = isinstance(version, int) and version > kind.VERSION
         raise InputError(

@@ -206,12 +206,38 @@ def read_bytes(path: str | Path) -> bytes:
     Raises
     ------
     InputError
-        If it is missing, a folder, or may not be read.
+        If it is missing, a folder, a workbook of a spreadsheet program, or may not be read.
     """
     try:
-        return Path(path).read_bytes()
+        data = Path(path).read_bytes()
     except OSError as error:
         refuse_reading(path, error)
+    refuse_workbook(data[:LOOKED_AT], path)
+    return data
+
+
+def refuse_workbook(start: bytes, file: str | Path) -> None:
+    """Refuse a file that begins as a workbook of Excel or another spreadsheet program.
+
+    Raises
+    ------
+    InputError
+
+    Examples
+    --------
+    >>> refuse_workbook(b"PK....[Content_Types].xml", "curve.xlsx")
+    Traceback (most recent call last):
+    trainlog.errors.InputError: curve.xlsx: is a workbook, not text; save its sheet as CSV
+    """
+    if _is_workbook(start):
+        raise InputError("is a workbook, not text", file=file, remedy="save its sheet as CSV")
+
+
+def _is_workbook(start: bytes) -> bool:
+    parts = (b"[Content_Types].xml", b"docProps/", b"xl/", b"opendocument.spreadsheet")
+    return start.startswith(b"\xd0\xcf\x11\xe0") or (
+        start.startswith(b"PK") and any(part in start for part in parts)
+    )
 
 
 def logs_of(path: Path) -> list[Path]:
@@ -595,6 +621,8 @@ def mistaken_log(start: bytes) -> tuple[str, str]:
         return "is empty", "give another log; was the recorder stopped at once?"
     if is_map(start):
         return "is not an MCAP file but a track-condition map", "'trainlog map show' shows it"
+    if _is_workbook(start):
+        return "is not an MCAP file but a workbook", f"save its sheet as CSV; {_INGEST}"
     for beginning, what, remedy in _BEGINNINGS:
         if start.startswith(beginning):
             return f"is not an MCAP file but {what}", remedy

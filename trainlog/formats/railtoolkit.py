@@ -345,9 +345,10 @@ def _content(path: str | Path, schema: str) -> Any:
             place="schema",
             remedy=f"expected {SCHEMA}{schema}",
         )
-    if content.get("schema_version") not in ("2022.05", "2024.07"):
+    version = content.get("schema_version")
+    if version not in ("2022.05", "2024.07"):
         raise InputError(
-            f"schema version {content.get('schema_version')!r} is not known",
+            f"schema version {version!r} is not known" if version else "states no schema version",
             file=path,
             place="schema_version",
             remedy="expected 2022.05 or 2024.07",

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Iterable
 
 from pydantic import BaseModel, ConfigDict
 
-from trainlog.errors import InputError
+from trainlog.errors import InputError, similar
 from trainlog.topics import TOPICS, Field as Item
 from trainlog.units import factor, to_si
 
@@ -49,9 +48,7 @@ class MismatchError(InputError):
 def suggestion(name: str, known: Iterable[str], what: str = "known") -> str:
     """Remedy for a name that is not among the `known` ones: close matches, then all of them."""
     names = [str(candidate) for candidate in known]
-    lowered = {candidate.casefold(): candidate for candidate in names}
-    close = difflib.get_close_matches(name.casefold(), list(lowered), n=3, cutoff=0.6)
-    matches = " or ".join(f"'{lowered[match]}'" for match in close)
+    matches = " or ".join(f"'{match}'" for match in similar(name, names))
     if matches:
         return f"did you mean {matches}?"
     shown = ", ".join(names[:30]) + (", ..." if len(names) > 30 else "")

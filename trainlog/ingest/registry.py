@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Literal
 
 from trainlog.errors import InputError
-from trainlog.formats.files import refuse_reading
+from trainlog.formats.files import refuse_reading, refuse_workbook
 from trainlog.ingest.foreign import is_mcap, read_foreign
 from trainlog.ingest.gpx import is_gpx, read_gpx
 from trainlog.ingest.mdf import is_mdf, read_mdf
@@ -211,6 +211,7 @@ def format_of(path: Path, name: str | None) -> Format:
         return format_called(name)
     known = formats()
     head = head_of(path)
+    refuse_workbook(head, path)
     for candidate in known.values():
         if candidate.recognises(head):
             return candidate

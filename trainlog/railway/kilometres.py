@@ -69,8 +69,12 @@ def position_of(line: Line | None, km: float) -> float:
     >>> position_of(None, 3.2)
     3200.0
     """
-    if line is None or line.reference is None:
+    if line is None:
         return 1e3 * km
+    if line.reference is None:
+        if not -ROUNDING <= 1e3 * km <= line.length + ROUNDING:
+            raise InputError(f"line '{line.name}' has no km {km:g}", remedy=_kilometres_of(line))
+        return min(max(1e3 * km, 0.0), line.length)
     for first, last, start, end in _pieces(line):
         low, high = min(start, end), max(start, end)
         if low - ROUNDING <= 1e3 * km <= high + ROUNDING and high > low:

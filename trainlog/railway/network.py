@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from functools import cached_property
 from itertools import groupby, pairwise
 from typing import Annotated, Any, ClassVar
@@ -18,7 +17,7 @@ import numpy as np
 
 from trainlog.declaration import Declared, Table, Text
 from trainlog.display import as_text, counted
-from trainlog.errors import InputError
+from trainlog.errors import InputError, similar
 from trainlog.extras import require
 from trainlog.railway.composition import composed
 from trainlog.railway.kilometres import position_of
@@ -308,11 +307,6 @@ class Network(Declared):
                 raise InputError(
                     f"'{name}': '{km}' is not a kilometre", remedy="write edge@12.5"
                 ) from None
-            if not -TINY <= position <= found.line.length + TINY:
-                raise InputError(
-                    f"'{name}' is not on edge '{found.name}'",
-                    remedy=f"it is {found.line.length / 1e3:.3f} km long",
-                )
             return (self._point(found, position),)
         raise InputError(
             f"network '{self.name}' has no place '{name}'",
@@ -568,5 +562,5 @@ def _twice(names: Sequence[str]) -> dict[str, int]:
 
 def _nearest(name: str, known: Any, otherwise: str) -> str:
     """A remedy that names what was perhaps meant."""
-    found = get_close_matches(name, list(known), n=3)
+    found = similar(name, known)
     return f"did you mean {' or '.join(repr(each) for each in found)}?" if found else otherwise
