@@ -2,20 +2,45 @@
 
 from __future__ import annotations
 
+import csv
+import importlib
+import io
 import json
 import pickle
+import pkgutil
+import shutil
+from dataclasses import replace
+from pathlib import Path
 
+import jsonschema
 import numpy as np
+import pandas as pd
 import pytest
+from rich.console import Console
 
 import analysis
 import trainlog
+from analysis.adhesion.condition_map import UpdatedMap
+from analysis.fleet.diff import fleet_diff
+from analysis.fleet.trains import fleet_trains
+from analysis.network.maps import NetworkMap
 from analysis.reports.page import Page, Section
+from analysis.trajectory.journey import JourneyPlan
+from analysis.trajectory.optimiser import Front
+from trainlog.catalogue import open_catalogue
+from trainlog.cli.terminal import as_json_text
+from trainlog.declaration import Declared
+from trainlog.formats.parameters import write_parameters
+from trainlog.ingest import ingest_all
+from trainlog.presentation import Presented
+from trainlog.railway.adhesion import AdhesionPoints
 from trainlog.values import same_values
 
 pytestmark = pytest.mark.usefixtures("remembered_estimates")
 
 LOG = trainlog.sample("nonstop.mcap")
+
+DATA = Path(__file__).parent / "data"
 
 
 @pytest.fixture(scope="module")
@@ -82,3 +107,142 @@ def test_resistance_at_one_speed_is_a_number_and_at_several_an_array() -> None:
     assert json.loads(json.dumps({"resistance": curve(30)})) == {"resistance": 12500.0}
     assert curve([0.0, 30.0]).tolist() == [2000.0, 12500.0]
     assert curve(np.zeros((2, 3))).shape == (2, 3)
+
+
+# --------------------------------------------------------------- every result, in all its forms
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory, fitted) -> dict[type, Presented]:  # type: ignore[no-untyped-def]
+    """One result of each class that is presented, made of the samples."""
+    folder = tmp_path_factory.mktemp("results")
+    shutil.copy(LOG, folder / "nonstop.mcap")
+    logs = [LOG, trainlog.sample("stopping.mcap")]
+    trip = trainlog.read(LOG)
+    track = trainlog.read_map(trainlog.sample("CH_StGallen_Wil.map"))
+    line = trainlog.read_line(trainlog.sample("CH_StGallen_Wil.line.json"))
+    train = trainlog.read_train(trainlog.sample("CH_Stadler_FLIRT_TPF.train.json"))
+    coasted = analysis.coast_down([LOG])
+    creepage = np.linspace(0.001, 0.06, 60)
+    curve = AdhesionPoints(creepage, 0.5 * 0.012 * creepage / (0.012**2 + creepage**2))
+    problem = analysis.TrajectoryProblem(
+        line, train, [trainlog.Configuration.of(train)], end=9_286.1
+    )
+    plan = analysis.optimise(problem, analysis.OptimiserOptions(cells=30))
+    energies = dict.fromkeys(("energy", "costliest_energy"), plan.certificate["energy"])
+    bound = {"continuous_bound": plan.certificate["continuous_bound"], "mixture": {}}
+    about = {"costliest": plan.configurations[0].name, "other_times_might_save": 0.0}
+    gap = {"total_gap": plan.certificate["total_gap"]}
+    still = {"lowest_speed": 0.0, "highest_speed": 0.0}
+    ends = (trainlog.TimingPoint(0.0, latest=0.0, **still), trainlog.TimingPoint(9_286.1, **still))
+    journey = trainlog.Journey("a journey", line.name, ends)
+    times = np.array([0.0]), np.array([plan.running_time])
+    with open_catalogue(folder / "fleet") as catalogue:
+        added = catalogue.add(folder)
+        refreshed = catalogue.refresh()
+        options = analysis.UpdateOptions(workers=0)
+        updated = analysis.update_fleet(catalogue, ["checks"], options)
+        status = analysis.fleet_status(catalogue, ["checks"])
+        compared = fleet_diff(catalogue, "now", "now", analyses=["checks"], workers=0)
+    rows = pd.read_parquet(DATA / "fleet_trips.parquet")
+    fleet = fleet_trains(rows[rows["kind"] == "flirt"].head(40).reset_index(drop=True))
+    later = {
+        name: frame.set_axis(frame.index + pd.Timedelta(days=2))
+        for name, frame in trip.topics.items()
+    }
+    two_days = analysis.adhesion_map([trip, replace(trip, topics=later)]).track
+    write_parameters(fitted.parameters, folder / "parameters.json")
+    (kind, *_) = fleet.resistance
+    ingested = ingest_all(trainlog.sample("gnss.csv"), folder / "ingested")
+    found: list[Presented] = [
+        *(fitted, fitted.trips[0], fitted.common, fitted.parameters, coasted, coasted.result),
+        *(analysis.slip(LOG), analysis.passport(LOG), analysis.fit_adhesion_characteristic(curve)),
+        *(track, analysis.map_state(track, line=line), UpdatedMap(track, ("a",))),
+        analysis.map_difference(analysis.adhesion_map(logs[1]).track, track),
+        analysis.map_history(track, 9_680.0, "wet"),
+        *(analysis.update_map([LOG], folder / "wil.map"), analysis.score_rolling(two_days)),
+        NetworkMap(folder, None, {"edge": track}),
+        *(analysis.compare(logs), analysis.calculate(LOG, fitted)),
+        analysis.compare_groups(
+            trip, replace(trip, metadata={**trip.metadata, "configuration": trip.name})
+        ),
+        *(plan, Front((plan,), plan.running_time)),
+        JourneyPlan(journey, (plan,), *times, {**energies, **bound, **about, **gap}),
+        *(added, refreshed, updated, status, compared),
+        *(fleet, fleet.resistance, kind, kind.mean),
+        *(ingested, next(each.report for each in ingested.outcomes if each.report)),
+        analysis.report(folder),
+    ]
+    return {type(each): each for each in found}
+
+
+def presented() -> list[type]:
+    """Every class of results; declared things are looked at in their own tests."""
+    for package in (trainlog, analysis):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if not module.name.endswith("__main__"):
+                importlib.import_module(module.name)
+    found, left = [], [Presented]
+    while left:
+        left += (below := left.pop().__subclasses__())
+        found += [each for each in below if each.__module__.startswith(("trainlog.", "analysis."))]
+    return [each for each in found if not issubclass(each, Declared)]
+
+
+def test_every_result_is_looked_at(results) -> None:  # type: ignore[no-untyped-def]
+    assert not {each.__qualname__ for each in presented()} - {each.__qualname__ for each in results}
+
+
+def test_every_result_prints_few_lines_and_shows_tables_in_a_notebook(results) -> None:  # type: ignore[no-untyped-def]
+    for kind, result in results.items():
+        lines = repr(result).splitlines()
+        assert 1 <= len(lines) <= 10, kind
+        assert lines[0] == result.title, kind
+        html = result._repr_html_()
+        assert html.startswith("<div><b>"), kind
+        assert len(html) < 100_000, kind
+        assert result.shown(), kind
+
+
+def test_every_result_equals_its_pickled_copy_and_no_other(results) -> None:  # type: ignore[no-untyped-def]
+    for kind, result in results.items():
+        again = pickle.loads(pickle.dumps(result))
+        assert again == result, kind
+        assert result != 1, kind
+
+
+def test_every_result_is_json_of_its_schema(results) -> None:  # type: ignore[no-untyped-def]
+    for kind, result in results.items():
+        document = json.loads(as_json_text(result.data()))
+        assert document, kind
+        jsonschema.validate(document, result.schema())
+
+
+def test_every_table_of_a_result_is_the_same_read_again_from_csv(results) -> None:  # type: ignore[no-untyped-def]
+    for kind, result in results.items():
+        for table in result.tables():
+            rows = table.data
+            read = list(csv.DictReader(io.StringIO(table.to_csv())))
+            assert len(read) == len(rows), (kind, table.name)
+            for row, data in zip(read, rows, strict=True):
+                for key, value in data.items():
+                    if isinstance(value, float) and np.isfinite(value):
+                        assert float(row[key]) == value, (kind, table.name, key)
+                    elif isinstance(value, str):
+                        assert row[key] == value, (kind, table.name, key)
+
+
+def test_every_result_with_charts_is_drawn(results, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    for kind, result in results.items():
+        if kind.charts_by:
+            result.plot().savefig(tmp_path / f"{kind.__name__}.svg")
+            assert (tmp_path / f"{kind.__name__}.svg").stat().st_size > 1_000, kind
+
+
+@pytest.mark.parametrize("width", [60, 80, 110])
+def test_no_table_of_a_result_is_wider_than_the_page(results, width: int) -> None:  # type: ignore[no-untyped-def]
+    for kind, result in results.items():
+        console = Console(width=width, file=io.StringIO())
+        with console.capture() as captured:
+            console.print(*result.shown(), sep="\n")
+        assert max(map(len, captured.get().splitlines())) <= width, kind

@@ -113,7 +113,7 @@ def test_a_map_is_scored_day_by_day(
     assert wet["days"] == 11
     assert wet["log_score"]["onsets"]["gain_over_prior"]["low"] > 0.0
     common = {"command": "map score", "status": 0, "written": [str(picture)]}
-    assert json.loads(json.dumps(rolling[0].details())) | common == found
+    assert json.loads(json.dumps(rolling[0].data())) | common == found
     printed = rolling[0]._repr_html_()
     for words in ("gain over persistence", "slips foreseen", "Reliability", "false alarms"):
         assert words in printed

@@ -36,8 +36,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray
-from trainlog.display import as_html, as_text, counted
+from trainlog.display import counted
 from trainlog.errors import InputError
+from trainlog.presentation import Presented
 from trainlog.units import KMH, factor, to_si
 
 Thing = TypeVar("Thing")
@@ -1271,7 +1272,7 @@ def check(thing: Any) -> None:
         raise InputError.listing(problems)
 
 
-class Declared:
+class Declared(Presented):
     """What every declared thing has: checks when it is made, equality, and a summary.
 
     A class adds what its bounds do not say in `problems`, what cannot be meant in a class method
@@ -1309,7 +1310,7 @@ class Declared:
             same(value, getattr(other, name)) for name, value in vars_of(self).items()
         )
 
-    def __hash__(self) -> int:
+    def __hash__(self) -> int:  # type: ignore[override]
         return hash(tuple(_hashed(value) for value in vars_of(self).values()))
 
     @property
@@ -1321,12 +1322,6 @@ class Declared:
     def summary(self) -> dict[str, str]:
         """The rows of the summary."""
         return summary_of(self)
-
-    def __repr__(self) -> str:
-        return as_text(self.title, self.summary())
-
-    def _repr_html_(self) -> str:
-        return as_html(self.title, self.summary())
 
 
 def _beyond(thing: Any) -> list[InputError]:

@@ -91,6 +91,8 @@ FORCE = Quantity("N", "kN", 1e-3, 2)
 POWER = Quantity("W", "kW", 1e-3, 0)
 ENERGY = Quantity("J", "kWh", 1.0 / JOULES_PER_KWH, 2)
 SHARE = Quantity("", "%", 100.0)
+SECOND_WORTH = Quantity("W", "Wh", 1.0 / 3.6e3)
+"""Energy for a second of running time."""
 NUMBER = Quantity("", "", 1.0, 0)
 KILOMETRE = Quantity("km", "", 1.0, 3)
 ADHESION = Quantity("", "", 1.0, 3)
@@ -657,6 +659,8 @@ class Presented(Plotted):
     True
     """
 
+    __slots__ = ()
+
     @property
     def title(self) -> str:
         """One line."""
@@ -742,7 +746,8 @@ class Presented(Plotted):
 
     def schema(self) -> dict[str, Any]:
         """JSON Schema of `data`."""
-        tables = {table.name: table.schema() for table in self.tables()}
+        facts = self.facts()
+        tables = {each.name: each.schema() for each in self.tables() if each.name not in facts}
         properties = {
             key: tables.get(key) or _schema_of(value) for key, value in self.data().items()
         }

@@ -21,6 +21,12 @@ def same_values(first: Any, second: Any) -> bool:
     """
     if first is second:
         return True
+    if isinstance(first, float | np.floating) and isinstance(second, float | np.floating):
+        return bool(first == second or (np.isnan(first) and np.isnan(second)))
+    if isinstance(first, Mapping) and isinstance(second, Mapping):
+        return first.keys() == second.keys() and all(
+            same_values(value, second[key]) for key, value in first.items()
+        )
     import pandas as pd  # takes a while, and the help of the commands needs none of it
 
     if type(first) is not type(second):
@@ -29,15 +35,9 @@ def same_values(first: Any, second: Any) -> bool:
         return np.array_equal(first, second, equal_nan=first.dtype.kind in "fc")
     if isinstance(first, pd.DataFrame | pd.Series | pd.Index):
         return bool(first.equals(second))
-    if isinstance(first, Mapping):
-        return first.keys() == second.keys() and all(
-            same_values(value, second[key]) for key, value in first.items()
-        )
     if isinstance(first, list | tuple):
         return len(first) == len(second) and all(map(same_values, first, second))
     if is_dataclass(first):
         names = [each.name for each in fields(first) if each.compare]
         return all(same_values(getattr(first, name), getattr(second, name)) for name in names)
-    if isinstance(first, float | np.floating) and np.isnan(first):
-        return bool(np.isnan(second))
     return bool(first == second)

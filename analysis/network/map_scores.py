@@ -14,12 +14,10 @@ from analysis.verification.scoring import (
     score_map_on,
     score_rolling,
 )
-from analysis.verification.table import gain_words, share_words
 from analysis.verification.verify import Forecaster, Verification
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import sha256_of
-from trainlog.presentation import WordTable, new_table
 
 if TYPE_CHECKING:
     from analysis.adhesion.evidence import Evidence
@@ -193,25 +191,3 @@ def _whole(
         (*limits, *own),
         {edge: each.layers["all"] for edge, each in found.items()},
     )
-
-
-def edges_table(edges: Mapping[str, Verification]) -> WordTable:
-    """How good the forecasts of each edge were, all rail conditions together."""
-    table = new_table(
-        "By edge, all rail conditions (95 % band by day)",
-        "edge", "onsets", "gain over\nthe prior [nat]", "over persistence\n[nat]",
-        "over the\nplace alone [nat]", "CRPS", "maxima in\n95 % band", "onsets in it",
-    )  # fmt: skip
-    for edge, whole in edges.items():
-        gains = [gain_words(whole.log_score("onsets", over=name)) for name in
-                 ("prior", "persistence", "place")]  # fmt: skip
-        crps = whole.crps().value
-        table.add_row(
-            edge,
-            str(whole.onsets),
-            *gains,
-            f"{crps:.3f}" if whole.onsets else "-",
-            share_words(whole.coverage),
-            share_words(whole.onsets_in_band),
-        )
-    return table

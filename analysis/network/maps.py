@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from analysis.adhesion.updating import FileUpdate, LogOutcome, MapUpdate, known_layers
 from trainlog.condition import estimated, known_before
-from trainlog.display import as_text, counted
+from trainlog.display import counted
 from trainlog.errors import InputError, LogError
 from trainlog.formats.condition import read_map
 from trainlog.formats.files import (
@@ -33,6 +33,7 @@ from trainlog.formats.files import (
 )
 from trainlog.formats.mapfile import MapFile
 from trainlog.formats.network import network_from_bytes, network_to_bytes
+from trainlog.presentation import Presented, WordTable
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.line import Leg, Line
@@ -97,8 +98,8 @@ def two_maps(edge: str, first: Path, second: Path) -> InputError:
     )
 
 
-@dataclass(frozen=True, repr=False)
-class NetworkMap:
+@dataclass(frozen=True, eq=False, repr=False)
+class NetworkMap(Presented):
     """Maximum adhesion along the edges of a network.
 
     Attributes
@@ -123,17 +124,26 @@ class NetworkMap:
     network: Network | None
     maps: Mapping[str, TrackConditionMap]
 
-    def __repr__(self) -> str:
+    @property
+    def title(self) -> str:
+        """How many edges of which network have a map."""
         named = f" of network '{self.network.name}'" if self.network is not None else ""
         of_all = f" of {len(self.network.edges)}" if self.network is not None else ""
-        edges = counted(len(self.maps), "edge")
+        return f"Track-condition maps of {counted(len(self.maps), 'edge')}{of_all}{named}"
+
+    def summary(self) -> dict[str, str]:
+        """Trips and layers of the first edges."""
         rows = {
             name: f"{counted(len(track.trips), 'trip')}: {', '.join(track.layers)}"
             for name, track in list(self.maps.items())[:6]
         }
-        if len(self.maps) > 6:
-            rows["..."] = f"{len(self.maps) - 6} more"
-        return as_text(f"Track-condition maps of {edges}{of_all}{named}", rows)
+        return rows | ({"...": f"{len(self.maps) - 6} more"} if len(self.maps) > 6 else {})
+
+    def tables(self) -> list[WordTable]:
+        """A row per edge and rail condition."""
+        from analysis.network.map_table import network_rows, network_table
+
+        return [network_table(self, network_rows(self))]
 
     @property
     def layers(self) -> tuple[str, ...]:

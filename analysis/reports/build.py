@@ -26,7 +26,7 @@ from analysis.reports.results import (
     study_sections,
     trajectory_sections,
 )
-from analysis.reports.summary import report, report_table
+from analysis.reports.summary import report
 from analysis.reports.trip import Motion, Zone, limit_curve, trip_sections
 from trainlog import __version__
 from trainlog.display import counted
@@ -348,9 +348,8 @@ def _summed_up(folder: Path) -> list[Part]:
         rows = report(folder)
     except TrainlogError:
         return []
-    table = report_table(rows)
     shown = new_table("Summary", "", "result")
-    for first, words, *_ in table.words:
+    for first, words, *_ in rows.tables()[0].words:
         shown.add_row(first, words)
     return [shown]
 

@@ -29,7 +29,6 @@ from analysis.trajectory.plot import COLOURS, draw_trajectory
 from analysis.trajectory.table import trajectory_table
 from analysis.verification.plot import draw_score
 from analysis.verification.scoring import score_rolling
-from analysis.verification.table import score_table
 from trainlog.arrays import IntArray
 from trainlog.display import at_most, counted, lateness
 from trainlog.errors import InputError, TrainlogError
@@ -318,7 +317,7 @@ def _verified(track: TrackConditionMap) -> list[Part]:
     except InputError as error:
         return [f"Not scored: {error}."]
     alt = "Scores of the map's forecasts of each of its days from the days before alone."
-    return [drawn(partial(draw_score, found), alt), score_table(found)]
+    return [drawn(partial(draw_score, found), alt), *found.shown()]
 
 
 # ------------------------------------------------------------------------------ a trajectory

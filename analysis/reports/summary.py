@@ -13,7 +13,7 @@ import numpy as np
 from analysis.adhesion.condition_map import summary
 from analysis.comparison.groups import compare_groups, punctuality, running_times
 from analysis.truth import SimulatedLogs, Truth, curve_error, map_error
-from trainlog.display import as_text, counted, lateness, span
+from trainlog.display import counted, lateness, span
 from trainlog.errors import InputError, LogError
 from trainlog.formats.condition import read_map
 from trainlog.formats.files import LOOKED_AT
@@ -22,14 +22,14 @@ from trainlog.formats.mapfile import MapFile
 from trainlog.formats.parameters import read_coast_down, read_parameters
 from trainlog.formats.trajectory import read_trajectory
 from trainlog.mcap.convert import span_of
-from trainlog.presentation import WordTable, as_page, kwh, new_table, overspeed, with_band
+from trainlog.presentation import Presented, WordTable, kwh, new_table, overspeed, with_band
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.train import ParameterSet
 from trainlog.units import KMH
 
 
-@dataclass(frozen=True, slots=True, repr=False)
-class Report:
+@dataclass(frozen=True, eq=False, repr=False)
+class Report(Presented):
     """What a folder of results holds.
 
     Attributes
@@ -42,16 +42,26 @@ class Report:
     folder: Path
     rows: tuple[tuple[str, str, str], ...]
 
-    def __repr__(self) -> str:
-        return as_text(f"Results in {self.folder}", {row[0]: row[1] for row in self.rows})
+    @property
+    def title(self) -> str:
+        """The folder."""
+        return f"Results in {self.folder}"
 
-    def _repr_html_(self) -> str:
-        return as_page(report_table(self))
+    def summary(self) -> dict[str, str]:
+        """Each result."""
+        return {row[0]: row[1] for row in self.rows}
 
-    def details(self) -> dict[str, Any]:
-        """The report as data."""
+    def facts(self) -> dict[str, Any]:
+        """The folder, and its results."""
         rows = [dict(zip(("subject", "result", "in"), row, strict=True)) for row in self.rows]
         return {"folder": str(self.folder), "results": rows}
+
+    def tables(self) -> list[WordTable]:
+        """A row per result."""
+        table = new_table(self.title, "", "result", "in", name="results")
+        for row in self.rows:
+            table.add_row(*row)
+        return [table]
 
 
 def report(folder: str | Path) -> Report:
@@ -112,14 +122,6 @@ def report(folder: str | Path) -> Report:
             " parameters.json, a map (.map), trajectory.json; or by any other name",
         )
     return Report(folder, tuple(found))
-
-
-def report_table(found: Report) -> WordTable:
-    """The report as a table."""
-    table = new_table(f"Results in {found.folder}", "", "result", "in")
-    for row in found.rows:
-        table.add_row(*row)
-    return table
 
 
 def _logs_in(folder: Path) -> list[Path]:

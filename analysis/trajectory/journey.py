@@ -26,8 +26,8 @@ from analysis.trajectory.feasibility import check_speeds, limiting_factors, plac
 from analysis.trajectory.optimiser import COARSE_CELLS, optimise
 from analysis.trajectory.problem import DEFAULT_OPTIONS, OptimiserOptions, TrajectoryProblem
 from trainlog.arrays import FloatArray
-from trainlog.display import as_html, as_text
 from trainlog.errors import InfeasibleError, InputError
+from trainlog.presentation import Presented, WordTable
 from trainlog.railway import Line, Trajectory
 from trainlog.railway.journey import Journey, TimingPoint
 from trainlog.units import JOULES_PER_KWH, clock
@@ -249,7 +249,7 @@ class Section:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class JourneyPlan:
+class JourneyPlan(Presented):
     """Trajectories of all sections of a journey, and when each departs.
 
     Printing it lists them.
@@ -274,17 +274,19 @@ class JourneyPlan:
     arrivals: FloatArray
     certificate: dict[str, Any] = field(default_factory=dict)
 
-    def __repr__(self) -> str:
-        return as_text(self._title, self._summary())
-
-    def _repr_html_(self) -> str:
-        return as_html(self._title, self._summary())
-
     @property
-    def _title(self) -> str:
+    def title(self) -> str:
+        """The journey and its line."""
         return f"Plan of journey '{self.journey.name}' on {self.journey.line}"
 
-    def _summary(self) -> dict[str, str]:
+    def tables(self) -> list[WordTable]:
+        """Sections: when, how much, and what a second is worth in each."""
+        from analysis.trajectory.table import journey_table
+
+        return [journey_table(self)]
+
+    def summary(self) -> dict[str, str]:
+        """When the train runs in each section, and its energy."""
         rows = {}
         for each, departs, arrives in list(
             zip(self.sections, self.departures, self.arrivals, strict=True)

@@ -48,9 +48,20 @@ from analysis.trajectory.problem import (
 )
 from analysis.trajectory.rollout import LEAST_TIME_MARGIN, least_time_together
 from trainlog.arrays import FloatArray
-from trainlog.display import as_html, as_text, counted, picture
+from trainlog.display import at_most, counted, picture
 from trainlog.errors import InfeasibleError, InputError, TrainlogError
 from trainlog.formats.attached import line_kept
+from trainlog.presentation import (
+    DURATION,
+    ENERGY,
+    SECOND_WORTH,
+    SHARE,
+    Column,
+    Presented,
+    Said,
+    WordTable,
+    new_table,
+)
 from trainlog.progress import note, task, track
 from trainlog.railway import Trajectory
 from trainlog.units import JOULES_PER_KWH
@@ -436,8 +447,31 @@ RESERVES = (0.02, 0.03, 0.04, 0.05, 0.07, 0.1, 0.13, 0.17, 0.22, 0.3)
 """Over the least time; closer where the front is steep."""
 
 
+FRONT_COLUMNS = (
+    Column("running time", DURATION, each=True, of=lambda point: point[0].running_time),
+    Column("reserve", SHARE, each=True, of=lambda point: point[0].certificate["reserve"]),
+    Column("energy", ENERGY, each=True, of=lambda point: point[0].certificate["energy"]),
+    Column(
+        "total gap",
+        replace(SHARE, digits=3),
+        each=True,
+        of=lambda point: Said(
+            point[0].certificate["total_gap"], at_most(point[0].certificate["total_gap"])
+        ),
+    ),
+    Column(
+        "a second more saves",
+        SECOND_WORTH,
+        each=True,
+        key="saved_by_a_second",
+        of=lambda point: float(point[1]),
+    ),
+)
+"""Of a trajectory, and what each extra second saves [W]."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Front:
+class Front(Presented):
     """Least energies for several running times.
 
     Printing it lists them.
@@ -453,19 +487,25 @@ class Front:
     trajectories: tuple[Trajectory, ...]
     least_time: float
 
-    def __repr__(self) -> str:
-        return as_text(self._title, self._summary())
-
-    def _repr_html_(self) -> str:
-        energies = (self.energies / JOULES_PER_KWH).round(2)
-        return as_html(self._title, self._summary(), picture(self.times, {"kWh": energies}))
-
     @property
-    def _title(self) -> str:
+    def title(self) -> str:
+        """Train, line and energy."""
         first = self.trajectories[0]
         return f"Energy against time of {first.train} on {first.line}, {first.energy_label}"
 
-    def _summary(self) -> dict[str, str]:
+    def sketch(self) -> str:
+        """Energy over time."""
+        return picture(self.times, {"kWh": (self.energies / JOULES_PER_KWH).round(2)})
+
+    def tables(self) -> list[WordTable]:
+        """Energy against running time, and what each extra second saves."""
+        first = self.trajectories[0]
+        title = f"Running time on {first.line}, {first.train}, against {first.energy_label}"
+        points = zip(self.trajectories, self.prices, strict=True)
+        return [new_table(title, *FRONT_COLUMNS, name="front").add_rows(points)]
+
+    def summary(self) -> dict[str, str]:
+        """Energies at some of the times."""
         rows = {"least time": f"{self.least_time:.1f} s"}
         shown = np.unique(np.linspace(0, self.times.size - 1, 8).astype(int)).tolist()
         for row in shown:

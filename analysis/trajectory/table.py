@@ -15,10 +15,10 @@ from trainlog.presentation import (
     ENERGY,
     MASS,
     POSITION,
+    SECOND_WORTH,
     SHARE,
     SPEED,
     Column,
-    Quantity,
     Said,
     WordTable,
     kwh,
@@ -32,13 +32,9 @@ from trainlog.units import clock
 if TYPE_CHECKING:
     # They bring the solvers, which a table of a trajectory's file does without.
     from analysis.trajectory.journey import JourneyPlan
-    from analysis.trajectory.optimiser import Front
 
 FROM_START = replace(POSITION, unit="")
 """A position under a heading that says km."""
-
-SECOND_WORTH = Quantity("W", "Wh", 1.0 / 3.6e3)
-"""Energy for a second of running time."""
 
 LISTED = 8
 """Configurations of a trajectory that are listed one by one."""
@@ -142,30 +138,6 @@ def _gap(trajectory: Trajectory) -> str:
 
 def _total_gap(certificate: dict[str, Any]) -> Said:
     return Said(certificate["total_gap"], at_most(certificate["total_gap"]))
-
-
-def front_table(front: Front) -> WordTable:
-    """Energy against running time, and what a second more saves."""
-    first = front.trajectories[0]
-    table = new_table(
-        f"Running time on {first.line}, {first.train}, against {first.energy_label}",
-        Column("running time", DURATION, each=True),
-        Column("reserve", SHARE, each=True),
-        Column("energy", ENERGY, each=True),
-        Column("total gap", replace(SHARE, digits=3), each=True),
-        Column("a second more saves", SECOND_WORTH, each=True, key="saved_by_a_second"),
-        name="front",
-    )
-    for each, price in zip(front.trajectories, front.prices, strict=True):
-        certificate = each.certificate
-        table.add_cells(
-            each.running_time,
-            certificate["reserve"],
-            certificate["energy"],
-            _total_gap(certificate),
-            float(price),
-        )
-    return table
 
 
 def journey_table(plan: JourneyPlan, line: Line | None = None) -> WordTable:

@@ -26,6 +26,7 @@ from trainlog.errors import MOST_LISTED, InputError, TrainlogError
 from trainlog.formats.files import sha256_of
 from trainlog.identity import Known, same_drives
 from trainlog.mcap import read_log
+from trainlog.presentation import Presented, WordTable
 from trainlog.railway.condition import AdhesionEstimate, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence, day_of
 from trainlog.railway.forecast import AdhesionForecast
@@ -65,7 +66,7 @@ def _named(trips: Sequence[str]) -> str:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Score:
+class Score(Presented):
     """How good a forecast was.
 
     Attributes
@@ -92,19 +93,23 @@ class Score:
     limits: tuple[str, ...] = ()
     edges: Mapping[str, Verification] = field(default_factory=dict)
 
-    def __repr__(self) -> str:
+    @property
+    def title(self) -> str:
+        """What was scored on which line."""
+        return f"Score of {self.name} on line '{self.line}'"
+
+    def summary(self) -> dict[str, str]:
+        """Days, onsets and the gain over the prior."""
         whole = self.layers["all"]
         gain = whole.log_score("onsets", over="prior")
-        return (
-            f"Score of {self.name} on line '{self.line}', {counted(whole.days.size, 'day')},"
-            f" {whole.onsets} onsets: {gain.value:+.2f} nat over the prior"
-        )
+        days = counted(whole.days.size, "day")
+        return {"scored": f"{days}, {whole.onsets} onsets: {gain.value:+.2f} nat over the prior"}
 
-    def _repr_html_(self) -> str:
-        from analysis.verification.table import score_table
-        from trainlog.presentation import as_page
+    def tables(self) -> list[WordTable]:
+        """Scores by rail condition with their 95 % bands, reliability, alarms, and edges."""
+        from analysis.verification.table import score_tables
 
-        return as_page(score_table(self))
+        return score_tables(self)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -123,8 +128,8 @@ class Score:
             )
         return tuple(words)
 
-    def details(self) -> dict[str, Any]:
-        """All figures, as JSON has them."""
+    def facts(self) -> dict[str, Any]:
+        """All figures."""
         return {
             "line": self.line,
             "scored": self.name,
@@ -132,7 +137,6 @@ class Score:
             "edges": [{"edge": name} | each.details() for name, each in self.edges.items()],
             "left_out": [f"trip '{each.trip}': {each.reason}" for each in self.left_out],
             "refused": list(self.refused),
-            "notes": list(self.notes),
         }
 
 

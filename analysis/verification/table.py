@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
-from rich.console import Group
 
 from analysis.verification.scoring import Score
 from analysis.verification.verify import USUAL_ALARM, Figure, Verification
 from trainlog.presentation import WordTable, new_table
 
 
-def score_table(score: Score) -> Group:
-    """Scores by rail condition with their 95 % bands, reliability, and the curve of alarms."""
+def score_tables(score: Score) -> list[WordTable]:
+    """Scores by rail condition with their 95 % bands, reliability, alarms, and edges."""
     names = [name for name in score.layers if name != "all"]
     shown = names if len(names) == 1 else [*names, "all"]
     table = new_table(f"Score of {score.name} on {score.line} (95 % band by day)", "", *shown)
     for title, figure in ROWS:
         table.add_row(title, *(figure(score.layers[name]) for name in shown))
     whole = score.layers["all"]
-    return Group(table, _reliability(whole), _alarms(whole), *score.notes)
+    edges = [_edges(score.edges)] if score.edges else []
+    return [table, _reliability(whole), _alarms(whole), *edges]
 
 
 def _said(figure: Figure, digits: int = 2, sign: bool = False) -> str:
@@ -95,14 +95,20 @@ ROWS: tuple[tuple[str, Callable[[Verification], str]], ...] = (
 )
 
 
-def gain_words(figure: Figure) -> str:
-    """A gain with its sign and its 95 % band; "-" where it cannot be stated."""
-    return _said(figure, 2, sign=True)
-
-
-def share_words(figure: Figure) -> str:
-    """A share with its 95 % band; "-" where it cannot be stated."""
-    return _share(figure)
+def _edges(edges: Mapping[str, Verification]) -> WordTable:
+    """How good the forecasts of each edge were, all rail conditions together."""
+    table = new_table(
+        "By edge, all rail conditions (95 % band by day)",
+        "edge", "onsets", "gain over\nthe prior [nat]", "over persistence\n[nat]",
+        "over the\nplace alone [nat]", "CRPS", "maxima in\n95 % band", "onsets in it",
+    )  # fmt: skip
+    for edge, whole in edges.items():
+        gains = [_said(whole.log_score("onsets", over=name), 2, sign=True)
+                 for name in ("prior", "persistence", "place")]  # fmt: skip
+        crps = f"{whole.crps().value:.3f}" if whole.onsets else "-"
+        shares = _share(whole.coverage), _share(whole.onsets_in_band)
+        table.add_row(edge, str(whole.onsets), *gains, crps, *shares)
+    return table
 
 
 def _reliability(found: Verification) -> WordTable:

@@ -27,8 +27,9 @@ from trainlog.catalogue.registration import (
     register,
 )
 from trainlog.catalogue.schema import files, trips
-from trainlog.display import as_text, counted
+from trainlog.display import counted
 from trainlog.errors import InputError
+from trainlog.presentation import Column, Presented, WordTable, new_table
 from trainlog.progress import track
 
 if TYPE_CHECKING:
@@ -44,8 +45,8 @@ _WORTH_PROCESSES = 200
 """Files from which on starting processes is worth it."""
 
 
-@dataclass(frozen=True, repr=False)
-class Refreshed:
+@dataclass(frozen=True, eq=False, repr=False)
+class Refreshed(Presented):
     """How a catalogue compares with the disk.
 
     Attributes
@@ -68,8 +69,15 @@ class Refreshed:
     back: int = 0
     outcomes: tuple[FileOutcome, ...] = ()
 
-    def __repr__(self) -> str:
-        return as_text(f"Refreshed: {self.sentence}", {})
+    @property
+    def title(self) -> str:
+        """How the catalogue compares with the disk."""
+        return f"Refreshed: {self.sentence}"
+
+    def tables(self) -> list[WordTable]:
+        """A row per file that was read."""
+        columns = map(Column, ("path", "state", "reason", "damage"))
+        return [new_table("Files", *columns, name="files").add_rows(self.outcomes)]
 
     @property
     def sentence(self) -> str:

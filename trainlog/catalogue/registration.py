@@ -15,8 +15,9 @@ import numpy as np
 import sqlalchemy as sa
 
 from trainlog.catalogue.schema import files, results, trip_edges, trips
-from trainlog.display import as_text, counted
+from trainlog.display import counted
 from trainlog.identity import Known, TripIdentity, same_drives
+from trainlog.presentation import Column, Presented, WordTable, new_table
 
 if TYPE_CHECKING:
     from trainlog.catalogue.reading import FileEntry
@@ -48,15 +49,25 @@ class FileOutcome:
     damage: str = ""
 
 
-@dataclass(frozen=True, repr=False)
-class Added:
+@dataclass(frozen=True, eq=False, repr=False)
+class Added(Presented):
     """What became of all files that were added."""
 
     outcomes: tuple[FileOutcome, ...] = field(default=())
 
-    def __repr__(self) -> str:
-        rows = {each.path: each.reason for each in self.of("refused")[:8]}
-        return as_text(f"Added: {self.sentence}", rows)
+    @property
+    def title(self) -> str:
+        """What became of the files."""
+        return f"Added: {self.sentence}"
+
+    def summary(self) -> dict[str, str]:
+        """The first that were refused."""
+        return {each.path: each.reason for each in self.of("refused")[:8]}
+
+    def tables(self) -> list[WordTable]:
+        """A row per file."""
+        columns = map(Column, ("path", "state", "reason", "damage"))
+        return [new_table("Files", *columns, name="files").add_rows(self.outcomes)]
 
     def of(self, *states: FileState) -> list[FileOutcome]:
         """The outcomes of some states."""

@@ -10,7 +10,7 @@ import typer
 
 from trainlog.cli.options import line_or_network, pairs
 from trainlog.cli.progress_bar import paused
-from trainlog.cli.terminal import about, console, current, print_error, state, wrote
+from trainlog.cli.terminal import about, console, current, print_error, show, state, wrote
 from trainlog.errors import InputError
 
 if TYPE_CHECKING:
@@ -122,12 +122,10 @@ def ingest(
 
 def _print_ingested(result: Ingested, *, alone: bool) -> None:
     """Print what became of the recordings: of a single file with its report, else as a table."""
-    from analysis.ingest_table import ingest_table
-
     if state(result.details()):
         return
     if not alone:
-        console.print(ingest_table(result))
+        show(result)
         return
     shown: set[str] = set()
     for each in result.of("made", "repaired", "unchanged"):

@@ -435,7 +435,7 @@ def _report(
 ) -> None:
     """Write the report on a result, or print the summary of a folder."""
     if output is None:
-        from analysis.reports.summary import report as summed_up, report_table
+        from analysis.reports.summary import report as summed_up
 
         if results.is_file():
             raise InputError(
@@ -443,9 +443,7 @@ def _report(
                 file=results,
                 remedy="name the page: -o report.html",
             )
-        found = summed_up(results)
-        if not state(found.details()):
-            console.print(report_table(found))
+        show(summed_up(results))
         return
     destination(output, ".html")
 

@@ -506,10 +506,8 @@ def map_score(
 
     Example: trainlog map score results/wil.map results/later-trips --picture results/score.png
     """
-    from analysis.network.map_scores import edges_table
     from analysis.verification.plot import draw_score
     from analysis.verification.scoring import by_reason
-    from analysis.verification.table import score_table
 
     if picture is not None:
         destination(picture, ".png")
@@ -519,12 +517,10 @@ def map_score(
         print_error(words)
     if picture is not None:
         draw_score(found, picture)
-    if not state(found.details()):
+    if not current().as_json:
         for words in by_reason(found.left_out):
             console.print(f"  {words}", highlight=False, soft_wrap=True)
-        console.print(score_table(found))
-        if found.edges:
-            console.print(edges_table(found.edges))
+    show(found)
     if picture is not None:
         wrote(picture)
     if found.refused:

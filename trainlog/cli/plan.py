@@ -21,7 +21,7 @@ from trainlog.cli.options import (
     measured,
     stretch,
 )
-from trainlog.cli.terminal import console, current, state, working, wrote
+from trainlog.cli.terminal import console, current, show, state, working, wrote
 from trainlog.errors import InputError
 from trainlog.units import MASS, NUMBER, PERCENT, SHARE, SPEED, TIME, Measure
 
@@ -444,12 +444,11 @@ def _front(
     """Energy against running time, printed and drawn."""
     from analysis.trajectory.optimiser import energy_against_time
     from analysis.trajectory.plot import draw_front
-    from analysis.trajectory.table import front_table
 
     front = energy_against_time(problem, reserves, options)
     picture = output.with_name(f"{output.stem}-pareto.png")
     draw_front(front, picture)
-    console.print(front_table(front))
+    show(front)
     wrote(picture)
 
 

@@ -15,7 +15,7 @@ from trainlog.declaration import Array, Declared, Json, Many, Matrix
 from trainlog.display import counted, span
 from trainlog.errors import InputError
 from trainlog.formats.declared import read_thing, thing_from_bytes, thing_to_bytes, write_thing
-from trainlog.presentation import PLAIN, Band, Column, Presented, Said, WordTable, new_table
+from trainlog.presentation import PLAIN, Band, Column, Said, WordTable, new_table
 from trainlog.railway.train import ParameterSet
 from trainlog.units import KMH
 
@@ -144,7 +144,7 @@ QUANTITY_COLUMNS = (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CoastDownResult(Presented, Declared):
+class CoastDownResult(Declared):
     """What was learnt of running resistance from coasting.
 
     Attributes

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from trainlog.display import as_text, counted
+from trainlog.display import counted
 from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.formats.files import output_folder, sha256_of
 from trainlog.formats.trip_tables import INDEX_FILE
@@ -37,6 +37,7 @@ from trainlog.ingest.report import Report, report_of
 from trainlog.ingest.routes import NETWORK_INPUT, NetworkRoutes, routes_of
 from trainlog.mcap import describe, write_log
 from trainlog.mcap.reader import about_log, identity_of_log
+from trainlog.presentation import NUMBER, Column, Presented, WordTable, new_table
 from trainlog.progress import note, task
 from trainlog.railway.line import Line
 from trainlog.railway.network import Network
@@ -169,8 +170,36 @@ class Outcome:
         }
 
 
-@dataclass(frozen=True, repr=False)
-class Ingested:
+MOST_PASSED_OVER = 10
+"""Files that are listed as passed over; of more the number is stated."""
+
+
+def _name(each: Outcome) -> str:
+    return f"{each.file.name}, {each.recording}" if each.recording else each.file.name
+
+
+def _place(each: Outcome) -> str:
+    """The recording, where the reason names the file alone."""
+    return f"{each.recording}: " if each.recording else ""
+
+
+def _repairs(each: Outcome) -> str:
+    if each.state == "unchanged":
+        return each.reason if each.reason.startswith("of") else "unchanged"
+    return ", ".join(f"{rule} {count:,}" for rule, count in each.repairs.items()) or "nothing"
+
+
+TRIP_COLUMNS = (
+    Column("recording", of=_name),
+    Column("log", of=lambda each: "" if each.log is None else each.log.name),
+    Column("rows kept", NUMBER, of=lambda each: each.report and each.report.rows_kept),
+    Column("repaired", of=_repairs, rank=1),
+)
+"""Of what became of a recording."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Ingested(Presented):
     """What became of all files.
 
     Attributes
@@ -184,9 +213,39 @@ class Ingested:
     output: Path
     outcomes: tuple[Outcome, ...]
 
-    def __repr__(self) -> str:
-        rows = {each.recording or each.file.name: each.reason for each in self.of("refused")[:8]}
-        return as_text(f"Ingested: {self.sentence}", rows)
+    @property
+    def title(self) -> str:
+        """What became of the recordings."""
+        return f"Ingested: {self.sentence}"
+
+    def summary(self) -> dict[str, str]:
+        """The first that were refused."""
+        return {each.recording or each.file.name: each.reason for each in self.of("refused")[:8]}
+
+    def tables(self) -> list[WordTable]:
+        """Each trip with its log and repairs."""
+        title = f"Logs in {self.output}"
+        made = self.of("made", "repaired", "unchanged")
+        return [new_table(title, *TRIP_COLUMNS, name="trips").add_rows(made)]
+
+    @property
+    def notes(self) -> list[str]:
+        """What was refused and passed over, with reasons."""
+        words = [f"refused: {_place(each)}{each.reason}" for each in self.of("refused")]
+        words += [
+            f"{_name(each)}: direction {evidence}"
+            for each in self.of("made", "repaired", "unchanged")
+            if "assumed" in (evidence := each.metadata.get("direction_evidence", ""))
+        ]
+        others = self.of("passed_over")
+        words += [f"passed over: {each.file}: {each.reason}" for each in others[:MOST_PASSED_OVER]]
+        if len(others) > MOST_PASSED_OVER:
+            words.append(f"passed over: {len(others) - MOST_PASSED_OVER} more files")
+        return words
+
+    def sentences(self) -> list[str]:
+        """What was refused and passed over; all of it in a line."""
+        return [*self.notes, f"{self.sentence}."]
 
     def of(self, *states: State) -> list[Outcome]:
         """The outcomes of some states."""

@@ -20,15 +20,18 @@ import pyarrow as pa
 import pyarrow.parquet
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
-from trainlog.display import as_html, as_text
 from trainlog.errors import LogError
 from trainlog.ingest.clock import longest_nondecreasing
 from trainlog.ingest.recording import NO_TIME, Finding, Raw, Table
+from trainlog.presentation import Presented
 from trainlog.trip import Trip
 
+MOST_LINES = 8
+"""Of the report in a prompt."""
 
-@dataclass(frozen=True)
-class Report:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Report(Presented):
     """What was read, kept and repaired.
 
     Attributes
@@ -111,25 +114,24 @@ class Report:
             "raw_beyond": self.raw_beyond,
         }
 
-    def __repr__(self) -> str:
-        return as_text(*self._summary(8))
+    @property
+    def title(self) -> str:
+        """How many rows were kept."""
+        return f"Report: {self.lines()[0]}"
 
-    def _repr_html_(self) -> str:
-        return as_html(*self._summary(100))
-
-    def _summary(self, most: int) -> tuple[str, dict[str, str]]:
-        """The first of the lines, and up to `most` others by what they are about."""
-        first, *others = self.lines()
+    def summary(self) -> dict[str, str]:
+        """The first of the other lines, by what they are about."""
+        others = self.lines()[1:]
         rows: dict[str, str] = {}
-        for number, line in enumerate(others[:most]):
+        for number, line in enumerate(others[:MOST_LINES]):
             column = self.findings[number].column if number < len(self.findings) else ""
             about, _, what = line.replace(f" in {column}", "", 1).partition(": ")
             if about == "not used":
                 about, _, what = line.rpartition(": ")
             rows[f"{about} {column}".rstrip()] = what
-        if len(others) > most:
-            rows["more"] = f"{len(others) - most} lines; see lines()"
-        return f"Report: {first}", rows
+        if len(others) > MOST_LINES:
+            rows["more"] = f"{len(others) - MOST_LINES} lines; see lines()"
+        return rows
 
     def lines(self) -> list[str]:
         """The report in words, one line a finding."""

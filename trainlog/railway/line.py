@@ -26,7 +26,7 @@ from trainlog.declaration import (
     Table,
     Text,
 )
-from trainlog.display import as_html, counted, picture, span
+from trainlog.display import counted, picture, span
 from trainlog.errors import InputError
 from trainlog.railway.line_parts import (
     Geometry as Geometry,
@@ -325,14 +325,15 @@ class Line(Declared):
                     " state 'proportional'",
                 )
 
-    def _repr_html_(self) -> str:
+    def sketch(self) -> str:
+        """Limits and gradients over position."""
         s = np.linspace(0.0, self.length, 500)
         drawn = {"limit [km/h]": KMH * self.speed_limit(s)}
         if self.speed_limits_reverse is not None:
             drawn["limit the other way [km/h]"] = KMH * self.speed_limits_reverse(s)
         steps = tuple(drawn)
         drawn["altitude [m]"] = self.altitudes(s).round(1)
-        return as_html(self.title, self.summary(), picture(s, drawn, steps=steps))
+        return picture(s, drawn, steps=steps)
 
     @property
     def title(self) -> str:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trainlog import presentation
 from trainlog.arrays import FloatArray
 from trainlog.declaration import (
     CONFUSED,
@@ -33,6 +35,7 @@ from trainlog.declaration import (
 )
 from trainlog.display import span
 from trainlog.errors import InputError
+from trainlog.presentation import FORCE, MASS, POWER, WordTable, new_table
 from trainlog.railway.axle_loads import AxleGeometry, load_transfer
 from trainlog.railway.effort import EffortCurve
 from trainlog.railway.line import Line
@@ -655,6 +658,31 @@ class Configuration:
         )
 
 
+CONFIGURATION_COLUMNS = (
+    presentation.Column("configuration", of="name"),
+    presentation.Column("mass", MASS, each=True),
+    presentation.Column("power", POWER, each=True, of="max_power"),
+    *(
+        presentation.Column(
+            f"{name}, {unit}",
+            presentation.Quantity(suffix, "", 1.0, digits),
+            key=name,
+            of=attrgetter(f"resistance.{name}"),
+        )
+        for digits, (name, unit, suffix) in enumerate(
+            (("r0", "N", "N"), ("r1", "N/(m/s)", "N_s_m"), ("r2", "N/(m/s)²", "N_s2_m2"))
+        )
+    ),
+    presentation.Column(
+        "at 80 km/h",
+        FORCE,
+        key="resistance_at_80_km_h",
+        of=lambda each: float(each.resistance(80.0 / KMH)),
+    ),
+)
+"""Of a `Configuration`."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class ParameterSet(Declared):
     """The observed set of configurations of a train, and the fit of all its trips together.
@@ -748,11 +776,19 @@ class ParameterSet(Declared):
 
     @property
     def title(self) -> str:
-        """Of which train."""
+        """The train."""
         return f"Parameter set of train '{self.train}'"
 
+    def tables(self) -> list[WordTable]:
+        """A row per configuration."""
+        return [
+            new_table(self.title, *CONFIGURATION_COLUMNS, name="configurations").add_rows(
+                self.configurations
+            )
+        ]
+
     def summary(self) -> dict[str, str]:
-        """Spans of the configurations, and the fit of all trips together."""
+        """Configurations, their spread, and all trips together."""
         every = self.configurations
         rows = {"configurations": str(len(every))}
         if every:

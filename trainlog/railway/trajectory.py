@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.declaration import Array, Choice, Declared, Json, Many, Quantity, check
-from trainlog.display import as_html, at_most, lateness, picture, span
+from trainlog.display import at_most, lateness, picture, span
 from trainlog.errors import InputError
 from trainlog.railway.line import Line
 from trainlog.railway.train import Configuration, Train
@@ -144,7 +144,8 @@ class Trajectory(Declared):
                 remedy="correct it",
             )
 
-    def _repr_html_(self) -> str:
+    def sketch(self) -> str:
+        """Speed and effort over position."""
         row = self.latest
         place = np.linspace(self.positions[0], self.positions[-1], 500)
         effort = self.tractive_effort_at(place) - self.braking_effort[row, self.cell_of(place)]
@@ -152,11 +153,11 @@ class Trajectory(Declared):
             "speed [km/h]": (KMH * self.speed_at(row, place)).round(1),
             "effort [kN]": (effort / 1e3).round(1),
         }
-        return as_html(self.title, self.summary(), picture(place, drawn))
+        return picture(place, drawn)
 
     @property
     def title(self) -> str:
-        """Train, line and stretch."""
+        """Train, line and part of it."""
         first, last = self.positions[[0, -1]] / 1e3
         against = " against the chainage" * (self.direction == "reverse")
         return (
@@ -164,7 +165,7 @@ class Trajectory(Declared):
         )
 
     def summary(self) -> dict[str, str]:
-        """Running time, energy and what it was planned for."""
+        """Time, configurations, speed and energy."""
         names, certificate = [each.name for each in self.configurations], self.certificate
         listed = ", ".join(names[:3]) + f" ... ({len(names)})" * (len(names) > 3)
         rows = {"running time": clock(self.running_time), "configurations": listed}
