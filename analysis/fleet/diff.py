@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from trainlog.catalogue import Catalogue
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FleetDiff(Presented):
     """Where two versions differ over the same trips.
 

@@ -103,7 +103,7 @@ STATES = ("done", "refused", "failed", "known", "pending")
 """Of a trip for an analysis, as an update counts them."""
 
 
-@dataclass(repr=False)
+@dataclass(eq=False, repr=False)
 class FleetUpdate(Presented):
     """What an update did.
 
@@ -539,7 +539,7 @@ def gone_words(number: int) -> str:
     return f"{counted(number, 'trip')}: {whose} gone ({moved})"
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FleetStatus(Presented):
     """What of a catalogue is computed by this code.
 
