@@ -40,6 +40,7 @@ from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.presentation import Presented
 from trainlog.units import KMH, factor, to_si
+from trainlog.values import same_values
 
 Thing = TypeVar("Thing")
 Result = TypeVar("Result")
@@ -1353,7 +1354,7 @@ def same(first: Any, second: Any) -> bool:
         return True
     if isinstance(first, np.ndarray) or isinstance(second, np.ndarray):
         return np.array_equal(first, second)
-    return type(first) is type(second) and bool(first == second)
+    return same_values(first, second)
 
 
 def _hashed(value: Any) -> Any:
