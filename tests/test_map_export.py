@@ -229,7 +229,12 @@ def test_what_cannot_be_exported_is_refused_and_older_files_stay(
     for name, given, layers, message in (
         ("map.shp", line, None, r"not exported to files of this kind; end it in \.geojson, \.gpkg"),
         ("map.gpkg", None, None, "needs the coordinates of line 'CH_StGallen_Wil'"),
-        ("map.geojson", without, None, "has no coordinates; add them from satellite fixes"),
+        (
+            "map.geojson",
+            without,
+            None,
+            "has no coordinates; add them from fixes with 'trainlog new line",
+        ),
         ("map.csv", other, None, "the map is of line 'CH_StGallen_Wil', 29556.1 m, not of 'else"),
         ("map.csv", line, ["leaves"], "has no layer 'leaves'; layers present: dry, wet"),
         ("map.json", line, None, "has the layers dry, wet; choose one"),
@@ -258,16 +263,17 @@ def test_what_cannot_be_exported_is_refused_and_older_files_stay(
         (["export", "-o", "map.csv", "--at", "tomorrow"], "'tomorrow' is not a time"),
         (["export", "-o", "map.shp"], "not exported to files of this kind"),
         (["diff", "--from", "tomorrow"], "'tomorrow' is not a time"),
-        (["history", "--km", "3", "--picture", "map.pdf"], r"is not the name of a \.png"),
+        (["show", "--km", "3", "--picture", "map.pdf"], r"is not the name of a \.png"),
     ],
 )
 def test_arguments_are_checked_before_a_map_is_read(
     words: list[str], message: str, tmp_path: Path
 ) -> None:
-    """No such map exists: what is refused first is the argument."""
+    """The file is not a map: what is refused first is the argument."""
     command, *options = words
+    (tmp_path / "other.map").write_bytes(b"not a map")
     with pytest.raises(InputError, match=message):
-        run(["map", command, str(tmp_path / "absent.map"), *options])
+        run(["map", command, str(tmp_path / "other.map"), *options])
 
 
 def test_pieces_beyond_the_known_course_have_no_geometry(

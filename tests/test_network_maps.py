@@ -201,7 +201,7 @@ def test_forecasts_and_scores_of_all_edges(maps: Path) -> None:
     # The same trip on three days: the day before foresees the next better than the prior.
     assert pooled.log_score("onsets", over="prior").value > 0.0
     when, forecasts = forecasts_of_network(found)
-    assert set(forecasts) == {"east.csv", "west%2Fold.csv"}
+    assert set(forecasts) == {"east.csv", "west_old dfa56536.csv"}
     assert when.date() > pd.Timestamp("2024-10-07").date()
     early = pd.Timestamp("2024-10-08T00:00Z")
     assert sum(len(track.trips) for track in found.known_before(early).maps.values()) == 2
@@ -266,7 +266,7 @@ def test_commands_take_a_folder_of_maps(maps: Path, tmp_path: Path) -> None:
     assert run.exit_code == 0, run.output
     assert sorted(path.name for path in (tmp_path / "forecast").iterdir()) == [
         "east.csv",
-        "west%2Fold.csv",
+        "west_old dfa56536.csv",
     ]
     run = CliRunner().invoke(app, ["map", "score", str(maps), "--rolling"])
     assert run.exit_code == 0, run.output
