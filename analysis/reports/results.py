@@ -335,7 +335,7 @@ def trajectory_sections(path: Path, line: Path | None = None) -> list[Section]:
     """
     trajectory = read_trajectory(path)
     course = line_of_trajectory(trajectory, line)
-    parts: list[Part] = [as_part(_trajectory_chart(trajectory, course))]
+    parts: list[Part] = [as_part(trajectory_charts(trajectory, course)[0])]
     sections = [Section("Trajectory", parts)]
     if course is None:
         parts.append(
@@ -393,7 +393,28 @@ def line_of_trajectory(trajectory: Trajectory, given: Path | None) -> Line | Non
     return lines[0].reversed() if trajectory.direction == "reverse" else lines[0]
 
 
-def _trajectory_chart(trajectory: Trajectory, line: Line | None) -> Chart:
+def trajectory_charts(trajectory: Trajectory, line: Line | None = None) -> list[Chart]:
+    """Planned speed, efforts and gradient of a trajectory over kilometres.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    line : Line, optional
+        As travelled; default: the one that it was planned on.
+
+    Examples
+    --------
+    >>> from analysis import OptimiserOptions, TrajectoryProblem, optimise
+    >>> import trainlog
+    >>> train = trainlog.read_train("sample")
+    >>> nominal = [trainlog.Configuration.of(train)]
+    >>> problem = TrajectoryProblem(trainlog.read_line("sample"), train, nominal, end=9_286.1)
+    >>> plan = optimise(problem, OptimiserOptions(60))
+    >>> figure = plan.plot()
+    >>> [axes.get_ylabel() for axes in figure.axes]
+    ['km/h', 'kN', 'gradient, ‰']
+    """
+    line = line_of_plan(trajectory) if line is None else line
     row = trajectory.latest
     km = trajectory.positions / 1e3
     speeds, times = KMH * trajectory.speeds, trajectory.times
@@ -430,7 +451,7 @@ def _trajectory_chart(trajectory: Trajectory, line: Line | None) -> Chart:
     )  # fmt: skip
     panels = [Panel("km/h", [*limits, curve], 1.5, from_zero=True), efforts]
     panels += [] if line is None else [gradient_panel(line, start, end)]
-    return Chart(
+    chart = Chart(
         "km in the direction of travel",
         panels,
         f"Planned speed over kilometres of {trajectory.train} on {trajectory.line}, with the band"
@@ -439,6 +460,7 @@ def _trajectory_chart(trajectory: Trajectory, line: Line | None) -> Chart:
         stations_of(line),
         line=line,
     )
+    return [chart]
 
 
 def certificate_words(trajectory: Trajectory) -> list[str]:

@@ -427,18 +427,18 @@ def stations_table(found: JourneyAdvice) -> WordTable:
 
 def driver_table(found: JourneyAdvice) -> WordTable:
     """The journey as a driver reads it: kilometre, place, time, what to do."""
-    table = new_table("", "km", "where", "time", "speed", "permitted", "advice")
+    table = new_table("", "km", "where", "time", "speed\n[km/h]", "limit\n[km/h]", "advice")
     begins: AdviceRow | None = None
     for row in found.rows:
         if row.event == "departs":
             begins = row
             continue
-        place, words, speed = row.station or row.place, row.words, f"{KMH * row.speed:.0f} km/h"
+        place, words, speed = row.station or row.place, row.words, f"{KMH * row.speed:.0f}"
         if begins is not None and row.position <= begins.position + JOINS:
             place, words, speed = begins.station or begins.place, f"departs: {words}", ""
         begins = None
         speed = "" if row.event == "arrives" else speed
-        permitted = "" if row.permitted is None else f"{KMH * row.permitted:.0f} km/h"
+        permitted = "" if row.permitted is None else f"{KMH * row.permitted:.0f}"
         when = found.time(row.time)
         table.add_row(f"{row.km:.3f}", place, when, speed, permitted, words or "passes")
         if row.event == "arrives":

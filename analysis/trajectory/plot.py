@@ -221,6 +221,8 @@ def _draw_gradient(axes: Axes, trajectory: Trajectory, line: Line) -> None:
 def draw_front(front: Front, path: str | Path) -> None:
     """Draw the least energies over the running time, with their slopes, and the price below.
 
+    Above the running time stands the reserve over the least time of the slowest configuration.
+
     Parameters
     ----------
     front : Front
@@ -249,7 +251,20 @@ def draw_front(front: Front, path: str | Path) -> None:
     above.legend(handles=handles, fontsize=8, frameon=False)
     first = front.trajectories[0]
     title = f"{first.train} on {first.line}: {first.energy_label}"
-    dress(above, x="", y="kWh", title=title)
+    dress(above, x="", y="kWh")
+    least = front.least_time
+
+    def to_reserve(time: FloatArray) -> FloatArray:
+        return 1e2 * (time / least - 1.0)
+
+    def to_time(reserve: FloatArray) -> FloatArray:
+        return least * (1.0 + 1e-2 * reserve)
+
+    reserves = above.secondary_xaxis("top", functions=(to_reserve, to_time))
+    reserves.set_xlabel("reserve [%]", fontsize=9, color=GREY)
+    reserves.tick_params(labelsize=8, colors=GREY)
+    reserves.spines["top"].set_color(GREY)
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11, color=INK)
     below.plot(times, 1e3 * prices, "o-", color=BLUE, markersize=4, linewidth=1.2)
     below.set_ylim(bottom=0.0)
     dress(below, x="running time [s]", y="Wh/s", title="What a second more saves")

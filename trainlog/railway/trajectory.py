@@ -13,6 +13,7 @@ from trainlog.arrays import FloatArray, IntArray
 from trainlog.declaration import Array, Choice, Declared, Json, Many, Quantity, check
 from trainlog.display import at_most, lateness, picture, span
 from trainlog.errors import InputError
+from trainlog.plotted import Plotted
 from trainlog.railway.line import Line
 from trainlog.railway.train import Configuration, Train
 from trainlog.units import JOULES_PER_KWH, KMH, clock
@@ -29,7 +30,7 @@ _ENERGY = {
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Trajectory(Declared):
+class Trajectory(Declared, Plotted):
     """A robust trajectory between two stops.
 
     The braking effort is constant in each cell between two neighbouring positions, the tractive
@@ -80,6 +81,7 @@ class Trajectory(Declared):
     """
 
     FORMAT: ClassVar[str] = "trainlog/trajectory"
+    charts_by: ClassVar[str] = "analysis.reports.results:trajectory_charts"
     ORDER: ClassVar[tuple[str, ...]] = (
         "line", "train", "direction", "running_time", "configurations", "positions",
         "tractive_effort", "tractive_effort_fall", "braking_effort", "speeds", "times",
