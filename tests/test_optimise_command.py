@@ -274,3 +274,15 @@ def test_values_are_taken_as_people_write_them(observed: Path, tmp_path: Path) -
     assert np.array_equal(written.speeds, same.speeds)
     reserve = [asked(observed, tmp_path, "--km", ":4", "--reserve", each) for each in ("7%", "7")]
     assert reserve[0].running_time == reserve[1].running_time
+
+
+def test_stations_are_stops_with_a_running_time_and_reserves_are_compared(tmp_path: Path) -> None:
+    coarse = (*SAMPLES, "--set", "cells=40", "--set", "load=8t")
+    stops = ("--stops", "St.Gallen, Gossau SG", "--running-time", "8:30")
+    assert cli.run(["plan", *coarse, *stops, "-o", str(tmp_path / "a.json")]) == 0
+    found = read_trajectory(tmp_path / "a-1.json")
+    assert found.running_time == pytest.approx(510.0, abs=1.0)
+    reserves = ("--km", ":4", "--reserve", "7,3%")
+    assert cli.run(["plan", *coarse, *reserves, "-o", str(tmp_path / "b.json")]) == 0
+    assert read_trajectory(tmp_path / "b.json").running_time > 100.0
+    assert (tmp_path / "b-pareto.png").is_file()

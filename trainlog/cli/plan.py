@@ -153,8 +153,9 @@ def plan(
     reserve: Annotated[
         str | None,
         typer.Option(
+            metavar="PERCENT,...",
             help="Without --running-time: reserve over the least time, 7%; default: 7%. Of several,"
-            " 7,3,12, the first is planned, and the energy of all is shown over their times."
+            " 7,3,12, the first is planned, and the energy of all is shown over their times.",
         ),
     ] = None,
     stops: Annotated[

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, is_dataclass
 from datetime import date, datetime
@@ -22,7 +22,7 @@ from rich.console import Console, Group
 
 from trainlog.display import in_speed_unit, in_zone
 from trainlog.errors import MOST_LISTED, TrainlogError
-from trainlog.progress import task, track
+from trainlog.progress import task
 
 if TYPE_CHECKING:
     from trainlog.mcap import Account
@@ -302,20 +302,3 @@ def working(what: str) -> Iterator[None]:
     """Show that something is being done, and for how long."""
     with task(what):
         yield
-
-
-class _Loops:
-    """The bars of loops."""
-
-    def __init__(self) -> None:
-        self.console = console
-
-    def track(self, items: Iterable[Item], description: str) -> Iterator[Item]:
-        """The items one by one, with a bar that shows how many are done."""
-        return track(items, description)
-
-
-@contextmanager
-def progress_bar() -> Iterator[_Loops]:
-    """Show how far a loop is; `trainlog.progress.track` does the same and states the unit."""
-    yield _Loops()
