@@ -23,8 +23,8 @@ from trainlog.railway.line import (
     StepProfile,
     Tunnel,
 )
+from trainlog.railway.line_parts import TINY
 from trainlog.railway.network import Network
-from trainlog.railway.profiles import TINY
 from trainlog.railway.weather import WEATHER_BY_EDGE, stated_condition
 from trainlog.spans import spans_within
 from trainlog.trip import LINE_ATTACHMENT, PASSPORT_ATTACHMENT, TRAIN_ATTACHMENT, Trip

@@ -37,7 +37,7 @@ from trainlog.formats.declared import built
 from trainlog.formats.files import read_json, to_bytes, write_bytes
 from trainlog.railway.journey import Journey, TimingPoint
 from trainlog.railway.line import CurvatureProfile, Line, Station, StepProfile, Tunnel
-from trainlog.railway.profiles import POSITION
+from trainlog.railway.line_parts import POSITION
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Axles, BrakingCurves, Train
 from trainlog.units import GRAVITY

@@ -19,7 +19,7 @@ from trainlog.railway.line import (
     Survey,
     Tunnel,
 )
-from trainlog.railway.profiles import TINY
+from trainlog.railway.line_parts import TINY
 from trainlog.railway.resistance import CurveFormula
 
 

@@ -29,21 +29,19 @@ from trainlog.declaration import (
 from trainlog.display import counted, picture, span
 from trainlog.errors import InputError
 from trainlog.railway.line_parts import (
-    Geometry as Geometry,
-    Leg as Leg,
-    Station as Station,
-    Survey as Survey,
-    Tunnel as Tunnel,
-    route_words as route_words,
-    tunnels_between,
-)
-from trainlog.railway.profiles import (
     POSITION,
     TINY,
     CurvatureProfile as CurvatureProfile,
+    Geometry as Geometry,
+    Leg as Leg,
     LineReference as LineReference,
+    Station as Station,
     StepProfile as StepProfile,
+    Survey as Survey,
+    Tunnel as Tunnel,
     check_positions as check_positions,
+    route_words as route_words,
+    tunnels_between,
 )
 from trainlog.railway.resistance import (
     CURVE_FORMULAS,

@@ -12,8 +12,8 @@ import numpy as np
 from trainlog.errors import InputError
 from trainlog.railway.geometry import to_plane
 from trainlog.railway.line import Line
+from trainlog.railway.line_parts import StepProfile
 from trainlog.railway.network import AT_END, Edge, Network, Node
-from trainlog.railway.profiles import StepProfile
 
 SAME_STATION = 2_000.0
 """How far apart [m] two lines may have a station of one name."""
