@@ -6,7 +6,6 @@ from itertools import groupby
 from typing import TypeVar
 
 import numpy as np
-from rich.console import Group
 
 from trainlog.presentation import WordTable, new_table
 from trainlog.railway.consist import Consist, Coupler, Vehicle
@@ -15,13 +14,13 @@ from trainlog.units import KMH
 Thing = TypeVar("Thing", Vehicle, Coupler)
 
 
-def consist_tables(consist: Consist) -> Group:
+def consist_tables(consist: Consist) -> list[WordTable]:
     """A consist as a person reads it: its vehicles, couplers and brake; equal ones together."""
-    return Group(
+    return [
         _overview(consist),
         _vehicles(consist),
         *([_couplers(consist)] if consist.couplers else []),
-    )
+    ]
 
 
 def _overview(consist: Consist) -> WordTable:

@@ -106,7 +106,7 @@ def test_the_report_and_the_picture_are_made(run: study.ConsistRun, tmp_path: Pa
     draw_in_train_forces(run, tmp_path / "run.png")
     assert (tmp_path / "run.png").stat().st_size > 20_000
     with console.capture() as captured:
-        console.print(*forces_tables(run), consist_tables(run.consist))
+        console.print(*forces_tables(run), *consist_tables(run.consist))
     assert "largest draft" in captured.get()
     assert "2 to 3" in captured.get()
 

@@ -254,7 +254,7 @@ def test_a_negative_tolerance_is_refused() -> None:
 
 def shown(trajectory: Trajectory) -> str:
     console = Console(file=StringIO(), width=160)
-    console.print(trajectory_table(trajectory))
+    console.print(*trajectory_table(trajectory))
     return console.file.getvalue()  # type: ignore[attr-defined]
 
 

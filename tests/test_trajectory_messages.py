@@ -35,7 +35,7 @@ ENERGY = {
 def printed(trajectory: Trajectory) -> str:
     console = Console(width=200, record=True, quiet=False)
     with console.capture() as captured:
-        console.print(trajectory_table(trajectory))
+        console.print(*trajectory_table(trajectory))
     return captured.get()
 
 
@@ -111,7 +111,7 @@ def test_a_gap_is_the_same_wherever_it_is_stated() -> None:
     plan = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=60)
     plan = replace(plan, certificate=plan.certificate | {"total_gap": 0.00048412})
     page = Console(width=120, file=StringIO())
-    page.print(trajectory_table(plan))
+    page.print(*trajectory_table(plan))
     assert isinstance(page.file, StringIO)
     stated = (page.file.getvalue(), repr(plan), _title(plan), *certificate_words(plan)[1:])
     for words in stated:

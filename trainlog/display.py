@@ -44,16 +44,6 @@ def as_text(title: str, rows: Mapping[str, str]) -> str:
     return "\n".join(lines)
 
 
-def as_html(title: str, rows: Mapping[str, str], picture: str = "") -> str:
-    """The same as a table, with a picture above it."""
-    cells = "".join(
-        f"<tr><th style='text-align:left'>{escape(name)}</th>"
-        f"<td style='text-align:left'>{escape(said)}</td></tr>"
-        for name, said in rows.items()
-    )
-    return f"<div><b>{escape(title)}</b>{picture}<table>{cells}</table></div>"
-
-
 def picture(
     position: ArrayLike, curves: Mapping[str, ArrayLike], *, steps: Sequence[str] = ()
 ) -> str:

@@ -771,12 +771,3 @@ class Presented(Plotted):
             names = ", ".join(each.name for each in tables) or "none"
             raise KeyError(f"{type(self).__name__} has no table '{name}'; it has {names}")
         return found[0]
-
-
-def as_page(*parts: Any) -> str:
-    """Tables and words as HTML, as a notebook shows them."""
-    flat = [each for part in parts for each in getattr(part, "renderables", [part])]
-    return "".join(
-        each._repr_html_() if isinstance(each, WordTable) else f"<p>{escape(str(each))}</p>"
-        for each in flat
-    )

@@ -16,9 +16,10 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray
-from trainlog.display import as_html, as_text, counted
+from trainlog.display import as_text, counted
 from trainlog.errors import LogError, NotRecordedError
 from trainlog.plotted import Plotted
+from trainlog.presentation import facts_table
 from trainlog.spans import Spans, in_spans, position_limits, spans_within, time_limits, utc
 from trainlog.topics import Topic, attributes, column_field
 from trainlog.units import NANOSECONDS, clock
@@ -133,7 +134,7 @@ class Trip(Plotted):
         return as_text(self._title, self._summary())
 
     def _repr_html_(self) -> str:
-        return as_html(self._title, self._summary(most=len(self)))
+        return facts_table(self._title, self._summary(most=len(self)))._repr_html_()
 
     @property
     def _title(self) -> str:

@@ -13,12 +13,13 @@ from estimators.altitude import OVER, HeightProfile, Ride, height_profile
 from estimators.centre_line import Curve, fitted_curve
 from estimators.motion import smooth_motion
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from trainlog.display import as_html, counted, picture
+from trainlog.display import counted, picture
 from trainlog.errors import InputError
 from trainlog.identity import Known, identity_of, same_drives
 from trainlog.ingest.chainage import Matched, chainage_of, distance_driven
 from trainlog.ingest.estimates import fixes_of
 from trainlog.ingest.fixes import Fixes
+from trainlog.presentation import facts_table
 from trainlog.railway.geometry import from_plane, nearest_on, thinned, to_plane, track_of
 from trainlog.railway.line import (
     CurvatureProfile,
@@ -135,7 +136,8 @@ class CentreLine:
         known = np.where(self.support > 0, 1.0, np.nan)
         curves = {"curvature [1/km]": 1e3 * self.curvature * known, "trips": self.support}
         rows = {str(number): line for number, line in enumerate(self.lines(), 1)}
-        return as_html("CentreLine", rows, picture(self.position, curves, steps=("trips",)))
+        drawn = picture(self.position, curves, steps=("trips",))
+        return f"<div>{drawn}{facts_table('CentreLine', rows)._repr_html_()}</div>"
 
     def lines(self) -> list[str]:
         """What was found, in words."""

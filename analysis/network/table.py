@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from rich.console import Group
 
 from trainlog.display import counted
 from trainlog.presentation import POSITION, SPEED, Column, Quantity, Said, WordTable, new_table
@@ -15,11 +14,11 @@ HEIGHT = Quantity("m", "m")
 RADIUS = Quantity("m", "m", 1.0, 0)
 
 
-def network_tables(network: Network) -> Group:
+def network_tables(network: Network) -> list[WordTable | str]:
     """A network as a person reads it: its edges, its nodes, and what is not known of it."""
     stations = [_stations(network)] if any(e.line.stations for e in network.edges) else []
-    return Group(*([network.source] if network.source else []), _edges(network), *stations,
-                 _nodes(network), *_unknown(network))  # fmt: skip
+    source = [network.source] if network.source else []
+    return [*source, _edges(network), *stations, _nodes(network), *_unknown(network)]
 
 
 def _edges(network: Network) -> WordTable:
@@ -89,7 +88,7 @@ def _names(edges: list[Edge]) -> str:
     return ", ".join(edge.name for edge in edges)
 
 
-def route_tables(route: Route) -> Group:
+def route_tables(route: Route) -> list[WordTable | str]:
     """A route as a person reads it: its legs, its stations, its length and climbs."""
     line = route.line
     table = new_table(
@@ -121,7 +120,7 @@ def route_tables(route: Route) -> Group:
         f" and falling {fall:.1f} m, limits {limits.min():.0f} to {limits.max():.0f} km/h"
     )
     assumed = f"assumed on a part of it: {_assumed(line)}" if line.assumed else ""
-    return Group(words, table, stations, *([assumed] if assumed else []))
+    return [words, table, stations, *([assumed] if assumed else [])]
 
 
 def climbs(line: Line) -> tuple[float, float]:

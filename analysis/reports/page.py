@@ -19,8 +19,6 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from rich.console import Group
-
 from analysis.reports.pictures import DARK, DRAWN, LIGHT, Picture, inline
 from trainlog import __version__
 from trainlog.display import as_text
@@ -88,7 +86,7 @@ class Warned:
 
 
 Part = Any
-"""A str, WordTable, rich Group, Picture, Interactive, Beside, Commands, Warned or Section."""
+"""A str, WordTable, Picture, Interactive, Beside, Commands, Warned or Section."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -244,8 +242,6 @@ class _Writer:
     def part(self, part: Part, level: int) -> str:
         if isinstance(part, Section):
             return self.section(part, min(level + 1, 6))
-        if isinstance(part, Group):
-            return "".join(self.part(each, level) for each in part.renderables)
         if isinstance(part, WordTable):
             return _table(part)
         if isinstance(part, Interactive):

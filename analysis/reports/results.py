@@ -344,7 +344,7 @@ def trajectory_sections(path: Path, line: Path | None = None) -> list[Section]:
         )  # fmt: skip
     if "audit" in trajectory.certificate:
         sections.append(
-            Section("Certificate", [*certificate_words(trajectory), trajectory_table(trajectory)])
+            Section("Certificate", [*certificate_words(trajectory), *trajectory_table(trajectory)])
         )
     if "phases" in trajectory.certificate:
         if course is not None:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.console import Group
 
 from trainlog.display import at_most, counted, lateness
 from trainlog.presentation import (
@@ -43,7 +42,7 @@ OPTIMAL = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 """Statuses of IPOPT with which it finds its answer to be optimal."""
 
 
-def trajectory_table(trajectory: Trajectory) -> Group:
+def trajectory_table(trajectory: Trajectory) -> list[WordTable | str]:
     """A trajectory and its certificate."""
     certificate = trajectory.certificate
     audit = certificate["audit"]
@@ -101,7 +100,7 @@ def trajectory_table(trajectory: Trajectory) -> Group:
             *(float(each[row]) for each in energies),
         )
     rest = len(order) - LISTED
-    return Group(facts, table, *([f"and {rest} more"] if rest > 0 else []))
+    return [facts, table, *([f"and {rest} more"] if rest > 0 else [])]
 
 
 def certified(trajectory: Trajectory) -> dict[str, Any]:

@@ -257,7 +257,7 @@ def _write_route(given: list[Path], output: Path) -> None:
     if len(given) > 1:
         raise InputError("several routes are given", remedy="give --from once")
     route = _route(given[0])
-    console.print(route_tables(route))
+    console.print(*route_tables(route))
     write_line(route.line, output)
     wrote(output)
 
@@ -389,7 +389,7 @@ def _show(file: Path, every: bool) -> bool:
     if "#" in file.name and not file.exists():
         from analysis.network.table import route_tables
 
-        console.print(route_tables(_route(file)))
+        console.print(*route_tables(_route(file)))
         return False
     from analysis.contents import contents_of
 
@@ -399,11 +399,11 @@ def _show(file: Path, every: bool) -> bool:
     elif found.kind == "consist":
         from analysis.consist_table import consist_tables
 
-        console.print(consist_tables(found.value))
+        console.print(*consist_tables(found.value))
     elif found.kind == "network":
         from analysis.network.table import network_tables
 
-        console.print(network_tables(found.value))
+        console.print(*network_tables(found.value))
     elif found.kind == "track-condition map":
         console.print(_map_contents(file))
         if every:

@@ -405,7 +405,7 @@ def _write(trajectory: Trajectory, problem: TrajectoryProblem, output: Path) -> 
     write_journey_advice(advice, output.with_suffix(".csv"))
     content = current().content
     content.setdefault("trajectories", []).append({"trajectory": output, **certified(trajectory)})
-    console.print(trajectory_table(trajectory))
+    console.print(*trajectory_table(trajectory))
     if current().as_json:
         content.setdefault("advice", []).extend(advice.details()["advice"])
     else:

@@ -18,7 +18,7 @@ from datetime import date, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from rich.console import Console, Group
+from rich.console import Console
 
 from trainlog.display import in_speed_unit, in_zone
 from trainlog.errors import MOST_LISTED, TrainlogError
@@ -75,10 +75,7 @@ class Output:
         """Keep something printed for the JSON object: a table by its name, a sentence as a note."""
         from trainlog.presentation import WordTable
 
-        if isinstance(part, Group):
-            for each in part.renderables:
-                self.gather(each)
-        elif isinstance(part, WordTable):
+        if isinstance(part, WordTable):
             self.content.setdefault(part.name, []).extend(part.data)
         else:
             words = " ".join(str(part).split())
@@ -130,8 +127,6 @@ class _Console(Console):
 
 def _shown(part: Any, unit: str, zone: str) -> Any:
     """Something printed, with speeds and times as the user has set; tables do so themselves."""
-    if isinstance(part, Group):
-        return Group(*(_shown(each, unit, zone) for each in part.renderables), fit=part.fit)
     return in_zone(in_speed_unit(part, unit), zone) if isinstance(part, str) else part
 
 

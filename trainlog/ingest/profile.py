@@ -16,7 +16,7 @@ import pydantic
 from pydantic import BaseModel, Field
 from pydantic_core import ErrorDetails
 
-from trainlog.display import as_html, as_text
+from trainlog.display import as_text
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.formats.schema import must_be
@@ -37,6 +37,7 @@ from trainlog.ingest.profile_parts import (
     TimeOptions,
     TripOptions,
 )
+from trainlog.presentation import facts_table
 
 _ASSUMED = re.compile(r"(?P<zone>\S+) assumed: ")
 
@@ -71,7 +72,7 @@ class Profile(Strict):
     __str__ = __repr__
 
     def _repr_html_(self) -> str:
-        return as_html(f"Profile '{self.name}'", self._summary())
+        return facts_table(f"Profile '{self.name}'", self._summary())._repr_html_()
 
     def _summary(self) -> dict[str, str]:
         rows = {"format": self.file.format or "detected"}

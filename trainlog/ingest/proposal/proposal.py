@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trainlog.display import as_html, as_text, counted
+from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.formats.toml import toml_value
 from trainlog.ingest.parts import parts_of
@@ -28,6 +28,7 @@ from trainlog.ingest.recording import NO_TIME, Recording, base_name, field_of
 from trainlog.ingest.registry import format_of, own_profile
 from trainlog.ingest.rules import repaired
 from trainlog.ingest.tabular import read_delimited, read_parquet
+from trainlog.presentation import facts_table
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.topics import RECORDED, TOPICS
@@ -143,7 +144,7 @@ class Proposal:
     __str__ = __repr__
 
     def _repr_html_(self) -> str:
-        return as_html(f"Proposed profile of {self.path.name}", self._summary())
+        return facts_table(f"Proposed profile of {self.path.name}", self._summary())._repr_html_()
 
     def _summary(self) -> dict[str, str]:
         rows = {reading.what: reading.taken for reading in self.readings}
