@@ -26,7 +26,8 @@ from numpy.typing import ArrayLike, NDArray
 from trainlog.formats.files import atomic_write
 from trainlog.plotted import Plotted
 from trainlog.railway.kilometres import km_ticks
-from trainlog.railway.line import Line
+from trainlog.railway.line import Line, StepProfile
+from trainlog.units import KMH, PER_MILLE
 
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY = (
     "#0072b2",
@@ -249,6 +250,8 @@ class Chart:
         Named places of the axis; default: numbers.
     dates : bool
         The axis has days since 1970.
+    second : (str, float, float), optional
+        A second scale above: its label, and factor and summand that make its values of the axis's.
     equal : bool
         A unit is as long on the ordinate as on the axis.
     """
@@ -265,6 +268,7 @@ class Chart:
     width: float = 1.0
     ticks: Sequence[tuple[float, str]] = ()
     dates: bool = False
+    second: tuple[str, float, float] | None = None
     equal: bool = False
 
     def __post_init__(self) -> None:
@@ -286,6 +290,48 @@ class Chart:
 def stations_of(line: Line | None) -> list[tuple[float, str]]:
     """The stations of a line as places of a chart over km."""
     return [] if line is None else [(each.position / 1e3, each.name) for each in line.stations]
+
+
+def limit_curve(line: Line, start: float, end: float) -> Curve:
+    """The permitted speed between two positions [m]."""
+    return _profile(line, line.speed_limits, KMH, "permitted speed", INK, (start, end))
+
+
+def gradient_panel(line: Line, start: float, end: float) -> Panel:
+    """The gradient between two positions [m]."""
+    gradient = _profile(line, line.gradients, PER_MILLE, "", GREY, (start, end))
+    return Panel("gradient, ‰", [gradient], 0.5)
+
+
+def line_charts(line: Line) -> list[Chart]:
+    """Limits and gradients of a line."""
+    ends, against = (0.0, line.length), line.speed_limits_reverse
+    limits = [_profile(line, line.speed_limits, KMH, "permitted speed", INK, ends)]
+    if against is not None:
+        limits.append(_profile(line, against, KMH, "against the chainage", ORANGE, ends))
+    return [
+        Chart(
+            "km", [Panel("km/h", limits, 1.0, from_zero=True), gradient_panel(line, *ends)],
+            f"Permitted speed and gradient of {line.name} over kilometres.",
+            places=stations_of(line), line=line, title=line.name,
+        )
+    ]  # fmt: skip
+
+
+def _profile(
+    line: Line,
+    profile: StepProfile,
+    factor: float,
+    label: str,
+    colour: str,
+    ends: tuple[float, float],
+) -> Curve:
+    start, end = max(ends[0], 0.0), min(ends[1], line.length)
+    inner = profile.positions[(profile.positions > start) & (profile.positions < end)]
+    edges = np.concatenate(([start], inner, [end]))
+    values = factor * profile(edges)
+    values[-1] = values[-2]
+    return Curve(label, edges / 1e3, values, colour, "step", width=1.1)
 
 
 def rows_to_draw(*curves: ArrayLike, most: int = MOST_POINTS) -> NDArray[np.int64]:
@@ -561,6 +607,14 @@ def _draw_chart(figure: Figure | SubFigure, chart: Chart, known: set[str]) -> No
         locator = AutoDateLocator(minticks=3, maxticks=9)  # type: ignore[no-untyped-call]
         last.xaxis.set_major_locator(locator)
         last.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
+    if chart.second is not None:
+        label, factor, summand = chart.second
+        scale = places[0].secondary_xaxis(
+            "top", functions=(lambda x: factor * x + summand, lambda y: (y - summand) / factor)
+        )
+        scale.set_xlabel(label, fontsize=9, color=GREY)
+        scale.tick_params(labelsize=8, colors=GREY)
+        scale.spines["top"].set_color(GREY)
     if chart.equal:
         last.set_aspect("equal", adjustable="datalim")
     _name_places(places[0], chart)

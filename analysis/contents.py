@@ -8,14 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import LOOKED_AT, is_map, mistaken_json, refuse_workbook
-from trainlog.railway import Line
-from trainlog.trip import Trip, seconds
-from trainlog.units import KMH
 
 if TYPE_CHECKING:
     from trainlog.mcap.description import LogDescription
@@ -269,75 +264,24 @@ def _log_in_words(log: LogDescription) -> str:
 
 
 def draw_contents(contents: Contents, path: Path) -> None:
-    """Draw what a file holds: speed and limit of a trip over time, limits and gradients of a line.
+    """Draw what a file holds.
 
     Raises
     ------
     InputError
         If there is no picture of it.
     """
-    from analysis.charts import new_figure, write_figure
+    from analysis.charts import draw
 
     value = contents.value
     if contents.kind == "log":
         from trainlog.mcap import read_log
 
-        value = read_log(contents.path, ["/train/state", "/gnss/motion", "/environment"])
-    figure = new_figure(9.0, 4.0)
-    if isinstance(value, Trip):
-        _draw_trip(figure.add_subplot(), value)
-    elif isinstance(value, Line):
-        _draw_line(figure, value)
-    else:
+        value = read_log(contents.path)
+    if not getattr(value, "charts_by", ""):
         raise InputError(
             f"there is no picture of a {contents.kind}",
             file=contents.path,
             remedy="see it in the browser with --open, or with 'trainlog report'",
         )
-    write_figure(figure, path)
-
-
-def _draw_trip(axes: Any, trip: Trip) -> None:
-    sources = {"/train/state": "wheels", "/gnss/motion": "satellites"}
-    drawn = [name for name in sources if name in trip and trip[name]["speed"].notna().any()]
-    if not drawn:
-        raise InputError(f"trip '{trip.name}' has no speed", remedy="show it without --picture")
-    for name in drawn:
-        frame = trip[name]
-        minutes = seconds(frame, trip.start) / 60.0
-        axes.plot(minutes, frame["speed"] * KMH, label=sources[name], linewidth=1.0)
-    if "/environment" in trip and trip["/environment"]["speed_limit"].notna().any():
-        frame = trip["/environment"]
-        minutes = seconds(frame, trip.start) / 60.0
-        axes.step(minutes, frame["speed_limit"] * KMH, where="post", label="limit", linewidth=1.0)
-    axes.set_xlabel(f"time since {trip.start:%Y-%m-%d %H:%M:%S} UTC [min]")
-    axes.set_ylabel("speed [km/h]")
-    axes.set_title(f"Trip {trip.name}")
-    axes.legend(loc="best")
-
-
-def _draw_line(figure: Any, line: Line) -> None:
-    from analysis.charts import km_axis
-
-    limit, gradient = figure.subplots(2, 1, sharex=True)
-    own, against = line.speed_limits, line.speed_limits_reverse
-    drawn = [(limit, own, KMH, "limit [km/h]"), (gradient, line.gradients, 1e3, "gradient [‰]")]
-    if against is not None:
-        drawn.insert(0, (limit, against, KMH, "limit [km/h]"))
-    for axes, profile, factor, label in drawn:
-        places = np.append(profile.positions, line.length)
-        style = {"color": "C1", "linestyle": "--"} if profile is against else {"color": "C0"}
-        axes.step(places / 1e3, profile(places) * factor, where="post", linewidth=1.2, **style)
-        axes.set_ylabel(label)
-    if against is not None:
-        names = ["against the chainage", "along it"]
-        limit.legend(names, fontsize=8, frameon=False, loc="best")
-    for station in line.stations:
-        for axes in (limit, gradient):
-            axes.axvline(station.position / 1e3, color="0.7", linewidth=0.8)
-        limit.annotate(
-            station.name, (station.position / 1e3, 1.01), xycoords=("data", "axes fraction"),
-            rotation=30, fontsize=8,
-        )  # fmt: skip
-    words = f"{line.name}, chainage [km]"
-    km_axis(gradient, line, words if line.reference is None else f"{line.name}, km")
+    draw(value, path)

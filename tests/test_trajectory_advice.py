@@ -14,11 +14,11 @@ import pytest
 from advice_law import breaches
 from trajectory_cases import FLIRT, drawn, hilly_line, observed, optimised, slippery
 
+from analysis.charts import draw
 from analysis.trajectory.advice import journey_advice, with_advice, write_journey_advice
 from analysis.trajectory.instructions import instructions
 from analysis.trajectory.optimiser import energy_against_time, optimise
 from analysis.trajectory.phases import Phase, agreement
-from analysis.trajectory.plot import draw_front
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.line import read_line
@@ -229,7 +229,7 @@ def test_the_slope_of_the_front_is_the_price_of_a_second(tmp_path: Path) -> None
     assert np.all(slopes <= 1.01 * front.prices[:-1])
     assert np.all(slopes >= 0.99 * front.prices[1:])
     for name in ("a.png", "b.png"):
-        draw_front(front, tmp_path / name)
+        draw(front, tmp_path / name)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 

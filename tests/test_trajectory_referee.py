@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observed, optimised
 
+from analysis.charts import draw
 from analysis.trajectory.discretisation import graded_mesh
 from analysis.trajectory.phases import Phase, phase_letters, phases_by_control, phases_by_switching
-from analysis.trajectory.plot import draw_trajectory
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
 from trainlog.formats.train import read_train
@@ -80,7 +80,7 @@ def test_picture(tmp_path: Path) -> None:
     line = hilly_line()
     found = optimised(line, FLIRT, observed(FLIRT, 0.95, 1.05), reserve=0.1, cells=100)
     for name in ("a.png", "b.png"):
-        draw_trajectory(found, line, tmp_path / name)
+        draw(found, tmp_path / name, line=line)
     data = (tmp_path / "a.png").read_bytes()
     assert data.startswith(b"\x89PNG")
     assert len(data) > 30_000

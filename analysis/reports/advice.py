@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.charts import BLUE, Chart, Curve, Panel
+from analysis.charts import BLUE, Chart, Curve, Panel, limit_curve
 from analysis.reports.charts import as_part
 from analysis.reports.page import Page, Part, Section, Warned
 from analysis.reports.results import line_of_trajectory
-from analysis.reports.trip import limit_curve
 from analysis.trajectory.advice import (
     HEADER,
     JourneyAdvice,

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.charts import BLUE, Chart, Curve, Panel, rows_to_draw, stations_of
+from analysis.charts import BLUE, Chart, Curve, Panel, limit_curve, rows_to_draw, stations_of
 from analysis.comparison.groups import TripCost, compare_groups, trip_cost
 from analysis.reports.charts import WITHOUT_BOKEH, as_part
 from analysis.reports.page import Commands, Page, Part, Section, Warned
@@ -27,7 +27,7 @@ from analysis.reports.results import (
     trajectory_sections,
 )
 from analysis.reports.summary import report
-from analysis.reports.trip import Motion, Zone, limit_curve, trip_sections
+from analysis.reports.trip import Motion, Zone, trip_sections
 from trainlog import __version__
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError

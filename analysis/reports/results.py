@@ -16,16 +16,14 @@ from analysis.adhesion.condition_table import bins_table
 from analysis.adhesion.map_history import map_history
 from analysis.adhesion.map_plot import lowest_places
 from analysis.adhesion.map_state import MapState, line_of_map, map_state
-from analysis.charts import BLUE, SKY, Chart, Curve, Panel, rows_to_draw, stations_of
+from analysis.charts import BLUE, SKY, Chart, Curve, Panel
 from analysis.reports.answers import map_words, summary_section
 from analysis.reports.charts import as_part, as_parts
 from analysis.reports.page import Part, Section, Warned
 from analysis.reports.pictures import Picture, drawn
-from analysis.reports.trip import facts_table, gradient_panel, limit_curve
+from analysis.reports.trip import facts_table
 from analysis.resistance.logs import Fits, fit
 from analysis.trajectory.advice import driver_table, journey_advice
-from analysis.trajectory.phases import Phase
-from analysis.trajectory.plot import COLOURS, draw_trajectory
 from analysis.trajectory.table import trajectory_table
 from analysis.verification.plot import draw_score
 from analysis.verification.scoring import score_rolling
@@ -42,7 +40,6 @@ from trainlog.formats.trajectory import read_trajectory
 from trainlog.presentation import WordTable, kwh, new_table, overspeed, with_band
 from trainlog.progress import note
 from trainlog.railway import Line, ParameterSet, TrackConditionMap, Trajectory
-from trainlog.railway.kilometres import in_km
 from trainlog.units import KMH, clock
 
 MOST_ROWS = 60
@@ -335,7 +332,7 @@ def trajectory_sections(path: Path, line: Path | None = None) -> list[Section]:
     """
     trajectory = read_trajectory(path)
     course = line_of_trajectory(trajectory, line)
-    parts: list[Part] = [as_part(trajectory_charts(trajectory, course)[0])]
+    parts: list[Part] = [*as_parts(trajectory.charts(line=course))]
     sections = [Section("Trajectory", parts)]
     if course is None:
         parts.append(
@@ -347,14 +344,6 @@ def trajectory_sections(path: Path, line: Path | None = None) -> list[Section]:
             Section("Certificate", [*certificate_words(trajectory), *trajectory_table(trajectory)])
         )
     if "phases" in trajectory.certificate:
-        if course is not None:
-            words = (
-                f"Speed of {trajectory.train} on {trajectory.line} in the colours of its driving"
-                " phases, efforts, switching function and gradient."
-            )
-            sections.append(
-                Section("Phases", [drawn(partial(draw_trajectory, trajectory, course), words)])
-            )
         found = journey_advice([trajectory], course)
         sections.append(Section("Advice to the driver", [driver_table(found)]))
     return sections
@@ -391,76 +380,6 @@ def line_of_trajectory(trajectory: Trajectory, given: Path | None) -> Line | Non
                 remedy="give the line that it was planned on",
             )
     return lines[0].reversed() if trajectory.direction == "reverse" else lines[0]
-
-
-def trajectory_charts(trajectory: Trajectory, line: Line | None = None) -> list[Chart]:
-    """Planned speed, efforts and gradient of a trajectory over kilometres.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-    line : Line, optional
-        As travelled; default: the one that it was planned on.
-
-    Examples
-    --------
-    >>> from analysis import OptimiserOptions, TrajectoryProblem, optimise
-    >>> import trainlog
-    >>> train = trainlog.read_train("sample")
-    >>> nominal = [trainlog.Configuration.of(train)]
-    >>> problem = TrajectoryProblem(trainlog.read_line("sample"), train, nominal, end=9_286.1)
-    >>> plan = optimise(problem, OptimiserOptions(60))
-    >>> figure = plan.plot()
-    >>> [axes.get_ylabel() for axes in figure.axes]
-    ['km/h', 'kN', 'gradient, ‰']
-    """
-    line = line_of_plan(trajectory) if line is None else line
-    row = trajectory.latest
-    km = trajectory.positions / 1e3
-    speeds, times = KMH * trajectory.speeds, trajectory.times
-    hover = {
-        "km": [f"{each:.3f}" for each in in_km(line, trajectory.positions).tolist()],
-        "time": [clock(each) for each in times[row].tolist()],
-        "speed": [f"{each:.1f} km/h" for each in speeds[row].tolist()],
-        "of all configurations": [
-            f"{a:.1f} to {b:.1f} km/h"
-            for a, b in zip(speeds.min(0).tolist(), speeds.max(0).tolist(), strict=True)
-        ],
-    }
-    rows = rows_to_draw(speeds[row], most=1_500)
-    of = trajectory.configurations[row].name
-    curve = Curve(
-        f"{of}, arrives last; band: all configurations", km[rows], speeds[row][rows], BLUE, "line",
-        speeds.min(0)[rows], speeds.max(0)[rows],
-        {name: [each[i] for i in rows.tolist()] for name, each in hover.items()}, 2.0,
-    )  # fmt: skip
-    start, end = float(trajectory.positions[0]), float(trajectory.positions[-1])
-    limits = [] if line is None else [limit_curve(line, start, end)]
-    traction = trajectory.tractive_effort / 1e3
-    braking = -trajectory.braking_effort[row] / 1e3
-    efforts = Panel(
-        "kN",
-        [
-            Curve(label, km, np.append(values, values[-1]), COLOURS[phase], "step", width=1.2)
-            for label, values, phase in (
-                ("traction", traction, Phase.MAXIMUM_TRACTION),
-                ("braking", braking, Phase.MAXIMUM_BRAKING),
-            )
-        ],
-        0.7,
-    )  # fmt: skip
-    panels = [Panel("km/h", [*limits, curve], 1.5, from_zero=True), efforts]
-    panels += [] if line is None else [gradient_panel(line, start, end)]
-    chart = Chart(
-        "km in the direction of travel",
-        panels,
-        f"Planned speed over kilometres of {trajectory.train} on {trajectory.line}, with the band"
-        " of all configurations, the permitted speed, efforts and gradient.",
-        "",
-        stations_of(line),
-        line=line,
-    )
-    return [chart]
 
 
 def certificate_words(trajectory: Trajectory) -> list[str]:

@@ -17,14 +17,14 @@ from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.charts import (
     BLUE,
     GREEN,
-    GREY,
-    INK,
     PURPLE,
     RED,
     SKY,
     Chart,
     Curve,
     Panel,
+    gradient_panel,
+    limit_curve,
     rows_to_draw,
     stations_of,
 )
@@ -477,27 +477,6 @@ def _limit(line: Line | None, position: FloatArray) -> list[Curve]:
     if line is None:
         return []
     return [limit_curve(line, float(position.min()), float(position.max()))]
-
-
-def limit_curve(line: Line, start: float, end: float) -> Curve:
-    """The permitted speed between two positions [m]."""
-    edges = _edges(line.speed_limits.positions, start, end, line.length)
-    values = KMH * line.speed_limit(edges)
-    values[-1] = values[-2] if values.size > 1 else values[-1]
-    return Curve("permitted speed", edges / 1e3, values, INK, "step", width=1.1)
-
-
-def gradient_panel(line: Line, start: float, end: float) -> Panel:
-    """The gradient between two positions [m]."""
-    edges = _edges(line.gradients.positions, start, end, line.length)
-    values = PER_MILLE * line.gradient(edges)
-    return Panel("gradient, ‰", [Curve("", edges / 1e3, values, GREY, "step", width=1.0)], 0.5)
-
-
-def _edges(positions: FloatArray, start: float, end: float, length: float) -> FloatArray:
-    start, end = max(start, 0.0), min(end, length)
-    inner = positions[(positions > start) & (positions < end)]
-    return np.concatenate(([start], inner, [end]))
 
 
 def _efforts(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -483,6 +483,8 @@ class Front(Presented):
     least_time : float [s]
         Of the slowest configuration by itself.
     """
+
+    charts_by: ClassVar[str] = "analysis.trajectory.plot:front_charts"
 
     trajectories: tuple[Trajectory, ...]
     least_time: float

@@ -1,34 +1,33 @@
-"""Pictures: a trajectory over km, and a Pareto front of energy against running time."""
+"""Charts: a trajectory over km, and a Pareto front of energy against running time."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.lines import Line2D
 
 from analysis.charts import (
     BLUE,
     GREEN,
     GREY,
-    INK,
     ORANGE,
-    PALE,
     PURPLE,
     RED,
     SKY,
-    dress,
-    km_axis,
-    new_figure,
-    write_figure,
+    Chart,
+    Curve,
+    Panel,
+    Rule,
+    gradient_panel,
+    limit_curve,
+    rows_to_draw,
+    stations_of,
 )
 from analysis.trajectory.optimiser import Front
 from analysis.trajectory.phases import Phase, phases_of
 from trainlog.arrays import FloatArray, IntArray
+from trainlog.formats.attached import line_of_plan
 from trainlog.railway import Line, Trajectory
-from trainlog.units import JOULES_PER_KWH, KMH, PER_MILLE, clock
+from trainlog.railway.kilometres import in_km
+from trainlog.units import JOULES_PER_KWH, KMH, clock
 
 COLOURS = {
     Phase.MAXIMUM_TRACTION: RED,
@@ -43,13 +42,13 @@ _POINTS = 8
 """Points drawn in a cell: between nodes the square of the speed is linear, not the speed."""
 
 _FEW = 4
-"""Other configurations up to which all are drawn in colours, and the costates of each."""
+"""Other configurations up to which the costates of each are drawn."""
 
 
-def draw_trajectory(
-    trajectory: Trajectory, line: Line, path: str | Path, *, row: int | None = None
-) -> None:
-    """Draw a trajectory as optimal train control does.
+def trajectory_charts(
+    trajectory: Trajectory, *, line: Line | None = None, row: int | None = None
+) -> list[Chart]:
+    """A trajectory as optimal train control draws it.
 
     Speed over km of every configuration under the limits, one of them in the colours of its
     driving phases; its efforts; the switching function; the gradient.
@@ -57,30 +56,34 @@ def draw_trajectory(
     Parameters
     ----------
     trajectory : Trajectory
-    line : Line
-        In the direction of travel.
-    path : path
-        PNG file.
+    line : Line, optional
+        In the direction of travel: gives limits, stations and gradients; default: the one that it
+        was planned on.
     row : int, optional
         The configuration shown in colours; the one that arrives last without it.
     """
+    line = line_of_plan(trajectory) if line is None else line
     chosen = trajectory.latest if row is None else row
-    switching = trajectory.certificate.get("switching")
-    heights = [3.2, 1.3, 1.1, 1.0] if switching else [3.2, 1.3, 1.0]
-    figure = new_figure(11.0, 1.55 * sum(heights))
-    places = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     phases = phases_of(trajectory, chosen)
-    _draw_speeds(places[0], trajectory, line, chosen, phases)
-    _draw_efforts(places[1], trajectory, chosen, phases)
+    panels = [_speeds(trajectory, line, chosen, phases), _efforts(trajectory, chosen, phases)]
+    switching = trajectory.certificate.get("switching")
     if switching:
-        _draw_switching(places[2], trajectory, np.asarray(switching))
-    _draw_gradient(places[-1], trajectory, line)
-    km_axis(places[-1], line)
-    km = trajectory.positions / 1e3
-    places[-1].set_xlim(km[0], km[-1])
-    figure.align_ylabels(places)
-    figure.suptitle(_title(trajectory), x=0.01, ha="left", fontsize=11, color=INK)
-    write_figure(figure, path)
+        panels.append(_switching(trajectory, np.asarray(switching)))
+    start, end = trajectory.positions[[0, -1]].tolist()
+    if line is not None:
+        panels.append(gradient_panel(line, start, end))
+    return [
+        Chart(
+            "km in the direction of travel",
+            panels,
+            f"Planned speed over kilometres of {trajectory.train} on {trajectory.line}, with the"
+            " band of all configurations, the permitted speed, efforts and gradient.",
+            places=stations_of(line),
+            span=(start / 1e3, end / 1e3),
+            line=line,
+            title=_title(trajectory),
+        )
+    ]
 
 
 def _title(trajectory: Trajectory) -> str:
@@ -98,7 +101,7 @@ def _title(trajectory: Trajectory) -> str:
     )
 
 
-def _curve(trajectory: Trajectory, row: int) -> tuple[FloatArray, FloatArray]:
+def _fine(trajectory: Trajectory, row: int) -> tuple[FloatArray, FloatArray]:
     """Km and km/h of a configuration, fine enough to look smooth, (n, points) cell by cell."""
     shares = np.linspace(0.0, 1.0, _POINTS)
     begin = trajectory.positions[:-1, None]
@@ -108,165 +111,120 @@ def _curve(trajectory: Trajectory, row: int) -> tuple[FloatArray, FloatArray]:
     return position / 1e3, KMH * np.sqrt(squares)
 
 
-def _draw_speeds(
-    axes: Axes, trajectory: Trajectory, line: Line, chosen: int, phases: IntArray
-) -> None:
-    start, end = trajectory.positions[[0, -1]]
-    edges = line.speed_limits.positions
-    edges = np.concatenate(([start], edges[(edges > start) & (edges < end)], [end]))
-    axes.stairs(
-        KMH * line.speed_limit(edges[:-1]), edges / 1e3, baseline=None, color=INK, linewidth=1.2
-    )
-    others = [row for row in range(len(trajectory.configurations)) if row != chosen]
-    few = len(others) < _FEW
-    for row in others:
-        if few:
-            axes.add_collection(_in_phases(trajectory, row, phases_of(trajectory, row), 1.1))
-        else:
-            km, speed = _curve(trajectory, row)
-            axes.plot(km.ravel(), speed.ravel(), color=GREY, linewidth=0.6, alpha=0.6)
-    axes.add_collection(_in_phases(trajectory, chosen, phases, 2.2))
-    for station in line.stations:
-        if start <= station.position <= end:
-            axes.axvline(station.position / 1e3, color=PALE, linewidth=0.8, zorder=0)
-            share = (station.position - start) / (end - start)
-            axes.text(
-                station.position / 1e3, 0.995, station.name, fontsize=8, color=GREY, va="top",
-                ha="left" if share < 0.1 else "right" if share > 0.9 else "center",
-                transform=axes.get_xaxis_transform(),
-            )  # fmt: skip
+def _speeds(trajectory: Trajectory, line: Line | None, chosen: int, phases: IntArray) -> Panel:
+    speeds, km = KMH * trajectory.speeds, trajectory.positions / 1e3
+    low, high = speeds.min(axis=0), speeds.max(axis=0)
+    rows = rows_to_draw(speeds[chosen], most=1_500)
+    hover = {
+        "km": [f"{each:.3f}" for each in in_km(line, trajectory.positions[rows]).tolist()],
+        "time": [clock(each) for each in trajectory.times[chosen][rows].tolist()],
+        "speed": [f"{each:.1f} km/h" for each in speeds[chosen][rows].tolist()],
+        "of all configurations": [
+            f"{a:.1f} to {b:.1f} km/h"
+            for a, b in zip(low[rows].tolist(), high[rows].tolist(), strict=True)
+        ],
+    }
     name = trajectory.configurations[chosen].name
-    handles = [Line2D([], [], color=INK, linewidth=1.2, label="permitted speed")]
-    handles += [
-        Line2D([], [], color=COLOURS[phase], linewidth=2.2, label=phase.label)
-        for phase in Phase
-        if phase in phases
-    ]
-    if others:
-        colour, width = (INK, 1.1) if few else (GREY, 0.6)
-        handles.append(Line2D([], [], color=colour, linewidth=width, label="other configurations"))
-    dress(axes, x="", y="km/h", title="Speed")
-    axes.legend(
-        handles=handles, fontsize=8, frameon=False, ncols=2, loc="lower center",
-        title=f"in colours: {name}", title_fontsize=8,
+    many = len(trajectory.configurations) > 1
+    ends = trajectory.positions[[0, -1]].tolist()
+    curves = list[Curve]()
+    if line is not None:
+        curves.append(limit_curve(line, *ends))
+    curves.append(
+        Curve("all configurations" * many, km[rows], speeds[chosen][rows], GREY, "line", low[rows],
+              high[rows], hover, 0.8)
     )  # fmt: skip
-    axes.set_ylim(0.0, 1.1 * KMH * float(line.speed_limit(edges[:-1]).max()))
+    place, speed = _fine(trajectory, chosen)
+    for phase in Phase:
+        if phase in phases:
+            shown = np.where((phases == phase)[:, None], speed, np.nan)
+            curves.append(
+                Curve(phase.label, place.ravel(), shown.ravel(), COLOURS[phase], width=2.2)
+            )
+    words = f"Speed; in colours: {name}" if many else "Speed"
+    return Panel("km/h", curves, 1.6, words, from_zero=True)
 
 
-def _in_phases(trajectory: Trajectory, row: int, phases: IntArray, width: float) -> LineCollection:
-    """Speed over km of a configuration, in the colours of its phases."""
-    km, speed = _curve(trajectory, row)
-    return LineCollection(
-        list(np.stack((km, speed), axis=2)),
-        colors=[COLOURS[Phase(code)] for code in phases],
-        linewidths=width,
-        capstyle="round",
-    )
-
-
-def _draw_efforts(axes: Axes, trajectory: Trajectory, chosen: int, phases: IntArray) -> None:
-    km = trajectory.positions / 1e3
+def _efforts(trajectory: Trajectory, chosen: int, phases: IntArray) -> Panel:
+    edges = trajectory.positions / 1e3
     net = (trajectory.tractive_effort - trajectory.braking_effort[chosen]) / 1e3
+    ends = np.repeat(edges, 2)[1:-1]
+    curves = []
     for phase in Phase:
         shown = np.where(phases == phase, net, 0.0)
         if np.any(shown):
-            axes.stairs(shown, km, fill=True, color=COLOURS[phase])
-    axes.axhline(0.0, color=INK, linewidth=0.6)
-    dress(axes, x="", y="kN", title="Tractive effort, braking effort below")
+            curves.append(Curve("", ends, np.repeat(shown, 2), COLOURS[phase], "area"))
+    return Panel(
+        "kN", curves, 0.65, "Tractive effort, braking effort below", rules=[Rule(0.0, width=0.6)]
+    )
 
 
-def _draw_switching(axes: Axes, trajectory: Trajectory, switching: FloatArray) -> None:
+def _switching(trajectory: Trajectory, switching: FloatArray) -> Panel:
     middle = 0.5 * (trajectory.positions[1:] + trajectory.positions[:-1]) / 1e3
     costates = trajectory.certificate.get("costates", {})
-    if 1 < len(costates) <= _FEW:
-        styles = ("--", ":", "-.", (0, (6, 1)))
-        for (name, costate), style in zip(costates.items(), styles, strict=False):
-            axes.plot(middle, costate, color=GREY, linewidth=1.0, linestyle=style, label=name)
-    axes.plot(middle, switching, color=PURPLE, linewidth=1.4, label="sum")
-    if 1 < len(costates) <= _FEW:
-        axes.legend(fontsize=8, frameon=False, ncols=5, loc="upper right")
+    each = costates if 1 < len(costates) <= _FEW else {}
+    styles = ("--", ":", "-.", "--")
+    curves = [
+        Curve(name, middle, costate, GREY, width=1.0, dash=style)
+        for (name, costate), style in zip(each.items(), styles, strict=False)
+    ]
+    curves.append(Curve("sum" if each else "", middle, switching, PURPLE, width=1.4))
     levels = trajectory.certificate.get("switching_levels", {"traction": 1.0, "braking": 0.0})
-    for level in levels.values():
-        axes.axhline(level, color=GREY, linewidth=0.8, linestyle="--")
-    shown = np.array([*costates.values()]) if 1 < len(costates) <= _FEW else switching
+    shown = np.array([*each.values()]) if each else switching
     # At either end they rise or fall without bound as the speed goes to nothing.
     low, high = np.quantile(shown, (0.03, 0.97), axis=-1)
-    axes.set_ylim(
-        max(min(float(np.min(low)), -0.1), -3.0) - 0.4,
-        min(max(float(np.max(high)), 1.2), 4.0) + 0.4,
-    )
-    above, below = levels["traction"], levels["braking"]
     title = (
-        f"Switching function: above {above:.3g} full traction, below {below:.3g} braking,"
-        " coasting between"
+        f"Switching function: above {levels['traction']:.3g} full traction, below"
+        f" {levels['braking']:.3g} braking, coasting between"
     )
     if "agreement" in trajectory.certificate:
         share = trajectory.certificate["agreement"]["traction"]
         title += f"; traction agrees in {100.0 * share:.1f} % of the cells"
-    dress(axes, x="", y="", title=title)
+    limits = (
+        max(min(float(np.min(low)), -0.1), -3.0) - 0.4,
+        min(max(float(np.max(high)), 1.2), 4.0) + 0.4,
+    )
+    rules = [Rule(level, GREY, dash="--") for level in levels.values()]
+    return Panel("", curves, 0.6, title, limits=limits, rules=rules)
 
 
-def _draw_gradient(axes: Axes, trajectory: Trajectory, line: Line) -> None:
-    start, end = trajectory.positions[[0, -1]]
-    edges = line.gradients.positions
-    edges = np.concatenate(([start], edges[(edges > start) & (edges < end)], [end]))
-    gradient = PER_MILLE * line.gradient(edges[:-1])
-    axes.stairs(gradient, edges / 1e3, fill=True, color=PALE)
-    axes.stairs(gradient, edges / 1e3, baseline=None, color=GREY, linewidth=0.8)
-    steepest = max(1.0, 1.1 * float(np.abs(gradient).max()))
-    axes.set_ylim(-steepest, steepest)
-    dress(axes, x="", y="‰", title="Gradient")
-
-
-def draw_front(front: Front, path: str | Path) -> None:
-    """Draw the least energies over the running time, with their slopes, and the price below.
+def front_charts(front: Front) -> list[Chart]:
+    """The least energies over the running time, with their slopes, and the price below.
 
     Above the running time stands the reserve over the least time of the slowest configuration.
-
-    Parameters
-    ----------
-    front : Front
-    path : path
-        PNG file.
     """
-    times, energies, prices = (
-        front.times,
-        front.energies / JOULES_PER_KWH,
-        front.prices / JOULES_PER_KWH,
-    )
-    figure = new_figure(8.0, 6.5)
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=[2.0, 1.0])
+    times = front.times
+    energies, prices = (each / JOULES_PER_KWH for each in (front.energies, front.prices))
     reach = 0.35 * float(max(times[-1] - times[0], 1.0)) / max(times.size - 1, 1)
-    for time, energy, price in zip(times, energies, prices, strict=True):
-        ends = (time - reach, time + reach)
-        line = (energy + price * reach, energy - price * reach)
-        above.plot(ends, line, color=ORANGE, linewidth=1.4)
-    above.plot(times, energies, "o", color=BLUE, markersize=5)
-    handles = [
-        above.plot([], [], "o", color=BLUE, markersize=5, label="least energy")[0],
-        above.plot([], [], color=ORANGE, linewidth=1.4, label="its slope, from the multipliers")[0],
-        above.axvline(front.least_time, color=GREY, linewidth=0.9, linestyle="--",
-                      label="least time of the slowest configuration"),
-    ]  # fmt: skip
-    above.legend(handles=handles, fontsize=8, frameon=False)
+    gap = np.full(times.size, np.nan)
+    ends = np.column_stack((times - reach, times + reach, gap)).ravel()
+    slopes = np.column_stack((energies + prices * reach, energies - prices * reach, gap)).ravel()
+    hover = {
+        "running time": [clock(each) for each in times.tolist()],
+        "reserve": [f"{100.0 * (each / front.least_time - 1.0):.1f} %" for each in times.tolist()],
+        "least energy": [f"{each:.1f} kWh" for each in energies.tolist()],
+    }
     first = front.trajectories[0]
-    title = f"{first.train} on {first.line}: {first.energy_label}"
-    dress(above, x="", y="kWh")
-    least = front.least_time
-
-    def to_reserve(time: FloatArray) -> FloatArray:
-        return 1e2 * (time / least - 1.0)
-
-    def to_time(reserve: FloatArray) -> FloatArray:
-        return least * (1.0 + 1e-2 * reserve)
-
-    reserves = above.secondary_xaxis("top", functions=(to_reserve, to_time))
-    reserves.set_xlabel("reserve [%]", fontsize=9, color=GREY)
-    reserves.tick_params(labelsize=8, colors=GREY)
-    reserves.spines["top"].set_color(GREY)
-    figure.suptitle(title, x=0.01, ha="left", fontsize=11, color=INK)
-    below.plot(times, 1e3 * prices, "o-", color=BLUE, markersize=4, linewidth=1.2)
-    below.set_ylim(bottom=0.0)
-    dress(below, x="running time [s]", y="Wh/s", title="What a second more saves")
-    below.xaxis.label.set_color(INK)
-    write_figure(figure, path)
+    least = Rule(front.least_time, GREY, "least time of the slowest configuration", upright=True,
+                 dash="--")  # fmt: skip
+    above = [
+        Curve("its slope, from the multipliers", ends, slopes, ORANGE, width=1.4),
+        Curve("least energy", times, energies, BLUE, "points", hover=hover, width=2.5),
+    ]
+    below = [
+        Curve("", times, 1e3 * prices, BLUE, width=1.2),
+        Curve("", times, 1e3 * prices, BLUE, "points", width=2.0),
+    ]
+    return [
+        Chart(
+            "running time [s]",
+            [
+                Panel("kWh", above, 1.5, rules=[least]),
+                Panel("Wh/s", below, 0.8, "What a second more saves", from_zero=True),
+            ],
+            f"Least energy over the running time of {first.train} on {first.line}.",
+            span=(min(front.least_time, times[0]) - reach, times[-1] + 1.2 * reach),
+            title=f"{first.train} on {first.line}: {first.energy_label}",
+            second=("reserve [%]", 100.0 / front.least_time, -100.0),
+        )
+    ]

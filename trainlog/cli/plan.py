@@ -393,15 +393,15 @@ def _refuse(why: str, given: Mapping[str, object], remedy: str = "") -> None:
 
 def _write(trajectory: Trajectory, problem: TrajectoryProblem, output: Path) -> None:
     """Write a trajectory, its picture and its advice, and print what it is."""
+    from analysis.charts import draw
     from analysis.trajectory.adhesion import adhesion_words
     from analysis.trajectory.advice import driver_table, journey_advice, write_journey_advice
-    from analysis.trajectory.plot import draw_trajectory
     from analysis.trajectory.table import certified, trajectory_table
     from trainlog.formats.trajectory import write_trajectory
 
     advice = journey_advice([trajectory], problem.line)
     write_trajectory(trajectory, output)
-    draw_trajectory(trajectory, problem.line, output.with_suffix(".png"))
+    draw(trajectory, output.with_suffix(".png"), line=problem.line)
     write_journey_advice(advice, output.with_suffix(".csv"))
     content = current().content
     content.setdefault("trajectories", []).append({"trajectory": output, **certified(trajectory)})
@@ -443,12 +443,12 @@ def _front(
     problem: TrajectoryProblem, options: OptimiserOptions, reserves: list[float], output: Path
 ) -> None:
     """Energy against running time, printed and drawn."""
+    from analysis.charts import draw
     from analysis.trajectory.optimiser import energy_against_time
-    from analysis.trajectory.plot import draw_front
 
     front = energy_against_time(problem, reserves, options)
     picture = output.with_name(f"{output.stem}-pareto.png")
-    draw_front(front, picture)
+    draw(front, picture)
     show(front)
     wrote(picture)
 

@@ -28,6 +28,7 @@ from trainlog.declaration import (
 )
 from trainlog.display import counted, picture, span
 from trainlog.errors import InputError
+from trainlog.plotted import Plotted
 from trainlog.railway.line_parts import (
     POSITION,
     TINY,
@@ -101,7 +102,7 @@ _LIMITS = (POSITION, Column("speed", "km/h", "m/s"))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Line(Declared):
+class Line(Declared, Plotted):
     """A railway line between two ends.
 
     Attributes
@@ -156,6 +157,8 @@ class Line(Declared):
     >>> line.reversed().gradient(100.0).item()
     -0.005
     """
+
+    charts_by: ClassVar[str] = "analysis.charts:line_charts"
 
     FORMAT: ClassVar[str] = "trainlog/line"
     VERSION: ClassVar[int] = 2

@@ -80,8 +80,9 @@ class Trajectory(Declared, Plotted):
     np.float64(14.14)
     """
 
+    charts_by: ClassVar[str] = "analysis.trajectory.plot:trajectory_charts"
+
     FORMAT: ClassVar[str] = "trainlog/trajectory"
-    charts_by: ClassVar[str] = "analysis.reports.results:trajectory_charts"
     ORDER: ClassVar[tuple[str, ...]] = (
         "line", "train", "direction", "running_time", "configurations", "positions",
         "tractive_effort", "tractive_effort_fall", "braking_effort", "speeds", "times",

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from analysis.charts import draw
 from analysis.studies.cunillera_2022 import model as study, table
 from analysis.studies.cunillera_2022.plot import draw_others
 from analysis.studies.report import StudyReport
-from analysis.trajectory.plot import draw_trajectory
 from trainlog.formats.trajectory import write_trajectory
 from trainlog.railway import Trajectory
 
@@ -27,7 +27,7 @@ def main(report: StudyReport, cells: int) -> None:
         path = report.folder / f"{name}.json"
         write_trajectory(found, path)
         report.keep(path)
-        draw_trajectory(found, instance.line, report.picture(f"{name}.png"))
+        draw(found, report.picture(f"{name}.png"), line=instance.line)
     ends = [
         study.end_of(level, share, cells=cells)
         for share in report.track(study.SHARES, "lowest common end speeds")
