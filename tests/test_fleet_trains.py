@@ -12,10 +12,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from analysis.charts import draw_charts
 from analysis.fleet.channels import channel_table
 from analysis.fleet.drift import Drift
 from analysis.fleet.mixed import Group, mixed_effects
-from analysis.fleet.plot import draw_findings
+from analysis.fleet.plot import findings_charts
 from analysis.fleet.resistance import KindResistance, TrainResistance, fleet_resistance
 from analysis.fleet.trains import FleetTrains, fleet_trains, trains_in
 from analysis.fleet.trains_table import trains_data
@@ -251,7 +252,7 @@ def test_of_two_trains_none_is_called_unlike_the_other_and_this_is_stated(tmp_pa
         assert "Too few trains of kind flirt (2)" in shown.too_few
         assert shown.sentences() == [shown.too_few]
     path = tmp_path / "findings.svg"
-    draw_findings(found, path)
+    draw_charts(findings_charts(found), path)
     drawn = path.read_text("utf-8")
     assert "Too few trains of kind flirt (2)" in drawn
     assert "unlike the others" not in drawn

@@ -1,15 +1,9 @@
-"""Pictures of what a fleet shows of its trains."""
+"""Charts of what a fleet shows of its trains."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from textwrap import fill
-
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
-from numpy.typing import NDArray
 
 from analysis.charts import (
     BLUE,
@@ -21,11 +15,12 @@ from analysis.charts import (
     PURPLE,
     RED,
     SKY,
-    dress,
-    headline,
-    legend,
-    new_figure,
-    write_figure,
+    Chart,
+    Curve,
+    Label,
+    Panel,
+    Rule,
+    Span,
 )
 from analysis.fleet.resistance import KindResistance
 from analysis.fleet.trains import FleetTrains
@@ -44,141 +39,146 @@ MOST_DRAWN = 1_500
 MOST_LEVELS = 100
 """Points of a train's level over time."""
 
+MOST_FINDINGS = 24
+"""Findings that are drawn."""
+
 CHANNEL_UNITS = {"1": (100.0, "%"), "N": (1e-3, "kN"), "s": (1.0, "s")}
 
 
-def draw_resistance(kind: KindResistance, found: FleetTrains, path: str | Path) -> None:
+def resistance_charts(kind: KindResistance, found: FleetTrains) -> list[Chart]:
     """Each train's curve with the kind's spread, and at 80 km/h by train with its band."""
-    named = min(len(kind.trains), MOST_NAMED)
-    figure = new_figure(11.0, max(4.6, 1.8 + 0.2 * named))
-    left, right = figure.subplots(1, 2)
     speed = np.linspace(0.0, kind.mean.asked[1], 120)
     unlike = {each.train for each in found.unlike.findings if each.kind == kind.kind}
-    low, high = kind.another.band_at(speed)
-    mean = kind.mean.resistance(speed)
-    left.fill_between(
-        KMH * speed,
-        low / 1e3,
-        high / 1e3,
-        color=PALE,
-        alpha=0.7,
-        lw=0.0,
-        label="95 % of trains of this kind, at each speed",
-    )
-    for each in kind.trains:
+    low, high = (each / 1e3 for each in kind.another.band_at(speed))
+    mean = kind.mean.resistance(speed) / 1e3
+    spread = "95 % of trains of this kind, at each speed"
+    curves = [Curve(spread, KMH * speed, high, PALE, "area", low)]
+    named = set[str]()
+    for each in sorted(kind.trains, key=lambda each: each.train in unlike):
         other = each.train in unlike
-        left.plot(
-            KMH * speed,
-            each.resistance(speed) / 1e3,
-            color=RED if other else BLUE,
-            lw=1.2 if other else 0.7,
-            alpha=1.0 if other else 0.6,
-        )
-    left.plot(KMH * speed, mean / 1e3, color=INK, lw=1.6, label="mean of the kind")
-    left.plot([], [], color=BLUE, lw=0.9, label="a train")
-    if unlike:
-        left.plot([], [], color=RED, lw=1.2, label="a train with a finding")
-    dress(left, x="speed [km/h]", y="running resistance [kN]", title="curves")
-    left.set_xlim(0.0, KMH * float(speed[-1]))
-    left.set_ylim(bottom=0.0)
-    legend(left)
-    _by_train(right, kind, unlike)
+        label = "a train with a finding" if other else "a train"
+        curves.append(
+            Curve(label if label not in named else "", KMH * speed, each.resistance(speed) / 1e3,
+                  RED if other else BLUE, width=1.2 if other else 0.7,
+                  opacity=1.0 if other else 0.6)
+        )  # fmt: skip
+        named.add(label)
+    curves.append(Curve("mean of the kind", KMH * speed, mean, INK, width=1.6))
     trips = counted(kind.mean.trips, "trip")
     words = f"{counted(len(kind.trains), 'train')} of kind {kind.kind}, {trips}"
     if not kind.compared:
         words += "; too few trains of the kind to call one unlike the others"
-    headline(figure, words)
-    write_figure(figure, path)
+    alt = f"Running resistance of the trains of kind {kind.kind}, with the spread of the kind."
+    panel = Panel("running resistance [kN]", curves, 1.8, from_zero=True)
+    return [
+        Chart("speed [km/h]", [panel], alt, title=words, width=0.55),
+        _by_train(kind, unlike),
+    ]
 
 
-def _by_train(axes: Axes, kind: KindResistance, unlike: set[str]) -> None:
+def _by_train(kind: KindResistance, unlike: set[str]) -> Chart:
     """Resistance at 80 km/h of each train, the least first."""
     trains = sorted(kind.trains, key=lambda each: float(each.resistance(AT)))
     value = np.array([float(each.resistance(AT)) for each in trains]) / 1e3
     ends = np.array([each.band_at(AT) for each in trains], dtype=np.float64).reshape(-1, 2) / 1e3
-    place = np.arange(len(trains))
-    middle = float(kind.mean.resistance(AT)) / 1e3
-    low, high = kind.another.band_at(AT)
-    axes.axvspan(float(low) / 1e3, float(high) / 1e3, color=PALE, alpha=0.7, lw=0.0)
-    axes.axvline(middle, color=INK, lw=1.0)
-    colours = [RED if each.train in unlike else BLUE for each in trains]
-    axes.hlines(place, ends[:, 0], ends[:, 1], colors=colours, lw=1.4)
-    axes.scatter(value, place, c=colours, s=16, zorder=3)
-    dress(
-        axes,
-        x="running resistance at 80 km/h [kN]",
-        y="",
-        title="by train, with 95 % band; grey: 95 % of trains of this kind",
-    )
+    low, high = (float(each) / 1e3 for each in kind.another.band_at(AT))
+    other = np.array([each.train in unlike for each in trains], dtype=np.bool_)
+    points = [
+        Curve("", value[rows], np.flatnonzero(rows), colour, "points", ends[rows, 0],
+              ends[rows, 1], width=2.0, across=True)
+        for rows, colour in ((~other, BLUE), (other, RED))
+        if rows.any()
+    ]  # fmt: skip
     few = len(trains) <= MOST_NAMED
-    axes.set_yticks(place if few else [])
-    if few:
-        axes.set_yticklabels([f"{each.train} ({each.trips})" for each in trains], fontsize=7)
+    least, most = min(low, *ends[:, 0].tolist()), max(high, *ends[:, 1].tolist())
+    margin = 0.05 * (most - least)
+    panel = Panel(
+        "", points, max(1.8, 0.075 * len(trains) * few),
+        rows=[f"{each.train} ({each.trips})" if few else " " for each in trains],
+        rules=[Rule(float(kind.mean.resistance(AT)) / 1e3, upright=True)],
+        spans=[Span(low, high, PALE, "", 0.7)],
+    )  # fmt: skip
+    return Chart(
+        "running resistance at 80 km/h [kN]", [panel],
+        f"Running resistance at 80 km/h of the trains of kind {kind.kind}.",
+        title="by train, with 95 % band; grey: 95 % of trains of this kind",
+        span=(least - margin, most + margin), beside=True, width=0.45,
+    )  # fmt: skip
 
 
 def channels_over_time(kind: str, found: FleetTrains) -> list[str]:
-    """The channels of a kind that `draw_drift` draws; none where its trips are too few."""
+    """The channels of a kind that `drift_charts` draws; none where its trips are too few."""
     shown = ("size of the curve", "speed scale", "effort gain", "effort delay")
     return [name for name in shown if name in found.unlike.series.get(kind, {})]
 
 
-def draw_drift(kind: str, found: FleetTrains, path: str | Path) -> None:
+def drift_charts(kind: str, found: FleetTrains) -> list[Chart]:
     """Channels of a kind over time: each trip, and the running level of each train."""
-    channels = channels_over_time(kind, found)
     trips = found.trips[kind]
-    figure = new_figure(10.0, 2.3 * len(channels) + 0.6)
-    panels = np.atleast_1d(figure.subplots(len(channels), 1, sharex=True))
     findings = [each for each in found.unlike.findings if each.kind == kind]
     colours = _colours(trips["train"], {each.train for each in findings})
-    thinned = 1
-    for axes, name in zip(panels, channels, strict=True):
-        series = found.unlike.series[kind][name]
-        factor, unit = CHANNEL_UNITS[series.channel.unit]
-        start = trips["start"].iloc[series.rows]
-        names = trips["train"].to_numpy(str)[series.rows]
-        own = factor * (series.own if series.common else series.value - np.median(series.value))
-        step = -(-own.size // MOST_DRAWN)
-        thinned = max(thinned, step)
-        axes.plot(start[::step], own[::step], ".", color=GREY, ms=2.0, alpha=0.5)
-        for train in np.unique(names).tolist():
-            mine = names == train
-            since = _instants(
-                pd.Series([e.since for e in findings if e.train == train], dtype=start.dtype)
-            )
-            colour, width = colours.get(train, BLUE), 1.4 if since.size else 0.9
-            # A median over trips on both sides of a step would make a slope of it.
-            part = np.searchsorted(np.sort(since), _instants(start[mine]), "right")
-            for each in np.unique(part).tolist():
-                when, line = _levels(start[mine][part == each], own[mine][part == each])
-                axes.plot(when, line, color=colour, lw=width)
-        low, high = np.quantile(own, (0.005, 0.995))
-        margin = 0.15 * (high - low)
-        axes.set_ylim(low - margin, high + margin)
-        dress(axes, x="", y=f"{unit}", title=f"{name}: {series.channel.about}")
-        shown = [each for each in findings if each.channel == name]
-        for number, each in enumerate(shown):
-            axes.axvline(each.since, color=RED, lw=0.8, ls="--")
-            axes.annotate(
-                f"{each.train}: {each.explanation.cause.what} ",
-                (each.since, 0.93 - 0.11 * (number % 8)),
-                xycoords=("data", "axes fraction"),
-                fontsize=7,
-                color=RED,
-                va="top",
-                ha="right",
-            )
-    for train, colour in colours.items():
-        panels[0].plot([], [], color=colour, lw=1.4, label=train)
-    if len(colours) < trips["train"].nunique():
-        panels[0].plot([], [], color=BLUE, lw=0.9, label="another train")
-    panels[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=7, frameon=False)
-    locator = AutoDateLocator(minticks=4, maxticks=9)  # type: ignore[no-untyped-call]
-    panels[-1].xaxis.set_major_locator(locator)
-    panels[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
-    what = "against the other trains" if len(np.unique(trips["train"])) > 1 else "over time"
+    parts = [
+        _channel(kind, name, found, findings, colours, named=number == 0)
+        for number, name in enumerate(channels_over_time(kind, found))
+    ]
+    thinned = max((step for _, step in parts), default=1)
+    what = "against the other trains" if len(set(trips["train"])) > 1 else "over time"
     drawn = "each trip" if thinned == 1 else f"one trip of {thinned}"
-    headline(figure, f"Kind {kind}, {what}: {drawn} (grey), median of nine trips of a train (line)")
-    write_figure(figure, path)
+    return [
+        Chart(
+            "", [panel for panel, _ in parts],
+            f"What is estimated of trains of kind {kind}, over time.", dates=True,
+            title=f"Kind {kind}, {what}: {drawn} (grey), median of nine trips of a train (line)",
+        )
+    ]  # fmt: skip
+
+
+def _channel(
+    kind: str,
+    name: str,
+    found: FleetTrains,
+    findings: list[Finding],
+    colours: dict[str, str],
+    *,
+    named: bool,
+) -> tuple[Panel, int]:
+    """A channel over time, and how many trips stand for one that is drawn."""
+    series = found.unlike.series[kind][name]
+    trips = found.trips[kind]
+    factor, unit = CHANNEL_UNITS[series.channel.unit]
+    day = _days(trips["start"].iloc[series.rows])
+    names = trips["train"].to_numpy(str)[series.rows]
+    own = factor * (series.own if series.common else series.value - np.median(series.value))
+    step = -(-own.size // MOST_DRAWN)
+    curves = [Curve("", day[::step], own[::step], GREY, "points", width=1.0, opacity=0.5)]
+    for train in np.unique(names).tolist():
+        mine = names == train
+        since = np.sort(_days(pd.Series([e.since for e in findings if e.train == train])))
+        label = train if train in colours else "another train"
+        # A median over trips on both sides of a step would make a slope of it.
+        part = np.searchsorted(since, day[mine], "right")
+        for each in np.unique(part).tolist():
+            rows = np.flatnonzero(mine)[part == each]
+            at = np.arange(0, rows.size, -(-rows.size // MOST_LEVELS))
+            level = [np.median(own[rows[max(k - 4, 0) : k + 5]]) for k in at]
+            words, colour = label if named and each == 0 else "", colours.get(train, BLUE)
+            wide = 1.4 if since.size else 0.9
+            curves.append(Curve(words, day[rows[at]], level, colour, width=wide))
+    low, high = np.quantile(own, (0.005, 0.995))
+    margin = 0.15 * (high - low)
+    shown = [each for each in findings if each.channel == name]
+    marks = _days(pd.Series([each.since for each in shown]))
+    labels = [
+        Label(float(at), f"{each.train}: {each.explanation.cause.what} ",
+              float(high - 0.11 * (high - low) * (number % 8)), RED, side="right")
+        for number, (at, each) in enumerate(zip(marks, shown, strict=True))
+    ]  # fmt: skip
+    panel = Panel(
+        unit, curves, 0.95, f"{name}: {series.channel.about}", labels=labels,
+        limits=(float(low - margin), float(high + margin)),
+        rules=[Rule(float(at), RED, upright=True, dash="--") for at in marks],
+    )  # fmt: skip
+    return panel, step
 
 
 def _colours(train: pd.Series, unlike: set[str]) -> dict[str, str]:
@@ -187,59 +187,44 @@ def _colours(train: pd.Series, unlike: set[str]) -> dict[str, str]:
     return dict(zip(every, (RED, SKY, GREEN, PURPLE, ORANGE, INK), strict=False))
 
 
-def _instants(start: pd.Series) -> NDArray[np.datetime64]:
-    return np.asarray(start.dt.tz_convert("UTC").dt.tz_localize(None), dtype="M8[ns]")
+def _days(start: pd.Series) -> FloatArray:
+    """Days since 1970."""
+    moments = pd.DatetimeIndex(pd.to_datetime(start, utc=True)).as_unit("s")
+    return moments.asi8.astype(np.float64) / 86_400.0
 
 
-def _levels(start: pd.Series, own: FloatArray) -> tuple[pd.Series, FloatArray]:
-    """Running median of nine trips at some of them."""
-    at = np.arange(0, own.size, -(-own.size // MOST_LEVELS))
-    return start.iloc[at], np.array([np.median(own[max(k - 4, 0) : k + 5]) for k in at])
-
-
-def draw_findings(found: FleetTrains, path: str | Path) -> None:
+def findings_charts(found: FleetTrains) -> list[Chart]:
     """Each finding: the channel that showed it, trip by trip, and since when."""
-    findings: list[Finding] = list(found.unlike.findings)[:24]
+    findings = list(found.unlike.findings)[:MOST_FINDINGS]
     if not findings:
-        _draw_none(found, path)
-        return
-    columns = min(3, len(findings))
-    rows = -(-len(findings) // columns)
-    figure = new_figure(max(4.0 * columns, 7.0), 2.7 * rows + 0.5)
-    panels = np.atleast_1d(figure.subplots(rows, columns)).ravel()
-    for axes, each in zip(panels, findings, strict=False):
-        series = found.unlike.series[each.kind][each.channel]
-        trips = found.trips[each.kind].iloc[series.rows]
-        mine = (trips["train"] == each.train).to_numpy()
-        factor, unit = CHANNEL_UNITS[series.channel.unit]
-        start = trips["start"][mine]
-        own, std = factor * series.own[mine], factor * series.std[mine]
-        after = (start >= each.since).to_numpy()
-        axes.errorbar(np.arange(own.size), own, 1.96 * std, fmt="none", ecolor=PALE, elinewidth=1.0)
-        order = np.arange(own.size)
-        axes.plot(order[~after], own[~after], "o", color=BLUE, ms=3.0)
-        axes.plot(order[after], own[after], "o", color=RED, ms=3.0)
-        axes.axhline(0.0, color=GREEN, lw=0.8)
-        cause = each.explanation.cause
-        dress(axes, x="trip of this train", y=f"{each.channel} [{unit}]")
-        axes.set_title(f"{each.train}\n{cause}", loc="left", fontsize=9, color=INK)
-    for axes in panels[len(findings) :]:
-        axes.set_axis_off()
-    headline(
-        figure,
-        f"{counted(len(found.unlike.findings), 'finding')}; at most"
-        f" {100.0 * found.unlike.rate:g} % of healthy trains raise an alarm in a month",
-    )
-    write_figure(figure, path)
+        words = (
+            f"{found.too_few} At most {100.0 * found.unlike.rate:g} % of healthy trains raise an"
+            " alarm in a month. A fault smaller than the limits of the table would not be seen."
+        )
+        title = f"No finding in {found.unlike.train_months:.1f} months of trains"
+        nothing = Label(0.5, title, 0.5, size=9.0)
+        panel = Panel("", [], 0.4, labels=[nothing], bare=True)
+        return [Chart("", [panel], title, title=f"{title}\n{words.strip()}")]
+    return [_finding(found, each, number) for number, each in enumerate(findings)]
 
 
-def _draw_none(found: FleetTrains, path: str | Path) -> None:
-    """That there is no finding, and what this does not mean."""
-    figure = new_figure(8.0, 1.3)
-    headline(figure, f"No finding in {found.unlike.train_months:.1f} months of trains")
-    words = (
-        f"{found.too_few} At most {100.0 * found.unlike.rate:g} % of healthy trains raise an alarm"
-        " in a month. A fault smaller than the limits of the table would not be seen."
-    )
-    figure.text(0.01, 0.66, fill(words.strip(), 105), color=INK, fontsize=9, va="top")
-    write_figure(figure, path)
+def _finding(found: FleetTrains, finding: Finding, number: int) -> Chart:
+    series = found.unlike.series[finding.kind][finding.channel]
+    trips = found.trips[finding.kind].iloc[series.rows]
+    mine = (trips["train"] == finding.train).to_numpy()
+    factor, unit = CHANNEL_UNITS[series.channel.unit]
+    own, reach = factor * series.own[mine], 1.96 * factor * series.std[mine]
+    after = (trips["start"][mine] >= finding.since).to_numpy()
+    order = np.arange(own.size)
+    points = [
+        Curve("", order[rows], own[rows], colour, "points", (own - reach)[rows],
+              (own + reach)[rows], width=1.5)
+        for rows, colour in ((~after, BLUE), (after, RED))
+        if rows.any()
+    ]  # fmt: skip
+    panel = Panel(f"{finding.channel} [{unit}]", points, 0.9, rules=[Rule(0.0, GREEN)])
+    return Chart(
+        "trip of this train", [panel],
+        f"Of train {finding.train}: {finding.channel}, trip by trip.",
+        title=f"{finding.train}\n{finding.explanation.cause}", beside=number % 3 > 0, width=0.33,
+    )  # fmt: skip

@@ -28,7 +28,7 @@ from analysis.charts import (
     rows_of,
 )
 from analysis.reports.page import Beside, Interactive
-from analysis.reports.pictures import PAPER, drawn
+from analysis.reports.pictures import PAPER, Picture, drawn
 from trainlog.arrays import FloatArray
 from trainlog.railway.kilometres import km_ticks
 from trainlog.spans import runs_of
@@ -56,6 +56,11 @@ def as_part(chart: Chart) -> Interactive:
     still = drawn(lambda path: draw_charts(chart, path), chart.alt, chart.caption)
     item = _item(chart) if find_spec("bokeh") else None
     return Interactive(still, item, chart.title, tuple(legend_of(chart)))
+
+
+def as_picture(charts: Sequence[Chart]) -> Picture:
+    """Charts of many curves as one still picture."""
+    return drawn(lambda path: draw_charts(charts, path), " ".join(each.alt for each in charts))
 
 
 def as_parts(charts: Sequence[Chart]) -> list[Interactive | Beside]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from analysis.charts import BLUE, GREEN, GREY, ORANGE, dress, legend, new_figure, write_figure
+from analysis.charts import BLUE, GREEN, GREY, ORANGE, Chart, Curve, Panel, Rule
 from analysis.comparison.losses import CAUSES
 from analysis.fleet.analyses import ANALYSES
 from analysis.fleet.codes import code_of
@@ -19,10 +19,10 @@ from analysis.fleet.columns import LOST
 from analysis.fleet.maps import maps_folder
 from analysis.fleet.table import form_of_reason
 from analysis.fleet.trains import FleetTrains, trains_in
+from analysis.reports.charts import as_part
 from analysis.reports.fleet_attention import FleetFacts, attention_parts
 from analysis.reports.fleet_trains import drift_parts, resistance_parts, unlike_parts
 from analysis.reports.page import Page, Part, Section, Warned
-from analysis.reports.pictures import Picture, drawn
 from trainlog.arrays import BoolArray
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
@@ -264,33 +264,37 @@ def _more(count: int) -> str | None:
     return f"{count:,} more with fewer trips" if count > 0 else None
 
 
-def _by_day(trips: pd.DataFrame) -> Picture:
+def _by_day(trips: pd.DataFrame) -> Part:
     """Trips a day, of each kind of train."""
     day = trips["start"].dt.tz_localize(None).dt.floor("D")
     counts = trips.assign(_kind=trips["kind"].fillna("").replace("", "kind not stated"))
     table = pd.crosstab(day, counts["_kind"])
     table = table.reindex(pd.date_range(day.min(), day.max()), fill_value=0)
 
-    def draw(path: Path) -> None:
-        from matplotlib.ticker import MaxNLocator
-
-        figure = new_figure(9.0, 2.6)
-        axes = dress(figure.subplots(), x="", y="trips a day")
-        below = np.zeros(len(table))
-        colours = (BLUE, ORANGE, GREEN, GREY)
-        for number, kind in enumerate(table):
-            values = table[kind].to_numpy(np.float64)
-            axes.bar(
-                table.index, values, bottom=below, width=0.85, label=str(kind),
-                color=colours[min(number, len(colours) - 1)],
-            )  # fmt: skip
-            below += values
-        axes.set_ylim(0.0, 1.28 * float(below.max()))
-        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-        legend(axes, ncols=4)
-        write_figure(figure, path)
-
-    return drawn(draw, "Trips of each day, by kind of train.")
+    at = pd.DatetimeIndex(table.index).as_unit("s").asi8 / 86_400.0
+    top = table.cumsum(axis=1)
+    colours = (BLUE, ORANGE, GREEN, GREY)
+    bars = [
+        Curve(
+            str(kind),
+            at,
+            top[kind],
+            colours[min(number, 3)],
+            "bars",
+            top[kind] - table[kind],
+            hover={
+                "day": [f"{day:%Y-%m-%d}" for day in table.index],
+                str(kind): [str(count) for count in table[kind]],
+            },
+            width=0.85,
+        )
+        for number, kind in enumerate(table)
+    ]
+    ends = (float(at[0]) - 0.6, float(at[-1]) + 0.6)
+    panel = Panel("trips per day", bars, 0.8, from_zero=True)
+    return as_part(
+        Chart("", [panel], "Trips of each day, by kind of train.", span=ends, dates=True)
+    )
 
 
 # ------------------------------------------------------------------------------------ condition
@@ -378,30 +382,27 @@ def _energy_table(found: pd.DataFrame, what: str) -> WordTable:
     return table
 
 
-def _bars(found: pd.DataFrame, what: str) -> Picture:
-    """Energy a kilometre, a bar each."""
-    rows = found.nlargest(MOST_BARS, "distance").sort_index().iloc[::-1]
+def _bars(found: pd.DataFrame, what: str) -> Part:
+    """Energy per kilometre, a bar each."""
+    rows = found.nlargest(MOST_BARS, "distance").sort_index()
     per_km = 1e3 / JOULES_PER_KWH
-
-    def draw(path: Path) -> None:
-        figure = new_figure(9.0, 0.9 + 0.21 * len(rows))
-        axes = dress(figure.subplots(), x="energy, kWh/km", y="")
-        at = np.arange(len(rows))
-        axes.barh(at, per_km * rows["traction_per_m"], 0.78, color=BLUE, alpha=0.35,
-                  label="traction at the wheel")  # fmt: skip
-        axes.barh(at, per_km * rows["line_energy_per_m"], 0.42, color=BLUE,
-                  label="from the line less fed back")  # fmt: skip
-        axes.barh(at, -per_km * rows["dynamic_per_m"], 0.78, color=GREEN, alpha=0.6,
-                  label="dynamic brake at the wheel")  # fmt: skip
-        axes.set_yticks(at, [str(each) for each in rows.index])
-        axes.set_ylim(-0.7, len(rows) - 0.3)
-        figure.legend(loc="outside upper left", ncols=3, fontsize=8, frameon=False)
-        write_figure(figure, path)
-
-    return drawn(
-        draw,
-        f"Energy a kilometre by {what}: at the wheel, by the dynamic brake, and from the line.",
-    )
+    names = [str(each) for each in rows.index]
+    bars = [
+        Curve(words, sign * per_km * rows[column].to_numpy(np.float64), np.arange(len(rows)),
+              colour, "bars", hover={what: names, words: [f"{per_km * each:.2f} kWh/km"
+                                                          for each in rows[column]]},
+              width=width, opacity=opacity, across=True)
+        for words, column, sign, colour, width, opacity in (
+            ("traction at the wheel", "traction_per_m", 1.0, BLUE, 0.78, 0.35),
+            ("from the line less fed back", "line_energy_per_m", 1.0, BLUE, 0.42, 1.0),
+            ("dynamic brake at the wheel", "dynamic_per_m", -1.0, GREEN, 0.78, 0.6),
+        )
+    ]  # fmt: skip
+    values = np.concatenate([each.x for each in bars] + [np.zeros(1)])
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    alt = f"Energy per kilometre by {what}: at the wheel, by the dynamic brake, and from the line."
+    panel = Panel("", bars, 0.3 + 0.085 * len(rows), rows=names, rules=[Rule(0.0, upright=True)])
+    return as_part(Chart("energy, kWh/km", [panel], alt, span=(1.05 * low, 1.05 * high or 1.0)))
 
 
 def _lost(rows: pd.DataFrame) -> WordTable:

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from analysis.charts import BLUE, GREY, INK, RED, dress, legend, new_figure, write_figure
+from analysis.charts import BLUE, GREY, RED, Chart, Curve, Panel, Rule, Span
 from analysis.fleet.diff import FleetDiff
-from analysis.fleet.diff_judgement import REACH
 from analysis.fleet.diff_table import (
     JUDGED,
     counts_table,
@@ -21,8 +20,8 @@ from analysis.fleet.diff_table import (
     verdicts_table,
     words_table,
 )
+from analysis.reports.charts import as_part
 from analysis.reports.page import Page, Part, Section, Warned
-from analysis.reports.pictures import Picture, drawn
 from trainlog.formats.files import made_folder, write_bytes
 
 PAGE, TABLES = "diff.html", ("moved", "means", "estimates", "verdicts", "places", "words")
@@ -84,42 +83,36 @@ _JUDGED = (
 )
 
 
-def _shifts(found: FleetDiff) -> Picture:
+def _shifts(found: FleetDiff) -> Part:
     """Shifts of means in units of their bands."""
     rows = found.means[found.means["systematic"] & np.isfinite(found.means["bands"])]
-    rows = rows.head(MOST_DRAWN).iloc[::-1]
-
-    def draw(path: Path) -> None:
-        figure = new_figure(9.0, 0.9 + 0.24 * len(rows))
-        axes = dress(figure.subplots(), x="shift over the half width of the band", y="")
-        labels = [
-            f"{row.estimate}, {'all trips' if row.of == 'all trips' else row.name}"
-            for row in rows.itertuples(index=False)
-        ]
-        sign = np.sign(rows["shift"].to_numpy(np.float64))
-        value = sign * rows["bands"].to_numpy(np.float64)
-        std = rows["shift_std"].to_numpy(np.float64) / (
-            REACH * rows["value_std"].to_numpy(np.float64)
+    rows = rows.head(MOST_DRAWN)
+    names = [
+        f"{row.estimate}, {'all trips' if row.of == 'all trips' else row.name}"
+        for row in rows.itertuples(index=False)
+    ]
+    value = np.sign(rows["shift"].to_numpy(np.float64)) * rows["bands"].to_numpy(np.float64)
+    reach = rows["shift_std"].to_numpy(np.float64) / rows["value_std"].to_numpy(np.float64)
+    points, at = list[Curve](), np.arange(len(rows))
+    for beyond, colour, words in ((True, RED, "beyond"), (False, BLUE, "within")):
+        chosen = rows["beyond"].to_numpy(bool) == beyond
+        if chosen.any():
+            points.append(
+                Curve(f"systematic, {words}", value[chosen], at[chosen], colour, "points",
+                      (value - reach)[chosen], (value + reach)[chosen],
+                      {"": [names[row] for row in at[chosen]]}, 2.0, across=True)
+            )  # fmt: skip
+    largest = 1.1 * float(np.max(np.abs(value) + reach, initial=1.0))
+    panel = Panel(
+        "", points, 0.3 + 0.1 * len(rows), rows=names, rules=[Rule(0.0, upright=True)],
+        spans=[Span(-1.0, 1.0, GREY, "within the band", 0.18)],
+    )  # fmt: skip
+    return as_part(
+        Chart(
+            "shift over the half width of the band",
+            [panel],
+            "Shifts of the means of estimates between two sides, in half widths of their bands.",
+            "Bars: 95 % band of the shift on the same trips.",
+            span=(-largest, largest),
         )
-        at = np.arange(len(rows))
-        axes.axvspan(-1.0, 1.0, color=GREY, alpha=0.18, linewidth=0.0, label="within the band")
-        axes.axvline(0.0, color=INK, linewidth=0.8)
-        for beyond, colour, words in ((True, RED, "beyond"), (False, BLUE, "within")):
-            chosen = rows["beyond"].to_numpy(bool) == beyond
-            if chosen.any():
-                axes.errorbar(
-                    value[chosen], at[chosen], xerr=REACH * std[chosen], fmt="o", markersize=4.0,
-                    color=colour, elinewidth=1.0, label=f"systematic, {words}",
-                )  # fmt: skip
-        axes.set_yticks(at, labels)
-        largest = float(np.max(np.abs(value), initial=1.0))
-        if largest > 20.0:
-            axes.set_xscale("symlog", linthresh=1.0)
-        legend(axes, "lower right")
-        write_figure(figure, path)
-
-    return drawn(
-        draw,
-        "Shifts of the means of estimates between the two sides, in half widths of their bands.",
-        "Bars: 95 % band of the shift on the same trips.",
     )

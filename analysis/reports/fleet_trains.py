@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from functools import partial
-
-from analysis.fleet.plot import channels_over_time, draw_drift, draw_findings, draw_resistance
+from analysis.fleet.plot import (
+    channels_over_time,
+    drift_charts,
+    findings_charts,
+    resistance_charts,
+)
 from analysis.fleet.trains import FleetTrains
 from analysis.fleet.trains_table import findings_table, limits_table, trains_table
+from analysis.reports.charts import as_picture
 from analysis.reports.page import Part, Warned
-from analysis.reports.pictures import drawn
 from trainlog.presentation import new_table
 
 MOST_ROWS = 60
@@ -17,13 +20,7 @@ MOST_ROWS = 60
 
 def resistance_parts(found: FleetTrains) -> list[Part]:
     """Running resistance of each train against its kind."""
-    pictures = [
-        drawn(
-            partial(draw_resistance, kind, found),
-            f"Running resistance of the trains of kind {kind.kind}, with the spread of the kind.",
-        )
-        for kind in found.resistance
-    ]
+    pictures = [as_picture(resistance_charts(kind, found)) for kind in found.resistance]
     # Findings and limits have a section of their own.
     return [*_few(found), *pictures, trains_table(found)]
 
@@ -40,8 +37,7 @@ def unlike_parts(found: FleetTrains) -> list[Part]:
         )
     else:
         parts.append(findings_table(found))
-        words = "Of each finding the channel that shows it, trip by trip."
-        parts.append(drawn(partial(draw_findings, found), words))
+        parts.append(as_picture(findings_charts(found)))
     return [*parts, limits_table(found)]
 
 
@@ -52,10 +48,7 @@ def _few(found: FleetTrains) -> list[Part]:
 def drift_parts(found: FleetTrains) -> list[Part]:
     """What changes over months."""
     pictures: list[Part] = [
-        drawn(
-            partial(draw_drift, kind.kind, found),
-            f"What is estimated of trains of kind {kind.kind}, over time.",
-        )
+        as_picture(drift_charts(kind.kind, found))
         for kind in found.resistance
         if channels_over_time(kind.kind, found)
     ]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Hashable, Iterable, Sequence
-from functools import partial
 from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Any
@@ -20,12 +19,11 @@ from analysis.charts import BLUE, SKY, Chart, Curve, Panel
 from analysis.reports.answers import map_words, summary_section
 from analysis.reports.charts import as_part, as_parts
 from analysis.reports.page import Part, Section, Warned
-from analysis.reports.pictures import Picture, drawn
+from analysis.reports.pictures import Picture
 from analysis.reports.trip import facts_table
 from analysis.resistance.logs import Fits, fit
 from analysis.trajectory.advice import driver_table, journey_advice
 from analysis.trajectory.table import trajectory_table
-from analysis.verification.plot import draw_score
 from analysis.verification.scoring import score_rolling
 from trainlog.arrays import IntArray
 from trainlog.display import at_most, counted, lateness
@@ -313,8 +311,7 @@ def _verified(track: TrackConditionMap) -> list[Part]:
         found = score_rolling(track)
     except InputError as error:
         return [f"Not scored: {error}."]
-    alt = "Scores of the map's forecasts of each of its days from the days before alone."
-    return [drawn(partial(draw_score, found), alt), *found.shown()]
+    return [*as_parts(found.charts()), *found.shown()]
 
 
 # ------------------------------------------------------------------------------ a trajectory

@@ -6,7 +6,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import pandas as pd
 
@@ -84,6 +84,8 @@ class Score(Presented):
     edges : dict of str to Verification
         Of a network each edge by itself, all rail conditions together.
     """
+
+    charts_by: ClassVar[str] = "analysis.verification.plot:score_charts"
 
     line: str
     name: str

@@ -26,9 +26,9 @@ from pooled import pooled_estimate
 from trips import Month, add_options, months
 
 from analysis.adhesion.condition_map import empty_map, update
+from analysis.charts import draw
 from analysis.verification.forecasts import before
 from analysis.verification.passages import Demand, passages_of
-from analysis.verification.plot import draw_score
 from analysis.verification.scoring import Score
 from analysis.verification.table import ROWS
 from analysis.verification.verify import Forecaster, Verification, verify
@@ -136,7 +136,7 @@ def report(month: Month, every: int, picture: Path | None) -> None:
     )
     if picture is not None:
         score = Score(month.line.name, "the map, day by day", {"all": whole})
-        draw_score(score, picture / f"score-{month.line.name}.png")
+        draw(score, picture / f"score-{month.line.name}.png")
 
 
 def main() -> None:

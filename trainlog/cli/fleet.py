@@ -440,11 +440,12 @@ def fleet_trains(
     """
     import json
 
+    from analysis.charts import draw_charts
     from analysis.fleet.plot import (
         channels_over_time,
-        draw_drift,
-        draw_findings,
-        draw_resistance,
+        drift_charts,
+        findings_charts,
+        resistance_charts,
     )
     from analysis.fleet.trains import trains_in
     from analysis.fleet.trains_table import trains_data
@@ -464,12 +465,12 @@ def fleet_trains(
         written.append(path)
         for each in shown.resistance:
             written.append(output / f"{each.kind}.resistance.png")
-            draw_resistance(each, shown, written[-1])
+            draw_charts(resistance_charts(each, shown), written[-1])
             if channels_over_time(each.kind, shown):
                 written.append(output / f"{each.kind}.drift.png")
-                draw_drift(each.kind, shown, written[-1])
+                draw_charts(drift_charts(each.kind, shown), written[-1])
         written.append(output / "findings.png")
-        draw_findings(shown, written[-1])
+        draw_charts(findings_charts(shown), written[-1])
     show(shown)
     wrote(*written)
 

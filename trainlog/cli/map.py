@@ -506,7 +506,7 @@ def map_score(
 
     Example: trainlog map score results/wil.map results/later-trips --picture results/score.png
     """
-    from analysis.verification.plot import draw_score
+    from analysis.charts import draw
     from analysis.verification.scoring import by_reason
 
     if picture is not None:
@@ -516,7 +516,7 @@ def map_score(
     for words in found.refused:
         print_error(words)
     if picture is not None:
-        draw_score(found, picture)
+        draw(found, picture)
     if not current().as_json:
         for words in by_reason(found.left_out):
             console.print(f"  {words}", highlight=False, soft_wrap=True)
