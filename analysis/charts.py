@@ -6,8 +6,9 @@ A `Chart` is a few panels over one axis; a result declares its charts, and its `
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
@@ -20,7 +21,7 @@ from matplotlib.colors import to_hex
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
-from matplotlib.ticker import Formatter, Locator, MaxNLocator
+from matplotlib.ticker import Formatter, Locator
 from numpy.typing import ArrayLike, NDArray
 
 from trainlog.formats.files import atomic_write
@@ -52,6 +53,9 @@ WIDTH = 11.0
 
 LEAST_WIDTH = 3.2
 """Of a figure of a narrow chart alone [inch]."""
+
+LETTERS = 130
+"""That have space in a line over the whole width of a figure."""
 
 NARROW = 0.5
 """Share of a figure's width below which a chart has its legend inside."""
@@ -543,6 +547,7 @@ def figure_of(charts: Chart | Sequence[Chart], title: str = "", *, width: float 
     'km/h'
     """
     rows = rows_of([charts] if isinstance(charts, Chart) else charts)
+    rows = [[_wrapped(chart, chart.width / _widths(row)) for chart in row] for row in rows]
     heights = [max(_height(chart) for chart in row) for row in rows]
     above = 0.25 * (title.count("\n") + 1) * bool(title)
     alone = len(rows) == 1 and len(rows[0]) == 1
@@ -559,7 +564,7 @@ def figure_of(charts: Chart | Sequence[Chart], title: str = "", *, width: float 
         known = set[str]()
         for chart, place in zip(row, inner, strict=True):
             place.set_facecolor("none" if place is not figure else "white")
-            _draw_chart(place, chart, known)
+            _draw_chart(place, chart, chart.width / _widths(row), known)
             if chart.title and not (alone and title):
                 # Titles of one height: the charts of a row stand on one level.
                 words = chart.title + "\n" * (lines - chart.title.count("\n"))
@@ -579,13 +584,24 @@ def draw_charts(charts: Chart | Sequence[Chart], path: str | Path, title: str = 
     write_figure(figure_of(charts, title), path)
 
 
+def _widths(row: Sequence[Chart]) -> float:
+    return sum(each.width for each in row)
+
+
+def _wrapped(chart: Chart, share: float) -> Chart:
+    """With a title as wide as the chart, which takes a share of the figure."""
+    most = round(LETTERS * share)
+    lines = [part for line in chart.title.splitlines() for part in textwrap.wrap(line, most)]
+    return replace(chart, title="\n".join(lines))
+
+
 def _height(chart: Chart) -> float:
     """Of a chart [inch]."""
     titles = 0.2 * (chart.title.count("\n") + 1) * bool(chart.title)
     return 0.6 + titles + 2.4 * sum(panel.height for panel in chart.panels)
 
 
-def _draw_chart(figure: Figure | SubFigure, chart: Chart, known: set[str]) -> None:
+def _draw_chart(figure: Figure | SubFigure, chart: Chart, share: float, known: set[str]) -> None:
     """Draw a chart; its legend leaves out the names that are known from charts beside it."""
     heights = [panel.height for panel in chart.panels]
     places = np.atleast_1d(
@@ -593,7 +609,7 @@ def _draw_chart(figure: Figure | SubFigure, chart: Chart, known: set[str]) -> No
     ).tolist()
     for axes, panel in zip(places, chart.panels, strict=True):
         _draw_panel(axes, panel)
-        _draw_legend(axes, panel, known if chart.width < NARROW else None)
+        _draw_legend(axes, panel, share, known)
         for place, _ in chart.places:
             axes.axvline(place, color=PALE, linewidth=0.9, zorder=0)
     last: Axes = places[-1]
@@ -662,7 +678,7 @@ def _write(axes: Axes, label: Label) -> None:
     )  # fmt: skip
 
 
-def _draw_legend(axes: Axes, panel: Panel, known: set[str] | None) -> None:
+def _draw_legend(axes: Axes, panel: Panel, share: float, known: set[str]) -> None:
     """What is drawn, each name once: above the panel on the right, or in it where that is full."""
     handles, names = axes.get_legend_handles_labels()
     cells = [each for each in panel.curves if isinstance(each, Cells)]
@@ -672,13 +688,15 @@ def _draw_legend(axes: Axes, panel: Panel, known: set[str] | None) -> None:
         for each in cells
         for name, colour in each.names.items()
     }
-    narrow = known is not None
-    if known is not None:
+    narrow = share < NARROW
+    if narrow:
         entries = {name: handle for name, handle in entries.items() if name not in known}
         known.update(entries)
     if not entries:
         return
-    inside = narrow or (len(panel.title) > 50 and not cells)
+    # Above the panel there is space for its title and so many letters.
+    letters = len(panel.title) + sum(len(name) + 6 for name in [*entries][: 9 if cells else 4])
+    inside = narrow or (letters > LETTERS * share and not cells)
     place: dict[str, Any] = {"loc": "best", "fontsize": 7 if narrow else 8}
     if not inside:
         place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": 9 if cells else 4,
@@ -762,8 +780,3 @@ def _short(name: str) -> str:
 def _plain(words: str) -> str:
     """Words where dollar signs are no mathematics."""
     return words.replace("$", r"\$")
-
-
-def whole_ticks(axes: Axes) -> None:
-    """Ticks of the ordinate at whole numbers only."""
-    axes.yaxis.set_major_locator(MaxNLocator(integer=True))

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.charts import figure_of
 from analysis.comparison.calculated import Calculation, calculate, judged_together
-from analysis.comparison.calculated_table import calculation_figure
+from analysis.comparison.calculated_table import calculation_charts
 from analysis.resistance import fit_trip
 from trainlog import read_line, read_train
 from trainlog.cli import main as cli
@@ -56,7 +57,7 @@ def test_the_right_file_agrees_within_its_bands() -> None:
     assert found.diagnosis.wrong == ()
     assert found.total("calculated_work") == pytest.approx(found.total("work"), rel=0.06)
     assert sum(found.explained.values()) == pytest.approx(1.0, abs=1e-9)
-    assert len(calculation_figure(found).axes) == 3
+    assert len(figure_of(calculation_charts(found)).axes) == 3
     assert "nothing that the trip contradicts" in found._repr_html_()
 
 
@@ -189,7 +190,7 @@ def test_without_efforts_the_energy_is_calculated_with_a_band_that_holds_the_tru
     assert abs(off) < 1.96 * found.total_std("work_std") < 0.2 * energy
     assert found.diagnosis.reason
     assert "not judged" in found._repr_html_()
-    assert len(calculation_figure(found).axes) == 3
+    assert len(figure_of(calculation_charts(found)).axes) == 3
 
 
 def test_a_fit_of_another_train_is_refused() -> None:

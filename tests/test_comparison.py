@@ -12,10 +12,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from analysis.charts import figure_of
 from analysis.comparison.compare import Comparison, compare
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
-from analysis.comparison.plot import comparison_figure
+from analysis.comparison.plot import comparison_charts
 from trainlog import read_line, read_train
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
@@ -394,7 +395,7 @@ def test_a_trajectory_is_a_reference_whose_times_and_work_are_its_own() -> None:
 
 def test_the_figure_and_the_data_hold_every_trip() -> None:
     found = compare([stopping(), nonstop()])
-    figure = comparison_figure(found.directions[0])
+    figure = figure_of(comparison_charts(found.directions[0]))
     assert len(figure.axes) == 4
     data = found.facts()
     names = [trip["trip"] for trip in data["directions"][0]["trips"]]

@@ -209,7 +209,8 @@ def test_the_command_writes_one_page_that_asks_for_nothing(
     html = (tmp_path / "fleet.html").read_text("utf-8")
     assert "coloured by the maximum adhesion that is expected on wet rail" in html
     assert "rail; grey" not in html
-    links = re.findall(r'(?:src|href)="([^"]*)"', html)
+    elements = re.sub(r"<script.*?</script>", "", html, flags=re.S)
+    links = re.findall(r'(?:src|href)="([^"]*)"', elements)
     assert all(each.startswith(("#", "data:")) for each in links)
     assert re.search(r"script-src 'none'|script-src 'sha256-", html)
     wrong = ("report", place, "--where", "train = 'none'")

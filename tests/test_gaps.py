@@ -9,9 +9,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from analysis.charts import figure_of
 from analysis.comparison.calculated import Calculation, calculate, judged_together
 from analysis.comparison.calculated_table import (
-    calculation_figure,
+    calculation_charts,
     together_words,
 )
 from analysis.comparison.compare import ComparedTrip, compare
@@ -206,7 +207,7 @@ def test_a_calculation_starts_anew_behind_a_gap(bridged: bool) -> None:
     off = found.table["calculated_time"] - own.table["calculated_time"]
     assert off.abs().max() < 3.0
     assert f"{trip.name}: no speed for 20 s" in found._repr_html_()
-    assert len(calculation_figure(found).axes) == 3
+    assert len(figure_of(calculation_charts(found)).axes) == 3
 
 
 def test_a_drive_given_twice_is_judged_once() -> None:

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -78,6 +78,8 @@ class CharacteristicFit(Presented):
     findings : tuple of str
         What the points do not show, in sentences.
     """
+
+    charts_by: ClassVar[str] = "analysis.adhesion.plot:characteristic_charts"
 
     characteristic: AdhesionCharacteristic
     family: str

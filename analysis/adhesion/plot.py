@@ -1,38 +1,20 @@
-"""Picture of an adhesion characteristic."""
+"""Charts of an adhesion characteristic."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.charts import (
-    BLUE,
-    GREY,
-    PALE,
-    RED,
-    dress,
-    headline,
-    legend,
-    new_figure,
-    write_figure,
-)
+from analysis.charts import BLUE, GREY, RED, Chart, Curve, Panel, Span
 from trainlog.units import KMH
 
 if TYPE_CHECKING:
     from analysis.adhesion.characteristic import CharacteristicFit
 
 
-def draw_characteristic(fit: CharacteristicFit, path: str | Path) -> None:
-    """Draw measured points of adhesion over slip, the curve fitted to them, and its maximum.
-
-    Parameters
-    ----------
-    fit : CharacteristicFit
-    path : path
-        PNG file.
-    """
+def characteristic_charts(fit: CharacteristicFit) -> list[Chart]:
+    """Measured points of adhesion over slip, the curve fitted to them, and its maximum."""
     from analysis.adhesion.characteristic import NAMES
 
     points = fit.points
@@ -44,29 +26,31 @@ def draw_characteristic(fit: CharacteristicFit, path: str | Path) -> None:
     slips = np.unique(np.concatenate([np.linspace(0.0, end, 400) for end in (near, last)]))
     curve = fit.characteristic
     adhesion = curve.over_creepage(slips, speed or 1.0) if over_creepage else curve(slips, speed)
-    figure = new_figure(11.0, 4.2)
-    places = figure.subplots(1, 2, sharey=True)
     low, high = fit.optimal_band
-    for axes, end in zip(places, (near, last), strict=True):
-        axes.axvspan(
-            scale * low, scale * min(high, end), color=PALE, alpha=0.45, linewidth=0,
-            label="optimum, 95 % band",
-        )  # fmt: skip
-        axes.plot(scale * points.slips, points.adhesions, ".", color=GREY, label="measured")
-        axes.plot(scale * slips, adhesion, color=BLUE, linewidth=1.4, label=NAMES[fit.family])
-        axes.errorbar(
-            scale * fit.optimal_slip, fit.maximum, 1.96 * fit.maximum_std, fmt="o", color=RED,
-            markersize=4, capsize=3, label="maximum, 95 % band",
-        )  # fmt: skip
-        axes.set_xlim(0.0, scale * end)
-    places[0].set_ylim(0.0, 1.15 * max(fit.maximum, float(points.adhesions.max())))
-    dress(places[0], x=f"{points.variable} [{unit}]", y="adhesion", title="up to the maximum")
-    dress(places[1], x=f"{points.variable} [{unit}]", y="", title="all points")
-    legend(places[1], "lower right")
+    reach = 1.96 * fit.maximum_std
+    curves = [
+        Curve("measured", scale * points.slips, points.adhesions, GREY, "points", width=1.6),
+        Curve(NAMES[fit.family], scale * slips, adhesion, BLUE, width=1.4),
+        Curve("maximum, 95 % band", [scale * fit.optimal_slip], [fit.maximum], RED, "points",
+              [fit.maximum - reach], [fit.maximum + reach], width=2.5),
+    ]  # fmt: skip
+    top = 1.15 * max(fit.maximum, float(points.adhesions.max()))
     at = f" at {KMH * speed:.0f} km/h" if speed is not None else ""
-    headline(
-        figure,
-        f"Adhesion characteristic: maximum {fit.maximum:.3f} ± {1.96 * fit.maximum_std:.3f},"
-        f" optimal {points.variable} {fit.optimum_in_words()}{at}",
+    title = (
+        f"Adhesion characteristic: maximum {fit.maximum:.3f} ± {reach:.3f},"
+        f" optimal {points.variable} {fit.optimum_in_words()}{at}"
     )
-    write_figure(figure, path)
+    return [
+        Chart(
+            f"{points.variable} [{unit}]",
+            [
+                Panel(
+                    "adhesion", curves, 1.1, words, limits=(0.0, top),
+                    spans=[Span(scale * low, scale * min(high, end), label="optimum, 95 % band")],
+                )
+            ],
+            f"Adhesion over {points.variable}, {words}.",
+            span=(0.0, scale * end), title="" if number else title, width=0.5, beside=number > 0,
+        )
+        for number, (words, end) in enumerate((("up to the maximum", near), ("all points", last)))
+    ]  # fmt: skip

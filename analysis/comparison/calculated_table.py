@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from analysis.charts import BLUE, GREY, INK, ORANGE, dress, headline, km_axis, legend, new_figure
+from analysis.charts import BLUE, GREY, INK, ORANGE, Chart, Curve, Panel, Rule
 from analysis.comparison.calculated import Calculation, distinct
 from analysis.comparison.diagnosis import Diagnosis
 from analysis.comparison.prediction import WIDEST
@@ -147,56 +146,44 @@ def diagnosis_data(found: Diagnosis) -> dict[str, Any]:
     }
 
 
-def calculation_figure(found: Calculation) -> Figure:
+def calculation_charts(found: Calculation) -> list[Chart]:
     """Measured and calculated speed along the line, their difference, and the works."""
-    figure = new_figure(11.0, 8.0)
-    grid = figure.add_gridspec(3, 1, height_ratios=[3.0, 2.0, 2.0])
-    speeds, off, works = (figure.add_subplot(grid[row]) for row in range(3))
     place = found.position / 1e3
-    dress(speeds, x="", y="speed [km/h]")
-    speeds.plot(place, KMH * found.speed, color=INK, linewidth=1.4, label="measured")
-    dress(off, x="", y="calculated less\nmeasured [km/h]")
-    for each in (speeds, off):
-        km_axis(each, found.line, "km in the direction of travel" if each is off else "")
-    off.axhline(0.0, color=INK, linewidth=0.8)
+    speeds = [Curve("measured", place, KMH * found.speed, INK, width=1.4)]
+    off = list[Curve]()
     if found.efforts:
-        low, high = (found.calculated_speed + sign * 1.96 * found.speed_std for sign in (-1, 1))
-        speeds.plot(place, KMH * found.calculated_speed, color=BLUE, linewidth=1.2, linestyle="--",
-                    label="calculated with the recorded efforts")  # fmt: skip
-        speeds.fill_between(place, KMH * low, KMH * high, color=BLUE, alpha=0.15, linewidth=0)
-        off.plot(place, KMH * (found.calculated_speed - found.speed), color=BLUE, linewidth=1.2)
-        off.fill_between(
-            place,
-            KMH * (low - found.speed),
-            KMH * (high - found.speed),
-            color=BLUE,
-            alpha=0.15,
-            linewidth=0,
-            label="95 % band",
-        )
-        legend(off)
-    top = float(np.nanmax(found.speed))
-    speeds.set_ylim(0.0, 1.25 * KMH * top)
-    legend(speeds, ncols=2)
-    _works(works, found)
-    headline(
-        figure,
-        f"Trip '{found.trip}' against the {found.model}: {found.words}",
+        middle, reach = KMH * found.calculated_speed, 1.96 * KMH * found.speed_std
+        label = "calculated with the recorded efforts"
+        low, high, less = middle - reach, middle + reach, KMH * found.speed
+        speeds.append(Curve(label, place, middle, BLUE, "line", low, high, width=1.2, dash="--"))
+        off.append(
+            Curve("95 % band", place, middle - less, BLUE, "line", low - less, high - less)
+        )  # fmt: skip
+    along = Chart(
+        "km in the direction of travel",
+        [
+            Panel("speed [km/h]", speeds, 1.3, from_zero=True),
+            Panel("calculated less\nmeasured [km/h]", off, 0.8, rules=[Rule(0.0)]),
+        ],
+        f"Measured and calculated speed of trip {found.trip} over kilometres.",
+        line=found.line,
+        title=f"Trip '{found.trip}' against the {found.model}: {found.words}",
     )
-    return figure
-
-
-def _works(axes: Any, found: Calculation) -> None:
-    dress(axes, x="", y="tractive work [kWh]")
-    rows = np.arange(len(found.table))
-    measured = found.table["work"].to_numpy() / JOULES_PER_KWH
-    expected = found.table["calculated_work"].to_numpy() / JOULES_PER_KWH
-    reach = 1.96 * found.table["work_std"].to_numpy() / JOULES_PER_KWH
+    rows = np.arange(len(found.table), dtype=np.float64)
+    measured, expected, std = (
+        found.table[name].to_numpy() / JOULES_PER_KWH
+        for name in ("work", "calculated_work", "work_std")
+    )
+    ends = expected - 1.96 * std, expected + 1.96 * std
+    bars = [Curve("calculated, 95 % band", rows + 0.18, expected, ORANGE, "bars", width=0.34)]
     if found.efforts:
-        axes.bar(rows - 0.18, measured, 0.34, color=GREY, label="measured")
-    axes.bar(rows + 0.18, expected, 0.34, color=ORANGE, label="calculated, 95 % band")
-    axes.errorbar(rows + 0.18, expected, reach, fmt="none", ecolor=INK, capsize=4, linewidth=1.2)
-    axes.set_xticks(rows, [str(name) for name in found.table.index], fontsize=8)
-    axes.set_ylim(0.0, 1.3 * float(np.nanmax(np.append(expected + reach, measured))))
-    axes.grid(visible=False, axis="x")
-    legend(axes, ncols=2)
+        bars.insert(0, Curve("measured", rows - 0.18, measured, GREY, "bars", width=0.34))
+    bars.append(Curve("", rows + 0.18, expected, INK, "points", *ends, width=0.5))
+    top = 1.3 * float(np.nanmax(np.append(ends[1], measured)))
+    works = Chart(
+        "", [Panel("tractive work [kWh]", bars, 0.8, limits=(0.0, top))],
+        "Measured and calculated tractive work, section by section.",
+        ticks=[(float(row), str(name)) for row, name in zip(rows, found.table.index, strict=True)],
+        span=(-0.6, rows.size - 0.4),
+    )  # fmt: skip
+    return [along, works]

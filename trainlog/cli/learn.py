@@ -208,12 +208,12 @@ def _fit_adhesion(
     from analysis.adhesion.characteristic import (
         fit_adhesion_characteristic,
     )
-    from analysis.adhesion.plot import draw_characteristic
+    from analysis.charts import draw
     from trainlog.formats.characteristic import write_characteristic
 
     found = fit_adhesion_characteristic(curve, family, speed=speed)
     write_characteristic(found.characteristic, output, found.provenance())
-    draw_characteristic(found, shown)
+    draw(found, shown)
     show(found)
     wrote(output, shown)
 

@@ -128,14 +128,14 @@ def _reference(path: Path) -> Path | Trajectory:
 
 
 def _draw(found: Comparison, picture: Path) -> None:
-    from analysis.charts import write_figure
-    from analysis.comparison.plot import comparison_figure
+    from analysis.charts import draw_charts
+    from analysis.comparison.plot import comparison_charts
 
     several = len(found.directions) > 1
     for each in found.directions:
         path = picture.with_stem(f"{picture.stem}-{each.direction}") if several else picture
         with working(f"drawing {path.name}"):
-            write_figure(comparison_figure(each), path)
+            draw_charts(comparison_charts(each), path)
         wrote(path)
 
 
@@ -149,10 +149,10 @@ def _groups(logs: list[Path], followed: list[Path]) -> None:
 
 
 def _calculated(logs: list[Path], file: Path, wind: float | None, picture: Path | None) -> None:
-    from analysis.charts import write_figure
+    from analysis.charts import draw_charts
     from analysis.comparison.calculated import calculate, judged_together
     from analysis.comparison.calculated_table import (
-        calculation_figure,
+        calculation_charts,
         diagnosis_data,
         together_words,
     )
@@ -169,7 +169,7 @@ def _calculated(logs: list[Path], file: Path, wind: float | None, picture: Path 
         if picture is not None:
             several = len(trips) > 1
             path = picture.with_stem(f"{picture.stem}-{log.stem}") if several else picture
-            write_figure(calculation_figure(found), path)
+            draw_charts(calculation_charts(found), path)
             wrote(path)
     if len(calculations) > 1:
         console.print(together_words(calculations, together), highlight=False)
