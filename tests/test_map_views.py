@@ -354,9 +354,11 @@ def test_the_command_prints_json_and_states_the_zone_that_it_assumed(
     assert len(notes) == len(found["notes"]) + 1 == 3
     assert all(each in shown for each in notes)
     assert (tmp_path / "wet.png").stat().st_size > 20_000
+    unread = tmp_path / "other.map"
+    unread.write_bytes(b"not a map")
     for given, message in (("8:8", "not a part of a line"), ("8:9", "what a picture shows")):
         with pytest.raises(InputError, match=message):
-            run(["map", "show", str(tmp_path / "absent.map"), "--km", given])
+            run(["map", "show", str(unread), "--km", given])
     assert run([*words[:-1], "2024-10-09T08:00+02:00"]) == 0
     shown = " ".join(capsys.readouterr().out.split())
     assert "expected at 2024-10-09 06:00 UTC" in shown
