@@ -40,6 +40,7 @@ def same_values(first: Any, second: Any) -> bool:
     if is_dataclass(first):
         names = [each.name for each in fields(first) if each.compare]
         return all(same_values(getattr(first, name), getattr(second, name)) for name in names)
-    if type(first).__eq__ is object.__eq__ and hasattr(first, "__dict__"):
+    by_identity: Any = object.__eq__
+    if type(first).__eq__ is by_identity and hasattr(first, "__dict__"):
         return same_values(vars(first), vars(second))
     return bool(first == second)

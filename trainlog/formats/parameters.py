@@ -166,7 +166,7 @@ class CoastDownResult(Declared):
     """
 
     charts_by: ClassVar[str] = "analysis.resistance.plot:result_charts"
-    __hash__ = Declared.__hash__  # type: ignore[assignment]
+    __hash__ = Declared.__hash__
 
     FORMAT: ClassVar[str] = "trainlog/coast-down"
 
