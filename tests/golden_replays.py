@@ -8,7 +8,7 @@ reference.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import astuple, dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
 
 import numpy as np
@@ -187,8 +187,8 @@ def map_update(trip: Trip) -> Figures:
 
 
 def cost(trip: Trip) -> Figures:
-    reported = astuple(trip_cost(trip))
-    return {"cost": [value for value in reported if isinstance(value, int | float)]}
+    reported = asdict(trip_cost(trip))
+    return {name: value for name, value in reported.items() if isinstance(value, int | float)}
 
 
 def coasting(trip: Trip) -> Figures:

@@ -663,7 +663,7 @@ class Array(Form):
         """The array in SI."""
         unit, rows = _keys(found, unit=Text(), values=lambda each: self._rows(each, 1))
         if self.dimensions == 2 and len({len(row) for row in rows}) > 1:
-            raise InputError("rows differ in length")
+            raise InputError("rows differ in length", remedy="give as many numbers in each")
         numbers = np.array(rows, dtype=np.float64)
         missing = np.isnan(numbers)
         converted = in_si(np.where(missing, 0.0, numbers), unit, self.si)
@@ -758,7 +758,7 @@ class Matrix(Form):
         """The matrix."""
         rows = _items(found, lambda row: _items(row, _number))
         if len({len(row) for row in rows}) > 1:
-            raise InputError("rows differ in length")
+            raise InputError("rows differ in length", remedy="give as many numbers in each")
         return np.array(rows, dtype=np.float64).reshape(len(rows), -1 if rows else 0)
 
     def write(self, value: Any, in_si: bool = False) -> Any:  # noqa: ARG002

@@ -241,6 +241,8 @@ class Measure:
         Least and largest value [`unit`].
     open : bool
         Whether the least value itself is excluded.
+    whole : bool
+        Whether it is a whole number.
 
     Examples
     --------
@@ -263,6 +265,7 @@ class Measure:
     low: float = -math.inf
     high: float = math.inf
     open: bool = False
+    whole: bool = False
 
     def between(self, low: float, high: float = math.inf) -> Measure:
         """The same kind of value, from `low` to `high` [`unit`]."""
@@ -288,7 +291,7 @@ class Measure:
         """
         named = f"{name} '{given}'".lstrip()
         value = given if isinstance(given, int | float) else self._parsed(given.strip())
-        if value is None or not math.isfinite(value):
+        if value is None or not math.isfinite(value) or (self.whole and value % 1.0):
             comma = isinstance(given, str) and re.search(r"\d,\d", given)
             raise InputError(
                 f"{named} is not a valid {self.noun}",
@@ -351,6 +354,7 @@ SPEED = Measure("speed", "m/s", "km/h", "80, 80km/h or 22m/s")
 SHARE = Measure("share", "1", "1", "0.07 or 7%")
 PERCENT = Measure("share", "1", "%", "7 or 7%")
 NUMBER = Measure("number", "1", "1", "0.1 or 10%")
+COUNT = Measure("whole number", "1", "1", "500", whole=True)
 DISTANCE = Measure("distance", "m", "m", "250, 250m or 0.25km")
 KILOMETRE = Measure("kilometre", "km", "km", "12.3, 12.3km or 12300m")
 MASS = Measure("mass", "kg", "kg", "12000, 12000kg or 12t")

@@ -124,7 +124,7 @@ def write_report(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     page = write_report("sample_logs/nonstop.mcap", Path(folder) / "report.html")
     >>> [section.title for section in page.sections[:3]]
-    ['Trip', 'Speed and efforts', 'Stops and stations']
+    ['Summary', 'Speed and efforts', 'Stops and stations']
     """
     check_kind(source, str, Path)
     page = report_page(Path(source), options or ReportOptions())

@@ -23,7 +23,7 @@ from trainlog.cli.options import (
 )
 from trainlog.cli.terminal import console, current, show, state, working, wrote
 from trainlog.errors import InputError
-from trainlog.units import MASS, NUMBER, PERCENT, SHARE, SPEED, TIME, Measure
+from trainlog.units import COUNT, MASS, NUMBER, PERCENT, SHARE, SPEED, TIME, Measure
 
 if TYPE_CHECKING:
     from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
@@ -71,7 +71,7 @@ class PlanSettings:
         NUMBER, "with --map: adhesion counted on where it has none; no limit there"
     )
     cells: float | None = setting(
-        NUMBER.between(20.0, 20_000.0),
+        COUNT.between(20.0, 20_000.0),
         "cells of the grid, at least one for each step of the line; 500",
     )
     time_limit: float | None = setting(
