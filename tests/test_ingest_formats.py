@@ -137,6 +137,17 @@ def test_layouts_of_text(
     assert report_of(trip).rows_read == 10
 
 
+@pytest.mark.parametrize("encoding", ["cp1252", "latin-1", "ascii"])
+def test_the_mark_of_utf_8_decides_over_the_encoding_of_the_profile(
+    tmp_path: Path, encoding: str
+) -> None:
+    run = clean_run(10, 1.0)
+    path = tmp_path / "run.csv"
+    path.write_text("t,v,s,Länge\n" + "".join(f"{row},ä\n" for row in run.rows()), "utf-8-sig")
+    trip = ingest(path, profile=plain_profile(file={"encoding": encoding}))
+    np.testing.assert_array_equal(trip["/train/state"]["speed"], run.speed)
+
+
 def test_no_header_means_numbered_columns(tmp_path: Path) -> None:
     run = clean_run(10, 1.0)
     path = tmp_path / "run.csv"

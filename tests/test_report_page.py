@@ -371,6 +371,23 @@ def test_a_report_begins_with_five_answers(trip_page: str) -> None:
     assert "trainlog map update run.mcap" in first
 
 
+def test_a_summary_states_why_energy_and_slip_are_not_known(tmp_path: Path) -> None:
+    trip = read_log(sample("stopping.mcap"))
+    controls = trip["/train/controls"]
+    kept = (controls.index < controls.index[6_000]) | (controls.index > controls.index[6_200])
+    topics = {name: frame for name, frame in trip.topics.items() if name != "/train/axles"}
+    write_log(
+        replace(trip, topics={**topics, "/train/controls": controls[kept]}), tmp_path / "a.mcap"
+    )
+    write_report(tmp_path / "a.mcap", tmp_path / "a.html")
+    page = (tmp_path / "a.html").read_text("utf-8")
+    first = page[page.index('id="section-1"') : page.index('id="section-2"')]
+    assert "nan" not in first
+    assert "energy not known: no effort for 20 s: km" in first
+    assert "not known: no wheel speeds recorded" in first
+    assert "topics loaded" not in first
+
+
 def test_the_verdict_on_a_recording_gives_its_reasons() -> None:
     trip = read_log(sample("stopping.mcap"))
     assert verdict(trip).level == 0

@@ -17,6 +17,7 @@ from analysis.fleet.checks import checked
 from analysis.fleet.trips import FleetTrip
 from analysis.reports.page import Section
 from trainlog.display import counted
+from trainlog.errors import NotRecordedError
 from trainlog.presentation import WordTable, new_table
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.kilometres import km_words
@@ -157,6 +158,8 @@ def summary_section(
 
 def slip_words(found: SlipAnalysis | Exception, line: Line | None) -> list[str]:
     """Where axles slipped most, in words: places with the largest slip, apart from each other."""
+    if isinstance(found, NotRecordedError) and found.topic == "/train/axles":
+        return ["not known: no wheel speeds recorded"]
     if isinstance(found, Exception):
         return [f"not known: {found}"]
     events = found.events

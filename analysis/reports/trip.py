@@ -339,9 +339,16 @@ def _driven(trip: Trip, motion: Motion, line: Line | None, zone: Zone, cost: obj
 def _cost_words(cost: object) -> list[str]:
     if not isinstance(cost, TripCost):
         return [f"not known: {cost}"]
-    words = [f"{kwh(cost.traction)} of traction at the wheel rims; {kwh(cost.line)} from the line"]
-    if cost.distance > 0.0:
-        words.append(f"{cost.traction / 3.6e6 / (cost.distance / 1e3):.1f} kWh of traction per km")
+    if cost.unknown:
+        there = ", not known there"
+        gaps = [each.replace(there, "") for each in cost.notes if there in each]
+        words = [f"energy not known: {'; '.join(gaps) or 'efforts are missing'}"]
+    else:
+        drawn = "unknown energy" if np.isnan(cost.line) else kwh(cost.line)
+        words = [f"{kwh(cost.traction)} of traction at the wheel rims; {drawn} from the line"]
+        if cost.distance > 0.0:
+            per_km = cost.traction / 3.6e6 / (cost.distance / 1e3)
+            words.append(f"{per_km:.1f} kWh of traction per km")
     if cost.late is not None:
         words.append(f"on arrival {lateness(cost.late)}, against the trajectory")
     return words

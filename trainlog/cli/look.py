@@ -102,6 +102,9 @@ def compare(
 
     if picture is not None:
         destination(picture, ".png")
+    for path in [*logs, *(followed or ())]:
+        if not path.exists():
+            raise InputError("does not exist", file=path, remedy="check the path")
     if followed:
         _groups(logs, followed)
         return

@@ -43,6 +43,8 @@ MOST_RAGGED = 1000
 
 LINE_FEED, QUOTE, BLANK = b'\n" '
 
+UTF8_MARK = b"\xef\xbb\xbf"
+
 DELIMITER_REMEDY = "check delimiter under [file] of the profile"
 
 
@@ -413,6 +415,10 @@ def _utf8(path: Path, data: bytes, encoding: str) -> bytes:
         data = data.rstrip(b"\0")
     if not data or data.isspace():
         raise InputError("is empty", file=path, remedy="was the recorder stopped at once?")
+    marked = not wide and data.startswith(UTF8_MARK)
+    if marked:
+        # The file states its encoding; recorders of one layout differ in it.
+        encoding = "utf-8"
     if not wide and data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise InputError(
             f"is not {encoding} text: it begins with the mark of UTF-16",
@@ -428,9 +434,9 @@ def _utf8(path: Path, data: bytes, encoding: str) -> bytes:
             remedy="give the recorder's CSV, not its binary file",
         )
     try:
-        if codec in ("utf-8", "utf8", "utf-8-sig", "ascii"):
-            data.decode(encoding if codec == "ascii" else "utf-8")
-            text = data.removeprefix(b"\xef\xbb\xbf")
+        if marked or codec in ("utf-8", "utf8", "utf-8-sig", "ascii"):
+            data.decode("ascii" if codec == "ascii" and not marked else "utf-8")
+            text = data.removeprefix(UTF8_MARK)
         else:
             text = data.decode(encoding).removeprefix("\ufeff").encode()
     except UnicodeDecodeError as error:

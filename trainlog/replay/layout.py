@@ -285,7 +285,7 @@ def _rows(trip: Shown, panels: Sequence[str], differences: int) -> tuple[list[An
 def _differences(reference: str) -> tuple[tuple[str, str], ...]:
     """Entities of the differences and their titles, from the bottom to the top."""
     return (
-        (SLOWER, f"Speed less that of {reference} [km/h]"),
+        (SLOWER, f"Speed minus that of {reference} [km/h]"),
         (BEHIND, f"Lateness against {reference} [s]: late above 0, early below"),
     )
 
