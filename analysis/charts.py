@@ -51,7 +51,7 @@ DOTS_PER_INCH = 150
 WIDTH = 11.0
 """Of a figure [inch]."""
 
-LEAST_WIDTH = 3.2
+LEAST_WIDTH = 5.0
 """Of a figure of a narrow chart alone [inch]."""
 
 LETTERS = 130

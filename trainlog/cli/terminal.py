@@ -117,12 +117,20 @@ class _Console(Console):
         elif not _output.quiet:
             unit, zone = self.shown_as
             shown = [_shown(part, unit, zone) for part in parts]
+            self._take_width()
             super().print(*shown, **options)
 
     def rule(self, *parts: Any, **options: Any) -> None:
         """Draw a line, where output is for a person."""
         if not (_output.as_json or _output.quiet):
+            self._take_width()
             super().rule(*parts, **options)
+
+    def _take_width(self) -> None:
+        """Without a terminal as many columns as the environment states now, else `WIDTH`."""
+        if not self.is_terminal:
+            stated = os.environ.get("COLUMNS", "")
+            self.width = int(stated) if stated.isdecimal() and int(stated) else WIDTH
 
 
 def _shown(part: Any, unit: str, zone: str) -> Any:
@@ -131,9 +139,7 @@ def _shown(part: Any, unit: str, zone: str) -> Any:
 
 
 # No markup: in "[m/s²]" and in the names of trips brackets mean themselves.
-console = _Console(
-    width=None if Console().is_terminal or "COLUMNS" in os.environ else WIDTH, markup=False
-)
+console = _Console(markup=False)
 errors = Console(stderr=True, markup=False)
 
 
