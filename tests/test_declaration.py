@@ -12,10 +12,11 @@ import pytest
 from trainlog.declaration import NOT_NEGATIVE, Quantity, check_plausible, entries, meanings
 from trainlog.errors import InputError
 from trainlog.formats.declared import file_content, read_thing, thing_to_bytes, write_thing
+from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
 from trainlog.formats.templates import template_of
 from trainlog.formats.train import read_train
-from trainlog.railway import Line, Train
+from trainlog.railway import Journey, Line, TimingPoint, Train
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -96,3 +97,34 @@ def test_what_is_assumed_is_not_judged() -> None:
 def test_each_field_of_a_docstring_is_a_field(kind: type) -> None:
     named = {name for entry in entries(kind) for name in entry.names}
     assert set(meanings(kind)) <= named
+
+
+def test_a_journey_is_shown_by_its_places() -> None:
+    points = (
+        TimingPoint(0.0, earliest=0.0, latest=0.0, highest_speed=0.0),
+        TimingPoint(5_000.0, earliest=240.0, lowest_speed=10.0),
+        TimingPoint(8_000.0, earliest=620.0, latest=680.0, highest_speed=0.0),
+        TimingPoint(8_000.0, latest=840.0, highest_speed=0.0),
+        TimingPoint(9_000.0, highest_speed=20.0),
+    )
+    assert repr(Journey("shuttle", "A - B", points)).splitlines() == [
+        "Journey 'shuttle'",
+        "  line      A - B",
+        "  km 0.000  stands at 0:00 min",
+        "  km 5.000  from 4:00 min, at least 36 km/h",
+        "  km 8.000  stands 10:20 to 11:20 min, then stands by 14:00 min",
+        "  km 9.000  at any time, at most 72 km/h",
+    ]
+
+
+def test_assumed_keys_are_shown_as_a_list() -> None:
+    assert dwell_train(assumed=("max_load", "axles")).summary()["assumed"] == "max_load, axles"
+
+
+def test_a_network_in_place_of_a_line_asks_for_a_route(tmp_path: Path) -> None:
+    file = tmp_path / "small.network.json"
+    file.write_text('{"format": "trainlog/network", "version": 1}')
+    with pytest.raises(InputError, match=r"name a route of the network: '.*json#FROM,TO'"):
+        read_line(file)
+    with pytest.raises(InputError, match="check which file is meant"):
+        read_train(file)

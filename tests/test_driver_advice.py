@@ -21,7 +21,9 @@ from analysis.trajectory.advice import (
     time_of_day,
     with_times,
 )
+from analysis.trajectory.instructions import Cap, Instruction
 from analysis.trajectory.optimiser import optimise
+from analysis.trajectory.phases import Phase
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InputError
 from trainlog.formats.attached import line_of_plan
@@ -134,6 +136,27 @@ def test_the_advice_is_what_the_plan_does(sections: tuple[Trajectory, ...], line
         assert inside[-1].words == "brake to a stand"
 
 
+def test_a_coast_does_not_end_above_the_speed_that_it_allows() -> None:
+    ends, allowed = 115.6 / 3.6, 115.0 / 3.6
+    coast = Instruction(
+        42_000.0, 44_798.0, 0.0, 34.0, ends, Phase.COASTING, False, ends, ends, 34.0, ends,
+        44_798.0, (34.0, ends), (Cap(allowed, 44_798.0, 44_798.0),),
+    )  # fmt: skip
+    words = "coast to km 44.798: speed falls to 115 km/h; at most 115 km/h at km 44.798"
+    assert coast.words() == words
+    assert "falls to 116 km/h" in replace(coast, caps=()).words()
+
+
+def test_a_place_that_is_stated_to_be_at_a_station_is_less_than_50_m_away(
+    sections: tuple[Trajectory, ...], line: Line
+) -> None:
+    found = journey_advice(sections, line)
+    stations = np.array([each.position for each in line.stations])
+    away = {row.position: np.abs(stations - row.position).min() for row in found.rows}
+    for row in found.rows:
+        assert row.place.startswith("at ") == (away[row.position] < 50.0)
+
+
 def test_page_and_table_state_the_same(
     sections: tuple[Trajectory, ...],
     tmp_path: Path,
@@ -182,7 +205,7 @@ def test_sections_that_do_not_follow_each_other_are_refused(
     with pytest.raises(InputError, match="departs before the one before arrives"):
         journey_advice(early, back)
     for word in ("25:00", "7", "07:61", "noon"):
-        with pytest.raises(InputError, match="is no time of day"):
+        with pytest.raises(InputError, match="is not a valid time of day"):
             time_of_day(word)
     (tmp_path / "plan.json").write_text('{"format": "trainlog/line"}')
     with pytest.raises(InputError, match=r"plan\.json"):

@@ -643,7 +643,8 @@ def test_one_function_drives_the_trips_of_the_command() -> None:
     assert all(abs(trip["/reference"]["lateness"].iloc[-1]) < 1.5 for trip in trips)
     words = following_line(trips[0])
     assert re.fullmatch(
-        r"slip protection acted \d+ times; \d reversals from .* beyond 20 kN, \d in the plan", words
+        r"slip protection acted \d+ times?; \d reversals? from .* beyond 20 kN, \d in the plan",
+        words,
     )
     with pytest.raises(InputError, match="no configuration 'none'"):
         follow(trajectory, hilly_line(), train, configurations="none")

@@ -894,6 +894,10 @@ class Many(Form):
             entries.append(name | count | entry)
         return entries
 
+    def words(self, value: Any) -> str:
+        """The things, one after the other."""
+        return ", ".join(map(str, value))
+
     def implausible(self, value: Any, place: str) -> Iterator[InputError]:
         """What of the things cannot be meant."""
         for number, each in enumerate(value):

@@ -376,8 +376,10 @@ def _bins_of(track: TrackConditionMap, part: PassingSpot | ConditionChange) -> t
     return first, max(int(np.ceil(part.end / track.bin_length)), first + 1)
 
 
-def near(line: Line | None, position: ArrayLike) -> list[str]:
+def near(line: Line | None, position: ArrayLike, within: float = AT_STATION) -> list[str]:
     """Where each position [m] lies, by the nearest station; empty without a line.
+
+    At a station is what is less than `within` [m] away from it.
 
     Examples
     --------
@@ -394,7 +396,7 @@ def near(line: Line | None, position: ArrayLike) -> list[str]:
     beyond = at - places[nearest]
     return [
         f"at {line.stations[i].name}"
-        if abs(by) < AT_STATION
+        if abs(by) < within
         else f"{abs(by) / 1e3:.1f} km {'after' if by > 0 else 'before'} {line.stations[i].name}"
         for i, by in zip(nearest.tolist(), beyond.tolist(), strict=True)
     ]

@@ -32,6 +32,7 @@ from analysis.control.route import (
 )
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.arrays import FloatArray
+from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.railway import Line, TrackConditionMap, Train, Trajectory
 from trainlog.simulation import Scenario, simulate, trajectory_scenarios
@@ -443,10 +444,10 @@ def following_line(trip: Trip) -> str:
         counts.append(effort_reversals(tractive, braking))
     driven, planned = counts
     onsets = protection_onsets(trip)
-    acted = "is not recorded" if onsets is None else f"acted {len(onsets)} times"
+    acted = "is not recorded" if onsets is None else f"acted {counted(len(onsets), 'time')}"
     return (
-        f"slip protection {acted}; {driven} reversals from traction to braking or back beyond"
-        f" {REVERSAL / 1e3:g} kN, {planned} in the plan"
+        f"slip protection {acted}; {counted(driven, 'reversal')} from traction to braking or back"
+        f" beyond {REVERSAL / 1e3:g} kN, {planned} in the plan"
     )
 
 
@@ -476,7 +477,7 @@ def run_of(
     if np.any(trajectory.speeds[:, -1] > 0.1):
         raise InputError(
             f"the trajectory passes its end at km {end / 1e3:.3f} and does not stop there",
-            remedy="optimise it for a final speed of 0",
+            remedy="plan it with a final speed of 0",
         )
     settings = trajectory.provenance.get("settings", {})
     return TrajectoryProblem(

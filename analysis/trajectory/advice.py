@@ -57,6 +57,9 @@ HEADER = (
 JOINS = 1.0
 """So near [m] a section begins to where the one before ends."""
 
+_AT_STATION = 50.0
+"""What is nearer [m] to a station lies at it: distances are stated to 0.1 km."""
+
 _DAY = 86_400
 
 Event = Literal["departs", "arrives", "passes", "changes"]
@@ -206,7 +209,9 @@ def time_of_day(word: str) -> float:
     found = re.fullmatch(r"(\d{1,2}):(\d{2})(?::(\d{2}))?", word.strip())
     hours, minutes, seconds = (int(each or 0) for each in found.groups()) if found else (99, 0, 0)
     if hours > 23 or minutes > 59 or seconds > 59:
-        raise InputError(f"'{word}' is no time of day", remedy="write it as 07:12 or 07:12:30")
+        raise InputError(
+            f"'{word}' is not a valid time of day", remedy="write it as 07:12 or 07:12:30"
+        )
     return 3600.0 * hours + 60.0 * minutes + seconds
 
 
@@ -359,7 +364,7 @@ def _row(
 ) -> AdviceRow:
     km = float(in_km(line, position))
     station = "" if line is None or event == "changes" else station_at(line, position)
-    place = near(line, [position])[0]
+    place = near(line, [position], _AT_STATION)[0]
     permitted = None if limits is None else float(limits(position))
     words, to = "" if event == "passes" else str(event), km
     if instruction is not None:

@@ -141,12 +141,17 @@ class Instruction:
     def _course(self) -> str:
         """How the speed falls and rises: ``": speed falls to 8 km/h"``."""
         turns = [
-            ("falls" if after < before else "rises", KMH * after)
+            ("falls" if after < before else "rises", self._capped(KMH * after))
             for before, after in pairwise(self.course)
             if abs(after - before) > NOTICED
         ]
         words = ", ".join(f"{verb} to {speed:.0f}" for verb, speed in turns)
         return f": speed {words} km/h" if words else ""
+
+    def _capped(self, speed: float) -> float:
+        """A speed [km/h] as the caps state it, which are rounded down."""
+        caps = (round(KMH * cap.speed) for cap in self.caps)
+        return min((cap for cap in caps if 0.0 <= speed - cap < 1.0), default=speed)
 
     def _caps(self, line: Line | None) -> str:
         """Speeds not to exceed: ``"; at most 90 km/h to km 0.504"``."""

@@ -63,7 +63,9 @@ def body_of(kind: type[Declared], data: bytes, file: str | Path) -> dict[str, An
             f"is a file of format '{content['format']}', expected '{name}'",
             file=file,
             place="format",
-            remedy="check which file is meant",
+            remedy=f"name a route of the network: '{file}#FROM,TO'"
+            if (content["format"], name) == ("trainlog/network", "trainlog/line")
+            else "check which file is meant",
         )
     version = content.get("version")
     if version is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import groupby, pairwise
 from typing import Annotated, ClassVar
 
 from trainlog.declaration import Declared, Quantity, Table, Text
@@ -37,8 +37,23 @@ class TimingPoint:
     lowest_speed: Annotated[float | None, Quantity("km/h", "m/s")] = None
     highest_speed: Annotated[float | None, Quantity("km/h", "m/s")] = None
 
+    def __str__(self) -> str:
+        early, late = (
+            "" if time is None else f"{round(time) // 60}:{round(time) % 60:02d} min"
+            for time in (self.earliest, self.latest)
+        )
+        words = [f"at {early}" if early == late else f"{early.removesuffix(' min')} to {late}"]
+        if not (early and late):
+            words = [f"from {early}"] if early else [f"by {late}"] if late else ["at any time"]
+        if self.highest_speed == 0.0:
+            return f"stands {words[0]}"
+        for bound, speed in (("least", self.lowest_speed), ("most", self.highest_speed)):
+            if speed:
+                words.append(f"at {bound} {KMH * speed:.4g} km/h")
+        return ", ".join(words)
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Journey(Declared):
     """Timing points of one train on one line.
 
@@ -86,6 +101,14 @@ class Journey(Declared):
     source: Annotated[
         str, Text(stated="written", usual="template: replace every value by your journey's")
     ] = ""
+
+    def summary(self) -> dict[str, str]:
+        """The line, and what is asked for at each place."""
+        places = groupby(self.points, lambda point: point.position)
+        return {"line": self.line} | {
+            f"km {position / 1e3:.3f}": ", then ".join(map(str, points))
+            for position, points in places
+        }
 
     def problems(self) -> Iterator[InputError]:
         """What no journey can be, one by one."""

@@ -202,7 +202,7 @@ class Trajectory(Declared, Plotted):
             if mine != other:
                 raise InputError(
                     f"the trajectory was made for {what} '{mine}', not for '{other}'",
-                    remedy=f"give that {what}, or optimise for this one",
+                    remedy=f"give that {what}, or plan for this one",
                 )
 
     def check_forces(self, line: Line, train: Train) -> None:
@@ -225,7 +225,7 @@ class Trajectory(Declared, Plotted):
                 raise InputError(
                     f"the trajectory was planned with the {name} '{planned}', {what}"
                     f" '{thing.name}' states '{stated}'",
-                    remedy=f"give the {what} that it was planned with, or optimise for this one",
+                    remedy=f"give the {what} that it was planned with, or plan for this one",
                 )
 
     def index_of(self, configuration: str) -> int:
