@@ -172,13 +172,15 @@ def test_the_command_writes_line_and_picture(
 ) -> None:
     for trip in trips(2):
         write_log(trip, tmp_path / f"{trip.name}.mcap")
-    assert run(["new", "line", "--from", str(tmp_path), "-o", str(tmp_path / "valley.json")]) == 0
-    line = read_line(tmp_path / "valley.json")
+    assert (
+        run(["new", "line", "--from", str(tmp_path), "-o", str(tmp_path / "valley.line.json")]) == 0
+    )
+    line = read_line(tmp_path / "valley.line.json")
     assert line.name == "valley"
     assert line.geometry is not None
     assert line.curvatures is not None
     assert line.geometry.quality.startswith("fitted to the satellite fixes of 2 trips")
-    assert (tmp_path / "valley.png").stat().st_size > 10_000
+    assert (tmp_path / "valley.line.png").stat().st_size > 10_000
     assert "from 2 trips" in capsys.readouterr().out
 
 

@@ -37,6 +37,17 @@ def printed(description: LogDescription) -> str:
     return console.file.getvalue()
 
 
+def test_provenance_is_stated_in_words(tmp_path: Path) -> None:
+    trip = trip_of(rows=10, axles=1)
+    report = {"findings": [{"rule": "empty", "rows": [3]}], "rows_read": 10, "switched_off": []}
+    options = {"direction": None, "metadata": {"load": "0"}, "rules": ["gaps", "spikes"]}
+    found = described(trip.with_step("ingest", options=options, report=report), tmp_path)
+    words = " ".join(printed(found).split())
+    assert "options metadata load 0, rules gaps spikes" in words
+    assert "report findings 1, rows_read 10" in words
+    assert not any(each in words for each in ("None", "{'", "switched_off"))
+
+
 def test_everything_in_a_log_is_found(tmp_path: Path) -> None:
     trip = trip_of(rows=120, axles=3)
     found = described(trip, tmp_path)

@@ -283,7 +283,7 @@ def _line_of_fixes(logs: list[Path], output: Path, name: str | None, picture: Pa
     trips = [read_log(log, topics) for log in track(logs_in(logs), "reading", "log")]
     with working("fitting"):
         centre_line = geometry_of(trips)
-    write_line(line_of(centre_line, name or output.stem), output)
+    write_line(line_of(centre_line, name or output.stem.removesuffix(".line")), output)
     draw_centre_line(centre_line, trips, shown)
     for sentence in centre_line.lines():
         console.print(sentence, highlight=False)

@@ -516,7 +516,9 @@ def render(
     if description.provenance:
         steps = {
             f"{number} {step.get('step', '')}".strip(): ", ".join(
-                f"{key} {_in_words(value)}" for key, value in step.items() if key != "step"
+                f"{key} {_in_words(value)}"
+                for key, value in step.items()
+                if key != "step" and _said(value)
             )
             for number, step in enumerate(description.provenance, start=1)
         }
@@ -623,11 +625,25 @@ def _pairs(heading: str, pairs: dict[str, str]) -> WordTable:
 
 
 def _in_words(value: object) -> str:
-    """A value of provenance in words, checksums shortened to their first digits."""
+    """A value of provenance in words, checksums shortened to their first digits.
+
+    What states nothing is left out; of a list of records their number is stated.
+    """
     if isinstance(value, dict):
-        return ", ".join(f"{key} {_in_words(each)}" for key, each in value.items())
+        return ", ".join(f"{key} {_in_words(each)}" for key, each in value.items() if _said(each))
+    if isinstance(value, list | tuple):
+        if any(isinstance(each, dict) for each in value):
+            return str(len(value))
+        return " ".join(_in_words(each) for each in value)
     text = str(value)
     return f"{text[:12]}…" if re.fullmatch("[0-9a-f]{64}", text) else text
+
+
+def _said(value: object) -> bool:
+    """Whether a value of provenance states anything: not None, nor an empty text, list or table."""
+    if isinstance(value, dict):
+        return any(_said(each) for each in value.values())
+    return value is not None and (not isinstance(value, str | list | tuple) or len(value) > 0)
 
 
 def _attachments(description: LogDescription) -> WordTable:
