@@ -668,6 +668,14 @@ def test_a_line_begins_with_a_template_or_a_table(
     status, out, _ = run(monkeypatch, capsys, "new", "line", "--from", table, "-o", made)
     assert (status, out) == (0, f"wrote {made}\n")
     assert json.loads(made.read_text("utf-8"))["length"] == {"value": 9000, "unit": "m"}
+    named = tmp_path / "named.line.json"
+    words = ("new", "line", "--from", table, "--name", "Aach-Berg", "-o", named)
+    assert run(monkeypatch, capsys, *words)[0] == 0
+    assert json.loads(named.read_text("utf-8"))["name"] == "Aach-Berg"
+    words = ("new", "line", "--name", "Aach-Berg", "-o", tmp_path / "other.line.toml")
+    status, _, err = run(monkeypatch, capsys, *words)
+    assert status == 2
+    assert "--name Aach-Berg: a template states its own name; leave --name out" in err
 
 
 def test_a_log_that_cannot_be_estimated_does_not_stop_the_others(

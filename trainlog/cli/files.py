@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from datetime import date, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -185,7 +186,8 @@ def new(
         ChosenTrips,
     ] = None,
     name: Annotated[
-        str | None, typer.Option(help="Of a line from logs or a network; default: the file's.")
+        str | None,
+        typer.Option(help="Of a line or network that is made with --from; default: the file's."),
     ] = None,
     picture: Annotated[
         Path | None,
@@ -220,13 +222,19 @@ def new(
     elif kind == "network":
         _join(made_from, output, name)
     elif kind == "line" and made_from and "#" in made_from[0].name:
-        _write_route(made_from, output)
+        _write_route(made_from, output, name)
     elif kind == "line" and any(each.is_dir() or each.suffix == ".mcap" for each in made_from):
         _line_of_fixes(made_from, output, name, picture)
     elif len(made_from) > 1:
         raise InputError(f"a {kind} is made from one file", remedy="give --from once")
     else:
-        wrote(write_template(kind, output, table=made_from[0] if made_from else None))
+        if name and not made_from:
+            raise InputError(
+                f"--name {name}: a template states its own name",
+                remedy="leave --name out, and edit name in the file",
+            )
+        table = made_from[0] if made_from else None
+        wrote(write_template(kind, output, table=table, name=name))
 
 
 def _join(lines: list[Path], output: Path, name: str | None) -> None:
@@ -248,7 +256,7 @@ def _join(lines: list[Path], output: Path, name: str | None) -> None:
     wrote(output)
 
 
-def _write_route(given: list[Path], output: Path) -> None:
+def _write_route(given: list[Path], output: Path, name: str | None) -> None:
     """Write the line of the shortest route through places of a network."""
     from analysis.network.table import route_tables
     from trainlog.formats.line import write_line
@@ -258,7 +266,7 @@ def _write_route(given: list[Path], output: Path) -> None:
         raise InputError("several routes are given", remedy="give --from once")
     route = _route(given[0])
     console.print(*route_tables(route))
-    write_line(route.line, output)
+    write_line(replace(route.line, name=name) if name else route.line, output)
     wrote(output)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -138,7 +139,9 @@ def template_of(kind: type[Declared], thing: Declared | None = None) -> str:
     )
 
 
-def write_template(kind: Kind, path: str | Path, *, table: str | Path | None = None) -> Path:
+def write_template(
+    kind: Kind, path: str | Path, *, table: str | Path | None = None, name: str | None = None
+) -> Path:
     """Write a new file to be edited; nothing that exists is overwritten.
 
     Parameters
@@ -148,6 +151,8 @@ def write_template(kind: Kind, path: str | Path, *, table: str | Path | None = N
         Ends in .toml; a line that is made from a table may be .json.
     table : str or Path, optional
         CSV of a line's rows; see `read_line_table`.
+    name : str, optional
+        Of a line from a table; default: the table's.
 
     Raises
     ------
@@ -180,6 +185,8 @@ def write_template(kind: Kind, path: str | Path, *, table: str | Path | None = N
     if path.exists():
         raise InputError("exists", file=path, remedy="choose another name, or remove it first")
     line = None if table is None else read_line_table(table)
+    if line is not None and name:
+        line = replace(line, name=name)
     if line is not None and path.suffix == ".json":
         write_thing(line, path, Line)
     else:
