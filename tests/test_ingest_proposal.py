@@ -144,6 +144,14 @@ def test_a_stated_unit_that_contradicts_mechanics_is_open(tmp_path: Path) -> Non
     assert effort["alternative"] == "kN, as the file states"
 
 
+def test_a_unit_that_is_not_known_is_not_called_absent(tmp_path: Path) -> None:
+    run = drive()
+    path = written(tmp_path, {"t [s]": run.t, "v [km/h]": run.v * 3.6, "F [kX]": run.F / 1e3})
+    effort = field(propose_profile(path), "/train/controls.tractive_effort")
+    assert effort["unit"] == "kN"
+    assert effort["why"].startswith("no known unit is stated")
+
+
 def test_what_is_scaled_by_an_open_speed_is_open(tmp_path: Path) -> None:
     run = drive()
     path = written(tmp_path, {"t [s]": run.t, "v": run.v * 1.943844, "n1 [rpm]": run.v * 20.0})

@@ -130,4 +130,6 @@ def unit_reason(stated: str, taken: str, others: tuple[str, ...]) -> tuple[str, 
             f"the file states {stated}, which contradicts the other columns",
             f"{stated}, as the file states",
         )
-    return "no unit is stated; this one agrees with the other columns", " or ".join(others[:2])
+    return "no known unit is stated; this one agrees with the other columns", " or ".join(
+        others[:2]
+    )
