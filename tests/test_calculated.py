@@ -57,7 +57,7 @@ def test_the_right_file_agrees_within_its_bands() -> None:
     assert found.diagnosis.wrong == ()
     assert found.total("calculated_work") == pytest.approx(found.total("work"), rel=0.06)
     assert sum(found.explained.values()) == pytest.approx(1.0, abs=1e-9)
-    assert len(figure_of(calculation_charts(found)).axes) == 3
+    assert len(found.plot().axes) == 3
     assert "nothing that the trip contradicts" in found._repr_html_()
 
 

@@ -93,6 +93,18 @@ def test_a_trip_beside_itself_loses_nothing_anywhere() -> None:
     assert again.energy.value == again.energy.recorded
 
 
+def test_a_comparison_draws_itself() -> None:
+    both = compare([stopping(), nonstop()])
+    (direction,) = both.directions
+    assert len(both.charts()) == len(comparison_charts(direction)) > 0
+    assert both.plot().axes
+
+
+def test_the_summary_shows_the_largest_causes_gains_among_them() -> None:
+    words = repr(compare([stopping(), nonstop()]))
+    assert "stop +285 s, faster -7" in words
+
+
 def test_the_same_drive_given_twice_counts_once_and_is_stated() -> None:
     copy = altered(stopping(), lambda frame: frame, trip="copy")
     found = compare([stopping(), copy])

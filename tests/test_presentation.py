@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import pickle
 from dataclasses import dataclass
+from typing import ClassVar
 
 import jsonschema
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from hypothesis import given, strategies as st
 from rich.console import Console
 
+from trainlog.errors import InputError
 from trainlog.presentation import (
     ADHESION,
     MASS,
@@ -21,6 +23,7 @@ from trainlog.presentation import (
     Column,
     Ends,
     Presented,
+    Quantity,
     Said,
     WordTable,
     new_table,
@@ -86,6 +89,28 @@ def test_a_notebook_shows_title_tables_and_notes_escaped() -> None:
         assert words in html
     hostile = Runs((Run("<script>", 1.0, None, None),), np.zeros(2))
     assert "<script>" not in hostile._repr_html_()
+
+
+@dataclass(eq=False, repr=False)
+class Bare(Presented):
+    title: ClassVar[str] = "A run"
+
+    def summary(self) -> dict[str, str]:
+        return {"speed": "72.0 km/h"}
+
+
+def test_a_notebook_shows_the_title_once() -> None:
+    assert Bare()._repr_html_().count("A run") == 1
+
+
+def test_a_result_without_a_plot_names_what_to_use_instead() -> None:
+    with pytest.raises(InputError, match="Bare has no plot; print it, or use its attributes"):
+        Bare().plot()
+
+
+def test_units_of_columns_multiply_before_the_last_and_divide_by_it() -> None:
+    suffixes = {"": "", "N": "N", "m_s": "m/s", "N_s_m": "N*s/m", "N_s2_m2": "N*s^2/m^2"}
+    assert {each: Quantity(each, "").si_unit for each in suffixes} == suffixes
 
 
 def test_json_has_facts_tables_in_si_units_and_notes_and_fits_its_schema() -> None:

@@ -39,7 +39,7 @@ class Plotted:
         """
         if not self.charts_by:
             raise InputError(
-                f"there is no picture of {type(self).__name__}", remedy="look at its tables"
+                f"{type(self).__name__} has no plot", remedy="print it, or use its attributes"
             )
         module, _, name = self.charts_by.partition(":")
         charts: Sequence[Any] = getattr(import_module(module), name)(self, **options)

@@ -71,6 +71,18 @@ class Quantity:
     factor: float = 1.0
     digits: int = 1
 
+    @property
+    def si_unit(self) -> str:
+        """The SI unit as frames state it; the last part of the suffix is the denominator.
+
+        Examples
+        --------
+        >>> [Quantity(suffix, "").si_unit for suffix in ("N", "m_s", "m_s2", "N_s2_m2")]
+        ['N', 'm/s', 'm/s^2', 'N*s^2/m^2']
+        """
+        *above, last = re.sub(r"(\d)", r"^\1", self.suffix).split("_")
+        return f"{'*'.join(above)}/{last}" if above else last
+
     def words(self, value: float, *, unit: bool = True) -> str:
         """A value as it is shown.
 
@@ -509,7 +521,7 @@ class WordTable:
 
         found = pd.DataFrame(self.data)
         found.attrs["units"] = {
-            key: form.quantity.suffix.replace("_", "/")
+            key: form.quantity.si_unit
             for form in self.forms
             if form.quantity is not None and form.quantity.suffix
             for key in form.data(None)
@@ -704,6 +716,12 @@ class Presented(Plotted):
         rows = self.summary()
         if rows and not (tables and tables[0].name == "summary"):
             parts = [facts_table("", rows), *parts]
+        parts = [
+            replace(each, title="")
+            if isinstance(each, WordTable) and each.title == self.title
+            else each
+            for each in parts
+        ]
         shown = "".join(
             each._repr_html_() if isinstance(each, WordTable) else f"<p>{escape(each)}</p>"
             for each in parts

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -74,6 +74,8 @@ class Calculation(Presented):
     line : Line or None
         As travelled: its kilometres are shown.
     """
+
+    charts_by: ClassVar[str] = "analysis.comparison.calculated_table:calculation_charts"
 
     trip: str
     model: str

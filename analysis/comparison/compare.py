@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -119,6 +119,8 @@ class Comparison(Presented):
         Trips that could not be compared, with the reason.
     """
 
+    charts_by: ClassVar[str] = "analysis.comparison.plot:all_charts"
+
     directions: tuple[ComparedDirection, ...]
     left_out: tuple[str, ...] = ()
 
@@ -162,7 +164,8 @@ class Comparison(Presented):
             )
             for trip in compared[:4]:
                 assert trip.lost is not None
-                causes = [f"{cause} {s:+.0f} s" for cause, s in trip.lost.by_cause().items()][:3]
+                parts = sorted(trip.lost.by_cause().items(), key=lambda part: -abs(part[1]))
+                causes = [f"{cause} {s:+.0f} s" for cause, s in parts[:3]]
                 rows[f"  {trip.name}"] = f"{trip.lost.total:+.1f} s: {', '.join(causes)}"
         if self.left_out:
             rows["left out"] = counted(len(self.left_out), "trip")

@@ -19,7 +19,7 @@ from analysis.charts import (
     Panel,
     Rule,
 )
-from analysis.comparison.compare import ComparedDirection, ComparedTrip
+from analysis.comparison.compare import ComparedDirection, ComparedTrip, Comparison
 from analysis.comparison.losses import CAUSES
 from trainlog.units import JOULES_PER_KWH, KMH
 
@@ -40,6 +40,11 @@ CAUSE_COLOURS = {
 
 MOST = 6
 """Trips whose speeds are drawn one by one; of more, those that lost most."""
+
+
+def all_charts(found: Comparison) -> list[Chart]:
+    """The charts of every direction, in order."""
+    return [chart for each in found.directions for chart in comparison_charts(each)]
 
 
 def comparison_charts(found: ComparedDirection) -> list[Chart]:
