@@ -388,6 +388,16 @@ def test_a_summary_states_why_energy_and_slip_are_not_known(tmp_path: Path) -> N
     assert "topics loaded" not in first
 
 
+def test_a_report_of_a_trip_without_a_line_asks_for_it_before_a_fit(tmp_path: Path) -> None:
+    trip = read_log(sample("nonstop.mcap"))
+    kept = {name: data for name, data in trip.attachments.items() if name != "line.json"}
+    write_log(replace(trip, attachments=kept), tmp_path / "a.mcap")
+    write_report(tmp_path / "a.mcap", tmp_path / "a.html")
+    page = (tmp_path / "a.html").read_text("utf-8")
+    assert "a.mcap has no line: trainlog ingest RECORDING --line LINE -o FOLDER" in page
+    assert "fit the running resistance: " not in page
+
+
 def test_the_verdict_on_a_recording_gives_its_reasons() -> None:
     trip = read_log(sample("stopping.mcap"))
     assert verdict(trip).level == 0

@@ -359,10 +359,10 @@ def _next_steps(log: Path, slipped: object, judged: Verdict, line: Line | None) 
     name = shlex.quote(log.name)
     steps = ["see what is doubtful under Recording"] if judged.level else []
     if line is None:
-        steps.append(f"give it its line: trainlog ingest --line LINE; {name} has none")
+        steps.append(f"{name} has no line: trainlog ingest RECORDING --line LINE -o FOLDER adds it")
     if isinstance(slipped, SlipAnalysis) and len(slipped.events) and line is not None:
         steps.append(f"add its slip to a map: trainlog map update {name} --map LINE.map")
-    if judged.level < 2:
+    if judged.level < 2 and line is not None:
         steps.append(f"fit the running resistance: trainlog fit {name} -o parameters.json")
     steps.append(f"look at it over time and position: trainlog replay {name}")
     return steps
