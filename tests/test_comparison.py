@@ -17,6 +17,7 @@ from analysis.comparison.compare import Comparison, compare
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
 from analysis.comparison.plot import comparison_charts
+from analysis.comparison.table import notes
 from trainlog import read_line, read_train
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
@@ -329,7 +330,11 @@ def test_poor_adhesion_costs_what_it_costs() -> None:
 
 def test_excess_speed_is_stated_with_where_it_was() -> None:
     fast = simulate(replace(scenario(name="fast"), habits=replace(HABITS, margin=-2.0)))
-    table = compare([free(), fast]).trip("fast").table
+    found = compare([free(), fast])
+    table = found.trip("fast").table
+    stated = "Excess speed is over the limit under the whole train"
+    assert stated in " ".join(notes(found.directions[0]))
+    assert stated not in " ".join(notes(compare(free()).directions[0]))
     assert 1.5 < table["excess"].max() < 3.0
     assert table["excess_distance"].sum() > 3_000.0
     assert compare(free()).trip("free").table["excess_distance"].sum() == 0.0

@@ -140,6 +140,8 @@ def test_a_map_read_with_less_risk_leaves_less_adhesion_and_the_file_states_it(
         (("--stops", "j.json", "--reserve", "3,7"), "give one, or leave out --stops"),
         (("--running-time", "9", "--reserve", "3"), "leave out --reserve"),
         (("--stops", "Wil,Gosau SG"), "did you mean 'Gossau SG'?"),
+        (("--stops", "Wil"), "name at least two with commas between them"),
+        (("--stops", "Wil,St.Gallen"), "order them so, or add --reverse"),
         (("--set", "dwel=3"), "did you mean dwell?"),
         (("--set", "braking=hard"), "is not one of recourse, common"),
         (

@@ -199,6 +199,11 @@ def notes(found: ComparedDirection) -> list[str]:
             f"Tractive energy at the load and running time of '{found.reference.name}', by the"
             f" running resistance of the {found.model}; ± is half the 95 % band."
         )
+    if any((each.table["excess"] > 0.0).any() for each in found.trips):
+        every.append(
+            "Excess speed is over the limit under the whole train; plans keep the limit at the"
+            " train's front unless made with --set protect=train."
+        )
     unknown = [each.name for each in found.trips if "traction" not in each.trip.sums]
     if unknown:
         every.append(f"no efforts are recorded: the energy of {', '.join(unknown)} is not known")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trainlog.display import counted
+from trainlog.display import counted, span
 from trainlog.presentation import POSITION, SPEED, Column, Quantity, Said, WordTable, new_table
 from trainlog.railway import Line
 from trainlog.railway.network import Edge, Network, Route, assumed_on
@@ -117,7 +117,7 @@ def route_tables(route: Route) -> list[WordTable | str]:
     limits = line.speed_limits.values * KMH
     words = (
         f"{line.length / 1e3:.3f} km over {counted(len(route.legs), 'edge')}, rising {rise:.1f} m"
-        f" and falling {fall:.1f} m, limits {limits.min():.0f} to {limits.max():.0f} km/h"
+        f" and falling {fall:.1f} m, limits {span(limits)} km/h"
     )
     assumed = f"assumed on a part of it: {_assumed(line)}" if line.assumed else ""
     return [words, table, stations, *([assumed] if assumed else [])]

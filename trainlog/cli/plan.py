@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -338,6 +339,16 @@ def _journey_of(stops: str, line: Line, running_time: float | None) -> Journey:
             TimingPoint(_station(each.strip(), line), None, None, 0.0, 0.0)
             for each in stops.split(",")
         ]
+        if len(points) < 2:
+            raise InputError(
+                f"--stops '{stops}' names one station",
+                remedy="name at least two with commas between them, from departure to arrival",
+            )
+        if any(after.position < before.position for before, after in pairwise(points)):
+            raise InputError(
+                f"--stops '{stops}': the stations are not in the direction of travel",
+                remedy="order them so, or add --reverse (leave it out if it is given)",
+            )
         journey = Journey(stops, line.name, tuple(points))
     if running_time is None:
         return journey
