@@ -35,6 +35,9 @@ settings.register_profile(
 )
 settings.load_profile("trainlog")
 
+# Workers of pytest-xdist are given 80 columns, a single process none: all print as without.
+os.environ.pop("COLUMNS", None)
+
 # What is imported stays: looking through it again and again was a third of the time of collecting.
 gc.set_threshold(20_000, 20, 50)
 
