@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from difflib import get_close_matches
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,7 +22,7 @@ from trainlog.cli.options import (
     stretch,
 )
 from trainlog.cli.terminal import console, current, show, state, working, wrote
-from trainlog.errors import InputError
+from trainlog.errors import InputError, similar
 from trainlog.units import COUNT, MASS, NUMBER, PERCENT, SHARE, SPEED, TIME, Measure
 
 if TYPE_CHECKING:
@@ -103,7 +102,7 @@ class PlanSettings:
         for word in words:
             key, equals, value = (each.strip() for each in word.partition("="))
             if key not in known or not equals:
-                near = get_close_matches(key, known, n=1)
+                near = similar(key, known, 1)
                 meant = f"did you mean {near[0]}? " if near and near[0] != key else ""
                 raise InputError(
                     f"--set '{word}' is not a setting of a plan",
@@ -361,7 +360,7 @@ def _station(name: str, line: Line) -> float:
     places = {each.name: each.position for each in line.stations}
     if name in places:
         return places[name]
-    near = get_close_matches(name, places, n=1)
+    near = similar(name, places, 1)
     raise InputError(
         f"--stops: there is no station '{name}' on {line.name}",
         remedy=f"did you mean '{near[0]}'?" if near else f"there are {', '.join(places) or 'none'}",
