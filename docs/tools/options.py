@@ -14,7 +14,6 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from trainlog.cli.help import described
 from trainlog.cli.main import app
 
 BEGIN, END = "<!-- options -->", "<!-- end of options -->"
@@ -26,7 +25,9 @@ COMMON = {"--json", "--quiet", "--help", "--trips", "--catalogue"}
 def commands(group: Any = None, words: str = "") -> Iterator[tuple[str, Any]]:
     """All commands by their words."""
     group = group or typer.main.get_command(app)
-    for word, command in group.commands.items():
+    context = typer.Context(group)
+    for word in group.list_commands(context):
+        command = group.get_command(context, word)
         name = f"{words} {word}".strip()
         if isinstance(command, TyperGroup):
             yield from commands(command, name)
@@ -56,15 +57,19 @@ def listed() -> str:
         arguments = [
             each for each in command.get_params(context) if each.param_type_name == "argument"
         ]
-        rows = [described(each, context) for each in [*arguments, *own_options(name, command)]]
-        table = [f"| `{_cell(what)}` | {_cell(words)} |" for what, words in rows]
+        rows = [
+            (each.display_name_raw + "..." * (each.nargs != 1), f"{each.help}{required}")
+            for each in arguments
+            for required in [" [required]" * each.required]
+        ]
+        rows += [each.get_help_record(context) for each in own_options(name, command)]
+        table = [f"| `{_cell(what)}` | {_cell(' '.join(words.split()))} |" for what, words in rows]
         parts.append("\n".join([f"### {name}", "", first, "", "| | |", "|---|---|", *table]))
     return "\n\n".join(parts)
 
 
 def _cell(text: str) -> str:
-    plain = re.sub(r"\[/?(?:dim|bold)\]", "", text)
-    return plain.replace("|", r"\|")
+    return re.sub(r"\[/?bold\]", "", text).replace("|", r"\|")
 
 
 def with_options(page: str) -> str:

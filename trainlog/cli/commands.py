@@ -1,25 +1,21 @@
 """What every command has: options of its output, help that reads well, an end by Ctrl-C.
 
-`prepared` goes over the commands of the program; none of them needs to know of it.
+`Command` gives commands these; none of them needs to know of it.
 """
 
 from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable
-from copy import copy
-from functools import cache, wraps
+from functools import cache
 from importlib import import_module
 from keyword import iskeyword
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, get_args
 
 import typer
 from typer.core import TyperCommand, TyperGroup
-from typer.models import ArgumentInfo, ParameterInfo
 
-from trainlog.cli.help import print_help, shown_type
 from trainlog.cli.options import (
     CatalogueOption,
     ChosenTrips,
@@ -34,21 +30,8 @@ from trainlog.errors import InputError
 from trainlog.formats.samples import SAMPLE
 from trainlog.formats.settings import read_settings
 
-if TYPE_CHECKING:
-    from typer.models import CommandInfo, TyperInfo
-
 INTERRUPTED = 130
 """Exit status after Ctrl-C; typer returns it, too."""
-
-JSON = Annotated[
-    bool, typer.Option("--json", help="Print the result as one JSON object, and nothing else.")
-]
-QUIET = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
-
-TRIPS = (
-    "Trips of the catalogue, beside logs that are named: \"line = 'X' and weather = 'wet'\"; or"
-    " all."
-)
 
 STATUSES = {
     0: "done",
@@ -197,131 +180,36 @@ def end_in_part(failed: int, of: int) -> None:
         raise typer.Exit(2 if failed == of else 1)
 
 
-def prepared(panel: typer.Typer) -> None:
-    """Give all commands of a program their common options, and lay out their help."""
-    documented: list[CommandInfo | TyperInfo] = [*panel.registered_commands]
-    if panel.registered_callback is not None:
-        documented.append(panel.registered_callback)
-    for known in documented:
-        text = inspect.getdoc(known.callback) if known.callback else None
-        if text and not known.help:
-            # Help breaks where the terminal ends, not where the docstring does.
-            known.help = "\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))
-    for command in panel.registered_commands:
-        command.cls = Command
-        if command.callback is not None:
-            command.callback = _with_trips(command.callback)
-        if command.callback is not None:
-            command.callback = _with_output(command.callback)
+def _common(
+    chosen_trips: Annotated[
+        str | None,
+        typer.Option(
+            "--trips",
+            metavar="WHERE",
+            help="Trips of the catalogue, beside logs that are named: \"line = 'X' and weather ="
+            " 'wet'\"; or all.",
+        ),
+    ] = None,
+    catalogue: CatalogueOption = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the result as one JSON object, and nothing else.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
+) -> None:
+    """Declare the options that commands share: of those that take logs, and of all."""
 
 
-def _with_trips(callback: Callable[..., Any]) -> Callable[..., Any]:
-    """A command that takes logs with the options that choose trips of a catalogue instead."""
-    signature = inspect.signature(callback, eval_str=True)
-    marked = [each for each in signature.parameters.values() if ChosenTrips in _notes(each)]
-    if not marked:
-        return callback
-    (logs,) = marked
-    needed = logs.default is inspect.Parameter.empty
-    known = copy(next(each for each in _notes(logs) if isinstance(each, ParameterInfo)))
-    if needed:
-        known.help = f"{known.help} Or --trips."
-    optional = logs.replace(annotation=Annotated[list[Path] | None, known], default=None)
-    wanted = Annotated[str | None, typer.Option("--trips", metavar="WHERE", help=TRIPS)]
-    added = {"chosen_trips": wanted, "catalogue": CatalogueOption}
-
-    @wraps(callback)
-    def command(
-        *parts: Any, chosen_trips: str | None = None, catalogue: str | None = None, **rest: Any
-    ) -> Any:
-        given = rest[logs.name]
-        if chosen_trips is not None:
-            # Summaries of fits stand for the logs of other fits alone.
-            summed_up = TakesSummaries in _notes(logs) and rest.get("method") == "efforts"
-            chosen = chosen_summaries if summed_up else chosen_logs
-            rest[logs.name] = [*(given or ()), *chosen(chosen_trips, catalogue)]
-        elif catalogue is not None:
-            raise InputError(
-                f"--catalogue {catalogue} is given, but not which of its trips",
-                remedy="choose them with --trips \"weather = 'wet'\", or --trips all",
-            )
-        elif needed and not given:
-            raise InputError(
-                "no logs are given",
-                remedy="name logs or folders, or choose trips of a catalogue with --trips",
-            )
-        return callback(*parts, **rest)
-
-    kept = [optional if each is logs else each for each in signature.parameters.values()]
-    kept += [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
-        for name, annotation in added.items()
-    ]
-    command.__signature__ = signature.replace(  # type: ignore[attr-defined]
-        parameters=[each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in kept]
-    )
-    command.__annotations__ = {each.name: each.annotation for each in kept}
-    del command.__wrapped__  # its signature is not what is asked for
-    return command
-
-
-def _notes(parameter: inspect.Parameter) -> tuple[Any, ...]:
-    """What the annotation of a parameter says beside its type."""
-    annotation = parameter.annotation
-    return getattr(annotation, "__metadata__", ())
-
-
-def _with_output(callback: Callable[..., Any]) -> Callable[..., Any]:
-    """A command with the options of its output, whose end by Ctrl-C is stated once."""
-    signature = inspect.signature(callback, eval_str=True)
-    own = "as_json" in signature.parameters  # it prints JSON itself
-    given = {} if own else {"as_json": JSON}
-    added = [
-        inspect.Parameter(
-            name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=annotation
-        )
-        for name, annotation in {**given, "quiet": QUIET}.items()
-    ]
-
-    inputs = [each.name for each in signature.parameters.values() if _is_input(each)]
-
-    @wraps(callback)
-    def command(
-        *parts: Any, context: typer.Context, quiet: bool, as_json: bool = False, **rest: Any
-    ) -> Any:
-        words = context.command_path.partition(" ")[2]
-        if own:
-            rest["as_json"], as_json = as_json, False
-        with output_of(words, as_json=as_json, quiet=quiet) as output, progress_shown() as display:
-            if words != "settings":  # which states what is wrong with them itself
-                known = read_settings()
-                console.shown_as = known.speed, known.zone
-            try:
-                for name in inputs:
-                    _check_exists(rest[name])
-                return callback(*parts, **rest)
-            except KeyboardInterrupt:
-                _state_interruption(output, display)
-                raise typer.Exit(INTERRUPTED) from None
-
-    asked = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
-    parameters = [*signature.parameters.values(), *added, asked]
-    command.__signature__ = signature.replace(  # type: ignore[attr-defined]
-        parameters=[each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in parameters]
-    )
-    command.__annotations__ = {each.name: each.annotation for each in parameters}
-    del command.__wrapped__  # its signature is not what is asked for
-    return command
+@cache
+def _common_options() -> tuple[list[Any], list[Any]]:
+    """The options of commands that take logs, and those of all commands."""
+    program = typer.Typer(add_completion=False)
+    program.command()(_common)
+    every = typer.main.get_command(program).params
+    return every[:2], every[2:]
 
 
 INPUTS = ("line", "train", "profile", "network", "trajectory", "onto")
 """Options that name a file to be read."""
-
-
-def _is_input(parameter: inspect.Parameter) -> bool:
-    """Whether a parameter names files to be read."""
-    argument = any(isinstance(each, ArgumentInfo) for each in _notes(parameter))
-    return "Path" in str(parameter.annotation) and (argument or parameter.name in INPUTS)
 
 
 def _check_exists(given: Any) -> None:
@@ -329,7 +217,7 @@ def _check_exists(given: Any) -> None:
 
     Of several files those that are missing say nothing of the others: the command states them.
     """
-    paths = given if isinstance(given, list) else [given]
+    paths = given if isinstance(given, tuple) else [given]
     if len(paths) != 1 or not isinstance(paths[0], Path):
         return
     (path,) = paths
@@ -350,26 +238,122 @@ def _state_interruption(output: Output, display: ProgressDisplay) -> None:
     print_error(f"interrupted{outer and f' at {outer}'}: {said}")
 
 
+SHOWN_TYPES = {
+    "before": "DAY",
+    "characteristic": "FILE",
+    "configurations": "NAMES",
+    "electrification": "NAME",
+    "facts": "KEY=VALUE",
+    "formation": "VEHICLES",
+    "km": "KM:KM",
+    "layer": "CONDITION",
+    **dict.fromkeys(("at", "start", "end"), "TIME"),
+}
+"""What the value of an option is that takes words, where its name does not say so."""
+
+
+def _shown_type(option: Any) -> str:
+    """What the value of an option is."""
+    annotation = option.type_descriptor.annotation
+    if option.is_flag:
+        return ""
+    if option.type_descriptor.is_choice:
+        return "NAME"
+    if Path in (annotation, *get_args(annotation)):
+        return "FOLDER" if (option.help or "").startswith("Folder") else "FILE"
+    if annotation is int:
+        return "N"
+    name: str = option.opts[0].strip("-").upper()
+    return SHOWN_TYPES.get(option.name, name)
+
+
 class _Described:
-    """What help says of the values that options and arguments take."""
+    """What help says of a command and of the values that its options and arguments take."""
+
+    help: str | None
+
+    def __init__(self, **known: Any) -> None:
+        super().__init__(**known)
+        # Help breaks where the terminal ends, not where the docstring does.
+        paragraphs = (self.help or "").split("\n\n")
+        self.help = "\n\n".join(" ".join(part.split()) for part in paragraphs)
 
     def get_params(self, ctx: Any) -> list[Any]:
         """The parameters, with types in words of the field; what is on or off has none."""
         found: list[Any] = super().get_params(ctx)  # type: ignore[misc]
         for each in found:
-            if each.param_type_name == "argument" and each.metavar is None:
-                each.metavar = each.name.upper()
-            shown = shown_type(each, ctx)
-            each.display_type_rich = lambda shown=shown, **_: shown
+            if each.param_type_name == "argument":
+                each.metavar = each.metavar or each.name.upper()
+                each.display_type_rich = lambda **_: ""
+            elif each.metavar is None:
+                each.metavar = _shown_type(each)
+                if each.type_descriptor.is_choice:
+                    each.help = f"{each.help} ({', '.join(each.type_descriptor.choices)})"
         return found
 
 
 class Command(_Described, TyperCommand):
-    """A command whose help speaks of files, kilometres and seconds."""
+    """A command with the options of its output, whose end by Ctrl-C is stated once.
 
-    def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
-        """Print the help."""
-        print_help(self, ctx)
+    One that takes logs has options, too, that choose trips of a catalogue in their place.
+    """
+
+    def __init__(self, *, params: list[Any], callback: Any, **known: Any) -> None:
+        signature = inspect.signature(callback, eval_str=True)
+        notes = {
+            name: getattr(each.annotation, "__metadata__", ())
+            for name, each in signature.parameters.items()
+        }
+        of_logs, common = _common_options()
+        logs: Any = next((each for each in params if ChosenTrips in notes[each.name]), None)
+        if logs is not None and logs.required:
+            logs.help = f"{logs.help} Or --trips."
+        self._logs, self._needed = logs, logs is not None and logs.required
+        self._summed_up = logs is not None and TakesSummaries in notes[logs.name]
+        if logs is not None:
+            logs.required = False
+            params = [*params, *of_logs]
+        super().__init__(params=[*params, *common], callback=callback, **known)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        given = ctx.params
+        words = ctx.command_path.partition(" ")[2]
+        shown = {"as_json": given.pop("as_json"), "quiet": given.pop("quiet")}
+        with output_of(words, **shown) as output, progress_shown() as display:
+            if words != "settings":  # which states what is wrong with them itself
+                known = read_settings()
+                console.shown_as = known.speed, known.zone
+            try:
+                for each in self.params:
+                    if each.param_type_name == "argument" or each.name in INPUTS:
+                        _check_exists(given[each.name])
+                if self._logs is not None:
+                    self._choose_trips(given)
+                return super().invoke(ctx)
+            except KeyboardInterrupt:
+                _state_interruption(output, display)
+                raise typer.Exit(INTERRUPTED) from None
+
+    def _choose_trips(self, given: dict[str, Any]) -> None:
+        """Give the command the logs of the trips that are chosen beside those that are named."""
+        chosen_trips, catalogue = given.pop("chosen_trips"), given.pop("catalogue")
+        name = self._logs.name
+        if chosen_trips is not None:
+            # Summaries of fits stand for the logs of other fits alone.
+            summed_up = self._summed_up and given["method"] == "efforts"
+            chosen = chosen_summaries if summed_up else chosen_logs
+            given[name] = (*(given[name] or ()), *chosen(chosen_trips, catalogue))
+        elif catalogue is not None:
+            raise InputError(
+                f"--catalogue {catalogue} is given, but not which of its trips",
+                remedy="choose them with --trips \"weather = 'wet'\", or --trips all",
+            )
+        elif self._needed and not given[name]:
+            raise InputError(
+                "no logs are given",
+                remedy="name logs or folders, or choose trips of a catalogue with --trips",
+            )
 
 
 class Group(_Described, TyperGroup):
@@ -397,11 +381,13 @@ class Words(Group):
 
     def __init__(self, **known: Any) -> None:
         super().__init__(**known)
-        self.commands = _Modules()
+        self.commands: dict[str, Any] = dict.fromkeys(WORDS)
 
-    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
-        """The words, in the order of the help."""
-        return list(WORDS)
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002
+        """The command of a word, made when it is asked for."""
+        if cmd_name in WORDS and self.commands[cmd_name] is None:
+            self.commands[cmd_name] = _command(cmd_name)
+        return self.commands.get(cmd_name)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Print the help; no module of a command is imported for it."""
@@ -410,24 +396,6 @@ class Words(Group):
             for word, each in WORDS.items()
         }
         super().format_help(ctx, formatter)
-
-
-class _Modules(dict[str, Any]):
-    """Commands by their words, each made when it is asked for."""
-
-    def __init__(self) -> None:
-        super().__init__(dict.fromkeys(WORDS))
-
-    def __getitem__(self, word: str) -> Any:
-        if super().__getitem__(word) is None:
-            self[word] = _command(word)
-        return super().__getitem__(word)
-
-    def get(self, word: str, default: Any = None) -> Any:
-        return self[word] if word in WORDS else default
-
-    def items(self) -> Any:
-        return [(word, self[word]) for word in self]
 
 
 @cache
@@ -440,7 +408,8 @@ def _command(word: str) -> Any:
         found.command(word)(getattr(module, f"{word}_" if iskeyword(word) else word))
     else:
         found.info.cls = Group
-    prepared(found)
+    for each in found.registered_commands:
+        each.cls = Command
     made = typer.main.get_command(found)
     made.name = word
     return made

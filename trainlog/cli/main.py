@@ -15,7 +15,7 @@ import typer
 from typer.exceptions import TyperException
 
 from trainlog import __version__
-from trainlog.cli.commands import INTERRUPTED, Words, prepared
+from trainlog.cli.commands import INTERRUPTED, Words
 from trainlog.cli.terminal import console, print_error, print_problems, print_warning
 from trainlog.errors import TrainlogError
 
@@ -49,9 +49,6 @@ def _main(
 
 
 # --------------------------------------------------------------------------------- entry point
-
-
-prepared(app)
 
 
 def run(arguments: list[str]) -> int:

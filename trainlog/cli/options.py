@@ -43,7 +43,7 @@ def measured(*names: str, of: Measure, help: str) -> Any:
 class ChosenTrips:
     """Marks the logs of a command: trips of a catalogue may be chosen in their place.
 
-    `trainlog.cli.commands.prepared` gives commands whose parameter is annotated with it the options
+    `trainlog.cli.commands.Command` gives commands whose parameter is annotated with it the options
     ``--trips`` and ``--catalogue``.
     """
 

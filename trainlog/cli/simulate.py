@@ -276,7 +276,7 @@ def fleet(
         list[str] | None,
         typer.Option(
             "--fault",
-            help="Of a train from a day on, as train=flirt-03,mass=3t,from=2026-10-12; or"
+            help="Of a train from a day on, as train=kiss-01,mass=3t,from=2026-10-12; or"
             " dragging-brake=2kN, wheel-diameter=1%, effort-gain=5%, sensor-delay=0.3s. May be"
             " given several times.",
         ),
