@@ -127,12 +127,12 @@ def test_progress_shows_rate_and_remaining_time_and_leaves_nothing(tmp_path: Pat
 
 @pytest.mark.parametrize(
     ("given", "shown"),
-    [((1, 1, "trip"), "1 of 1 trip"), ((0, 4e9, "B"), "0.0 of 4.0 GB"), ((2, None, ""), "2")],
+    [((1, 1, "trip"), "1 of 1 trip"), ((0, 4e9, "B"), "0 bytes of 4.0 GB"), ((2, None, ""), "2")],
 )
 def test_amounts_in_words(given: tuple[float, float | None, str], shown: str) -> None:
     assert amount(*given) == shown
 
 
 def test_nothing_is_stated_of_a_rate_that_is_unknown() -> None:
-    assert pace(3.0, 0.0, None, "trip") == "0:03"
-    assert pace(0.0, 0.0, None, "trip") == ""
+    assert pace(3.0, 0.0, None, "trip") == "0:00:03"
+    assert pace(0.0, 0.0, None, "trip") == "0:00:00"

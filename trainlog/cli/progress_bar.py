@@ -10,6 +10,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from typing import TYPE_CHECKING, Any
 
 from trainlog.cli import terminal
@@ -18,8 +19,6 @@ from trainlog.progress import Step, shown_by
 if TYPE_CHECKING:
     from rich.progress import Progress, Task
 
-_BYTES = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
-
 
 class ProgressDisplay:
     """The bars of one command; a listener of `trainlog.progress`.
@@ -27,7 +26,8 @@ class ProgressDisplay:
     Attributes
     ----------
     outermost : str
-        How far the outermost task is, in words; empty if it has no parts to be counted.
+        How far the outermost task was when it was broken off, in words; empty if it has no parts to
+        be counted.
     """
 
     def __init__(self, check: Callable[[], None]) -> None:
@@ -39,46 +39,34 @@ class ProgressDisplay:
     @contextmanager
     def show(self, name: str, total: float | None, unit: str) -> Iterator[Step]:
         """Show a task while it is worked on."""
-        bar = self._started()
+        if self._progress is None and terminal.errors.is_terminal and not terminal.current().quiet:
+            self._progress = _bars()
+            self.resume()
+        bar = self._progress
         number = None if bar is None else bar.add_task(name, total=total, unit=unit, note="")
-        known, outer = total, self._depth == 0
+        state: dict[str, Any] = {"completed": 0.0, "total": total}
         self._depth += 1
-        self._state(outer, name, 0.0, known, unit)
 
         def step(
             done: float | None = None, total: float | None = None, note: str | None = None
         ) -> None:
-            nonlocal known
             self._check()
-            known = known if total is None else total
-            if done is not None:
-                self._state(outer, name, done, known, unit)
+            given = {"completed": done, "total": total, "note": note}
+            state.update((key, each) for key, each in given.items() if each is not None)
             if bar is not None and number is not None:
-                bar.update(number, completed=done, total=known)
-                if note is not None:
-                    bar.update(number, note=note)
+                bar.update(number, **state)
 
         try:
             yield step
-            if outer:
-                self.outermost = ""
+        except BaseException:
+            if self._depth == 1 and len(unit) > 1 and (state["total"] or 0.0) > 1.0:
+                done = amount(state["completed"], state["total"], unit)
+                self.outermost = f"{name}: {done} finished"
+            raise
         finally:
             self._depth -= 1
             if bar is not None and number is not None:
                 bar.remove_task(number)
-
-    def _state(self, outer: bool, name: str, done: float, total: float | None, unit: str) -> None:
-        if outer:
-            countable = unit and unit not in ("B", "s", "m") and total is not None and total > 1
-            of = f"{done:.0f} of {total:.0f} {unit}s" if countable else ""
-            self.outermost = f"{name}: {of} finished" if of else ""
-
-    def _started(self) -> Progress | None:
-        """The bars, drawn from the first task on; None where there is no terminal."""
-        if self._progress is None and terminal.errors.is_terminal and not terminal.current().quiet:
-            self._progress = _bars()
-            self.resume()
-        return self._progress
 
     def pause(self) -> None:
         """Draw nothing while the user is asked, or at the end."""
@@ -102,38 +90,22 @@ def _bars() -> Progress:
     from rich.table import Column
     from rich.text import Text
 
-    class Elapsed(BarColumn):
-        def render(self, task: Task) -> Any:
-            if task.fields["unit"] == "s":  # of a time limit what is done is the time that is over
-                task.completed = min(task.elapsed or 0.0, task.total or 0.0)
-            return super().render(task)
-
-    class Amount(ProgressColumn):
-        def render(self, task: Task) -> Text:
-            return Text(amount(task.completed, task.total, task.fields["unit"]))
-
     class Pace(ProgressColumn):
         max_refresh = 0.5
 
         def render(self, task: Task) -> Text:
-            return Text(
-                pace(task.elapsed, task.completed, task.total, task.fields["unit"]), style="dim"
-            )
+            unit, elapsed = task.fields["unit"], task.elapsed or 0.0
+            if unit == "s":  # of a time limit what is done is the time that is over
+                task.completed = min(elapsed, task.total or 0.0)
+            done, total = task.completed, task.total
+            return Text(f"{amount(done, total, unit)} {pace(elapsed, done, total, unit)}")
 
-    columns: list[Any] = [
-        TextColumn("{task.description}", markup=False),
-        Elapsed(bar_width=20),
-        Amount(table_column=Column(no_wrap=True)),
-        Pace(table_column=Column(no_wrap=True)),
-        TextColumn(
-            "{task.fields[note]}",
-            style="dim",
-            markup=False,
-            table_column=Column(no_wrap=True, overflow="ellipsis"),
-        ),
-    ]
+    one_line = Column(no_wrap=True, overflow="ellipsis")
     return Progress(
-        *columns,
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=20),
+        Pace(table_column=Column(no_wrap=True)),
+        TextColumn("{task.fields[note]}", style="dim", markup=False, table_column=one_line),
         console=terminal.errors,
         transient=True,
         redirect_stdout=terminal.console.is_terminal,
@@ -146,56 +118,40 @@ def amount(done: float, total: float | None, unit: str) -> str:
     Examples
     --------
     >>> amount(3, 12, "trip"), amount(1, None, "trip"), amount(2.5e6, 9.1e6, "B")
-    ('3 of 12 trips', '1 trip', '2.5 of 9.1 MB')
+    ('3 of 12 trips', '1 trip', '2.5 MB of 9.1 MB')
     >>> amount(0, None, "trip"), amount(1500, 4000, "m"), amount(1, 1, "log")
     ('', '1,500 of 4,000 m', '1 of 1 log')
     """
+    from rich.filesize import decimal
+
     if not done and total is None:
         return ""
-    if unit == "B":
-        most = max(done, total or 0.0)
-        scale, name = next((each for each in _BYTES if most >= each[0]), (1.0, "B"))
-        digits = 0 if scale == 1.0 else 1
-        said = [f"{each / scale:,.{digits}f}" for each in (done, total) if each is not None]
-        return f"{' of '.join(said)} {name}"
-    said = [f"{each:,.0f}" for each in (done, total) if each is not None]
-    last = done if total is None else total
-    plural = "s" if len(unit) > 2 and last != 1 else ""
-    return f"{' of '.join(said)} {unit}{plural}".rstrip()
+    said = " of ".join(
+        decimal(round(each)) if unit == "B" else f"{each:,.0f}"
+        for each in (done, total)
+        if each is not None
+    )
+    plural = "s" if len(unit) > 2 and (done if total is None else total) != 1 else ""
+    return said if unit == "B" else f"{said} {unit}{plural}".rstrip()
 
 
-def pace(elapsed: float | None, done: float, total: float | None, unit: str) -> str:
+def pace(elapsed: float, done: float, total: float | None, unit: str) -> str:
     """How fast it goes, and how long it still takes; how long it has taken where that is unknown.
 
     Examples
     --------
     >>> pace(12.0, 30e6, 90e6, "B"), pace(80.0, 4, None, "trip"), pace(75.0, 0, 4, "trip")
-    ('2.5 MB/s, 0:24 left', '3.0 trips a minute, 1:20', '1:15')
+    ('2.5 MB/s, 0:00:24 left', '3.0 trips a minute, 0:01:20', '0:01:15')
     """
-    if not elapsed:
-        return ""
-    if unit == "s":
-        return _minutes(elapsed) if total is None else f"{_minutes(max(total - elapsed, 0.0))} left"
-    speed = done / elapsed
-    parts = []
-    if speed and unit:
-        parts = [f"{amount(speed, None, unit)}/s"] if unit in ("B", "m") else [_often(speed, unit)]
-    if speed and total is not None and unit:
-        parts.append(f"{_minutes(max(total - done, 0.0) / speed)} left")
-    else:
-        parts.append(_minutes(elapsed))
-    return ", ".join(parts)
-
-
-def _often(speed: float, unit: str) -> str:
-    of, name = (speed, "second") if speed >= 1.0 else (60.0 * speed, "minute")
-    return f"{of:,.1f} {unit}s a {name}"
-
-
-def _minutes(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+    speed = done / elapsed if elapsed else 0.0
+    known = bool(speed and unit)
+    rate = (
+        amount(speed, None, unit) + "/s" if unit == "B" else f"{60 * speed:,.1f} {unit}s a minute"
+    )
+    left = known and total is not None
+    seconds = max(total - done, 0.0) / speed if left and total is not None else elapsed
+    words = f"{timedelta(seconds=round(seconds))}{' left' if left else ''}"
+    return f"{rate}, {words}" if known and unit != "s" else words
 
 
 _display: ProgressDisplay | None = None
