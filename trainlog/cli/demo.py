@@ -209,11 +209,11 @@ def run_demo(
         passed = f"{number} of {len(steps)}, {perf_counter() - begin:.0f} s"
         console.rule(Text(passed, style="dim"), align="left")
         shown = Text(f"$ trainlog {shlex.join(step)}", style="bold")
-        console.print(shown, highlight=False, soft_wrap=True)
+        console.print(shown, soft_wrap=True)
         current().place = f"step {number} of {len(steps)} of the demo"
         if status := run(step):
             raise typer.Exit(status)
     console.rule(Text(f"done in {perf_counter() - begin:.0f} s", style="dim"), align="left")
-    console.print(f"Everything is in {output}. Next, try:", highlight=False)
+    console.print(f"Everything is in {output}. Next, try:")
     for command in following(output) if then is None else then:
-        console.print(f"  {command}", highlight=False, soft_wrap=True)
+        console.print(f"  {command}", soft_wrap=True)

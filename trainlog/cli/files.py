@@ -37,7 +37,6 @@ from trainlog.cli.terminal import (
     print_error,
     print_problems,
     state,
-    working,
     wrote,
 )
 from trainlog.display import counted
@@ -145,9 +144,9 @@ def import_(
             for each in import_file(file, output, options):
                 wrote(each.path)
                 if each.dropped:
-                    console.print(f"  not taken over: {'; '.join(each.dropped)}", highlight=False)
+                    console.print(f"  not taken over: {'; '.join(each.dropped)}")
                 if each.assumed:
-                    console.print(f"  assumed: {'; '.join(each.assumed)}", highlight=False)
+                    console.print(f"  assumed: {'; '.join(each.assumed)}")
 
 
 def _sentence(network: Network) -> str:
@@ -252,7 +251,7 @@ def _join(lines: list[Path], output: Path, name: str | None) -> None:
     given = name or output.name.partition(".")[0]
     found = network_of_lines(given, [read_line(each) for each in lines])
     write_network(found.network, output)
-    console.print(_sentence(found.network), *found.notes, sep="\n", highlight=False)
+    console.print(_sentence(found.network), *found.notes, sep="\n")
     wrote(output)
 
 
@@ -289,12 +288,12 @@ def _line_of_fixes(logs: list[Path], output: Path, name: str | None, picture: Pa
     shown = destination(picture or output.with_suffix(".png"), ".png")
     topics = ("/gnss/fix", "/gnss/motion", "/train/state")
     trips = [read_log(log, topics) for log in track(logs_in(logs), "reading", "log")]
-    with working("fitting"):
+    with task("fitting"):
         centre_line = geometry_of(trips)
     write_line(line_of(centre_line, name or output.stem.removesuffix(".line")), output)
     draw_centre_line(centre_line, trips, shown)
     for sentence in centre_line.lines():
-        console.print(sentence, highlight=False)
+        console.print(sentence)
     wrote(output, shown)
 
 
@@ -417,8 +416,8 @@ def _show(file: Path, every: bool) -> bool:
         if every:
             console.print(_map_trips(file))
     else:
-        console.print(f"{file}: {found.kind}", highlight=False, soft_wrap=True)
-        console.print(found.text, highlight=False, markup=False, soft_wrap=True)
+        console.print(f"{file}: {found.kind}", soft_wrap=True)
+        console.print(found.text, soft_wrap=True)
     return found.damaged
 
 
@@ -435,7 +434,7 @@ def _show_log(file: Path, found: LogDescription) -> None:
         return
     console.print(*render(found, recorded))
     if PASSPORT_ATTACHMENT in (each.name for each in found.attachments):
-        console.print(repr(passport_of(read_log(file, []))), highlight=False, markup=False)
+        console.print(repr(passport_of(read_log(file, []))))
 
 
 def _draw(file: Path, picture: Path) -> None:
@@ -531,7 +530,7 @@ def _open(file: Path) -> None:
     write_report(file, page, ReportOptions())
     wrote(page)
     if not webbrowser.open(page.resolve().as_uri()):
-        console.print("no browser here: open the page where there is one", highlight=False)
+        console.print("no browser here: open the page where there is one")
 
 
 def _map_contents(path: Path) -> WordTable:
@@ -686,10 +685,9 @@ def _export_network(file: Path, output: Path) -> None:
     console.print(
         f"{counted(found.edges, 'edge')}, {counted(found.nodes, 'node')},"
         f" {counted(found.stations, 'station')}",
-        highlight=False,
     )
     if found.left_out:
-        console.print(f"left out without coordinates: {', '.join(found.left_out)}", highlight=False)
+        console.print(f"left out without coordinates: {', '.join(found.left_out)}")
     wrote(output)
 
 
@@ -746,7 +744,7 @@ def _write(source: Path, output: Path, **part: Any) -> None:
 
 def _summary(output: Path, rows: Any, notes: Sequence[str]) -> None:
     if not state({"rows": dict(rows), "notes": list(notes)}):
-        console.print(f"  {rows.total():,} rows in {counted(len(rows), 'topic')}", highlight=False)
+        console.print(f"  {rows.total():,} rows in {counted(len(rows), 'topic')}")
         for note in notes:
-            console.print(f"  {note}", highlight=False, markup=False, soft_wrap=True)
+            console.print(f"  {note}", soft_wrap=True)
     wrote(output)

@@ -125,10 +125,8 @@ def fleet_add(
     if not state(content):
         for each in added.outcomes:
             if each.damage:
-                console.print(
-                    f"damaged: {each.path}: {each.damage}", highlight=False, soft_wrap=True
-                )
-        console.print(added.sentence, highlight=False, soft_wrap=True)
+                console.print(f"damaged: {each.path}: {each.damage}", soft_wrap=True)
+        console.print(added.sentence, soft_wrap=True)
     if refused:
         raise typer.Exit(2 if len(refused) == len(added.outcomes) else 1)
 
@@ -181,7 +179,7 @@ def fleet_show(
     else:
         console.print("every file counts, and no log is damaged")
     words = ", ".join(f"{count:,} {name}" for name, count in counts.items() if count)
-    console.print(words or "no trips", highlight=False)
+    console.print(words or "no trips")
     if as_json:
         return
     show(found, also=["problems"] if problems else [])
@@ -256,7 +254,7 @@ def fleet_query(
             logs = opened.paths(asked, zone=zone, **limits)
             if not state({"paths": logs}):
                 for path in logs:
-                    console.print(str(path), highlight=False, soft_wrap=True)
+                    console.print(str(path), soft_wrap=True)
             return
         found = _chosen(opened, asked, zone, limits)
     if output is not None:
@@ -264,7 +262,7 @@ def fleet_query(
 
         write_trips(found, output)
         state({"trips": len(found)})
-        console.print(counted(len(found), "trip"), highlight=False)
+        console.print(counted(len(found), "trip"))
         wrote(output)
         return
     from analysis.catalogue_table import trips_as_data, trips_table
@@ -288,7 +286,7 @@ def _sql(statement: str, catalogue: str | None, most: int | None, output: Path |
         with atomic_write(output) as temporary:
             found.to_csv(temporary, index=False)
         state({"count": len(found)})
-        console.print(counted(len(found), "row"), highlight=False)
+        console.print(counted(len(found), "row"))
         wrote(output)
         return
     shown = found if statement == "tables" else _first(found, most)
@@ -397,7 +395,7 @@ def fleet_update(
         if before.pending and not current().as_json:
             gone = f"; {gone_words(before.gone)}" if before.gone else ""
             words = f"{counted(before.pending, 'trip')} to compute{gone}; {FIRST}"
-            console.print(words, highlight=False, soft_wrap=True)
+            console.print(words, soft_wrap=True)
         current().finished = lambda: "each batch that was finished is kept; update again"
         found = update_fleet(opened, analyses, options, report)
         current().finished = None
@@ -557,10 +555,10 @@ def fleet_refresh(
         listed = {"vanished": found.vanished, "moved": found.moved, "changed": found.changed}
         for what, paths in listed.items():
             for path in paths:
-                console.print(f"  {what}: {path}", highlight=False, soft_wrap=True)
+                console.print(f"  {what}: {path}", soft_wrap=True)
         for each in refused:
             print_error(f"{each.path}: {each.reason}")
-        console.print(found.sentence, highlight=False, soft_wrap=True)
+        console.print(found.sentence, soft_wrap=True)
     if found.vanished or refused:
         raise typer.Exit(1)
 
@@ -592,4 +590,4 @@ def fleet_remove(
     with open_catalogue(catalogue, create=False) as opened:
         removed = opened.remove(where, vanished=vanished)
     if not state({"removed": removed}):
-        console.print(f"{counted(removed, 'trip')} removed", highlight=False)
+        console.print(f"{counted(removed, 'trip')} removed")

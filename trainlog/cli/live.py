@@ -118,7 +118,7 @@ def record(
         drawing = _drawing(recording, stack) if replay else None
         each = stack.enter_context(_status(live, source, began))
         stack.enter_context(source)
-        console.print(f"recording {source.name}; Ctrl-C ends it", highlight=False)
+        console.print(f"recording {source.name}; Ctrl-C ends it")
         live.follow(source, stopped=stopped, idle=idle, each=each, raw=copy)
         live.close(time.time_ns())
     _summary(output, recording, live, source, time.monotonic() - began, drawing)
@@ -214,7 +214,7 @@ def _drawing(recording: Recording, stack: ExitStack) -> Any:
     from trainlog.replay import live_replay
 
     drawing = stack.enter_context(live_replay(recording))
-    console.print(drawing.where, highlight=False, soft_wrap=True)
+    console.print(drawing.where, soft_wrap=True)
     return drawing
 
 
@@ -239,10 +239,9 @@ def _summary(
     console.print(
         f"  {counted(live.lines, 'line')} in {seconds:.1f} s: {total:,} messages of"
         f" {counted(len(account.written), 'topic')}, {live.progress.distance / 1e3:.3f} km",
-        highlight=False,
     )
     for topic, count in account.written.items():
-        console.print(f"    {topic}  {count:,}", highlight=False)
+        console.print(f"    {topic}  {count:,}")
     sentences = live.sentences()
     if source.lost:
         what = "datagrams" if source.whole else "blocks"
@@ -250,5 +249,5 @@ def _summary(
     sentences += [f"{count:,} of {name} dropped" for name, count in account.dropped.items()]
     sentences += [] if drawing is None else drawing.sentences()
     for sentence in sentences:
-        console.print(f"    {sentence}", highlight=False, markup=False, soft_wrap=True)
+        console.print(f"    {sentence}", soft_wrap=True)
     wrote(output)

@@ -23,10 +23,10 @@ from trainlog.cli.options import (
     moment,
     part_of,
 )
-from trainlog.cli.terminal import console, print_error, show, state, working, wrote
+from trainlog.cli.terminal import console, print_error, show, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
-from trainlog.progress import track
+from trainlog.progress import task, track
 from trainlog.units import SPEED
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ def _draw(found: Comparison, picture: Path) -> None:
     several = len(found.directions) > 1
     for each in found.directions:
         path = picture.with_stem(f"{picture.stem}-{each.direction}") if several else picture
-        with working(f"drawing {path.name}"):
+        with task(f"drawing {path.name}"):
             draw_charts(comparison_charts(each), path)
         wrote(path)
 
@@ -306,7 +306,7 @@ def replay(
         if saved is not None:
             wrote(saved)
         if picture is not None:
-            with working(f"taking {picture.name}"):
+            with task(f"taking {picture.name}"):
                 take_picture(recording, picture)
             wrote(picture)
         if opened:
@@ -454,7 +454,7 @@ def _report(
     from analysis.reports.trip import known_zone
 
     known = known_zone(zone)
-    with working(f"report on {results.name}"):
+    with task(f"report on {results.name}"):
         page = write_report(results, output, ReportOptions(line, tuple(logs), known))
     titles = [each.title for each in page.sections]
     state({"title": page.title, "sections": titles, "problems": page.problems})
@@ -481,6 +481,6 @@ def _fleet_report(
     known = None if network is None else read_network(network)
     options = FleetReportOptions(where, known, maps, at)
     destination(output, ".html")
-    with open_catalogue(catalogue, create=False) as opened, working("report on the fleet"):
+    with open_catalogue(catalogue, create=False) as opened, task("report on the fleet"):
         write_fleet_report(opened, output, options)
     wrote(output)

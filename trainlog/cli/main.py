@@ -30,7 +30,7 @@ app = typer.Typer(
 
 def _version(show: bool) -> None:
     if show:
-        console.print(f"trainlog {__version__}", highlight=False)
+        console.print(f"trainlog {__version__}")
         raise typer.Exit
 
 

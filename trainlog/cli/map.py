@@ -123,9 +123,9 @@ def map_update(
         elif outcome.outcome == "refused before" or output.as_json:
             return
         elif outcome.outcome == "not recorded":
-            console.print(f"  not used: {outcome.reason}", highlight=False, soft_wrap=True)
+            console.print(f"  not used: {outcome.reason}", soft_wrap=True)
         elif outcome.outcome != "held" or outcome.reason:
-            console.print(f"  {outcome.sentence}", highlight=False, soft_wrap=True)
+            console.print(f"  {outcome.sentence}", soft_wrap=True)
 
     def finished() -> str:
         added = f"{counted(done['added'], 'trip')} added"
@@ -395,7 +395,7 @@ def map_export(
     export_map(track, output, line=course(track, line, condition), at=when, layers=layer)
     chosen = replace(track, layers={name: track.layer(name) for name in layer or track.layers})
     for words in filter(None, [left_out(chosen, when), zone_assumed(at, zone)]):
-        console.print(f"  {words}", highlight=False, soft_wrap=True)
+        console.print(f"  {words}", soft_wrap=True)
     wrote(output)
 
 
@@ -451,7 +451,7 @@ def map_forecast(
     }
     state(content)
     if later:
-        console.print(f"  forecast {later}", highlight=False, soft_wrap=True)
+        console.print(f"  forecast {later}", soft_wrap=True)
     wrote(output)
 
 
@@ -519,7 +519,7 @@ def map_score(
         draw(found, picture)
     if not current().as_json:
         for words in by_reason(found.left_out):
-            console.print(f"  {words}", highlight=False, soft_wrap=True)
+            console.print(f"  {words}", soft_wrap=True)
     show(found)
     if picture is not None:
         wrote(picture)

@@ -347,7 +347,7 @@ def map_of_run(
         return track, None
     words = left_out(track, time)
     if words:
-        console.print(f"  {condition.name}: read {words}", highlight=False, soft_wrap=True)
+        console.print(f"  {condition.name}: read {words}", soft_wrap=True)
     return known_before(track, time), time
 
 

@@ -21,8 +21,9 @@ from trainlog.cli.options import (
     measured,
     stretch,
 )
-from trainlog.cli.terminal import console, current, show, state, working, wrote
+from trainlog.cli.terminal import console, current, show, state, wrote
 from trainlog.errors import InputError, similar
+from trainlog.progress import task
 from trainlog.units import COUNT, MASS, NUMBER, PERCENT, SHARE, SPEED, TIME, Measure
 
 if TYPE_CHECKING:
@@ -437,7 +438,7 @@ def _journey(
     from analysis.trajectory.journey import optimise_journey
     from analysis.trajectory.table import journey_table
 
-    with working("optimising the sections"):
+    with task("optimising the sections"):
         plan = optimise_journey(problem, journey, options, dwell=dwell)
     sections = with_times(plan.sections, plan.departures, plan.journey.name)
     files = [output.with_name(f"{output.stem}-{n + 1}.json") for n in range(len(sections))]
@@ -528,7 +529,7 @@ def advice(
 
     start = None if departure is None else time_of_day(departure)
     table = output.with_suffix(".csv")
-    with working("writing the advice"):
+    with task("writing the advice"):
         found = write_driver_advice(
             trajectories, output, table, line=line, start=start, dwell=dwell or 0.0
         )

@@ -89,7 +89,7 @@ def _edit() -> None:
     path.touch()
     subprocess.run([*shlex.split(editor), str(path)], check=False)
     read_settings()
-    console.print(f"{path} is valid", highlight=False, soft_wrap=True)
+    console.print(f"{path} is valid", soft_wrap=True)
 
 
 def docs(
@@ -128,6 +128,6 @@ def docs(
     if state({"page": file, "uri": uri, "built": found.built}):
         return
     if path or not (found.built and has_display() and webbrowser.open(uri)):
-        console.print(uri if anchor else file, highlight=False, soft_wrap=True)
+        console.print(uri if anchor else file, soft_wrap=True)
     if not found.built:
-        console.print(f"  {REMEDY}", highlight=False, soft_wrap=True)
+        console.print(f"  {REMEDY}", soft_wrap=True)

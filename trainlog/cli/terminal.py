@@ -22,7 +22,6 @@ from rich.console import Console
 
 from trainlog.display import in_speed_unit, in_zone
 from trainlog.errors import MOST_LISTED, TrainlogError
-from trainlog.progress import task
 
 if TYPE_CHECKING:
     from trainlog.mcap import Account
@@ -115,10 +114,13 @@ class _Console(Console):
             for part in parts:
                 _output.gather(part)
         elif not _output.quiet:
-            unit, zone = self.shown_as
-            shown = [_shown(part, unit, zone) for part in parts]
+            unit, zone = self.shown_as  # tables heed them themselves
+            shown = [
+                in_zone(in_speed_unit(part, unit), zone) if isinstance(part, str) else part
+                for part in parts
+            ]
             self._take_width()
-            super().print(*shown, **options)
+            super().print(*shown, **{"highlight": False, **options})
 
     def rule(self, *parts: Any, **options: Any) -> None:
         """Draw a line, where output is for a person."""
@@ -133,14 +135,9 @@ class _Console(Console):
             self.width = int(stated) if stated.isdecimal() and int(stated) else WIDTH
 
 
-def _shown(part: Any, unit: str, zone: str) -> Any:
-    """Something printed, with speeds and times as the user has set; tables do so themselves."""
-    return in_zone(in_speed_unit(part, unit), zone) if isinstance(part, str) else part
-
-
 # No markup: in "[m/s²]" and in the names of trips brackets mean themselves.
 console = _Console(markup=False)
-errors = Console(stderr=True, markup=False)
+errors = Console(stderr=True, markup=False, highlight=False)
 
 
 @contextmanager
@@ -188,7 +185,9 @@ def state(content: Mapping[str, Any]) -> bool:
     return _output.as_json
 
 
-def show(*results: Presented, also: Sequence[str] = ()) -> None:
+def show(
+    *results: Presented, also: Sequence[str] = (), picture: Path | None = None, **drawn: Any
+) -> None:
     """Print results as their class states: tables and sentences, or data where JSON is wanted.
 
     Parameters
@@ -196,11 +195,19 @@ def show(*results: Presented, also: Sequence[str] = ()) -> None:
     *results : Presented
     also : sequence of str
         Names of tables that are shown on request.
+    picture : path, optional
+        Of the first, to be drawn; `drawn` are options of its `plot`.
     """
+    if picture is not None:
+        from analysis.charts import draw
+
+        draw(results[0], picture, **drawn)
     for result in results:
         if not state(result.data()):
             for part in result.shown(*also):
                 console.print(part)
+    if picture is not None:
+        wrote(picture)
 
 
 def as_json_text(document: Any) -> str:
@@ -250,7 +257,7 @@ def about(known: Mapping[str, str], duration: float | None) -> str:
 def print_error(message: str) -> None:
     """State what is wrong in one line on standard error."""
     line = " ".join(message.split())
-    errors.print(f"trainlog: {line}", markup=False, highlight=False, soft_wrap=True)
+    errors.print(f"trainlog: {line}", soft_wrap=True)
 
 
 def print_problems(error: TrainlogError) -> None:
@@ -264,42 +271,27 @@ def print_problems(error: TrainlogError) -> None:
     if len(problems) > MOST_LISTED:
         shown.append(f"and {len(problems) - MOST_LISTED} more")
     for line in shown:
-        errors.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
+        errors.print(f"  {line}", soft_wrap=True)
 
 
 def print_warning(message: str) -> None:
     """State in one yellow line on standard error what may mislead."""
     if not _output.quiet:
         line = " ".join(f"trainlog: warning: {message}".split())
-        errors.print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)
+        errors.print(line, style="yellow", soft_wrap=True)
 
 
-def print_account(log: Path, account: Account, to: Console | None = None) -> None:
+def print_account(log: Path, account: Account) -> None:
     """List what of a log is readable and what is lost: a line, and one for each loss."""
-    to = to or console
-    to.print(
-        f"{log}: {account.sentence}",
-        style=None if account.whole else "yellow",
-        markup=False,
-        highlight=False,
-        soft_wrap=True,
-    )
+    style = None if account.whole else "yellow"
+    console.print(f"{log}: {account.sentence}", style=style, soft_wrap=True)
     # The sentence states already that a recording was not closed.
     for line in account.lines()[1 : 1 + len(account.losses)]:
-        to.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
+        console.print(f"  {line}", soft_wrap=True)
 
 
-def wrote(*paths: Path, to: Console | None = None) -> None:
+def wrote(*paths: Path) -> None:
     """List the files that were written."""
     _output.written.extend(paths)
-    if _output.as_json:
-        return
-    for path in paths:
-        (to or console).print(f"wrote {path}", highlight=False, markup=False, soft_wrap=True)
-
-
-@contextmanager
-def working(what: str) -> Iterator[None]:
-    """Show that something is being done, and for how long."""
-    with task(what):
-        yield
+    for path in () if _output.as_json else paths:
+        console.print(f"wrote {path}", soft_wrap=True)
