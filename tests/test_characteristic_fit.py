@@ -252,10 +252,16 @@ def test_points_in_the_units_of_their_header(tmp_path: Path) -> None:
     [
         ("creepage;adhesion\n1;0.2\n", "'creepage' has no unit"),
         ("creepage [1];adhesion\n1;0.2\n4;0.2\n", r"beyond 2 \(200 %\).*state its unit"),
-        ("creepage [%];adhesion\n1;0.2\n2;20\n", r"line 3: 2;20: adhesion is not below 1.5"),
-        ("creepage [%];adhesion\n1;0.2\n2;nan\n", r"line 3: 2;nan: a value is not a finite"),
+        (
+            "creepage [%];adhesion\n1;0.2\n2;20\n",
+            r"line 3, column 'adhesion': 20 is not below 1.5; state its unit",
+        ),
+        (
+            "creepage [%];adhesion\n1;0.2\n2;nan\n",
+            r"line 3, column 'adhesion': 'nan' is not a number",
+        ),
         ("creepage [%];adhesion\n1;-0.2\n", r"line 2: slip and adhesion have opposite signs"),
-        ("creepage [%];adhesion\n1;x\n", r"line 2: '1;x' is not a slip and an adhesion"),
+        ("creepage [%];adhesion\n1;x\n", r"line 2, column 'adhesion': 'x' is not a number"),
         ("force [kN];adhesion\n1;0.2\n", "'kN' cannot be read as m/s"),
         ("creepage [%]\n1\n", "has 1 column, expected"),
     ],

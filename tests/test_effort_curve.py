@@ -175,7 +175,7 @@ def test_curves_are_read_from_csv(text: str, tmp_path: Path) -> None:
         ("", "is empty"),
         ("speed;effort\n0;1\n", "column 'speed' has no unit"),
         ("speed [km/h];effort [kN];more [N]\n0;1;2\n", "has 3 columns"),
-        ("speed [km/h];effort [kN]\n0;1\nx;2\n", "line 3: 'x;2' is not a speed and an effort"),
+        ("speed [km/h];effort [kN]\n0;1\nx;2\n", "line 3, column 'speed': 'x' is not a number"),
         ("speed [km/h];effort [kN]\n0;100\n0;90\n", "speeds do not grow"),
         ("speed [km/h];effort [t]\n0;100\n9;90\n", "unit"),
         ("speed [km/h];effort [kN]\n", "two at least"),

@@ -95,16 +95,16 @@ BAD = [
     (HEADER, ROW.replace("2026-11-23T00:00Z", "2026-11-21T00:00Z"), "line 2", "correct the times"),
     (HEADER, ROW.replace("2026-11-23T00:00Z", "tomorrow"), "line 2", "'tomorrow' is not a time"),
     (HEADER, ROW.replace("2026-11-21T18", "2026-11-22T18"), "line 2", "issued after"),
-    (HEADER, ROW.replace("CH_StGallen_Wil", ""), "line 2", "names no line"),
+    (HEADER, ROW.replace("CH_StGallen_Wil", ""), "line 2", "has no line"),
     (HEADER, f"{ROW}\n{ROW.replace('CH_StGallen_Wil', 'A-B')}", "is for 2 lines", "a file a line"),
     (HEADER, ROW.replace(",wet,", ",wett,"), "line 2", "did you mean 'wet'?"),
     (HEADER, f"{ROW},0.4", "line 2", "10 cells"),
     (HEADER.replace("[km]", ""), ROW, "line 1", "has no unit"),
     (HEADER.replace("from [km]", "from [mile]"), ROW, "line 1", "in neither of km, m"),
     (HEADER.replace("valid to", "until"), ROW, "line 1", "'until' is not known"),
-    (HEADER.replace("issued", "valid from"), ROW, "line 1", "is there twice"),
+    (HEADER.replace("issued", "valid from"), ROW, "line 1", "are both of the valid from"),
     (HEADER.replace("0.5", "50"), ROW, "line 1", "must be between 0 and 1"),
-    (HEADER, "", "holds no forecast", "give a row"),
+    (HEADER, "", "has no row", "add one"),
     ("line,from [km],to [km],valid from,valid to", "A,0,1,2026-11-22,2026-11-23", "line 1", "nei"),
 ]
 
@@ -127,7 +127,12 @@ def test_all_bad_rows_are_listed_in_order(tmp_path: Path) -> None:
     ]
     with pytest.raises(InputError) as refused:
         read_forecast(written(tmp_path, *rows, ROW.replace("0.08", "0.2")))
-    assert [each.place for each in refused.value.each] == ["line 3", "line 4", "line 5", "line 6"]
+    assert [each.place for each in refused.value.each] == [
+        "line 3, column 'quantile 0.05'",
+        "line 4, column 'quantile 0.05'",
+        "line 5",
+        "line 6",
+    ]
     with pytest.raises(InputError, match=r"30 problems: .*and 10 more"):
         read_forecast(written(tmp_path, *[rows[1]] * 30))
 
@@ -139,7 +144,14 @@ def test_all_that_is_wrong_is_listed_at_once(tmp_path: Path) -> None:
     with pytest.raises(InputError) as refused:
         read_forecast(path, "CH_StGallen_Wil", 29_525.0)
     listed = [(each.place, str(each)) for each in refused.value.each]
-    assert [place for place, _ in listed] == ["line 2"] * 4 + ["line 3", "line 4"]
+    assert [place for place, _ in listed] == [
+        "line 2, column 'layer'",
+        "line 2",
+        "line 2, column 'quantile 0.05'",
+        "line 2, column 'quantile 0.5'",
+        "line 3",
+        "line 4",
+    ]
     for (_, words), expected in zip(
         listed,
         ("did you mean 'wet'", "must end behind", "not in per cent", "'low' is not a number",

@@ -119,8 +119,11 @@ class TestFile:
             (HEADER + "2026-10-24T06,wet,285,,\n", r"column 'temperature': 285 degC is not plaus"),
             (HEADER + "2026-10-24T06,wet,,930,\n", r"column 'humidity': 930 % is not plausible"),
             (HEADER + "2026-10-24T06,wet,,,-1\n", r"column 'precipitation': -1 mm/h is not plaus"),
-            (HEADER + "2026-10-24T06,wet,warm,,\n", r"column 'temperature': 'warm' is no number"),
-            (HEADER + "2026-10-24T06,wet,nan,,\n", r"column 'temperature': nan degC is not plaus"),
+            (
+                HEADER + "2026-10-24T06,wet,warm,,\n",
+                r"column 'temperature': 'warm' is not a number",
+            ),
+            (HEADER + "2026-10-24T06,wet,nan,,\n", r"column 'temperature': 'nan' is not a numb"),
             (
                 HEADER + "2026-10-24T07,wet,,,\n2026-10-24T06,dry,,,\n",
                 r"line 3: '2026-10-24T06' is not after the row before; sort the rows",
@@ -137,7 +140,10 @@ class TestFile:
                 r"does not exist or comes twice",
             ),
             ("time [Narnia],condition\n2026-10-25T02:30,wet\n", r"line 1: 'Narnia' is no time zon"),
-            ("time [UTC],weather\n2026-10-25T02:30,wet\n", r"line 1: column 'weather' is not one"),
+            (
+                "time [UTC],weather\n2026-10-25T02:30,wet\n",
+                r"line 1: column 'weather' is not known",
+            ),
             ("time [UTC],humidity\n2026-10-25T02:30,93\n", r"line 1.*humidity.* has no unit"),
             ("time [UTC],humidity [m]\n2026-10-25T02:30,93\n", r"line 1: .*'humidity'.*unit 'm'"),
             ("time [UTC]\n2026-10-25T02:30\n", r"line 1: needs the column 'time' and one besides"),

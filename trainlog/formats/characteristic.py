@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from trainlog.arrays import FloatArray
-from trainlog.declaration import Column, Declared, Json, Quantity, Table
+from trainlog.declaration import Column, Declared, Json, Must, Quantity, Table
 from trainlog.errors import InputError
 from trainlog.formats.declared import (
     built,
@@ -35,6 +34,19 @@ from trainlog.units import to_si
 
 _EXPECTED = (
     "give a header such as 'creepage [%];adhesion' or 'slip speed [m/s];adhesion;speed [km/h]'"
+)
+
+_BELOW = np.nextafter(GREATEST_ADHESION, 0.0)
+_ADHESION = Column(
+    "adhesion",
+    "1",
+    "1",
+    must=Must(
+        f"is not below {GREATEST_ADHESION:g}",
+        "state its unit in the header, as in 'adhesion [%]', if it is in per cent",
+        -_BELOW,
+        _BELOW,
+    ),
 )
 
 _Pure = Annotated[float, Quantity("1", "1")]
@@ -75,8 +87,8 @@ class _Table(Table):
         return pair.write((value.slips, value.adhesions), in_si)
 
 
-_CREEPAGES = (Column("creepage", "%", "1"), Column("adhesion", "1", "1"))
-_SLIP_SPEEDS = (Column("slip_speed", "m/s", "m/s"), Column("adhesion", "1", "1"))
+_CREEPAGES = (Column("creepage", "%", "1"), _ADHESION)
+_SLIP_SPEEDS = (Column("slip_speed", "m/s", "m/s"), _ADHESION)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -260,62 +272,33 @@ def read_adhesion_points(path: str | Path) -> AdhesionPoints:
     ('creepage', [0.008, 0.016, 0.1])
     """
     table = read_headed(path, _EXPECTED)
-    numbers = table.numbers("slip", "adhesion", _EXPECTED, most=3)
-    variable, unit = _slip_variable(table)
-    units = [(unit, "1" if variable == "creepage" else "m/s"), (table.units[1] or "1", "1")]
-    if len(table.names) == 3:
-        units.append((table.unit(2, _EXPECTED), "m/s"))
-    columns = built(lambda: [to_si(c, *u) for c, u in zip(numbers.T, units, strict=True)], path)
-    _check_values(table, columns)
-    slips, adhesions = columns[:2]
-    opposed = (slips * adhesions < 0.0) & (np.abs(adhesions) > 0.02)
-    if np.any(opposed):
-        raise InputError(
-            "slip and adhesion have opposite signs",
-            file=path,
-            place=f"line {table.rows[int(np.argmax(opposed))][0]}",
-            remedy="give both positive in traction, both negative in braking",
-        )
+    table.identify_in_order("slip", "adhesion", "speed")
+    variable, si = _slip_variable(table)
+    slips = table.quantity(Column("slip", "%", si), required=True)
+    adhesions = table.quantity(_ADHESION, table.units[1] or "1", required=True)
+    speeds = table.quantity(Column("speed", "km/h", "m/s"), required=len(table.names) == 3)
+    for row in np.flatnonzero((slips * adhesions < 0.0) & (np.abs(adhesions) > 0.02)):
+        remedy = "give both positive in traction, both negative in braking"
+        table.note(table.rows[row][0], "slip and adhesion have opposite signs", remedy)
+    table.check()
     used = slips != 0.0
     return built(
         lambda: AdhesionPoints(
             np.abs(slips[used]),
             (np.sign(slips) * adhesions)[used],
             variable,
-            columns[2][used] if len(columns) == 3 else None,
+            speeds[used] if len(table.names) == 3 else None,
         ),
         path,
     )
 
 
-def _check_values(table: HeadedTable, columns: Sequence[FloatArray]) -> None:
-    """Refuse the first row whose value is not finite, or an adhesion that no rail has."""
-    finite = np.all(np.isfinite(columns), axis=0)
-    checks = [
-        (~finite, "a value is not a finite number", "remove the row, or complete it"),
-        (
-            np.abs(columns[1]) >= GREATEST_ADHESION,
-            f"adhesion is not below {GREATEST_ADHESION:g}",
-            "state its unit in the header, as in 'adhesion [%]', if it is in per cent",
-        ),
-    ]
-    for wrong, words, remedy in checks:
-        if np.any(wrong):
-            line, cells = table.rows[int(np.argmax(wrong))]
-            raise InputError(
-                f"{table.separator.join(cells)}: {words}",
-                file=table.path,
-                place=f"line {line}",
-                remedy=remedy,
-            )
-
-
 def _slip_variable(table: HeadedTable) -> tuple[SlipVariable, str]:
-    """What the first column is, by its unit, and that unit."""
-    unit = table.unit(0, _EXPECTED)
+    """What the first column is, by its unit, and its SI unit."""
+    unit = table.unit(0)
     try:
         to_si(1.0, unit, "1")
     except InputError:
         built(lambda: to_si(1.0, unit, "m/s"), table.path)
-        return "slip speed", unit
-    return "creepage", unit
+        return "slip speed", "m/s"
+    return "creepage", "1"

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from trainlog.declaration import Column
 from trainlog.formats.declared import built
 from trainlog.formats.headed import read_headed
 from trainlog.railway import EffortCurve
-from trainlog.units import to_si
 
+_COLUMNS = Column("speed", "km/h", "m/s"), Column("effort", "kN", "N")
 _EXPECTED = "give a header such as 'speed [km/h];effort [kN]'"
 
 
@@ -33,11 +34,7 @@ def read_effort_curve(path: str | Path) -> EffortCurve:
     [200000.0, 150500.0]
     """
     table = read_headed(path, _EXPECTED)
-    numbers = table.numbers("speed", "effort", _EXPECTED)
-    units = [(table.unit(column, _EXPECTED), si) for column, si in enumerate(("m/s", "N"))]
-    return built(
-        lambda: EffortCurve(
-            *(to_si(column, *unit) for column, unit in zip(numbers.T, units, strict=True))
-        ),
-        path,
-    )
+    table.identify_in_order(*(each.name for each in _COLUMNS))
+    values = [table.quantity(each, required=True) for each in _COLUMNS]
+    table.check()
+    return built(lambda: EffortCurve(*values), path)

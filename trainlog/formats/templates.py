@@ -9,7 +9,6 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -17,12 +16,12 @@ import numpy as np
 
 from trainlog.arrays import FloatArray
 from trainlog.declaration import (
+    Column,
     Declared,
     check_plausible,
     content_beside,
     entries,
     example,
-    gathered,
     meanings,
 )
 from trainlog.errors import InputError
@@ -33,7 +32,6 @@ from trainlog.formats.toml import as_toml
 from trainlog.railway import Line, Station, StepProfile, Train
 from trainlog.railway.journey import Journey
 from trainlog.railway.line import CurvatureProfile, Geometry, LineReference
-from trainlog.units import to_si
 
 Kind = Literal["line", "train", "journey", "profile"]
 
@@ -211,15 +209,15 @@ COLUMNS = {
 }
 """What people call the columns of a line's table, in English, German and French."""
 
-_UNITS = {
-    "position": ("m", "km"),
-    "gradient": ("1", "permil"),
-    "limit": ("m/s", "km/h"),
-    "radius": ("m", "m"),
-    "latitude": ("deg", "deg"),
-    "longitude": ("deg", "deg"),
-}
-"""The SI unit of each, and one to suggest."""
+_NUMBERS = (
+    Column("position", "km", "m"),
+    Column("gradient", "permil", "1"),
+    Column("limit", "km/h", "m/s"),
+    Column("radius", "m", "m"),
+    Column("latitude", "deg", "deg"),
+    Column("longitude", "deg", "deg"),
+)
+"""Those of numbers, with a unit to suggest."""
 
 _EXPECTED = "give a header such as 'chainage [km];gradient [permil];limit [km/h];station'"
 
@@ -256,127 +254,65 @@ def read_line_table(path: str | Path, *, name: str | None = None) -> Line:
     (9000.0, 0.0025, [0.0, 3200.0])
     """
     table = read_headed(path, _EXPECTED)
-    columns = _columns(table)
-    kinds = [kind for kind in _UNITS if kind in columns]
-    read = built(
-        lambda: gathered(*(partial(_numbers, table, columns[kind], kind) for kind in kinds)), path
-    )
-    known: dict[str, FloatArray] = dict(zip(kinds, read, strict=True))
+    kinds = {word: kind for kind, words in COLUMNS.items() for word in words.split()}
+    required = ("position", "gradient", "limit")
+    table.identify(lambda word: kinds.get(word.replace(" ", "_")), required, others=True)
+    known = {each.name: _numbers(table, each) for each in _NUMBERS if each.name in table.columns}
     at = known["position"]
+    _check_positions(table, at)
+    table.check()
     first, length = float(at[0]), float(at[-1] - at[0])
-    source = f"table {Path(path).name}" + (
-        f"; position 0 is km {first / 1e3:.3f} of the table" if first else ""
-    )
+    called = name or Path(path).stem.removesuffix(".line")
+    source = f"table {Path(path).name}"
+    reference = None
+    if first:
+        source += f"; position 0 is km {first / 1e3:.3f} of the table"
+        reference = LineReference(called, np.zeros(1), np.array([first]), np.array([at[-1]]))
     position = at - first
-
-    def line() -> Line:
-        return Line(
-            name=name or Path(path).stem.removesuffix(".line"),
+    names = table.cells("station", str, "")
+    line = built(
+        lambda: Line(
+            name=called,
             length=length,
-            stations=_stations(table, columns, position),
+            stations=tuple(
+                Station(each, float(there))
+                for each, there in zip(names, position, strict=True)
+                if each
+            ),
             speed_limits=_steps(table, position, known, "limit"),
             gradients=_steps(table, position, known, "gradient"),
             curvatures=_curves(position, known),
             geometry=_geometry(table, position, known),
             source=source,
-            reference=_reference(path, name, first, length),
-        )
-
-    made = built(line, path)
-    built(lambda: check_plausible(made), path)
-    return made
-
-
-def _columns(table: HeadedTable) -> dict[str, int]:
-    """The column of each kind."""
-    found: dict[str, int] = {}
-    for number in range(len(table.names)):
-        word = table.bare_name(number).lower().replace(" ", "_")
-        for kind, words in COLUMNS.items():
-            if word in words.split() and kind in found:
-                raise InputError(
-                    f"columns '{table.names[found[kind]]}' and '{table.names[number]}' are both of"
-                    f" the {kind}",
-                    file=table.path,
-                    place=f"line {table.line}",
-                    remedy="remove one of them",
-                )
-            if word in words.split():
-                found[kind] = number
-    missing = [kind for kind in ("position", "gradient", "limit") if kind not in found]
-    if missing:
-        raise InputError.listing(
-            [
-                InputError(
-                    f"no column of the {kind}",
-                    place=f"line {table.line}",
-                    remedy=f"name one {' or '.join(COLUMNS[kind].split()[:3])}; {_EXPECTED}",
-                )
-                for kind in missing
-            ],
-            file=table.path,
-        )
-    if not table.rows:
-        raise InputError("holds no row", file=table.path, remedy="add the line's begin and end")
-    return found
+            reference=reference,
+        ),
+        path,
+    )
+    built(lambda: check_plausible(line), path)
+    return line
 
 
-def _numbers(table: HeadedTable, column: int, kind: str) -> FloatArray:
+def _numbers(table: HeadedTable, column: Column) -> FloatArray:
     """A column in SI, NaN where a cell is empty."""
-    si, suggested = _UNITS[kind]
-    bare = table.bare_name(column)
-    unit = table.units[column] or (bare if bare.lower() == "km" else None)
-    unit = unit or table.unit(column, f"write '{bare} [{suggested}]'")
-    values, problems = [], []
-    for number, cells in table.rows:
-        cell = cells[column]
-        try:
-            values.append(table.number(cell) if cell else np.nan)
-        except ValueError:
-            problems.append(
-                InputError(
-                    f"'{cell}' is no number",
-                    place=f"line {number}, column {table.names[column]}",
-                    remedy="correct it, or leave the cell empty for what held before",
-                )
-            )
-    if problems:
-        raise InputError.listing(problems)
-    try:
-        numbers: FloatArray = np.asarray(to_si(np.array(values), unit, si))
-    except InputError as error:
-        place = f"line {table.line}, column {table.names[column]}"
-        raise InputError(error.problem, place=place, remedy=error.remedy) from error
-    if kind == "position":
-        _check_positions(table, numbers)
-    return numbers
+    number = table.columns[column.name]
+    bare, unit = table.bare_name(number), table.units[number]
+    if unit is None and bare.lower() != "km":
+        table.refuse(f"column '{bare}' has no unit", f"write '{bare} [{column.unit}]'")
+    return table.quantity(column, unit or "km", required=column.name == "position")
 
 
 def _check_positions(table: HeadedTable, at: FloatArray) -> None:
-    problems = [
-        InputError("has no chainage", place=f"line {table.rows[row][0]}", remedy="add it")
-        for row in np.flatnonzero(np.isnan(at))
-    ]
+    """Note positions that do not increase, unless one is not known."""
     backwards = np.flatnonzero(np.diff(at) <= 0.0)
-    if not problems and backwards.size == at.size - 1 and at.size > 2:
-        problems.append(
-            InputError("chainage falls from row to row", remedy="reverse the order of the rows")
-        )
-    elif not problems:
-        problems += [
-            InputError(
-                f"chainage {at[row + 1]:.12g} m follows {at[row]:.12g} m",
-                place=f"line {table.rows[row + 1][0]}",
-                remedy="chainage must increase",
-            )
-            for row in backwards
-        ]
     if at.size < 2:
-        problems.append(
-            InputError("holds one row", remedy="add a last row with the chainage of the line's end")
-        )
-    if problems:
-        raise InputError.listing(problems)
+        problem, remedy = "has one row", "add a last row with the chainage of the line's end"
+        table.note(table.line, problem, remedy)
+    elif at.size > 2 and backwards.size == at.size - 1:
+        table.note(table.line, "chainage falls from row to row", "reverse the order of the rows")
+    else:
+        for row in backwards:
+            problem = f"chainage {at[row + 1]:.12g} m follows {at[row]:.12g} m"
+            table.note(table.rows[row + 1][0], problem, "chainage must increase")
 
 
 def _steps(
@@ -385,23 +321,11 @@ def _steps(
     """What holds from each row on, where it changes; the last row is the line's end."""
     values = known[kind]
     if np.isnan(values[0]):
-        raise InputError(
-            f"no {kind} at the line's begin",
-            place=f"line {table.rows[0][0]}",
-            remedy=f"give the {kind} that holds from the first row on",
-        )
+        remedy = f"give the {kind} that holds from the first row on"
+        table.refuse(f"no {kind} at the line's begin", remedy, table.rows[0][0])
     given = np.flatnonzero(np.isfinite(values[:-1]))
     changed = given[np.concatenate(([True], np.diff(values[given]) != 0.0))]
     return StepProfile(position[changed], values[changed])
-
-
-def _stations(
-    table: HeadedTable, columns: Mapping[str, int], position: FloatArray
-) -> tuple[Station, ...]:
-    if "station" not in columns:
-        return ()
-    names = [cells[columns["station"]] for _, cells in table.rows]
-    return tuple(Station(name, float(at)) for name, at in zip(names, position, strict=True) if name)
 
 
 def _curves(position: FloatArray, known: Mapping[str, FloatArray]) -> CurvatureProfile | None:
@@ -412,16 +336,6 @@ def _curves(position: FloatArray, known: Mapping[str, FloatArray]) -> CurvatureP
     given = np.flatnonzero(np.isfinite(radius))
     curvature = np.divide(1.0, radius[given], out=np.zeros(given.size), where=radius[given] != 0.0)
     return CurvatureProfile(position[given], curvature, curvature)
-
-
-def _reference(
-    path: str | Path, name: str | None, first: float, length: float
-) -> LineReference | None:
-    """The table's own kilometres, where they do not begin at 0."""
-    if first == 0.0:
-        return None
-    called = name or Path(path).stem.removesuffix(".line")
-    return LineReference(called, np.zeros(1), np.array([first]), np.array([first + length]))
 
 
 def _geometry(
