@@ -75,41 +75,5 @@ if TYPE_CHECKING:
         score_rolling as score_rolling,
     )
 
-_NAMES = {
-    "analysis.resistance.logs": "fit",
-    "analysis.resistance": "fit_trip combine parameter_set TripRefusedError",
-    "analysis.resistance.coast_down": "coast_down",
-    "analysis.resistance.unknown_gradient": "coast_down_without_gradient",
-    "analysis.adhesion.slip": "slip",
-    "analysis.adhesion.characteristic": "fit_adhesion_characteristic",
-    "analysis.adhesion.condition_map": "adhesion_map",
-    "analysis.adhesion.condition_table": "bins_table",
-    "analysis.adhesion.export": "export_map",
-    "analysis.adhesion.map_difference": "map_difference",
-    "analysis.adhesion.map_history": "map_history",
-    "analysis.adhesion.map_state": "map_state",
-    "analysis.adhesion.updating": "update_map",
-    "analysis.trajectory.optimiser": "optimise energy_against_time",
-    "analysis.trajectory.problem": "TrajectoryProblem OptimiserOptions",
-    "analysis.trajectory.journey": "optimise_journey",
-    "analysis.trajectory.phases": "phases_of",
-    "analysis.control.follow": "follow Follower",
-    "analysis.control.traction": "CooperativeTraction ReadhesionControl with_traction",
-    "analysis.comparison.calculated": "calculate",
-    "analysis.comparison.compare": "compare",
-    "analysis.comparison.groups": "compare_groups",
-    "analysis.passports": "passport",
-    "analysis.reports.summary": "report",
-    "analysis.reports.build": "write_report ReportOptions",
-    "analysis.trajectory.advice": "journey_advice",
-    "analysis.estimates": "with_estimates",
-    "analysis.fleet.analyses": "FleetAnalysis",
-    "analysis.fleet.trips": "fleet_trips",
-    "analysis.fleet.update": "UpdateOptions fleet_status update_fleet",
-    "analysis.geometry.centre_line": "geometry_of line_of",
-    "analysis.verification.scoring": "score_forecast score_map score_rolling",
-}
-"""Public names by the module that defines them."""
-
 if not TYPE_CHECKING:  # type checkers refuse names that are not listed above
-    __all__, __getattr__, __dir__ = names_on_first_use(__name__, _NAMES)
+    __all__, __getattr__, __dir__ = names_on_first_use(__name__, __file__)

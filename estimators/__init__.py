@@ -34,16 +34,5 @@ if TYPE_CHECKING:
     )
     from estimators.slip import SlipDetector as SlipDetector, train_speed as train_speed
 
-_NAMES = {
-    "estimators.adhesion": "AdhesionObserver smoothed_force",
-    "estimators.creep_curve": "estimate_creep_curve",
-    "estimators.linear_gaussian": "LinearGaussian random_walk_slope",
-    "estimators.motion": "smooth_motion",
-    "estimators.odometry": "OdometryFilter",
-    "estimators.rls": "RecursiveLeastSquares edges_crossed periods_elapsed record_with_resets",
-    "estimators.slip": "SlipDetector train_speed",
-}
-"""Public names by the module that defines them."""
-
 if not TYPE_CHECKING:  # type checkers refuse names that are not listed above
-    __all__, __getattr__, __dir__ = names_on_first_use(__name__, _NAMES)
+    __all__, __getattr__, __dir__ = names_on_first_use(__name__, __file__)

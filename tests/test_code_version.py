@@ -92,8 +92,9 @@ def test_an_import_counts_however_it_is_written(
     (package / "__init__.py").write_text("")
     (package / "rest" / "__init__.py").write_text(
         "from trainlog.public import names_on_first_use\n"
-        '_NAMES = {"trainlog.other": "first=one", "trainlog.third": "second"}\n'
-        "__all__, __getattr__, __dir__ = names_on_first_use(__name__, _NAMES)\n"
+        "if TYPE_CHECKING:\n    from trainlog.other import one\n"
+        "    from trainlog.third import second as second\n    first = one\n"
+        "__all__, __getattr__, __dir__ = names_on_first_use(__name__, __file__)\n"
     )
     (package / "other.py").write_text("one = 1\n")
     (package / "third.py").write_text("second = 1\n")

@@ -193,8 +193,9 @@ def test_names_of_packages_that_load_on_first_use_are_followed(
     (tmp_path / "trainlog" / "__init__.py").write_text("")
     (package / "__init__.py").write_text(
         "from trainlog.public import names_on_first_use\n"
-        '_NAMES = {"trainlog.numbers.one": "first=one", "trainlog.numbers.two": "two"}\n'
-        "__all__, __getattr__, __dir__ = names_on_first_use(__name__, _NAMES)\n"
+        "if TYPE_CHECKING:\n    from trainlog.numbers.one import one\n"
+        "    from trainlog.numbers.two import two as two\n    first = one\n"
+        "__all__, __getattr__, __dir__ = names_on_first_use(__name__, __file__)\n"
     )
     (tmp_path / "trainlog" / "user.py").write_text("from trainlog.numbers import first\n")
     for name in ("one", "two"):

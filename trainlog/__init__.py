@@ -173,55 +173,5 @@ if TYPE_CHECKING:
     stream = stream_log
     write = write_log
 
-_NAMES = {
-    "trainlog.mcap": (
-        "read=read_log write=write_log record recover describe check=account_of "
-        "stream=stream_log frames=frames_of LogWriter Recording DamageWarning OverloadWarning"
-    ),
-    "trainlog.formats.trip_tables": "read_parquet write_parquet",
-    "trainlog.trip": "Trip frame_of",
-    "trainlog.topics": "recorded_topic TopicField=Field",
-    "trainlog.resampling": "joined resampled",
-    "trainlog.identity": "identity_of",
-    "trainlog.ingest": "read_recording=ingest report_of repairs_of read_profile",
-    "trainlog.railway": (
-        "Configuration CurvatureProfile Edge Geometry Journey Leg Line LineReference Network Node "
-        "ParameterSet Route RunningResistance Station StepProfile TimingPoint TrackConditionMap "
-        "Train Trajectory Tunnel AxleGeometry Axles Brake"
-    ),
-    "trainlog.railway.adhesion": (
-        "AdhesionCharacteristic AdhesionPoints AdhesionTable CreepCurve PolachCurve polach_curve"
-    ),
-    "trainlog.railway.consist": "Consist ConsistBrake Coupler Vehicle",
-    "trainlog.formats.line": "read_line write_line read_journey write_journey",
-    "trainlog.formats.network": "read_network write_network",
-    "trainlog.formats.train": "read_train write_train read_consist write_consist",
-    "trainlog.formats.characteristic": "read_characteristic write_characteristic",
-    "trainlog.formats.condition": "read_map write_map",
-    "trainlog.formats.forecast": "read_forecast write_forecast",
-    "trainlog.formats.parameters": "read_parameters write_parameters",
-    "trainlog.formats.trajectory": "read_trajectory write_trajectory",
-    "trainlog.formats.samples": "DEFAULT_LINE DEFAULT_TRAIN sample",
-    "trainlog.formats.weather": "read_weather write_weather",
-    "trainlog.railway.weather": "Weather",
-    "trainlog.simulation.fleet": "Fleet draw_fleet",
-    "trainlog.simulation.fleet_logs": "write_fleet",
-    "trainlog.simulation.network": "draw_network",
-    "trainlog.simulation.rail": "Rail RailChange=Change",
-    "trainlog.simulation.vehicles": "TrainFault=Fault",
-    "trainlog.simulation.scenario": "Scenario draw_days draw_scenarios trajectory_scenarios",
-    "trainlog.simulation.recording": "simulate",
-    "trainlog.simulation.consist": "ConsistPlant",
-    "trainlog.replay": (
-        "ReplayOptions live_replay open_viewer run_viewer scalars take_picture write_layout "
-        "write_replay"
-    ),
-    "trainlog.errors": (
-        "InfeasibleError InputError LogError MissingExtraError NotIdentifiableError"
-        " NotRecordedError TrainlogError"
-    ),
-}
-"""Public names by the module that defines them; ``public=name`` where it has another name there."""
-
 if not TYPE_CHECKING:  # type checkers refuse names that are not listed above
-    __all__, __getattr__, __dir__ = names_on_first_use(__name__, _NAMES)
+    __all__, __getattr__, __dir__ = names_on_first_use(__name__, __file__)

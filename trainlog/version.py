@@ -9,6 +9,8 @@ from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
+from trainlog.public import names_for_types
+
 __version__ = "0.1.0"
 
 _SOURCE = Path(__file__).parents[1]
@@ -134,37 +136,21 @@ def _imported(module: str) -> Iterator[str]:
 def _whole(module: str) -> Iterator[str]:
     """A module, and what it imports on first use, any of which may be used."""
     yield module
-    yield from _on_first_use(module)
+    yield from (place for place, _ in _on_first_use(module).values())
 
 
 def _defining(package: str, name: str) -> Iterator[str]:
     """The module that defines a public name of a package that is imported on first use."""
-    for module, words in _on_first_use(package).items():
-        if name in (word.partition("=")[0] for word in words.split()):
-            yield module
+    if name in _on_first_use(package):
+        yield _on_first_use(package)[name][0]
 
 
 @cache
-def _on_first_use(package: str) -> dict[str, str]:
-    """What a package passes to `trainlog.public.names_on_first_use`, read without importing it."""
+def _on_first_use(package: str) -> dict[str, tuple[str, str]]:
+    """The names that `trainlog.public.names_on_first_use` finds, without importing the package."""
     file = _file_of(package)
     text = "" if file is None or file.name != "__init__.py" else file.read_text("utf-8")
-    if "names_on_first_use" not in text:
-        return {}
-    tree = ast.parse(text)
-    named = {
-        target.id: node.value
-        for node in tree.body
-        if isinstance(node, ast.Assign)
-        for target in node.targets
-        if isinstance(target, ast.Name)
-    }
-    found: dict[str, str] = {}
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "names_on_first_use":
-            given = node.args[1]
-            found |= ast.literal_eval(named[given.id] if isinstance(given, ast.Name) else given)
-    return found
+    return names_for_types(text) if "names_on_first_use" in text else {}
 
 
 def _file_of(module: str) -> Path | None:

@@ -26,14 +26,5 @@ if TYPE_CHECKING:
     from analysis.resistance.observed import parameter_set as parameter_set
     from analysis.resistance.recording import TripRefusedError as TripRefusedError
 
-_NAMES = {
-    "analysis.resistance.combination": "CommonFit combine summarised",
-    "analysis.resistance.fit": "TripFit estimated_resistance fit_trip",
-    "analysis.resistance.logs": "Fits",
-    "analysis.resistance.observed": "parameter_set",
-    "analysis.resistance.recording": "TripRefusedError",
-}
-"""Names by the module that defines them."""
-
 if not TYPE_CHECKING:  # type checkers refuse names that are not listed above
-    __all__, __getattr__, __dir__ = names_on_first_use(__name__, _NAMES)
+    __all__, __getattr__, __dir__ = names_on_first_use(__name__, __file__)

@@ -25,15 +25,4 @@ if TYPE_CHECKING:
     from trainlog.catalogue.schema import TRIP_COLUMNS as TRIP_COLUMNS, TripColumn as TripColumn
 
 if not TYPE_CHECKING:  # type checkers refuse names that are not listed above
-    __all__, __getattr__, __dir__ = names_on_first_use(
-        "trainlog.catalogue",
-        {
-            "trainlog.catalogue.catalogue": "Catalogue open_catalogue",
-            "trainlog.catalogue.adding": "Refreshed",
-            "trainlog.catalogue.export": "write_trips",
-            "trainlog.catalogue.reading": "FileEntry LogEntry read_entry read_file",
-            "trainlog.catalogue.registration": "Added FileOutcome",
-            "trainlog.catalogue.results": "ResultOutcome",
-            "trainlog.catalogue.schema": "TRIP_COLUMNS TripColumn",
-        },
-    )
+    __all__, __getattr__, __dir__ = names_on_first_use(__name__, __file__)

@@ -48,16 +48,5 @@ if TYPE_CHECKING:
     )
     from trainlog.ingest.rules import RULES as RULES, Rule as Rule
 
-_NAMES = {
-    "trainlog.ingest.batch": "Ingested Outcome ingest_all",
-    "trainlog.ingest.pipeline": "PROFILE_ATTACHMENT ingest ingest_each",
-    "trainlog.ingest.profile": "Profile profile_of read_profile",
-    "trainlog.ingest.proposal": "Proposal needs_profile propose_profile",
-    "trainlog.ingest.recording": "NO_TIME Finding Raw Recording Table",
-    "trainlog.ingest.registry": "Format formats",
-    "trainlog.ingest.report": "REPAIRS_ATTACHMENT Report repairs_of report_of",
-    "trainlog.ingest.rules": "RULES Rule",
-}
-
 if not TYPE_CHECKING:  # type checkers refuse names that are not listed above
-    __all__, __getattr__, __dir__ = names_on_first_use(__name__, _NAMES)
+    __all__, __getattr__, __dir__ = names_on_first_use(__name__, __file__)
