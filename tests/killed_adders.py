@@ -28,8 +28,10 @@ from typing import Any
 import pyarrow as pa
 from passed_points import Passed
 
-from trainlog.catalogue import ResultOutcome, adding, open_catalogue, reading, results
+from trainlog.catalogue import Computation, ResultOutcome, adding, open_catalogue, reading, results
 from trainlog.catalogue.database import Database
+
+LENGTH = Computation("length", "1")
 
 POINTS = (
     "a log looked at",
@@ -49,12 +51,12 @@ def work(where: str, kept: str | None, logs: list[str], seed: int) -> None:
     with open_catalogue(where, results=kept) as catalogue:
         for at in range(0, len(logs), 4):
             catalogue.add(logs[at : at + 4])
-            todo = catalogue.pending("length", "1")
+            todo = catalogue.pending(LENGTH)
             table = pa.table(
                 {"key": todo["key"].tolist(), "length": [len(p) for p in todo["sha256"]]}
             )
             done = [ResultOutcome(row.key, row.sha256, rows=1) for row in todo.itertuples()]
-            catalogue.record("length", "1", {}, done, table)
+            catalogue.record(LENGTH, done, table)
 
 
 def watch(passed: Passed) -> None:
@@ -71,7 +73,7 @@ def watch(passed: Passed) -> None:
 
         setattr(owner, name, outer)
 
-    inner_record, inner_writing = results.record, Database.writing
+    inner_record, inner_writing = results.Computed.record, Database.writing
 
     def record(*given: Any) -> int:
         recording[0] = True
@@ -90,7 +92,7 @@ def watch(passed: Passed) -> None:
 
     noted(reading, "read_file", "a log looked at")
     noted(results, "write_table", "a file written, its rows not")
-    results.record = record
+    results.Computed.record = record  # type: ignore[method-assign,assignment]
     Database.writing = writing  # type: ignore[method-assign,assignment]
 
 

@@ -196,7 +196,7 @@ def recorded(catalogue: str) -> int:
     """Rows of results."""
     import sqlalchemy as sa
 
-    with open_catalogue(catalogue) as opened, opened._database.reading() as connection:
+    with open_catalogue(catalogue) as opened, opened.reading() as connection:
         count = sa.select(sa.func.count()).select_from(results)
         return int(connection.execute(count).scalar_one())
 
@@ -204,12 +204,12 @@ def recorded(catalogue: str) -> int:
 def forget_all(catalogue: str, where: str | None = None) -> None:
     """Make the results of all analyses pending again."""
     from analysis.fleet.analyses import ANALYSES
-    from analysis.fleet.codes import code_of
+    from analysis.fleet.codes import computation_of
 
     with open_catalogue(catalogue) as opened:
         for each in ANALYSES.values():
-            about = (each.name, code_of(each), each.parameters)
-            opened.forget(*about, where=where, states=("done", "refused", "failed"))
+            states = ("done", "refused", "failed")
+            opened.forget(computation_of(each), where=where, states=states)
 
 
 def pending(catalogue: str) -> int:
@@ -224,7 +224,7 @@ def rows_by_trip(catalogue: str) -> list[tuple[str, int]]:
     """How many rows of results each trip has, of all analyses."""
     import sqlalchemy as sa
 
-    with open_catalogue(catalogue) as opened, opened._database.reading() as connection:
+    with open_catalogue(catalogue) as opened, opened.reading() as connection:
         asked = sa.select(trips.c.key, sa.func.count(results.c.computation)).join(
             results, results.c.trip == trips.c.id
         )

@@ -24,6 +24,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,7 @@ from passed_points import Passed
 
 from analysis.fleet import maps, update, work
 from analysis.fleet.analyses import FleetAnalysis, analyses_named
-from analysis.fleet.codes import code_of
+from analysis.fleet.codes import computation_of
 from trainlog.catalogue import Catalogue, open_catalogue, results
 from trainlog.catalogue.database import Database
 from trainlog.catalogue.schema import result_files, results as table
@@ -99,10 +100,10 @@ def watch(passed: Passed) -> None:
         return made
 
     def record(inner: Any) -> Any:
-        def outer(database: Any, analysis: str, *given: Any) -> Any:
-            with while_doing("mapping" if analysis == maps.MAPS else "recording"):
-                found = inner(database, analysis, *given)
-            is_map = analysis == maps.MAPS
+        def outer(self: Any, of: Any, *given: Any) -> Any:
+            is_map = of.analysis == maps.MAPS
+            with while_doing("mapping" if is_map else "recording"):
+                found = inner(self, of, *given)
             passed.at("trips stated to be in the maps" if is_map else "rows committed")
             return found
 
@@ -183,8 +184,8 @@ def watch(passed: Passed) -> None:
 
     patch(update._Update, "prepare", noted("asking what is pending"))
     patch(work, "_of_trip", noted("reading and computing a trip"))
-    patch(results, "record", record)
-    patch(results, "compact", compact)
+    patch(results.Computed, "record", record)
+    patch(results.Computed, "compact", compact)
     patch(results, "write_bytes", write_bytes)
     patch(results, "write_table", write_table)
     patch(results, "_put", put)
@@ -214,20 +215,20 @@ def remember() -> None:
 def updated(where: str, code: str, seed: int | None = None) -> None:
     """Update, by the present code or as if by other; with a seed, forget some results before."""
     if code:
-        update.code_of = lambda _: code  # type: ignore[assignment]
+        update.computation_of = lambda each: replace(computation_of(each), code=code)
     with open_catalogue(where, create=False) as catalogue:
         if seed is not None:
             draw = random.Random(seed)
             chosen = f"key >= '{draw.choice('9abcdef')}'"
             anew = draw.random() < 0.5
             for analysis in analyses_named(ANALYSES):
-                about = (analysis.name, code or code_of(analysis), analysis.parameters)
-                if catalogue.standing(*about)["pending"]:
+                about = update.computation_of(analysis)
+                if catalogue.standing(about)["pending"]:
                     continue
                 if anew:
                     forget_whole(catalogue, analysis)
-                elif sum(catalogue.standing(*about, where=chosen).values()):
-                    catalogue.forget(*about, where=chosen, states=results.STATES)
+                elif sum(catalogue.standing(about, where=chosen).values()):
+                    catalogue.forget(about, where=chosen, states=results.STATES)
             if draw.random() < 0.5:
                 with catalogue.alone(maps.MAPS):
                     shutil.rmtree(maps.maps_folder(catalogue), ignore_errors=True)
@@ -240,9 +241,10 @@ def forget_whole(catalogue: Catalogue, analysis: FleetAnalysis) -> None:
     All trips give the same merged file each time, and one that is there is not written again: it
     would never be found half written. Nobody names a file during a transaction that writes.
     """
-    for code in (code_of(analysis), OTHER_CODE):
-        catalogue.forget(analysis.name, code, analysis.parameters, states=results.STATES)
-    with catalogue._database.writing() as connection:
+    own = computation_of(analysis)
+    for each in (own, replace(own, code=OTHER_CODE)):
+        catalogue.forget(each, states=results.STATES)
+    with catalogue.writing() as connection:
         used = sa.select(result_files.c.name).where(
             sa.exists().where(table.c.file == result_files.c.id)
         )

@@ -21,7 +21,7 @@ from test_cli_help import commands
 
 import trainlog
 from analysis.fleet.trips import fleet_trips
-from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue
+from trainlog.catalogue import Catalogue, Computation, ResultOutcome, open_catalogue
 from trainlog.catalogue.schema import metadata
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
@@ -31,6 +31,9 @@ from trainlog.mcap.records import Source
 from trainlog.mcap.scan import contents_of
 
 SAMPLES = Path("sample_logs")
+
+STOPS = Computation("stops", "1")
+LIMITED = replace(STOPS, parameters={"limit": 2.5})
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -100,13 +103,13 @@ def test_a_moved_file_is_found_again_and_nothing_is_pending(
 ) -> None:
     catalogue = where()
     catalogue.add(logs)
-    todo = catalogue.pending("stops", "1")
+    todo = catalogue.pending(STOPS)
     _record(catalogue, todo)
     (logs / "nonstop.mcap").rename(logs / "deep" / "elsewhere.mcap")
     added = catalogue.add(logs)
     assert [each.path for each in added.of("moved")] == [str(logs / "deep" / "elsewhere.mcap")]
     assert catalogue.query()["path"].tolist()[0] == str(logs / "deep" / "elsewhere.mcap")
-    assert len(catalogue.pending("stops", "1")) == 0
+    assert len(catalogue.pending(STOPS)) == 0
 
 
 def test_another_content_under_a_name_is_a_new_version_that_is_computed_again(
@@ -114,14 +117,14 @@ def test_another_content_under_a_name_is_a_new_version_that_is_computed_again(
 ) -> None:
     catalogue = where()
     catalogue.add(logs)
-    _record(catalogue, catalogue.pending("stops", "1"))
+    _record(catalogue, catalogue.pending(STOPS))
     trip = trainlog.read(logs / "nonstop.mcap")
     heavier = replace(trip, metadata={**trip.metadata, "load": "40000"})
     trainlog.write(heavier, logs / "nonstop.mcap")
     assert [each.state for each in catalogue.add(logs).outcomes].count("version") == 1
     assert catalogue.query("load > '30 t'")["name"].tolist() == ["trip-01"]
     assert len(catalogue) == 2
-    todo = catalogue.pending("stops", "1")
+    todo = catalogue.pending(STOPS)
     assert todo["path"].tolist() == [str(logs / "nonstop.mcap")]
     assert len(catalogue.results("stops")) == 2
     _record(catalogue, todo, stops=7)
@@ -133,13 +136,13 @@ def test_results_are_recorded_once_and_merged_in_the_order_of_trip(
 ) -> None:
     catalogue, other = where(), where()
     catalogue.add(logs)
-    todo = catalogue.pending("stops", "1", {"limit": 2.5})
+    todo = catalogue.pending(LIMITED)
     assert todo["key"].is_monotonic_increasing
-    assert _record(catalogue, todo.iloc[[1]], {"limit": 2.5}) == 1
-    assert _record(other, todo, {"limit": 2.5}, stops=99) == 1, "one of them was recorded before"
-    assert len(other.pending("stops", "1", {"limit": 2.5})) == 0
-    assert len(other.pending("stops", "2", {"limit": 2.5})) == 2
-    assert len(other.pending("stops", "1", {"limit": 2.0})) == 2
+    assert _record(catalogue, todo.iloc[[1]], LIMITED) == 1
+    assert _record(other, todo, LIMITED, stops=99) == 1, "one of them was recorded before"
+    assert len(other.pending(LIMITED)) == 0
+    assert len(other.pending(replace(LIMITED, code="2"))) == 2
+    assert len(other.pending(replace(LIMITED, parameters={"limit": 2.0}))) == 2
     found = catalogue.results("stops")
     assert found["stops"].tolist() == [99, 99, 1, 1]
     assert found["key"].tolist() == [key for key in todo["key"] for _ in range(2)]
@@ -155,24 +158,24 @@ def test_a_table_that_does_not_hold_what_its_outcomes_state_is_refused(
 ) -> None:
     catalogue = where()
     catalogue.add(logs)
-    todo = catalogue.pending("stops", "1")
+    todo = catalogue.pending(STOPS)
     outcomes = [ResultOutcome(row.key, row.sha256, rows=1) for row in todo.itertuples()]
     with pytest.raises(InputError, match="rows of trip"):
-        catalogue.record("stops", "1", {}, outcomes, pa.table({"key": [todo["key"][0]]}))
-    assert len(catalogue.pending("stops", "1")) == 2
+        catalogue.record(STOPS, outcomes, pa.table({"key": [todo["key"][0]]}))
+    assert len(catalogue.pending(STOPS)) == 2
 
 
 def _record(
     catalogue: Catalogue,
     todo: pd.DataFrame,
-    parameters: dict[str, float] | None = None,
+    of: Computation = STOPS,
     stops: int = 1,
 ) -> int:
     """Record two rows of each trip."""
     keys = [key for key in todo["key"] for _ in range(2)]
     table = pa.table({"key": keys, "stops": [stops] * len(keys)})
     done = [ResultOutcome(row.key, row.sha256, rows=2) for row in todo.itertuples()]
-    return catalogue.record("stops", "1", parameters, done, table)
+    return catalogue.record(of, done, table)
 
 
 # -------------------------------------------------------------------- processes that are killed
@@ -211,7 +214,7 @@ def _held(catalogue: Catalogue) -> dict[str, list[tuple[object, ...]]]:
             trips, trips.c.id == edges.c.trip
         ),
     }
-    with catalogue._database.reading() as connection:
+    with catalogue.reading() as connection:
         return {
             name: sorted((tuple(row) for row in connection.execute(each)), key=repr)
             for name, each in asked.items()
@@ -260,7 +263,7 @@ def test_adders_that_are_killed_leave_the_catalogue_of_one_that_was_not(
     assert _held(catalogue) == expected
     found = catalogue.results("length")
     assert found["key"].tolist() == sorted(keys)
-    assert len(catalogue.pending("length", "1")) == 0
+    assert len(catalogue.pending(Computation("length", "1"))) == 0
 
 
 # --------------------------------------------------------------- files that vanish, and the rest
@@ -281,7 +284,7 @@ def test_files_that_vanish_are_stated_and_come_back(
     assert catalogue.query("weather = 'wet'")["path"].tolist() == [None]
     with pytest.raises(InputError, match=r"1 trip have vanished: trip-03"):
         catalogue.paths()
-    assert catalogue.pending("stops", "1")["path"].tolist() == [str(logs / "nonstop.mcap")]
+    assert catalogue.pending(STOPS)["path"].tolist() == [str(logs / "nonstop.mcap")]
     assert catalogue.uncounted()["what"].tolist() == ["vanished", "same drive"]
 
     path.write_bytes(kept)
@@ -469,7 +472,7 @@ def test_of_equal_recordings_the_one_without_damage_counts_and_of_copies_the_fir
     shutil.copy(intact, tmp_path / "a-copy.mcap")
     catalogue.add(tmp_path / "a-copy.mcap")
     assert catalogue.query()["path"].tolist() == [str(intact)]
-    assert catalogue.pending("stops", "1")["path"].tolist() == [str(intact)]
+    assert catalogue.pending(STOPS)["path"].tolist() == [str(intact)]
 
 
 def test_unknown_labels_and_values_of_passports_are_named(
@@ -502,9 +505,9 @@ def test_statements_of_one_reading_see_one_state(
     catalogue, other = where(), where()
     catalogue.add(logs / "nonstop.mcap")
     count = sa.select(sa.func.count()).select_from(metadata.tables["trips"])
-    with catalogue._database.reading() as connection:
+    with catalogue.reading() as connection:
         before = connection.execute(count).scalar_one()
         other.add(logs / "deep")
         assert connection.execute(count).scalar_one() == before == 1
-    with catalogue._database.reading() as connection:
+    with catalogue.reading() as connection:
         assert connection.execute(count).scalar_one() == len(catalogue) > before

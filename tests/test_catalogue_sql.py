@@ -16,10 +16,11 @@ import sqlglot
 from command import run
 from synthetic_trips import synthetic_entry
 
-from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue, sql
+from trainlog.catalogue import Catalogue, Computation, ResultOutcome, open_catalogue, sql
 from trainlog.errors import InputError
 
 TRIPS = 60
+FIRST = Computation("top speed", "1")
 ENTRIES = [synthetic_entry(number, trains=4, days=5) for number in range(TRIPS)]
 
 
@@ -35,13 +36,13 @@ def place(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     with open_catalogue(where, results=results) as catalogue:
         catalogue.register(ENTRIES)
         for code, most, value in (("1", TRIPS, 1.0), ("2", 50, 2.0)):
-            todo = catalogue.pending("top speed", code)
+            todo = catalogue.pending(Computation("top speed", code))
             for at in range(0, most, 20):
                 part = todo.iloc[at : min(at + 20, most)]
                 rows = [key for key in part["key"] for _ in range(2)]
                 table = pa.table({"key": rows, "value": [value] * len(rows)})
                 done = [ResultOutcome(row.key, row.sha256, rows=2) for row in part.itertuples()]
-                catalogue.record("top speed", code, {}, done, table)
+                catalogue.record(Computation("top speed", code), done, table)
     return where
 
 
@@ -206,10 +207,10 @@ def test_a_statement_finds_the_same_where_only_columns_that_it_names_are_read(
 ) -> None:
     with open_catalogue(tmp_path) as catalogue:
         catalogue.register(ENTRIES[:20])
-        part = catalogue.pending("top speed", "1").iloc[:15]
+        part = catalogue.pending(FIRST).iloc[:15]
         table = pa.table({"key": part["key"].tolist(), "value": [float(n) for n in range(15)]})
         done = [ResultOutcome(row.key, row.sha256, rows=1) for row in part.itertuples()]
-        catalogue.record("top speed", "1", {}, done, table)
+        catalogue.record(FIRST, done, table)
         found = {statement: catalogue.sql(statement) for statement in SAME}
         monkeypatch.setattr(sql, "_columns_in", lambda parsed: None)
         for statement, frame in found.items():
@@ -237,10 +238,10 @@ def test_a_file_of_results_that_is_damaged_is_stated_and_computed_anew(
     with open_catalogue(tmp_path) as catalogue:
         catalogue.register(ENTRIES[:4])
         for half in (0, 2):
-            part = catalogue.pending("top speed", "1").iloc[:2]
+            part = catalogue.pending(FIRST).iloc[:2]
             table = pa.table({"key": part["key"].tolist(), "value": [half + 1.0] * 2})
             done = [ResultOutcome(row.key, row.sha256, rows=1) for row in part.itertuples()]
-            catalogue.record("top speed", "1", {}, done, table)
+            catalogue.record(FIRST, done, table)
         whole = catalogue.sql('select * from "top speed" order by key')
         (path, _) = sorted((catalogue.results_folder / "top speed").iterdir())
         data = path.read_bytes()
@@ -257,16 +258,16 @@ def test_a_file_of_results_that_is_damaged_is_stated_and_computed_anew(
             assert str(refused.value.file) == str(path)
             assert "trainlog fleet update --retry" in str(refused.value.remedy)
         assert catalogue.sql("select count(*) as n from trips")["n"][0] == 4
-        assert catalogue.forget("top speed", "1") == 2
-        todo = catalogue.pending("top speed", "1")
+        assert catalogue.forget(FIRST) == 2
+        todo = catalogue.pending(FIRST)
         again = whole[whole["key"].isin(todo["key"])]
         assert len(again) == 2
         done = [ResultOutcome(row.key, row.sha256, rows=1) for row in todo.itertuples()]
         table = pa.Table.from_pandas(again, preserve_index=False).replace_schema_metadata(None)
-        assert catalogue.record("top speed", "1", {}, done, table) == 2
+        assert catalogue.record(FIRST, done, table) == 2
         found = catalogue.sql('select * from "top speed" order by key')
         pd.testing.assert_frame_equal(found, whole)
-        assert catalogue.forget("top speed", "1") == 0
+        assert catalogue.forget(FIRST) == 0
 
 
 def test_overviews_sum_the_trips_by_what_is_asked(catalogue: Catalogue) -> None:

@@ -15,10 +15,11 @@ import sqlalchemy as sa
 from command import run
 from synthetic_trips import synthetic_entry
 
-from trainlog.catalogue import ResultOutcome, migration, open_catalogue
+from trainlog.catalogue import Computation, ResultOutcome, migration, open_catalogue
 from trainlog.errors import InputError
 
 DATA = Path("tests/data")
+LIMITED = Computation("stops", "1", {"limit": 2.5})
 TABLES = ("header", "trips", "files", "trip_edges", "computations", "result_files", "results")
 
 
@@ -62,8 +63,8 @@ def first_version(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 
 def _structure(place: str) -> dict[str, Any]:
     """Columns and indices of the tables."""
-    with open_catalogue(place) as catalogue, catalogue._database.engine.connect() as connection:
-        schema = catalogue._database.schema if "://" in place else None
+    with open_catalogue(place) as catalogue, catalogue.engine.connect() as connection:
+        schema = catalogue.schema if "://" in place else None
         about = sa.inspect(connection)
         return {
             table: (
@@ -84,15 +85,15 @@ def test_an_earlier_version_is_brought_to_the_latest_with_all_it_holds(
         assert len(catalogue) == 6
         found = catalogue.query("train = 'flirt-12'", columns=["name"])["name"]
         assert sorted(found) == ["trip-000002", "trip-000004"]
-        assert catalogue.standing("stops", "1", {"limit": 2.5}) == {
+        assert catalogue.standing(LIMITED) == {
             "done": 0,
             "refused": 4,
             "failed": 0,
             "pending": 2,
         }
-        todo = catalogue.pending("stops", "1", {"limit": 2.5})
+        todo = catalogue.pending(LIMITED)
         done = [ResultOutcome(row.key, row.sha256) for row in todo.itertuples()]
-        assert catalogue.record("stops", "1", {"limit": 2.5}, done) == 2
+        assert catalogue.record(LIMITED, done) == 2
         catalogue.register([synthetic_entry(6)])
         assert len(catalogue) == 7
     with open_catalogue(first_version) as again:

@@ -86,7 +86,7 @@ def _duckdb(catalogue: Catalogue) -> Callable[[str], list[str]]:
     """The tables as DuckDB holds them, asked by the same condition."""
     connection = duckdb.connect()
     connection.execute("SET integer_division = true")
-    engine = catalogue._database.engine
+    engine = catalogue.engine
     for name in ("trips", "trip_edges"):
         table = metadata.tables[name]
         frame = pd.read_sql(sa.select(table), engine)

@@ -22,10 +22,11 @@ from analysis.fleet.diff_table import details, sentence, tables
 from analysis.fleet.maps import evidence_of_row
 from analysis.fleet.trips import fleet_trips
 from analysis.fleet.versions import Version, parameters_of
+from trainlog.catalogue import Computation
 from trainlog.errors import InputError
 from trainlog.formats.recordings import packed_evidence
 
-SIDES = tuple(Version(name, {"made up": name}, {"made up": {}}) for name in "ab")
+SIDES = tuple(Version(name, {"made up": Computation("made up", name)}) for name in "ab")
 
 DAY = pd.Timestamp("2026-01-01", tz="UTC")
 

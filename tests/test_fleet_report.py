@@ -17,7 +17,7 @@ from command import run
 pytest.importorskip("sqlalchemy")
 
 from analysis.fleet.analyses import ANALYSES
-from analysis.fleet.codes import code_of
+from analysis.fleet.codes import computation_of
 from analysis.fleet.naming import Cause, Explanation
 from analysis.fleet.trains import FleetTrains
 from analysis.fleet.unlike import Finding, UnlikeTrains
@@ -43,10 +43,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("fleet") / "catalogue"
     with open_catalogue(place) as catalogue:
         catalogue.add("sample_logs")
-        passport = ANALYSES["passport"]
-        about = (passport.name, code_of(passport), passport.parameters)
-        first = catalogue.pending(*about).iloc[0]
-        catalogue.record(*about, [ResultOutcome(first.key, first.sha256, "refused", REASON)])
+        passport = computation_of(ANALYSES["passport"])
+        first = catalogue.pending(passport).iloc[0]
+        catalogue.record(passport, [ResultOutcome(first.key, first.sha256, "refused", REASON)])
         names = ["adhesion", "driving", "checks"]
         update_fleet(catalogue, names, UpdateOptions(workers=0))
     return place

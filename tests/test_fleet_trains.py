@@ -403,17 +403,17 @@ def test_stored_results_of_a_catalogue_show_its_trains(tmp_path: Path) -> None:
     pytest.importorskip("sqlalchemy", reason="needs the extra fleet")
     from analysis.fleet.analyses import ANALYSES
     from analysis.fleet.trips import fleet_trips
-    from trainlog.catalogue import ResultOutcome, open_catalogue
+    from trainlog.catalogue import Computation, ResultOutcome, open_catalogue
 
     with open_catalogue(tmp_path) as catalogue:
         catalogue.add("sample_logs")
         for name in ("resistance", "passport"):
             analysis = ANALYSES[name]
-            for row in catalogue.pending(name, "code", {}).itertuples():
+            for row in catalogue.pending(Computation(name, "code")).itertuples():
                 trip = next(fleet_trips(str(row.path)))
                 table = analysis.arrow([(row.key, analysis.table(trip))])
                 outcome = ResultOutcome(row.key, row.sha256, rows=table.num_rows)
-                catalogue.record(name, "code", {}, [outcome], table)
+                catalogue.record(Computation(name, "code"), [outcome], table)
         found = trains_in(catalogue)
         (kind,) = found.resistance
         assert len(kind.trains) == 1
@@ -437,13 +437,13 @@ def test_a_fit_of_chosen_trips_uses_stored_summaries_instead_of_logs(
     from trainlog.cli.options import chosen_summaries
 
     analysis = ANALYSES["resistance"]
-    code = stored.code_of(analysis)
+    computation = stored.computation_of(analysis)
     with open_catalogue(tmp_path) as catalogue:
         catalogue.add("sample_logs")
-        row = next(catalogue.pending(analysis.name, code, analysis.parameters).itertuples())
+        row = next(catalogue.pending(computation).itertuples())
         table = analysis.arrow([(row.key, analysis.table(next(fleet_trips(str(row.path)))))])
         outcome = ResultOutcome(row.key, row.sha256, rows=1)
-        catalogue.record(analysis.name, code, analysis.parameters, [outcome], table)
+        catalogue.record(computation, [outcome], table)
         every = [Path(path) for path in catalogue.paths()]
     given = chosen_summaries("all", str(tmp_path))
     assert [path.suffix for path in given] == [".parquet", ".mcap"]
@@ -452,5 +452,6 @@ def test_a_fit_of_chosen_trips_uses_stored_summaries_instead_of_logs(
     assert kept.configurations == read.configurations
     assert np.array_equal(kept.common_covariance, read.common_covariance)
     # By other code nothing is stored: the logs are read.
-    monkeypatch.setattr(stored, "code_of", lambda _: "other")
+    other = replace(computation, code="other")
+    monkeypatch.setattr(stored, "computation_of", lambda _: other)
     assert [path.suffix for path in chosen_summaries("all", str(tmp_path))] == [".mcap"] * 2

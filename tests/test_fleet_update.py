@@ -33,7 +33,7 @@ from killed_points import ANALYSES as TWO, POINTS
 
 from analysis.adhesion.updating import update_map
 from analysis.fleet.analyses import ANALYSES, FleetAnalysis
-from analysis.fleet.codes import code_of
+from analysis.fleet.codes import code_of, computation_of
 from analysis.fleet.maps import maps_folder, update_maps
 from analysis.fleet.table import problems_table
 from analysis.fleet.update import (
@@ -145,7 +145,8 @@ def test_other_code_and_other_parameters_are_computed_anew(
     coarse = ANALYSES["adhesion"].with_parameters(bin_length=100.0)
     assert updated(place, coarse).trips == TRIPS
     assert updated(place, "adhesion", "checks").trips == 0
-    monkeypatch.setattr("analysis.fleet.update.code_of", lambda _: "0123456789abcdef")
+    other = replace(computation_of(ANALYSES["checks"]), code="0123456789abcdef")
+    monkeypatch.setattr("analysis.fleet.update.computation_of", lambda _: other)
     assert updated(place, "checks").trips == TRIPS
 
 
@@ -362,7 +363,8 @@ def test_maps_of_other_code_stand_until_all_trips_are_computed_anew(
     with open_catalogue(place) as catalogue:
         adhesion, folder = ANALYSES["adhesion"], maps_folder(catalogue)
         before = maps_in(folder)
-        monkeypatch.setattr("analysis.fleet.update.code_of", lambda _: "0123456789abcdef")
+        other = replace(computation_of(adhesion), code="0123456789abcdef")
+        monkeypatch.setattr("analysis.fleet.update.computation_of", lambda _: other)
         part = update_fleet(
             catalogue, ["adhesion"], UpdateOptions(workers=0, where="weather = 'wet'")
         )
@@ -377,7 +379,7 @@ def test_maps_of_other_code_stand_until_all_trips_are_computed_anew(
         assert maps_in(folder) == before
         assert not folder.with_name("maps.next").exists()
         shutil.rmtree(folder)  # built anew from the results, without a log being read
-        again = update_maps(catalogue, adhesion, "0123456789abcdef")
+        again = update_maps(catalogue, other)
         assert again.trips == TRIPS
         assert maps_in(folder) == before
 

@@ -11,6 +11,7 @@ from trainlog.version import code_version, code_version_of
 
 if TYPE_CHECKING:
     from analysis.fleet.analyses import FleetAnalysis
+    from trainlog.catalogue import Computation
 
 _WORK = "analysis.fleet.work"
 """Module from which all code is imported that a registered analysis runs through."""
@@ -34,3 +35,10 @@ def code_of(analysis: FleetAnalysis) -> str:
     file = getattr(sys.modules.get(module), "__file__", None)
     own = Path(file).read_bytes() if file else b""
     return sha256(code_version().encode() + own)[:16]
+
+
+def computation_of(analysis: FleetAnalysis) -> Computation:
+    """The analysis by its present code, as a catalogue keeps what it gives."""
+    from trainlog.catalogue import Computation
+
+    return Computation(analysis.name, code_of(analysis), analysis.parameters)

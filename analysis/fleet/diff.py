@@ -191,7 +191,7 @@ def fleet_diff(
 
 
 def _asked_for(one: Version, other: Version, analyses: Sequence[str] | None) -> list[str]:
-    both = [name for name in one.parameters if name in other.parameters]
+    both = [name for name in one.computations if name in other.computations]
     if analyses is not None:
         lacking = [name for name in analyses if name not in both]
         if lacking:
@@ -199,8 +199,9 @@ def _asked_for(one: Version, other: Version, analyses: Sequence[str] | None) -> 
                 f"one side has no analysis '{lacking[0]}'", remedy=f"give {', '.join(both)}"
             )
         return [name for name in both if name in analyses]
-    if one.codes == other.codes:
-        both = [name for name in both if one.parameters[name] != other.parameters[name]] or both
+    differing = [name for name in both if one.computations[name] != other.computations[name]]
+    if all(one.computations[name].code == other.computations[name].code for name in both):
+        both = differing or both
     if not both:
         raise InputError(f"{one} and {other} have no analysis in common", remedy="update trainlog")
     return both
@@ -215,8 +216,8 @@ class Results:
 
 
 def _read(catalogue: Catalogue, side: Version, name: str, where: str | None) -> Results:
-    given = (name, side.codes[name], side.parameters[name])
-    return Results(catalogue.results(*given, where=where), catalogue.outcomes(*given, where=where))
+    given = side.computations[name]
+    return Results(catalogue.results(given, where=where), catalogue.outcomes(given, where=where))
 
 
 # ----------------------------------------------------------------------------------- comparing

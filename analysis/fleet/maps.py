@@ -11,7 +11,7 @@ import json
 import shutil
 import zlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,8 +28,7 @@ from trainlog.progress import task
 from trainlog.railway.evidence import DailyEvidence
 
 if TYPE_CHECKING:
-    from analysis.fleet.analyses import FleetAnalysis
-    from trainlog.catalogue import Catalogue
+    from trainlog.catalogue import Catalogue, Computation
 
 MAPS = "maps"
 """Folder of the maps beside the results, and the computation that states which trips they hold."""
@@ -78,7 +77,7 @@ def maps_folder(catalogue: Catalogue) -> Path:
     return catalogue.results_folder.with_name(MAPS)
 
 
-def update_maps(catalogue: Catalogue, adhesion: FleetAnalysis, code: str) -> MapsUpdate:
+def update_maps(catalogue: Catalogue, evidence: Computation) -> MapsUpdate:
     """Add the evidence of all trips that the maps do not hold; one process at a time does.
 
     Where the evidence was made by other code than that of the maps, maps are built anew beside them
@@ -87,13 +86,11 @@ def update_maps(catalogue: Catalogue, adhesion: FleetAnalysis, code: str) -> Map
     Parameters
     ----------
     catalogue : Catalogue
-    adhesion : FleetAnalysis
-        By whose parameters the evidence was made.
-    code : str
-        By which it was made.
+    evidence : Computation
+        Of the analysis "adhesion", that made the evidence.
     """
     with catalogue.alone(MAPS):
-        work = _Maps(catalogue, adhesion, code)
+        work = _Maps(catalogue, evidence)
         work.tidy()
         trips, edges = work.add()
         return MapsUpdate(work.standing, trips, tuple(sorted(edges)), work.finish())
@@ -102,25 +99,25 @@ def update_maps(catalogue: Catalogue, adhesion: FleetAnalysis, code: str) -> Map
 class _Maps:
     """Maps of one code, being brought up to date."""
 
-    def __init__(self, catalogue: Catalogue, adhesion: FleetAnalysis, code: str) -> None:
-        self.catalogue, self.adhesion = catalogue, adhesion
-        self.about = (adhesion.name, code, adhesion.parameters)
-        self.own = (MAPS, code, adhesion.parameters)
+    def __init__(self, catalogue: Catalogue, evidence: Computation) -> None:
+        self.catalogue, self.about = catalogue, evidence
+        self.own = replace(evidence, analysis=MAPS)
         self.standing = maps_folder(catalogue)
         self._next = self.standing.with_name(f"{MAPS}.next")
         self._old = self.standing.with_name(f"{MAPS}.old")
-        self.mark = {"format": "trainlog/fleet-maps", "code": code} | dict(adhesion.parameters)
+        self.mark = {"format": "trainlog/fleet-maps", "code": evidence.code}
+        self.mark |= evidence.parameters
 
     def add(self) -> tuple[int, set[str]]:
         """Add what is missing; how many trips, and which edges they ran over."""
         folder, count, edges = self._folder(), 0, set[str]()
-        waiting = self.catalogue.standing(*self.own)["pending"]
+        waiting = self.catalogue.standing(self.own)["pending"]
         if not waiting:
             return 0, set()
         with task("mapping", waiting, "trip") as step:
             for page, outcomes in self._pages():
                 edges |= self._added(folder, self._evidence(page))
-                self.catalogue.record(*self.own, outcomes)
+                self.catalogue.record(self.own, outcomes)
                 count += len(outcomes)
                 step(count)
         return count, edges
@@ -131,18 +128,18 @@ class _Maps:
 
         last = ""
         while True:
-            page = self.catalogue.pending(*self.own, page=(last, PAGE))
+            page = self.catalogue.pending(self.own, page=(last, PAGE))
             if page.empty:
                 return
             last = str(page["key"].iloc[-1])
-            unknown = self.catalogue.pending(*self.about, where=_chosen(page["key"]))
+            unknown = self.catalogue.pending(self.about, where=_chosen(page["key"]))
             known = page[~page["key"].isin(unknown["key"])]
             if len(known):
                 given = known[["key", "sha256"]].to_numpy().tolist()
                 yield [key for key, _ in given], [ResultOutcome(*each) for each in given]
 
     def _evidence(self, keys: list[str]) -> pd.DataFrame:
-        return self.catalogue.results(*self.about, where=_chosen(keys))
+        return self.catalogue.results(self.about, where=_chosen(keys))
 
     def _added(self, folder: Path, rows: pd.DataFrame) -> set[str]:
         """Add the evidence of trips to the maps of their edges."""
@@ -160,7 +157,7 @@ class _Maps:
         for folder in (self.standing, self._next):
             if _mark_of(folder) == self.mark:
                 return folder
-        self.catalogue.forget(*self.own, states=("done", "refused", "failed"))
+        self.catalogue.forget(self.own, states=("done", "refused", "failed"))
         shutil.rmtree(self._next, ignore_errors=True)
         folder = self._next if self.standing.exists() else self.standing
         made_folder(folder)
@@ -180,7 +177,7 @@ class _Maps:
         """Put new maps in the place of those of other code, if they hold all trips."""
         if _mark_of(self.standing) == self.mark:
             return True
-        if _mark_of(self._next) != self.mark or self.catalogue.standing(*self.own)["pending"]:
+        if _mark_of(self._next) != self.mark or self.catalogue.standing(self.own)["pending"]:
             return False
         if self.standing.exists():
             self.standing.rename(self._old)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from analysis.fleet.analyses import ANALYSES
-from analysis.fleet.codes import code_of
+from analysis.fleet.codes import computation_of
 from trainlog.formats.summaries import COLUMNS
 
 if TYPE_CHECKING:
@@ -37,13 +37,13 @@ def stored_summaries(catalogue: Catalogue, where: str | None) -> tuple[pd.DataFr
     InputError
         As `Catalogue.paths`.
     """
-    analysis = ANALYSES["resistance"]
+    resistance = computation_of(ANALYSES["resistance"])
     paths = catalogue.paths(where)
     names = [column.name for column in COLUMNS]
-    found = catalogue.results(analysis.name, code_of(analysis), analysis.parameters, where=where)
+    found = catalogue.results(resistance, where=where)
     if found.empty:
         return pd.DataFrame(columns=names), paths
-    pending = catalogue.pending(analysis.name, code_of(analysis), analysis.parameters, where=where)
+    pending = catalogue.pending(resistance, where=where)
     unknown = {str(Path(path)) for path in pending["path"]}
     summaries = found[names]
     for column in COLUMNS:

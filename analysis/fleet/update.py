@@ -16,7 +16,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from analysis.fleet.codes import code_of
+from analysis.fleet.codes import computation_of
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.presentation import NUMBER, Column, Presented, WordTable, new_table
@@ -352,12 +352,9 @@ class _Update:
         report: Callable[[Problem], object] | None,
     ) -> None:
         self.catalogue, self.analyses, self.options = catalogue, tuple(analyses), options
-        self.codes = [code_of(each) for each in analyses]
+        self.computations = [computation_of(each) for each in analyses]
         self.found = FleetUpdate(
-            {
-                each.name: Counts(each.name, code)
-                for each, code in zip(analyses, self.codes, strict=True)
-            }
+            {each.analysis: Counts(each.analysis, each.code) for each in self.computations}
         )
         self.total = 0
         self._report = report
@@ -367,12 +364,11 @@ class _Update:
     def prepare(self) -> None:
         """Find out how much there is to do."""
         waiting = []
-        for analysis, code in zip(self.analyses, self.codes, strict=True):
-            about = (analysis.name, code, analysis.parameters)
+        for each in self.computations:
             if self.options.retry:
-                self.catalogue.forget(*about, where=self.options.where)
-            known = self.catalogue.standing(*about, where=self.options.where)
-            counts = self.found.counts[analysis.name]
+                self.catalogue.forget(each, where=self.options.where)
+            known = self.catalogue.standing(each, where=self.options.where)
+            counts = self.found.counts[each.analysis]
             counts.pending = known.pop("pending")
             counts.known = sum(known.values())
             waiting.append(counts.pending)
@@ -432,15 +428,9 @@ class _Update:
 
     def _pending(self, number: int) -> Iterator[_Asked]:
         """The trips of which an analysis is pending, page by page."""
-        analysis, last = self.analyses[number], ""
+        computation, last = self.computations[number], ""
         while True:
-            page = self.catalogue.pending(
-                analysis.name,
-                self.codes[number],
-                analysis.parameters,
-                where=self.options.where,
-                page=(last, PAGE),
-            )
+            page = self.catalogue.pending(computation, where=self.options.where, page=(last, PAGE))
             yield from (_Asked(*row) for row in page.itertuples(index=False))
             if len(page) < PAGE:
                 return
@@ -459,9 +449,7 @@ class _Update:
                 continue
             outcomes = [ResultOutcome(*each) for each in given]
             table = result.tables[number]
-            self.catalogue.record(
-                analysis.name, self.codes[number], analysis.parameters, outcomes, table
-            )
+            self.catalogue.record(self.computations[number], outcomes, table)
             counts = self.found.counts[analysis.name]
             for each in given:
                 setattr(counts, each.state, getattr(counts, each.state) + 1)
@@ -500,22 +488,20 @@ class _Update:
 
     def merge(self) -> None:
         """Put the files of results together, of each analysis that has new ones."""
-        for analysis, code in zip(self.analyses, self.codes, strict=True):
-            counts = self.found.counts[analysis.name]
+        for each in self.computations:
+            counts = self.found.counts[each.analysis]
             trips = counts.known + counts.done + counts.refused
             if not counts.pending and trips <= MERGED:
-                self.found.files_merged += self.catalogue.compact(
-                    analysis.name, code, analysis.parameters
-                )
+                self.found.files_merged += self.catalogue.compact(each)
 
     def bring_maps(self) -> None:
         """Add the new evidence to the maps of the edges."""
-        for analysis, code in zip(self.analyses, self.codes, strict=True):
+        for analysis, computation in zip(self.analyses, self.computations, strict=True):
             counts = self.found.counts[analysis.name]
             if analysis.name == EVIDENCE and analysis.is_default and counts.known + counts.done:
                 from analysis.fleet.maps import update_maps
 
-                self.found.maps = update_maps(self.catalogue, analysis, code)
+                self.found.maps = update_maps(self.catalogue, computation)
 
 
 def _size(path: str) -> int:
@@ -636,9 +622,9 @@ def fleet_status(
     found: dict[str, dict[str, int]] = {}
     problems: list[Problem] = []
     for analysis in _chosen(analyses):
-        about = (analysis.name, code_of(analysis), analysis.parameters)
-        found[analysis.name] = catalogue.standing(*about, where=where)
-        listed = catalogue.problems(*about, where=where, most=most)
+        computation = computation_of(analysis)
+        found[analysis.name] = catalogue.standing(computation, where=where)
+        listed = catalogue.problems(computation, where=where, most=most)
         problems += [
             Problem(key, path or "", analysis.name, state, reason, name or "")
             for key, name, path, state, reason in listed.to_numpy().tolist()

@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analysis.fleet.analyses import ANALYSES, analyses_named
-from analysis.fleet.codes import code_of
+from analysis.fleet.codes import code_of, computation_of
+from trainlog.catalogue import Computation
 from trainlog.errors import InputError
 from trainlog.progress import note
 
@@ -49,10 +50,8 @@ class Version:
     ----------
     name : str
         As it was asked for.
-    codes : mapping of str to str
-        Of each analysis that it has, the version of its code: results are recorded under it.
-    parameters : mapping of str to mapping
-        Of each of them.
+    computations : mapping of str to Computation
+        Of each analysis that it has, as results are recorded.
     command : tuple of str
         That runs its trainlog; empty for the code that runs, and where nothing can be run.
     environment : mapping of str to str
@@ -62,8 +61,7 @@ class Version:
     """
 
     name: str
-    codes: Mapping[str, str]
-    parameters: Mapping[str, Mapping[str, Any]]
+    computations: Mapping[str, Computation]
     command: tuple[str, ...] = ()
     environment: Mapping[str, str] = field(default_factory=dict)
     present: bool = False
@@ -71,7 +69,7 @@ class Version:
     def __str__(self) -> str:
         if "=" in self.name:  # the code that runs, as on the other side: the parameters differ
             return self.name
-        known = ", ".join(sorted(set(self.codes.values())))
+        known = ", ".join(sorted({each.code for each in self.computations.values()}))
         return known if known.startswith(self.name) else f"{self.name} ({known})"
 
 
@@ -104,10 +102,10 @@ def opened_version(name: str, catalogue: Catalogue) -> Iterator[Version]:
 def _here(name: str, catalogue: Catalogue) -> Version | None:
     """A version that needs no other code, or whose results are there."""
     if name == PRESENT or "=" in name:
-        own = {each: dict(ANALYSES[each].parameters) for each in ANALYSES}
-        for analysis, values in parameters_of(name if "=" in name else "").items():
-            own[analysis] = dict(ANALYSES[analysis].with_parameters(**values).parameters)
-        return Version(name, _own_codes(), own, present=True)
+        own = {each: computation_of(analysis) for each, analysis in ANALYSES.items()}
+        for each, values in parameters_of(name if "=" in name else "").items():
+            own[each] = computation_of(ANALYSES[each].with_parameters(**values))
+        return Version(name, own, present=True)
     if not _DIGEST.fullmatch(name) or Path(name).exists():
         return None
     made = catalogue.computations()
@@ -120,13 +118,11 @@ def _here(name: str, catalogue: Catalogue) -> Version | None:
     if not codes:
         return None
     first = made.drop_duplicates("analysis")
-    latest = dict(zip(first["analysis"].tolist(), first["parameters"].tolist(), strict=True))
-    known = dict.fromkeys(latest, codes[0])
-    return Version(name, known, latest, present=known.items() <= _own_codes().items())
-
-
-def _own_codes() -> dict[str, str]:
-    return {name: code_of(each) for name, each in ANALYSES.items()}
+    about = first[["analysis", "code", "parameters"]].to_numpy().tolist()
+    latest = {each[0]: Computation(*each) for each in about}
+    own = {each: code_of(analysis) for each, analysis in ANALYSES.items()}
+    present = dict.fromkeys(latest, codes[0]).items() <= own.items()
+    return Version(name, latest, present=present)
 
 
 def parameters_of(text: str) -> dict[str, dict[str, Any]]:
@@ -215,7 +211,11 @@ def _asked(name: str, python: str, checkout: Path | None, scratch: Path) -> Vers
         )
     stated = json.loads(done.stdout.splitlines()[-1])
     command = (python, "-m", "trainlog")
-    return Version(name, stated["codes"], stated["parameters"], command, environment)
+    known = {
+        each: Computation(each, code, stated["parameters"][each])
+        for each, code in stated["codes"].items()
+    }
+    return Version(name, known, command, environment)
 
 
 def _last_line(text: str) -> str:
@@ -251,9 +251,7 @@ def ensure_results(
         If the other version cannot compute it.
     """
     missing = [
-        name
-        for name in analyses
-        if len(catalogue.pending(name, version.codes[name], version.parameters[name], where=where))
+        name for name in analyses if len(catalogue.pending(version.computations[name], where=where))
     ]
     if not missing:
         return
@@ -261,7 +259,10 @@ def ensure_results(
     if version.present:
         from analysis.fleet.update import UpdateOptions, update_fleet
 
-        asked = [ANALYSES[name].with_parameters(**version.parameters[name]) for name in missing]
+        asked = [
+            ANALYSES[name].with_parameters(**version.computations[name].parameters)
+            for name in missing
+        ]
         update_fleet(catalogue, asked, UpdateOptions(workers, where=where))
         return
     if not version.command:

@@ -14,7 +14,7 @@ import pandas as pd
 from analysis.charts import BLUE, GREEN, GREY, ORANGE, Chart, Curve, Panel, Rule
 from analysis.comparison.losses import CAUSES
 from analysis.fleet.analyses import ANALYSES
-from analysis.fleet.codes import code_of
+from analysis.fleet.codes import code_of, computation_of
 from analysis.fleet.columns import LOST
 from analysis.fleet.maps import maps_folder
 from analysis.fleet.table import form_of_reason
@@ -88,10 +88,8 @@ class _Fleet:
 
     def results(self, name: str) -> pd.DataFrame:
         """What the present code has of an analysis, train and kind as the catalogue knows them."""
-        analysis = ANALYSES[name]
-        found = self.catalogue.results(
-            name, code_of(analysis), analysis.parameters, where=self.options.where
-        )
+        computation = computation_of(ANALYSES[name])
+        found = self.catalogue.results(computation, where=self.options.where)
         if not len(found):
             # Made by other code, until the fleet is updated.
             found = self.catalogue.results(name, where=self.options.where)
@@ -100,9 +98,8 @@ class _Fleet:
 
     def outcomes(self, name: str) -> pd.DataFrame:
         """What became of an analysis of each trip, by the code whose results are shown."""
-        analysis = ANALYSES[name]
-        given = (name, code_of(analysis), analysis.parameters)
-        found = self.catalogue.outcomes(*given, where=self.options.where)
+        computation = computation_of(ANALYSES[name])
+        found = self.catalogue.outcomes(computation, where=self.options.where)
         return found if len(found) else self.catalogue.outcomes(name, where=self.options.where)
 
 

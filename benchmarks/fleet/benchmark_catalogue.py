@@ -20,6 +20,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,8 +32,9 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 
 from synthetic_trips import synthetic_entry
 
-from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue, read_file
+from trainlog.catalogue import Catalogue, Computation, ResultOutcome, open_catalogue, read_file
 
+SYNTHETIC = Computation("synthetic", code="1")
 DAY = "2026-06-17"
 WHERE = "line = 'line 3' and weather = 'wet' and duration > '20 min'"
 STATEMENT = "select t.train, avg(c0) from synthetic join trips t using (key) group by t.train"
@@ -81,7 +83,7 @@ class Clock:
     """Times work: processor time of this process and of the server's, and time by the clock."""
 
     def __init__(self, catalogue: Catalogue) -> None:
-        self.database = catalogue._database
+        self.database = catalogue
 
     def processors(self) -> dict[int, float]:
         """Processor time so far of this process (0) and of the server's for it [s]."""
@@ -130,7 +132,7 @@ def fill(catalogue: Catalogue, trips: int) -> None:
             catalogue.register([synthetic_entry(number) for number in numbers])
         taken, cpu = time.perf_counter() - begun, time.process_time() - cpu
         print(f"  registering them: {cpu:.1f} s, {taken:.1f} s by the clock")
-    todo = catalogue.pending("synthetic", "1")
+    todo = catalogue.pending(SYNTHETIC)
     if len(todo) <= trips // 2:
         return
     begun, cpu = time.perf_counter(), time.process_time()
@@ -146,7 +148,7 @@ def record(catalogue: Catalogue, todo: pd.DataFrame) -> int:
     values = {f"c{n}": rng.normal(size=len(todo)) for n in range(COLUMNS)}
     table = pa.table({"key": todo["key"].tolist(), **values})
     done = [ResultOutcome(row.key, row.sha256, rows=1) for row in todo.itertuples()]
-    return catalogue.record("synthetic", "1", {}, done, table)
+    return catalogue.record(SYNTHETIC, done, table)
 
 
 def queries(catalogue: Catalogue, clock: Clock) -> None:
@@ -164,27 +166,25 @@ def queries(catalogue: Catalogue, clock: Clock) -> None:
 
 def work(catalogue: Catalogue, clock: Clock) -> None:
     """What working on all trips asks of the catalogue."""
-    asked = ("synthetic", "1")
-    clock("pending, of those that were not computed", lambda: catalogue.pending(*asked))
-    clock("pending, of all", lambda: catalogue.pending("another", "1"))
-    clock(
-        "pending, a page of 500 of all", lambda: catalogue.pending("another", "1", page=("", 500))
-    )
-    clock("standing", lambda: catalogue.standing(*asked))
+    asked, another = SYNTHETIC, replace(SYNTHETIC, analysis="another")
+    clock("pending, of those that were not computed", lambda: catalogue.pending(asked))
+    clock("pending, of all", lambda: catalogue.pending(another))
+    clock("pending, a page of 500 of all", lambda: catalogue.pending(another, page=("", 500)))
+    clock("standing", lambda: catalogue.standing(asked))
     clock("computations", catalogue.computations)
-    clock("outcomes", lambda: catalogue.outcomes(*asked))
-    clock("results of a day", lambda: catalogue.results(*asked, where=f"start = '{DAY}'"))
-    clock("results of all", lambda: catalogue.results(*asked))
+    clock("outcomes", lambda: catalogue.outcomes(asked))
+    clock("results of a day", lambda: catalogue.results(asked, where=f"start = '{DAY}'"))
+    clock("results of all", lambda: catalogue.results(asked))
     batches = iter(np.array_split(np.arange(250), 5))
-    todo = catalogue.pending(*asked)
+    todo = catalogue.pending(asked)
     if len(todo) >= 250:
         clock("record a batch of 50", lambda: record(catalogue, todo.iloc[next(batches)]))
-    clock("compact all", lambda: catalogue.compact(*asked), 1)
-    clock("compact again", lambda: catalogue.compact(*asked))
-    clock("results of all, of one file", lambda: catalogue.results(*asked))
+    clock("compact all", lambda: catalogue.compact(asked), 1)
+    clock("compact again", lambda: catalogue.compact(asked))
+    clock("results of all, of one file", lambda: catalogue.results(asked))
     clock("sql, mean by train", lambda: catalogue.sql(STATEMENT))
     clock(
-        "results of a day, of one file", lambda: catalogue.results(*asked, where=f"start = '{DAY}'")
+        "results of a day, of one file", lambda: catalogue.results(asked, where=f"start = '{DAY}'")
     )
 
 
@@ -199,7 +199,7 @@ def one_more(catalogue: Catalogue, clock: Clock) -> None:
 
 
 def size(catalogue: Catalogue) -> None:
-    database = catalogue._database
+    database = catalogue
     if database.is_server:
         with database.reading() as connection:
             asked = sa.text("SELECT pg_database_size(current_database())")

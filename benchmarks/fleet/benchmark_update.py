@@ -135,7 +135,7 @@ json.dump(spent, sys.stdout)
 def pure(catalogue: Path) -> dict[str, float]:
     """Processor time of the pure functions of each trip [s], in one process after warm-up."""
     with open_catalogue(catalogue) as opened:
-        waiting = opened.pending("none", "none")
+        waiting = opened.pending("none")
         jobs = waiting[["key", "sha256", "path"]].to_numpy().tolist()
     given = json.dumps(jobs)
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
         read_file as read_file,
     )
     from trainlog.catalogue.registration import Added as Added, FileOutcome as FileOutcome
-    from trainlog.catalogue.results import ResultOutcome as ResultOutcome
+    from trainlog.catalogue.results import (
+        Computation as Computation,
+        ResultOutcome as ResultOutcome,
+    )
     from trainlog.catalogue.schema import TRIP_COLUMNS as TRIP_COLUMNS, TripColumn as TripColumn
 
 if not TYPE_CHECKING:  # type checkers refuse names that are not listed above

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import sqlalchemy as sa
 
 from trainlog.catalogue.database import Database
-from trainlog.catalogue.querying import Limits
+from trainlog.catalogue.querying import conditions
 from trainlog.catalogue.registration import (
     Added,
     FileOutcome,
@@ -165,43 +165,6 @@ def _below(folder: str) -> Iterator[str]:
 # --------------------------------------------------------------------- registered, and compared
 
 
-def add(
-    database: Database,
-    paths: str | Path | Iterable[str | Path],
-    report: Callable[[FileOutcome, int, int], object] | None,
-    jobs: int,
-) -> Added:
-    """Register logs, and those in folders; see `Catalogue.add`."""
-    found = logs_below([paths] if isinstance(paths, str | Path) else list(paths))
-    outcomes: list[FileOutcome] = []
-
-    def state(done: Iterable[FileOutcome]) -> None:
-        for outcome in done:
-            outcomes.append(outcome)
-            if report is not None:
-                report(outcome, len(outcomes), len(found))
-
-    new: list[str] = []
-    for part in parts(found):
-        known = _unchanged(database, part)
-        state(FileOutcome(path, *known[path]) for path in part if path in known)
-        new += [path for path in part if path not in known]
-    for entries in batches(read_files(new, jobs)):
-        state(add_entries(database, entries).outcomes)
-    return Added(_settled(database, outcomes))
-
-
-def add_entries(database: Database, entries: Sequence[FileEntry]) -> Added:
-    """Register files that were looked at; see `Catalogue.register`."""
-    outcomes: list[FileOutcome] = []
-    for at in range(0, len(entries), BATCH):
-        part = entries[at : at + BATCH]
-        present = _present(database, part)
-        with database.writing() as connection:
-            outcomes += register(connection, part, time.time_ns(), present)
-    return Added(_settled(database, outcomes))
-
-
 def _settled(database: Database, outcomes: Sequence[FileOutcome]) -> tuple[FileOutcome, ...]:
     """New trips as they stand once all are registered: fuller recordings may have come."""
     asked = (
@@ -256,23 +219,6 @@ def _present(database: Database, entries: Sequence[FileEntry]) -> dict[str, bool
     return {path: Path(path).is_file() for path in found}
 
 
-def refresh(database: Database, paths: Sequence[str | Path]) -> Refreshed:
-    """Compare a catalogue with the disk; see `Catalogue.refresh`."""
-    gone, back, changed, same = _compared(database)
-    for part in parts(sorted(gone | back)):
-        with database.writing() as connection:
-            place_again(connection, part, gone)
-    added = add(database, paths, None, 1).outcomes if paths else ()
-    read = [*add_entries(database, list(read_files(sorted(changed)))).outcomes, *added]
-    moved = [each.path for each in read if each.state == "moved"]
-    with database.reading() as connection:
-        asked = sa.select(files.c.path).where(files.c.state == "vanished")
-        vanished = connection.execute(asked.order_by(files.c.path)).scalars().all()
-    return Refreshed(
-        same, tuple(vanished), tuple(moved), tuple(sorted(changed)), len(back), tuple(read)
-    )
-
-
 def _compared(database: Database) -> tuple[set[int], set[int], set[str], int]:
     """Rows of files that are gone, and back; paths whose content changed; files as before."""
     asked = sa.select(files).where(files.c.state.in_(("present", "vanished")))
@@ -298,20 +244,153 @@ def _compared(database: Database) -> tuple[set[int], set[int], set[str], int]:
     return gone, back, changed, same
 
 
-def remove(database: Database, where: str | None, vanished: bool) -> int:
-    """Forget trips and what was computed of them; see `Catalogue.remove`."""
-    if where is None and not vanished:
-        raise InputError(
-            "nothing says which trips are to be removed",
-            file=database.place,
-            remedy="give an expression, or vanished ones",
+class Files(Database):
+    """The files of a catalogue: registered, compared with the disk, forgotten."""
+
+    def add(
+        self,
+        paths: str | Path | Iterable[str | Path],
+        report: Callable[[FileOutcome, int, int], object] | None = None,
+        *,
+        jobs: int = 1,
+    ) -> Added:
+        """Register logs, and those in folders and the folders in them.
+
+        A file whose size and time of change are known is not read again. A log that cannot be used
+        is listed with the reason and keeps no other from being registered.
+
+        Parameters
+        ----------
+        paths : path, or iterable of them
+        report : callable, optional
+            Called with each outcome, the number of files that are finished, and that of all.
+        jobs : int
+            Processes that read, where there are many files.
+
+        Returns
+        -------
+        Added
+
+        Raises
+        ------
+        InputError
+            If a path does not exist, or no log is found.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from trainlog.catalogue import open_catalogue
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     first, again = catalogue.add("sample_logs"), catalogue.add("sample_logs")
+        >>> first, again
+        (Added: 2 new trips, Added: 0 new trips, 2 unchanged)
+        """
+        found = logs_below([paths] if isinstance(paths, str | Path) else list(paths))
+        outcomes: list[FileOutcome] = []
+
+        def state(done: Iterable[FileOutcome]) -> None:
+            for outcome in done:
+                outcomes.append(outcome)
+                if report is not None:
+                    report(outcome, len(outcomes), len(found))
+
+        new: list[str] = []
+        for part in parts(found):
+            known = _unchanged(self, part)
+            state(FileOutcome(path, *known[path]) for path in part if path in known)
+            new += [path for path in part if path not in known]
+        for entries in batches(read_files(new, jobs)):
+            state(self.register(entries).outcomes)
+        return Added(_settled(self, outcomes))
+
+    def register(self, entries: Sequence[FileEntry]) -> Added:
+        """Register files that were looked at, in transactions of some hundred files.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from trainlog.catalogue import open_catalogue, read_file
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     catalogue.register([read_file("sample_logs/stopping.mcap")])
+        Added: 1 new trip
+        """
+        outcomes: list[FileOutcome] = []
+        for at in range(0, len(entries), BATCH):
+            part = entries[at : at + BATCH]
+            present = _present(self, part)
+            with self.writing() as connection:
+                outcomes += register(connection, part, time.time_ns(), present)
+        return Added(_settled(self, outcomes))
+
+    def refresh(self, paths: Iterable[str | Path] = ()) -> Refreshed:
+        """Compare the catalogue with the disk: which files vanished, moved, changed or came back.
+
+        Nothing is forgotten: a trip whose file vanished stays, and is found again by its content
+        once its file is added from another place.
+
+        Parameters
+        ----------
+        paths : iterable of path
+            Folders that are searched for files that moved, as `add` does.
+
+        Examples
+        --------
+        >>> import shutil, tempfile
+        >>> from trainlog.catalogue import open_catalogue
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     log = shutil.copy("sample_logs/nonstop.mcap", folder)
+        ...     _ = catalogue.add(folder)
+        ...     Path(log).unlink()
+        ...     catalogue.refresh()
+        Refreshed: 0 files as they were, 1 vanished
+        """
+        paths = list(paths)
+        gone, back, changed, same = _compared(self)
+        for part in parts(sorted(gone | back)):
+            with self.writing() as connection:
+                place_again(connection, part, gone)
+        added = self.add(paths).outcomes if paths else ()
+        read = [*self.register(list(read_files(sorted(changed)))).outcomes, *added]
+        moved = [each.path for each in read if each.state == "moved"]
+        with self.reading() as connection:
+            asked = sa.select(files.c.path).where(files.c.state == "vanished")
+            vanished = connection.execute(asked.order_by(files.c.path)).scalars().all()
+        return Refreshed(
+            same, tuple(vanished), tuple(moved), tuple(sorted(changed)), len(back), tuple(read)
         )
-    asked = sa.select(trips.c.id).where(trips.c.standing == "counts", *Limits(where).conditions())
-    if vanished:
-        there = sa.select(files.c.trip).where(files.c.trip.is_not(None), files.c.state == "present")
-        asked = asked.where(trips.c.id.not_in(there))
-    removed = 0
-    with database.writing() as connection:
-        for part in parts(sorted(connection.execute(asked).scalars())):
-            removed += forget(connection, part)
-    return removed
+
+    def remove(self, where: str | None = None, *, vanished: bool = False) -> int:
+        """Forget trips and what was computed of them; logs stay as they are. How many went.
+
+        Another recording of the same drive counts then. A log that still stands in a folder that is
+        added comes back.
+
+        Parameters
+        ----------
+        where : str, optional
+            As for `query`.
+        vanished : bool
+            Only trips of whose logs none is present.
+
+        Raises
+        ------
+        InputError
+            If nothing limits what is removed, or as `query`.
+        """
+        if where is None and not vanished:
+            raise InputError(
+                "nothing says which trips are to be removed",
+                file=self.place,
+                remedy="give an expression, or vanished ones",
+            )
+        asked = sa.select(trips.c.id).where(*conditions(where))
+        if vanished:
+            there = sa.select(files.c.trip).where(
+                files.c.trip.is_not(None), files.c.state == "present"
+            )
+            asked = asked.where(trips.c.id.not_in(there))
+        removed = 0
+        with self.writing() as connection:
+            for part in parts(sorted(connection.execute(asked).scalars())):
+                removed += forget(connection, part)
+        return removed

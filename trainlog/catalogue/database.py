@@ -288,15 +288,15 @@ class Database:
         self.created_by = found.get("software", "")
         stored = found.get("results", "")
         if self.is_server:
-            self.results = Path(stored)
-            if results is not None and Path(results).absolute() != self.results:
+            self.results_folder = Path(stored)
+            if results is not None and Path(results).absolute() != self.results_folder:
                 raise InputError(
-                    f"keeps its results in {self.results}, not in {results}",
+                    f"keeps its results in {self.results_folder}, not in {results}",
                     file=self.place,
                     remedy="leave --results out",
                 )
         else:
-            self.results = self.folder / RESULTS
+            self.results_folder = self.folder / RESULTS
 
     def _header(self) -> dict[str, str]:
         with self.engine.connect() as connection:

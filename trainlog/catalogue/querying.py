@@ -1,12 +1,11 @@
-"""Asking a catalogue for trips: which ones some limits choose, and where their logs stand."""
+"""The trips of a catalogue: which ones some limits choose, where their logs stand, how many."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -16,6 +15,7 @@ from trainlog.catalogue.database import Database, columns_of
 from trainlog.catalogue.days import times_of
 from trainlog.catalogue.schema import (
     TRIP_COLUMNS,
+    files,
     log_of_trip,
     on_line,
     trip_edges,
@@ -24,63 +24,56 @@ from trainlog.catalogue.schema import (
 from trainlog.display import counted
 from trainlog.errors import InputError
 
+if TYPE_CHECKING:
+    from trainlog.trip import Trip
+
+GROUPS: dict[str, tuple[str, ...]] = {
+    "route": ("train", "kind", "line"),
+    "train": ("train",),
+    "kind": ("kind",),
+    "line": ("line",),
+    "weather": ("weather",),
+    "edge": ("edge",),
+    "day": ("day",),
+}
+"""By what an overview can be, and the columns that name a row of it."""
+
+_DAY = 86_400_000_000_000
+
 COLUMNS = [each.name for each in TRIP_COLUMNS]
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What limits the trips that are asked for; see `Catalogue.query`."""
+def conditions(
+    where: str | None = None,
+    train: str | None = None,
+    line: str | None = None,
+    start: Any = None,
+    end: Any = None,
+    zone: str | None = None,
+) -> list[sa.ColumnElement[bool]]:
+    """What limits the trips that count; parameters as of `Trips.query`."""
+    found = [trips.c.standing == "counts"]
+    if where is not None:
+        from trainlog.catalogue.where import condition_of
 
-    where: str | None = None
-    train: str | None = None
-    line: str | None = None
-    start: Any = None
-    end: Any = None
-    zone: str | None = None
-
-    def conditions(self) -> list[sa.ColumnElement[bool]]:
-        """The conditions that they are for a statement on the table of trips."""
-        found = [each for each in [condition_of(self.where, self.zone)] if each is not None]
-        if self.train is not None:
-            found.append(trips.c.train == self.train)
-        if self.line is not None:
-            few = any(each is not None for each in (self.train, self.start, self.end))
-            found.append(on_line(trips.c.line == self.line, trip_edges.c.edge == self.line, few))
-        first = None if self.start is None else times_of(self.start, self.zone)[0]
-        last = None if self.end is None else times_of(self.end, self.zone)[1]
-        if first is not None and last is not None and first > last:
-            raise InputError(
-                f"the time from {self.start} to {self.end} ends before it begins",
-                remedy="give the earlier time first",
-            )
-        if first is not None:
-            found.append(trips.c.start >= first)
-        if last is not None:
-            found.append(trips.c.start <= last)
-        return found
-
-
-def condition_of(where: str | None, zone: str | None = None) -> sa.ColumnElement[bool] | None:
-    """The condition that an expression states; None without one."""
-    from trainlog.catalogue import where as expressions
-
-    return None if where is None else expressions.condition_of(where, zone)
-
-
-def query(database: Database, limits: Limits, columns: Sequence[str] | None) -> pd.DataFrame:
-    """The trips that are chosen, in the order of start and key; see `Catalogue.query`."""
-    names = [*COLUMNS, "path"] if columns is None else list(columns)
-    for name in names:
-        if name not in COLUMNS and name != "path":
-            raise InputError(
-                f"'{name}' is no column of trips", remedy=f"known: {', '.join(COLUMNS)}, path"
-            )
-    path = log_of_trip()
-    asked = sa.select(*(path if name == "path" else trips.c[name] for name in names))
-    asked = asked.where(trips.c.standing == "counts", *limits.conditions())
-    with database.reading() as connection:
-        rows = connection.execute(asked.order_by(trips.c.start, trips.c.key)).all()
-    return _frame(rows, names)
+        found.append(condition_of(where, zone))
+    if train is not None:
+        found.append(trips.c.train == train)
+    if line is not None:
+        few = any(each is not None for each in (train, start, end))
+        found.append(on_line(trips.c.line == line, trip_edges.c.edge == line, few))
+    first = None if start is None else times_of(start, zone)[0]
+    last = None if end is None else times_of(end, zone)[1]
+    if first is not None and last is not None and first > last:
+        raise InputError(
+            f"the time from {start} to {end} ends before it begins",
+            remedy="give the earlier time first",
+        )
+    if first is not None:
+        found.append(trips.c.start >= first)
+    if last is not None:
+        found.append(trips.c.start <= last)
+    return found
 
 
 def _frame(rows: Sequence[Any], names: Sequence[str]) -> pd.DataFrame:
@@ -112,37 +105,6 @@ def _series(values: Sequence[Any], kind: str) -> pd.Series:
     return pd.Series(held, dtype=object)
 
 
-def unmatched(
-    database: Database, where: str | None, train: str | None, line: str | None
-) -> list[str]:
-    """Names that are asked for and that no trip has; see `Catalogue.unmatched`."""
-    from trainlog.catalogue.where import keys_asked, texts_asked
-
-    asked = [] if where is None else texts_asked(where)
-    asked += [(n, v) for n, v in (("train", train), ("line", line)) if v is not None]
-    found = []
-    for column, value in dict.fromkeys(asked):
-        values = _values(database, column)
-        if value in values:
-            continue
-        folded = {each.casefold(): each for each in reversed(values)}
-        close = get_close_matches(value.casefold(), list(folded), n=1)
-        meant = f" did you mean '{folded[close[0]]}'?" if close else ""
-        more = f" and {len(values) - 8} more" if len(values) > 8 else ""
-        known = f" known: {', '.join(values[:8])}{more}" if values else " none states any"
-        found.append(f"no trip has the {column} '{value}';{meant}{known}")
-    for column, key in dict.fromkeys([] if where is None else keys_asked(where)):
-        keys = _keys(database, column)
-        if key in keys:
-            continue
-        what = "label" if column == "labels" else "value in its passport named"
-        known = f"known: {', '.join(keys)}" if keys else "none states any"
-        estimated = "; what the analysis passport estimated is asked by 'trainlog fleet query'"
-        also = estimated if column == "passport" else ""
-        found.append(f"no trip has a {what} '{key}'; {known}{also}")
-    return found
-
-
 def _keys(database: Database, column: str) -> list[str]:
     """Keys that a column of JSON has, of the trips that count."""
     asked = sa.select(trips.c[column]).where(trips.c.standing == "counts")
@@ -162,46 +124,313 @@ def _values(database: Database, column: str) -> list[str]:
     return sorted(each for each in found if each is not None)
 
 
-def paths(database: Database, limits: Limits) -> list[Path]:
-    """The logs of the trips that are chosen, none of which has vanished; see `Catalogue.paths`."""
-    found = query(database, limits, ["name", "key", "path"])
-    if not len(found):
-        why = unmatched(database, limits.where, limits.train, limits.line)
-        with database.reading() as connection:
-            every = number_of_trips(connection)
-        raise InputError(
-            f"no trip of the {counted(every, 'trip')} of the catalogue is chosen"
-            + "".join(f"; {each}" for each in why),
-            file=database.place,
-            remedy="'trainlog fleet show' shows which trains and lines there are",
+class Trips(Database):
+    """A catalogue as far as it says which trips there are, and where their logs stand."""
+
+    def __len__(self) -> int:
+        asked = sa.select(sa.func.count()).select_from(trips)
+        with self.reading() as connection:
+            return int(connection.execute(asked.where(*conditions())).scalar_one())
+
+    def query(
+        self,
+        where: str | None = None,
+        *,
+        train: str | None = None,
+        line: str | None = None,
+        start: Any = None,
+        end: Any = None,
+        zone: str | None = None,
+        columns: Sequence[str] | None = None,
+    ) -> pd.DataFrame:
+        """The trips that an expression and the other limits choose, in the order of start and key.
+
+        Parameters
+        ----------
+        where : str, optional
+            ``"weather = 'wet' and duration > '20 min'"``; docs/catalogue.md lists what is known.
+        train, line : str, optional
+            Of a route, each line that it runs over counts.
+        start, end : anything that `pandas.Timestamp` takes, optional
+            Trips that start in this time, both ends belonging to it; a day as an end counts whole.
+        zone : str, optional
+            Time zone of times that state none; default UTC.
+        columns : sequence of str, optional
+            Of `TRIP_COLUMNS`, and ``path``; default: all.
+
+        Returns
+        -------
+        DataFrame
+            One row a trip. Numbers are in SI units, but kilometres; ``attrs["units"]`` lists them.
+            ``path`` is that of a log that is present; None if all have vanished.
+
+        Raises
+        ------
+        InputError
+            If the expression is not understood, or a time or column is none.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from trainlog.catalogue import open_catalogue
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     _ = catalogue.add("sample_logs")
+        ...     found = catalogue.query("duration > '20 min'", start="2024-10-07")
+        >>> found[["name", "weather", "km_to"]].values.tolist()
+        [['trip-03', 'wet', 29.55647]]
+        """
+        names = [*COLUMNS, "path"] if columns is None else list(columns)
+        for name in names:
+            if name not in COLUMNS and name != "path":
+                raise InputError(
+                    f"'{name}' is no column of trips", remedy=f"known: {', '.join(COLUMNS)}, path"
+                )
+        path = log_of_trip()
+        asked = sa.select(*(path if name == "path" else trips.c[name] for name in names))
+        asked = asked.where(*conditions(where, train, line, start, end, zone))
+        with self.reading() as connection:
+            rows = connection.execute(asked.order_by(trips.c.start, trips.c.key)).all()
+        return _frame(rows, names)
+
+    def unmatched(
+        self, where: str | None = None, train: str | None = None, line: str | None = None
+    ) -> list[str]:
+        """Names that are asked for and that no trip has, each in a sentence with similar ones.
+
+        Parameters are those of `query`; of an expression, texts that a column must equal.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from trainlog.catalogue import open_catalogue
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     _ = catalogue.add("sample_logs")
+        ...     catalogue.unmatched("weather = 'Wet'")
+        ["no trip has the weather 'Wet'; did you mean 'wet'? known: dry, wet"]
+        """
+        from trainlog.catalogue.where import keys_asked, texts_asked
+
+        asked = [] if where is None else texts_asked(where)
+        asked += [(n, v) for n, v in (("train", train), ("line", line)) if v is not None]
+        found = []
+        for column, value in dict.fromkeys(asked):
+            values = _values(self, column)
+            if value in values:
+                continue
+            folded = {each.casefold(): each for each in reversed(values)}
+            close = get_close_matches(value.casefold(), list(folded), n=1)
+            meant = f" did you mean '{folded[close[0]]}'?" if close else ""
+            more = f" and {len(values) - 8} more" if len(values) > 8 else ""
+            known = f" known: {', '.join(values[:8])}{more}" if values else " none states any"
+            found.append(f"no trip has the {column} '{value}';{meant}{known}")
+        for column, key in dict.fromkeys([] if where is None else keys_asked(where)):
+            keys = _keys(self, column)
+            if key in keys:
+                continue
+            what = "label" if column == "labels" else "value in its passport named"
+            known = f"known: {', '.join(keys)}" if keys else "none states any"
+            estimated = "; what the analysis passport estimated is asked by 'trainlog fleet query'"
+            also = estimated if column == "passport" else ""
+            found.append(f"no trip has a {what} '{key}'; {known}{also}")
+        return found
+
+    def paths(self, where: str | None = None, **limits: Any) -> list[Path]:
+        """The logs of the trips that `query` chooses, in its order.
+
+        Raises
+        ------
+        InputError
+            As `query`; if no trip is found, or the logs of some have vanished, which are named.
+        """
+        found = self.query(where, **limits, columns=["name", "key", "path"])
+        if not len(found):
+            why = self.unmatched(where, limits.get("train"), limits.get("line"))
+            raise InputError(
+                f"no trip of the {counted(len(self), 'trip')} of the catalogue is chosen"
+                + "".join(f"; {each}" for each in why),
+                file=self.place,
+                remedy="'trainlog fleet show' shows which trains and lines there are",
+            )
+        gone = found[found["path"].isna()]
+        if len(gone):
+            names = ", ".join(gone["name"].iloc[:5])
+            more = f" and {len(gone) - 5} more" if len(gone) > 5 else ""
+            raise InputError(
+                f"the logs of {counted(len(gone), 'trip')} have vanished: {names}{more}",
+                file=self.place,
+                remedy="add the folder that they were moved to, or remove them from the catalogue",
+            )
+        return [Path(path) for path in found["path"]]
+
+    def open(self, trip: str | Mapping[str, Any] | pd.Series, *topics: str) -> Trip:
+        """Read the log of a trip.
+
+        Parameters
+        ----------
+        trip : str, or a row of the frame of trips
+            Its key, or the beginning of it.
+        *topics : str
+            Topics to read; default: all.
+
+        Raises
+        ------
+        InputError
+            If there is no such trip, the beginning is that of several, or its log has vanished.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from trainlog.catalogue import open_catalogue
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     _ = catalogue.add("sample_logs")
+        ...     trip = catalogue.open(catalogue.query("weather = 'wet'").iloc[0])
+        >>> trip.name
+        'trip-03'
+        """
+        from trainlog.mcap import read_log
+
+        key = trip if isinstance(trip, str) else str(trip["key"])
+        asked = sa.select(trips.c.key).where(
+            trips.c.standing == "counts", trips.c.key.startswith(key, autoescape=True)
         )
-    gone = found[found["path"].isna()]
-    if len(gone):
-        names = ", ".join(gone["name"].iloc[:5])
-        more = f" and {len(gone) - 5} more" if len(gone) > 5 else ""
-        raise InputError(
-            f"the logs of {counted(len(gone), 'trip')} have vanished: {names}{more}",
-            file=database.place,
-            remedy="add the folder that they were moved to, or remove them from the catalogue",
+        with self.reading() as connection:
+            found = connection.execute(asked.limit(2)).scalars().all()
+        if len(found) != 1 or not key:
+            what = f"several trips begin with '{key}'" if found else f"there is no trip '{key}'"
+            raise InputError(what, file=self.place, remedy="give the key that 'query' lists")
+        (path,) = self.paths(f"key = '{found[0]}'")
+        return read_log(path, topics or None)
+
+    def counts(self) -> dict[str, int]:
+        """How many trips count, how many recordings of the same drives there are, and files."""
+        count = sa.func.count()
+        with self.reading() as connection:
+            standing = connection.execute(
+                sa.select(trips.c.standing, count).group_by(trips.c.standing)
+            )
+            states = connection.execute(sa.select(files.c.state, count).group_by(files.c.state))
+            trips_by = {row[0]: int(row[1]) for row in standing}
+            files_by = {row[0]: int(row[1]) for row in states}
+        return {
+            "trips": trips_by.get("counts", 0),
+            "other recordings": trips_by.get("same drive", 0),
+            "older versions": trips_by.get("older version", 0),
+            "files": files_by.get("present", 0),
+            "vanished": files_by.get("vanished", 0),
+            "refused": files_by.get("refused", 0),
+        }
+
+    def uncounted(self) -> pd.DataFrame:
+        """What does not count, and why: copies, other recordings, old versions, vanished, refused.
+
+        Returns
+        -------
+        DataFrame
+            With the columns ``path``, ``what`` and ``reason``, in the order of path.
+        """
+        other = trips.alias("other")
+        standing = (
+            sa.select(files.c.path, trips.c.standing, other.c.name, trips.c.share, other.c.key)
+            .select_from(trips)
+            .join(files, files.c.trip == trips.c.id)
+            .join(other, other.c.id == trips.c.same_as)
+            .where(files.c.state == "present", trips.c.standing != "counts")
         )
-    return [Path(path) for path in found["path"]]
+        state = sa.select(files.c.path, files.c.state, files.c.reason).where(
+            files.c.state.in_(("vanished", "refused"))
+        )
+        earliest = (
+            sa.select(sa.func.min(files.c.id))
+            .where(files.c.state == "present")
+            .group_by(files.c.trip)
+        )
+        first = sa.select(files.c.trip, files.c.path).where(files.c.id.in_(earliest)).subquery()
+        copies = sa.select(files.c.path, first.c.path).where(
+            files.c.trip == first.c.trip, files.c.state == "present", files.c.path != first.c.path
+        )
+        with self.reading() as connection:
+            found = [
+                (path, what, f"{'' if share is None else f'{share:.0%} in '}'{name}' ({key[:8]})")
+                for path, what, name, share, key in connection.execute(standing)
+            ]
+            found += [(path, what, reason) for path, what, reason in connection.execute(state)]
+            known = {path for path, *_ in found}
+            found += [
+                (path, "copy", f"the same as {other}")
+                for path, other in connection.execute(copies)
+                if path not in known
+            ]
+        return pd.DataFrame(sorted(found), columns=["path", "what", "reason"])
 
+    def overview(self, by: str = "route") -> pd.DataFrame:
+        """How many trips there are, of those that count.
 
-def number_of_trips(connection: sa.Connection) -> int:
-    """How many trips count."""
-    asked = sa.select(sa.func.count()).select_from(trips)
-    return int(connection.execute(asked.where(trips.c.standing == "counts")).scalar_one())
+        Parameters
+        ----------
+        by : {"route", "train", "kind", "line", "edge", "day", "weather"}
+            What has a row: a train and line, a train, ... An edge is each line that trips ran over,
+            a route's line also where they only passed over it; a day is that of the start, UTC.
 
+        Returns
+        -------
+        DataFrame
+            What names the row; ``trips``; ``trains`` and ``lines``, how many there are; ``first``
+            and ``last`` start; ``distance`` [m] and ``duration`` [s] in all; ``damaged``, of how
+            many the log is. Of an edge the distance driven on it, and how often it was run over
+            ``forward`` and in ``reverse``.
 
-def path_of(database: Database, key: str) -> Path:
-    """The log of the trip whose key begins so; see `Catalogue.open`."""
-    asked = sa.select(trips.c.key).where(
-        trips.c.standing == "counts", trips.c.key.startswith(key, autoescape=True)
-    )
-    with database.reading() as connection:
-        found = connection.execute(asked.limit(2)).scalars().all()
-    if len(found) != 1 or not key:
-        what = f"several trips begin with '{key}'" if found else f"there is no trip '{key}'"
-        raise InputError(what, file=database.place, remedy="give the key that 'query' lists")
-    (path,) = paths(database, Limits(f"key = '{found[0]}'"))
-    return path
+        Examples
+        --------
+        >>> import tempfile
+        >>> from trainlog.catalogue import open_catalogue
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     _ = catalogue.add("sample_logs")
+        ...     catalogue.overview("edge")[["edge", "trips", "trains", "forward"]].values.tolist()
+        [['CH_StGallen_Wil', 2, 1, 2]]
+        """
+        if by not in GROUPS:
+            raise InputError(
+                f"there is no overview by '{by}'", remedy=f"known: {', '.join(GROUPS)}"
+            )
+        names = GROUPS[by]
+        edge = trip_edges.c
+        columns: dict[str, Any] = {name: trips.c[name] for name in names if name in trips.c}
+        columns |= {"edge": edge.edge} if by == "edge" else {}
+        columns |= {"day": trips.c.start // _DAY} if by == "day" else {}
+        count, total = sa.func.count, sa.func.sum
+        # Of a train some logs may not state the kind.
+        sums: dict[str, Any] = {"kind": sa.func.max(trips.c.kind)} if by == "train" else {}
+        sums["trips"] = count(trips.c.id.distinct())
+        if "train" not in names:
+            sums["trains"] = count(trips.c.train.distinct())
+        if not {"line", "edge"} & set(names):
+            sums["lines"] = count(trips.c.line.distinct())
+        if by != "day":
+            sums |= {"first": sa.func.min(trips.c.start), "last": sa.func.max(trips.c.start)}
+        asked = sa.select(trips.c.id)
+        if by == "edge":
+            asked = asked.join(trip_edges, edge.trip == trips.c.id)
+            sums["forward"] = total(sa.case((edge.direction == "forward", 1), else_=0))
+            sums["reverse"] = total(sa.case((edge.direction == "reverse", 1), else_=0))
+            sums["distance"] = 1e3 * total(edge.km_to - edge.km_from)
+        else:
+            sums |= {"distance": total(trips.c.distance), "duration": total(trips.c.duration)}
+            sums["damaged"] = total(sa.case((trips.c.quality == "damaged", 1), else_=0))
+        asked = asked.with_only_columns(
+            *columns.values(), *sums.values(), maintain_column_froms=True
+        )
+        asked = asked.where(trips.c.standing == "counts").group_by(*columns.values())
+        with self.reading() as connection:
+            rows = connection.execute(asked).all()
+        frame = pd.DataFrame(columns_of(rows, [*columns, *sums]))
+        for name in {"first", "last"} & set(frame):
+            frame[name] = pd.to_datetime(frame[name].astype("Int64"), unit="ns", utc=True)
+        for name in {"distance", "duration"} & set(frame):
+            frame[name] = frame[name].astype("float64")
+        for name in {"damaged", "forward", "reverse"} & set(frame):
+            frame[name] = frame[name].astype("int64")
+        if by == "day":
+            days = pd.to_datetime(frame["day"].astype("Int64") * _DAY, unit="ns", utc=True)
+            frame["day"] = days.dt.strftime("%Y-%m-%d").astype(object)
+        order = frame[list(names)].fillna("").sort_values(list(names))
+        return frame.loc[order.index].reset_index(drop=True)

@@ -10,14 +10,15 @@ import json
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import pandas as pd
 import sqlalchemy as sa
 
-from trainlog.catalogue.database import columns_of
+from trainlog.catalogue.database import Database, columns_of
+from trainlog.catalogue.querying import conditions
 from trainlog.catalogue.registration import parts
 from trainlog.catalogue.schema import (
     computations,
@@ -33,7 +34,6 @@ from trainlog.formats.files import made_folder, sha256 as digest, write_bytes
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from trainlog.catalogue.database import Database
 
 ResultState = Literal["done", "refused", "failed"]
 
@@ -48,8 +48,58 @@ ROWS = 50_000
 UNFINISHED = 3600.0
 """Age of a file that is still under a temporary name, from which its process is dead [s]."""
 
+ATTEMPTS = 3
+"""At reading files of results that another process puts together meanwhile."""
+
 JOINED = ("train", "kind", "line", "start")
 """Columns of trips that stand beside the results."""
+
+
+@dataclass(frozen=True)
+class Computation:
+    """An analysis of trips by one code with one set of parameters.
+
+    Attributes
+    ----------
+    analysis : str
+        Its name.
+    code : str
+        Version of its code.
+    parameters : mapping
+        Values of JSON.
+
+    Examples
+    --------
+    >>> Computation("stops", "1", {"b": 2, "a": 1.5}).content
+    '{"a":1.5,"b":2}'
+    """
+
+    analysis: str
+    code: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def content(self) -> str:
+        """The parameters as JSON: the same parameters give the same text.
+
+        Raises
+        ------
+        InputError
+            If they are no values of JSON.
+        """
+        try:
+            return json.dumps(
+                dict(self.parameters), sort_keys=True, separators=(",", ":"), allow_nan=False
+            )
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"parameters cannot be stored: {error}", remedy="give numbers, texts, lists"
+            ) from error
+
+    @property
+    def digest(self) -> str:
+        """The digest by which the parameters are known."""
+        return digest(self.content.encode())[:32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,199 +127,52 @@ class ResultOutcome:
     seconds: float = 0.0
 
 
-def parameters_text(parameters: Mapping[str, Any] | None) -> str:
-    """Parameters as JSON: the same parameters give the same text.
-
-    Raises
-    ------
-    InputError
-        If they are no values of JSON.
-
-    Examples
-    --------
-    >>> parameters_text({"b": 2, "a": 1.5})
-    '{"a":1.5,"b":2}'
-    """
-    try:
-        return json.dumps(
-            dict(parameters or {}), sort_keys=True, separators=(",", ":"), allow_nan=False
-        )
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"parameters cannot be stored: {error}", remedy="give numbers, texts, lists"
-        ) from error
+def computation_id(connection: sa.Connection, of: Computation | str) -> int:
+    """The row of a computation, of a name that of the latest; -1 if nothing was recorded."""
+    if isinstance(of, str):
+        asked = sa.select(computations.c.id).where(computations.c.analysis == of)
+        found = connection.execute(asked.order_by(computations.c.last.desc()).limit(1))
+    else:
+        about = {"analysis": of.analysis, "code": of.code, "parameters": of.digest}
+        found = connection.execute(sa.select(computations.c.id).filter_by(**about))
+    return found.scalar() or -1
 
 
-def digest_of(parameters: Mapping[str, Any] | None) -> str:
-    """The digest by which parameters are known."""
-    return digest(parameters_text(parameters).encode())[:32]
-
-
-def computation_id(
-    connection: sa.Connection, analysis: str, code: str, parameters: Mapping[str, Any] | None
-) -> int | None:
-    """The row of a computation; None if nothing was recorded of it."""
-    found = connection.execute(
-        sa.select(computations.c.id).where(
-            computations.c.analysis == analysis,
-            computations.c.code == code,
-            computations.c.parameters == digest_of(parameters),
-        )
-    )
-    return found.scalar()
-
-
-def made_computation(
-    connection: sa.Connection, analysis: str, code: str, parameters: Mapping[str, Any] | None
-) -> int:
+def made_computation(connection: sa.Connection, of: Computation) -> int:
     """The row of a computation, made if need be, as the latest of its analysis."""
     last = sa.select(sa.func.coalesce(sa.func.max(computations.c.last), 0) + 1)
-    number = computation_id(connection, analysis, code, parameters)
-    latest = connection.execute(last).scalar_one()
-    if number is not None:
-        asked = sa.update(computations).where(computations.c.id == number)
-        connection.execute(asked.values(last=latest))
+    number = computation_id(connection, of)
+    values = {"last": connection.execute(last).scalar_one()}
+    if number > 0:
+        connection.execute(
+            sa.update(computations).where(computations.c.id == number).values(values)
+        )
         return number
-    values = {
-        "analysis": analysis,
-        "code": code,
-        "parameters": digest_of(parameters),
-        "content": parameters_text(parameters),
-        "last": latest,
-    }
+    values |= {"analysis": of.analysis, "code": of.code}
+    values |= {"parameters": of.digest, "content": of.content}
     added = sa.insert(computations).values(values).returning(computations.c.id)
     return int(connection.execute(added).scalar_one())
 
 
-def pending(
-    database: Database,
-    analysis: str,
-    code: str,
-    parameters: Mapping[str, Any] | None,
-    condition: sa.ColumnElement[bool] | None,
-    page: tuple[str, int] | None = None,
-) -> pd.DataFrame:
-    """The trips that count, whose log is present and of which this computation has no row.
-
-    A `page` is the key behind which it begins, and how many trips it has at most.
-    """
-    with database.reading() as connection:
-        number = computation_id(connection, analysis, code, parameters)
-        columns = (trips.c.key, trips.c.sha256, log_of_trip(), trips.c.name)
-        asked = sa.select(*columns).where(
-            *_unmade(number), *([] if condition is None else [condition])
-        )
-        if page is not None:
-            asked = asked.where(trips.c.key > page[0]).limit(page[1])
-        rows = connection.execute(asked.order_by(trips.c.key)).all()
-    return pd.DataFrame(columns_of(rows, ["key", "sha256", "path", "name"]), dtype=object)
-
-
-def _unmade(computation: int | None) -> list[sa.ColumnElement[bool]]:
-    """What holds for trips of which a computation has no row."""
-    made = sa.exists().where(
-        results.c.computation == (computation or -1), results.c.trip == trips.c.id
+def trips_with_results(number: int, where: str | None, *columns: Any) -> sa.Select[Any]:
+    """A statement: columns of the trips that count and that a computation has a row of."""
+    return (
+        sa.select(*columns)
+        .select_from(trips)
+        .join(results, trips.c.id == results.c.trip)
+        .where(results.c.computation == number, *conditions(where))
     )
-    return [trips.c.standing == "counts", ~made, _there()]
+
+
+def _unmade(computation: int, where: str | None) -> list[sa.ColumnElement[bool]]:
+    """What holds for trips of which a computation has no row."""
+    made = sa.exists().where(results.c.computation == computation, results.c.trip == trips.c.id)
+    return [*conditions(where), ~made, _there()]
 
 
 def _there() -> sa.ColumnElement[bool]:
     """Whether a log of a trip is present."""
     return sa.exists().where(files.c.trip == trips.c.id, files.c.state == "present")
-
-
-def gone(database: Database, condition: sa.ColumnElement[bool] | None) -> int:
-    """How many trips that count have no log any more; see `Catalogue.gone`."""
-    also = [] if condition is None else [condition]
-    asked = sa.select(sa.func.count()).select_from(trips)
-    with database.reading() as connection:
-        found = connection.execute(asked.where(trips.c.standing == "counts", ~_there(), *also))
-        return int(found.scalar_one())
-
-
-def standing(
-    database: Database,
-    analysis: str,
-    code: str,
-    parameters: Mapping[str, Any] | None,
-    condition: sa.ColumnElement[bool] | None,
-) -> dict[str, int]:
-    """How many trips that count a computation has in each state, and how many are pending."""
-    also = [] if condition is None else [condition]
-    count = sa.func.count()
-    with database.reading() as connection:
-        number = computation_id(connection, analysis, code, parameters)
-        found: dict[str, int] = {}
-        if number is not None and not also:
-            found = _by_state(connection, results.c.computation == number).get(number, {})
-        elif number is not None:
-            asked = (
-                sa.select(results.c.state, count)
-                .join(trips, trips.c.id == results.c.trip)
-                .where(results.c.computation == number, trips.c.standing == "counts", *also)
-                .group_by(results.c.state)
-            )
-            found = {str(row[0]): int(row[1]) for row in connection.execute(asked)}
-        left = sa.select(count).select_from(trips).where(*_unmade(number), *also)
-        pending = int(connection.execute(left).scalar_one())
-    return {state: found.get(state, 0) for state in STATES} | {"pending": pending}
-
-
-def problems(
-    database: Database,
-    analysis: str,
-    code: str,
-    parameters: Mapping[str, Any] | None,
-    condition: sa.ColumnElement[bool] | None,
-    most: int,
-) -> pd.DataFrame:
-    """Trips that were refused or failed, with the reasons, in the order of key."""
-    columns = (trips.c.key, trips.c.name, log_of_trip(), results.c.state, results.c.reason)
-    with database.reading() as connection:
-        number = computation_id(connection, analysis, code, parameters)
-        asked = (
-            sa.select(*columns)
-            .join(results, results.c.trip == trips.c.id)
-            .where(
-                results.c.computation == (number or -1),
-                results.c.state.in_(("refused", "failed")),
-                trips.c.standing == "counts",
-                *([] if condition is None else [condition]),
-            )
-        )
-        rows = connection.execute(asked.order_by(trips.c.key).limit(most)).all()
-    return pd.DataFrame(rows, columns=["key", "name", "path", "state", "reason"], dtype=object)
-
-
-def forget(
-    database: Database,
-    analysis: str,
-    code: str,
-    parameters: Mapping[str, Any] | None,
-    condition: sa.ColumnElement[bool] | None,
-    states: Sequence[ResultState],
-) -> int:
-    """Make trips pending again, see `Catalogue.forget`; how many."""
-    folder = database.results / analysis
-    chosen = sa.select(trips.c.id).where(*([] if condition is None else [condition]))
-    with database.reading() as connection:
-        number = computation_id(connection, analysis, code, parameters) or -1
-        asked = sa.select(result_files.c.name).where(result_files.c.computation == number)
-        names = connection.execute(asked).scalars().all()
-    lost = [name for name in names if not is_readable(folder / name)]
-    with database.writing() as connection:
-        held = sa.select(result_files.c.id).where(
-            result_files.c.computation == number, result_files.c.name.in_(lost)
-        )
-        gone = sa.delete(results).where(
-            results.c.computation == number,
-            results.c.file.in_(held) | (results.c.state.in_(states) & results.c.trip.in_(chosen)),
-        )
-        count = int(connection.execute(gone).rowcount)
-        connection.execute(sa.delete(result_files).where(result_files.c.id.in_(held)))
-        for name in lost:  # of the same content as what is computed anew, perhaps
-            (folder / name).unlink(missing_ok=True)
-        return count
 
 
 def is_readable(path: Path) -> bool:
@@ -292,57 +195,6 @@ def unreadable(path: str | Path) -> InputError:
         file=path,
         remedy="'trainlog fleet update --retry' computes its trips anew",
     )
-
-
-def record(
-    database: Database,
-    analysis: str,
-    code: str,
-    parameters: Mapping[str, Any] | None,
-    outcomes: Sequence[ResultOutcome],
-    table: pa.Table | None,
-) -> int:
-    """Write the file of a batch, then its rows in one transaction; how many were recorded."""
-    name = None
-    if table is not None and table.num_rows:
-        _check(table, outcomes)
-        name = write_table(database.results / analysis, table)
-    with database.writing() as connection:
-        number = made_computation(connection, analysis, code, parameters)
-        ids: dict[str, int] = {}
-        for part in parts(sorted({each.sha256 for each in outcomes})):
-            asked = sa.select(trips.c.sha256, trips.c.id).where(trips.c.sha256.in_(part))
-            ids |= {row.sha256: row.id for row in connection.execute(asked)}
-        known: set[int] = set()
-        for part in parts(sorted(ids.values())):
-            there = sa.select(results.c.trip).where(
-                results.c.computation == number, results.c.trip.in_(part)
-            )
-            known |= set(connection.execute(there).scalars())
-        new = [each for each in outcomes if each.sha256 in ids and ids[each.sha256] not in known]
-        if not new:
-            return 0
-        file = None
-        if name is not None and any(each.rows for each in new):
-            assert table is not None
-            if not (database.results / analysis / name).is_file():
-                # It stood there, and was removed as one that no row names.
-                write_table(database.results / analysis, table)
-            file = file_id(connection, number, name, table.num_rows)
-        rows = [
-            {
-                "computation": number,
-                "trip": ids[each.sha256],
-                "state": each.state,
-                "reason": each.reason,
-                "file": file if each.rows else None,
-                "rows": each.rows,
-                "seconds": each.seconds,
-            }
-            for each in {each.sha256: each for each in new}.values()
-        ]
-        connection.execute(sa.insert(results), rows)
-        return len(rows)
 
 
 def file_id(connection: sa.Connection, computation: int, name: str, rows: int) -> int:
@@ -427,59 +279,13 @@ def _check(table: pa.Table, outcomes: Sequence[ResultOutcome]) -> None:
             )
 
 
-def merged(
-    database: Database,
-    analysis: str,
-    code: str | None,
-    parameters: Mapping[str, Any] | None,
-    condition: sa.ColumnElement[bool] | None,
-    attempts: int = 3,
-) -> pd.DataFrame:
-    """The rows of all trips that count, in the order of trip; see `Catalogue.results`."""
-    for attempt in range(attempts):
-        rows = recorded(database, analysis, code, parameters, condition)
-        try:
-            return _joined(database, analysis, rows)
-        except FileNotFoundError as error:
-            # Another process merged small files meanwhile: what it made is named now.
-            if attempt + 1 == attempts:
-                raise unreadable(error.filename or database.results) from error
-    raise AssertionError
-
-
-def recorded(
-    database: Database,
-    analysis: str,
-    code: str | None,
-    parameters: Mapping[str, Any] | None,
-    condition: sa.ColumnElement[bool] | None,
-) -> pd.DataFrame:
+def recorded(database: Database, of: Computation | str, where: str | None = None) -> pd.DataFrame:
     """The trips of a computation that have rows, with the file that holds them."""
-    asked = (
-        sa.select(trips.c.key, *(trips.c[name] for name in JOINED), result_files.c.name)
-        .select_from(results)
-        .join(trips, trips.c.id == results.c.trip)
-        .join(result_files, result_files.c.id == results.c.file)
-        .where(trips.c.standing == "counts")
-    )
-    if condition is not None:
-        asked = asked.where(condition)
+    about = (trips.c.key, *(trips.c[name] for name in JOINED), result_files.c.name)
     with database.reading() as connection:
-        number = latest(connection, analysis, code, parameters)
-        rows = connection.execute(asked.where(results.c.computation == (number or -1)))
-        return pd.DataFrame(columns_of(rows.all(), [KEY, *JOINED, "name"]))
-
-
-def latest(
-    connection: sa.Connection, analysis: str, code: str | None, parameters: Mapping[str, Any] | None
-) -> int | None:
-    """The computation asked for: of several the one that was recorded last."""
-    asked = sa.select(computations.c.id).where(computations.c.analysis == analysis)
-    if code is not None:
-        asked = asked.where(computations.c.code == code)
-    if parameters is not None:
-        asked = asked.where(computations.c.parameters == digest_of(parameters))
-    return connection.execute(asked.order_by(computations.c.last.desc()).limit(1)).scalar()
+        asked = trips_with_results(computation_id(connection, of), where, *about)
+        asked = asked.join(result_files, result_files.c.id == results.c.file)
+        return pd.DataFrame(columns_of(connection.execute(asked).all(), [KEY, *JOINED, "name"]))
 
 
 def analyses_recorded(connection: sa.Connection) -> list[str]:
@@ -488,11 +294,11 @@ def analyses_recorded(connection: sa.Connection) -> list[str]:
     return list(connection.execute(asked).scalars())
 
 
-def _joined(database: Database, analysis: str, rows: pd.DataFrame) -> pd.DataFrame:
+def _joined(folder: Path, rows: pd.DataFrame) -> pd.DataFrame:
     """The rows of trips with what is known of these."""
     if not len(rows):
         return pd.DataFrame(columns=[KEY, *JOINED])
-    together: pd.DataFrame = _table_of(database.results / analysis, rows).to_pandas()
+    together: pd.DataFrame = _table_of(folder, rows).to_pandas()
     place = pd.Index(rows[KEY]).get_indexer(together[KEY])
     for name in JOINED:
         if name not in together:
@@ -519,85 +325,6 @@ def _by_state(
             counts = found.setdefault(computation, dict.fromkeys(STATES, 0))
             counts[state] += sign * int(count)
     return found
-
-
-def recorded_computations(database: Database) -> pd.DataFrame:
-    """What was computed, and of how many trips; see `Catalogue.computations`."""
-    with database.reading() as connection:
-        asked = sa.select(computations).order_by(computations.c.last.desc())
-        rows = connection.execute(asked).mappings().all()
-        counts = _by_state(connection)
-    found = [
-        {
-            "analysis": row["analysis"],
-            "code": row["code"],
-            "parameters": json.loads(row["content"]),
-            **counts[row["id"]],
-        }
-        for row in rows
-        if any(counts.get(row["id"], {}).values())
-    ]
-    return pd.DataFrame(found, columns=["analysis", "code", "parameters", *STATES])
-
-
-def outcomes_of(
-    database: Database,
-    analysis: str,
-    code: str | None,
-    parameters: Mapping[str, Any] | None,
-    condition: sa.ColumnElement[bool] | None,
-) -> pd.DataFrame:
-    """What became of each trip that counts; see `Catalogue.outcomes`."""
-    about = (KEY, "name", *JOINED)
-    asked = (
-        sa.select(*(trips.c[name] for name in about), results.c.state, results.c.reason,
-                  results.c.rows, results.c.seconds)
-        .join(trips, trips.c.id == results.c.trip)
-        .where(trips.c.standing == "counts")
-        .order_by(trips.c.key)
-    )  # fmt: skip
-    if condition is not None:
-        asked = asked.where(condition)
-    with database.reading() as connection:
-        number = latest(connection, analysis, code, parameters)
-        rows = connection.execute(asked.where(results.c.computation == (number or -1))).all()
-    names = [*about, "state", "reason", "rows", "seconds"]
-    found = pd.DataFrame(columns_of(rows, names))
-    found["start"] = pd.to_datetime(found["start"], utc=True)
-    return found
-
-
-def compact(
-    database: Database,
-    analysis: str,
-    code: str | None,
-    parameters: Mapping[str, Any] | None,
-    attempts: int = 3,
-) -> int:
-    """Put all rows of a computation into one file; how many files it replaces."""
-    folder = database.results / analysis
-    remove_left(database, folder)
-    for _ in range(attempts):
-        with database.reading() as connection:
-            number = latest(connection, analysis, code, parameters)
-            files_held = sa.select(sa.func.count()).where(result_files.c.computation == number)
-            if number is None or connection.execute(files_held).scalar_one() < 2:
-                return 0
-            rows = _held(connection, number)
-        # Of a trip whose log changed there are rows of both contents: each has a file of its own.
-        once = rows[~rows.duplicated(KEY)]
-        if once["file"].nunique() < 2:
-            return 0
-        try:
-            table = _table_of(folder, once)
-        except FileNotFoundError:
-            continue  # another process put them together meanwhile
-        path = folder / write_table(folder, table)
-        removed = _put(database, number, once, path, table.num_rows)
-        if removed is not None:
-            remove_unnamed(database, folder, removed)
-            return len(removed)
-    return 0
 
 
 def _held(connection: sa.Connection, computation: int) -> pd.DataFrame:
@@ -665,3 +392,361 @@ def _table_of(folder: Path, rows: pd.DataFrame) -> pa.Table:
         sort_keys=[(KEY, "ascending"), ("place", "ascending")],
     )
     return together.take(order).replace_schema_metadata(None)
+
+
+class Computed(Database):
+    """A catalogue as far as it keeps what was computed of its trips."""
+
+    def _folder_of(self, of: Computation | str) -> Path:
+        """Folder of the results of an analysis."""
+        return self.results_folder / (of if isinstance(of, str) else of.analysis)
+
+    def pending(
+        self,
+        of: Computation | str,
+        *,
+        where: str | None = None,
+        page: tuple[str, int] | None = None,
+    ) -> pd.DataFrame:
+        """The trips of which an analysis has not been recorded, in the order of key.
+
+        Those whose logs have vanished are not among them. A log whose content changed is asked for
+        anew: what was computed of it before is not of this content.
+
+        Parameters
+        ----------
+        of : Computation, or str
+            By the name of an analysis its latest computation is meant.
+        where : str, optional
+            As for `query`.
+        page : (str, int), optional
+            Only trips behind this key, and so many at most.
+
+        Returns
+        -------
+        DataFrame
+            With the columns ``key``, ``sha256``, ``path`` and ``name``.
+        """
+        with self.reading() as connection:
+            columns = (trips.c.key, trips.c.sha256, log_of_trip(), trips.c.name)
+            asked = sa.select(*columns).where(*_unmade(computation_id(connection, of), where))
+            if page is not None:
+                asked = asked.where(trips.c.key > page[0]).limit(page[1])
+            rows = connection.execute(asked.order_by(trips.c.key)).all()
+        return pd.DataFrame(columns_of(rows, ["key", "sha256", "path", "name"]), dtype=object)
+
+    def standing(
+        self,
+        of: Computation | str,
+        *,
+        where: str | None = None,
+    ) -> dict[str, int]:
+        """How many trips of an analysis are ``done``, ``refused``, ``failed`` and ``pending``.
+
+        Parameters are those of `pending`.
+        """
+        count = sa.func.count()
+        with self.reading() as connection:
+            number = computation_id(connection, of)
+            if where is None:
+                found = _by_state(connection, results.c.computation == number).get(number, {})
+            else:
+                asked = trips_with_results(number, where, results.c.state, count)
+                rows = connection.execute(asked.group_by(results.c.state))
+                found = {str(row[0]): int(row[1]) for row in rows}
+            left = sa.select(count).select_from(trips).where(*_unmade(number, where))
+            pending = int(connection.execute(left).scalar_one())
+        return {state: found.get(state, 0) for state in STATES} | {"pending": pending}
+
+    def gone(self, where: str | None = None) -> int:
+        """How many trips that count have no log any more: all of their files have vanished.
+
+        Nothing more can be computed of them; what was computed stays.
+
+        Parameters
+        ----------
+        where : str, optional
+            Only of the trips that this expression chooses.
+        """
+        asked = sa.select(sa.func.count()).select_from(trips)
+        with self.reading() as connection:
+            found = connection.execute(asked.where(*conditions(where), ~_there()))
+            return int(found.scalar_one())
+
+    def problems(
+        self,
+        of: Computation | str,
+        *,
+        where: str | None = None,
+        most: int = 1000,
+    ) -> pd.DataFrame:
+        """The trips that an analysis refused, or failed at, with the reasons, in the order of key.
+
+        Parameters are those of `pending`, and how many are listed at most.
+
+        Returns
+        -------
+        DataFrame
+            With the columns ``key``, ``name``, ``path``, ``state`` and ``reason``.
+        """
+        columns = (trips.c.key, trips.c.name, log_of_trip(), results.c.state, results.c.reason)
+        with self.reading() as connection:
+            asked = trips_with_results(computation_id(connection, of), where, *columns)
+            asked = asked.where(results.c.state.in_(("refused", "failed")))
+            rows = connection.execute(asked.order_by(trips.c.key).limit(most)).all()
+        return pd.DataFrame(rows, columns=["key", "name", "path", "state", "reason"], dtype=object)
+
+    def forget(
+        self,
+        of: Computation | str,
+        *,
+        where: str | None = None,
+        states: Sequence[ResultState] = ("refused", "failed"),
+    ) -> int:
+        """Make trips pending again that an analysis refused or failed at; how many.
+
+        And all trips whose file of results is missing or damaged. Parameters are those of
+        `pending`, and the states that are forgotten.
+        """
+        folder = self._folder_of(of)
+        # And of trips that do not count: they may count again.
+        chosen = sa.select(trips.c.id).where(*conditions(where)[1:])
+        with self.reading() as connection:
+            number = computation_id(connection, of)
+            asked = sa.select(result_files.c.name).where(result_files.c.computation == number)
+            names = connection.execute(asked).scalars().all()
+        lost = [name for name in names if not is_readable(folder / name)]
+        with self.writing() as connection:
+            held = sa.select(result_files.c.id).where(
+                result_files.c.computation == number, result_files.c.name.in_(lost)
+            )
+            gone = sa.delete(results).where(
+                results.c.computation == number,
+                results.c.file.in_(held)
+                | (results.c.state.in_(states) & results.c.trip.in_(chosen)),
+            )
+            count = int(connection.execute(gone).rowcount)
+            connection.execute(sa.delete(result_files).where(result_files.c.id.in_(held)))
+            for name in lost:  # of the same content as what is computed anew, perhaps
+                (folder / name).unlink(missing_ok=True)
+            return count
+
+    def record(
+        self,
+        of: Computation,
+        outcomes: Sequence[ResultOutcome],
+        table: pa.Table | None = None,
+    ) -> int:
+        """Keep what was computed of a batch of trips: the table first, then all rows at once.
+
+        Of a trip that was recorded meanwhile, by another process perhaps, nothing is recorded a
+        second time.
+
+        Parameters
+        ----------
+        of : Computation
+        outcomes : sequence of ResultOutcome
+            One a trip, of those that gave nothing, too.
+        table : pyarrow.Table, optional
+            Rows of all of them, with the column ``key``.
+
+        Returns
+        -------
+        int
+            How many were recorded.
+
+        Raises
+        ------
+        InputError
+            If the table does not hold the rows that the outcomes state, or cannot be written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import pyarrow as pa
+        >>> from trainlog.catalogue import Computation, ResultOutcome, open_catalogue
+        >>> stops = Computation("stops", code="1")
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     _ = catalogue.add("sample_logs")
+        ...     todo = catalogue.pending(stops)
+        ...     table = pa.table({"key": todo["key"].tolist(), "stops": [8, 0]})
+        ...     done = [ResultOutcome(row.key, row.sha256, rows=1) for row in todo.itertuples()]
+        ...     recorded = catalogue.record(stops, done, table)
+        ...     left = len(catalogue.pending(stops))
+        >>> recorded, left
+        (2, 0)
+        """
+        folder, name = self._folder_of(of), None
+        if table is not None and table.num_rows:
+            _check(table, outcomes)
+            name = write_table(folder, table)
+        with self.writing() as connection:
+            number = made_computation(connection, of)
+            ids: dict[str, int] = {}
+            for part in parts(sorted({each.sha256 for each in outcomes})):
+                asked = sa.select(trips.c.sha256, trips.c.id).where(trips.c.sha256.in_(part))
+                ids |= {row.sha256: row.id for row in connection.execute(asked)}
+            known: set[int] = set()
+            for part in parts(sorted(ids.values())):
+                there = sa.select(results.c.trip).where(
+                    results.c.computation == number, results.c.trip.in_(part)
+                )
+                known |= set(connection.execute(there).scalars())
+            new = [
+                each for each in outcomes if each.sha256 in ids and ids[each.sha256] not in known
+            ]
+            if not new:
+                return 0
+            file = None
+            if name is not None and any(each.rows for each in new):
+                assert table is not None
+                if not (folder / name).is_file():
+                    # It stood there, and was removed as one that no row names.
+                    write_table(folder, table)
+                file = file_id(connection, number, name, table.num_rows)
+            rows = [
+                {
+                    "computation": number,
+                    "trip": ids[each.sha256],
+                    "state": each.state,
+                    "reason": each.reason,
+                    "file": file if each.rows else None,
+                    "rows": each.rows,
+                    "seconds": each.seconds,
+                }
+                for each in {each.sha256: each for each in new}.values()
+            ]
+            connection.execute(sa.insert(results), rows)
+            return len(rows)
+
+    def results(
+        self,
+        of: Computation | str,
+        *,
+        where: str | None = None,
+    ) -> pd.DataFrame:
+        """The tables of all trips together, in the order of trip, with what is known of these.
+
+        Parameters
+        ----------
+        of, where
+            As for `pending`.
+
+        Returns
+        -------
+        DataFrame
+            The columns of the analysis, with ``key``, and ``train``, ``kind``, ``line`` and
+            ``start`` of the trip where it has none of that name.
+        """
+        for attempt in range(ATTEMPTS):
+            try:
+                return _joined(self._folder_of(of), recorded(self, of, where))
+            except FileNotFoundError as error:
+                # Another process merged small files meanwhile: what it made is named now.
+                if attempt + 1 == ATTEMPTS:
+                    raise unreadable(error.filename or self.results_folder) from error
+        raise AssertionError
+
+    def computations(self) -> pd.DataFrame:
+        """What was computed of the trips, the latest first.
+
+        Returns
+        -------
+        DataFrame
+            The columns ``analysis``, ``code``, ``parameters`` (a dict), and how many trips are
+            ``done``, ``refused`` and ``failed``.
+        """
+        with self.reading() as connection:
+            asked = sa.select(computations).order_by(computations.c.last.desc())
+            rows = connection.execute(asked).mappings().all()
+            counts = _by_state(connection)
+        found = [
+            {
+                "analysis": row["analysis"],
+                "code": row["code"],
+                "parameters": json.loads(row["content"]),
+                **counts[row["id"]],
+            }
+            for row in rows
+            if any(counts.get(row["id"], {}).values())
+        ]
+        return pd.DataFrame(found, columns=["analysis", "code", "parameters", *STATES])
+
+    def outcomes(
+        self,
+        of: Computation | str,
+        *,
+        where: str | None = None,
+    ) -> pd.DataFrame:
+        """What became of the analysis of each trip, in the order of trip.
+
+        Parameters
+        ----------
+        of, where
+            As for `pending`.
+
+        Returns
+        -------
+        DataFrame
+            The columns ``key``, ``name``, ``train``, ``kind``, ``line``, ``start`` of the trip,
+            ``state``, ``reason``, ``rows`` and ``seconds``.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from trainlog.catalogue import Computation, ResultOutcome, open_catalogue
+        >>> stops = Computation("stops", code="1")
+        >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+        ...     _ = catalogue.add("sample_logs")
+        ...     todo = catalogue.pending(stops)
+        ...     given = zip(todo["key"], todo["sha256"])
+        ...     refused = [ResultOutcome(*each, "refused", "no stop") for each in given]
+        ...     _ = catalogue.record(stops, refused)
+        ...     found, made = catalogue.outcomes("stops"), catalogue.computations()
+        >>> found["reason"].tolist(), made[["analysis", "refused"]].values.tolist()
+        (['no stop', 'no stop'], [['stops', 2]])
+        """
+        about, own = (KEY, "name", *JOINED), ("state", "reason", "rows", "seconds")
+        columns = [*(trips.c[name] for name in about), *(results.c[name] for name in own)]
+        with self.reading() as connection:
+            asked = trips_with_results(computation_id(connection, of), where, *columns)
+            rows = connection.execute(asked.order_by(trips.c.key)).all()
+        found = pd.DataFrame(columns_of(rows, [*about, *own]))
+        found["start"] = pd.to_datetime(found["start"], utc=True)
+        return found
+
+    def compact(self, of: Computation | str) -> int:
+        """Put the rows of all trips into one file, in the order of trip; how many files went.
+
+        The same results give the same bytes, in whatever batches and order they were recorded.
+        What reads or records meanwhile is not disturbed. Files that killed processes left
+        unfinished are removed when they are an hour old.
+
+        Parameters
+        ----------
+        of
+            As for `pending`.
+        """
+        folder = self._folder_of(of)
+        remove_left(self, folder)
+        for _ in range(ATTEMPTS):
+            with self.reading() as connection:
+                number = computation_id(connection, of)
+                files_held = sa.select(sa.func.count()).where(result_files.c.computation == number)
+                if connection.execute(files_held).scalar_one() < 2:
+                    return 0
+                rows = _held(connection, number)
+            # Of a trip whose log changed there are rows of both contents, each with its file.
+            once = rows[~rows.duplicated(KEY)]
+            if once["file"].nunique() < 2:
+                return 0
+            try:
+                table = _table_of(folder, once)
+            except FileNotFoundError:
+                continue  # another process put them together meanwhile
+            path = folder / write_table(folder, table)
+            removed = _put(self, number, once, path, table.num_rows)
+            if removed is not None:
+                remove_unnamed(self, folder, removed)
+                return len(removed)
+        return 0

@@ -19,6 +19,7 @@ import sqlalchemy as sa
 
 from trainlog.catalogue.database import columns_of
 from trainlog.catalogue.results import (
+    ATTEMPTS,
     KEY,
     analyses_recorded,
     is_readable,
@@ -35,9 +36,6 @@ if TYPE_CHECKING:
     from sqlglot import exp
 
     from trainlog.catalogue.database import Database
-
-_ATTEMPTS = 3
-"""At reading files of results that another process puts together meanwhile."""
 
 _EXAMPLE = "select train, count(*) from trips group by train"
 
@@ -67,14 +65,14 @@ def asked(database: Database, statement: str) -> pd.DataFrame:
     require("duckdb")
     import duckdb
 
-    for attempt in range(_ATTEMPTS):
+    for attempt in range(ATTEMPTS):
         analyses = _analyses(database)
         named = _named_in(statement, [*_TABLES, *analyses], database.place)
         try:
             with _connection(database, analyses, named) as connection:
                 return connection.execute(statement).df()
         except duckdb.Error as error:
-            if isinstance(error, duckdb.IOException) and attempt + 1 < _ATTEMPTS:
+            if isinstance(error, duckdb.IOException) and attempt + 1 < ATTEMPTS:
                 # Another process put files of results together meanwhile, perhaps.
                 continue
             _check_files(database, analyses, named.tables, error)
@@ -220,8 +218,8 @@ def _confine(connection: duckdb.DuckDBPyConnection, paths: list[str]) -> None:
 
 
 def _results_of(database: Database, analysis: str) -> _Analysis:
-    rows = recorded(database, analysis, None, None, None)
-    folder = (database.results / analysis).absolute()
+    rows = recorded(database, analysis)
+    folder = (database.results_folder / analysis).absolute()
     return _Analysis([str(folder / name) for name in sorted(set(rows["name"]))], rows)
 
 
