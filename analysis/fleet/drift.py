@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -53,7 +54,7 @@ DRIFTING = ("size of the curve", "constant resistance", "speed scale", "effort g
 """Channels that are looked at."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Drift:
     """What a channel does over months.
 
@@ -62,14 +63,14 @@ class Drift:
     train, kind : str
         The train is empty for the whole kind.
     channel, unit : str
-    trend, trend_std : float
-        Change a month; NaN where the trips do not show it.
-    factor : float
+    trend_a_month, trend_std : float
+        NaN where the trips do not show it.
+    band_factor : float
         Standard deviations that make the 95 % band.
     season, season_std : float
         Half of the difference between the extremes of the year; NaN where it is not shown.
-    highest : int
-        Month of the year, 1 to 12, in which it is highest; 0 where it is not known.
+    highest_month : int or None
+        Of the year, 1 to 12; None where it is not known.
     months : float
         That the trips span.
     steps : tuple of Timestamp
@@ -82,12 +83,12 @@ class Drift:
     kind: str
     channel: str
     unit: str
-    trend: float
-    trend_std: float
-    factor: float
-    season: float
-    season_std: float
-    highest: int
+    trend_a_month: float = np.nan
+    trend_std: float = np.nan
+    band_factor: float = np.nan
+    season: float = np.nan
+    season_std: float = np.nan
+    highest_month: int | None = None
     months: float
     steps: tuple[pd.Timestamp, ...]
     reason: str
@@ -95,8 +96,8 @@ class Drift:
     @property
     def band(self) -> tuple[float, float]:
         """Lower and upper end of the trend's 95 % band, a month."""
-        reach = self.factor * self.trend_std
-        return self.trend - reach, self.trend + reach
+        reach = self.band_factor * self.trend_std
+        return self.trend_a_month - reach, self.trend_a_month + reach
 
     @property
     def drifts(self) -> bool:
@@ -106,11 +107,11 @@ class Drift:
 
     def __str__(self) -> str:
         whose = self.train or f"kind {self.kind}"
-        if not np.isfinite(self.trend):
+        if not np.isfinite(self.trend_a_month):
             return f"{whose}: {self.channel}: {self.reason}"
         factor, unit = {"1": (100.0, "%"), "N": (1.0, "N"), "s": (1e3, "ms")}[self.unit]
-        reach = self.factor * self.trend_std
-        words = f"{factor * self.trend:+.3g} ± {factor * reach:.2g} {unit} a month"
+        reach = self.band_factor * self.trend_std
+        words = f"{factor * self.trend_a_month:+.3g} ± {factor * reach:.2g} {unit} a month"
         if np.isfinite(self.season):
             words += f", ± {factor * self.season:.2g} {unit} over the year"
         return f"{whose}: {self.channel} {words}" + (f" ({self.reason})" if self.reason else "")
@@ -209,51 +210,28 @@ def _trend(
     if seasonal:
         angle = 2.0 * np.pi * months / YEAR
         columns += [np.sin(angle), np.cos(angle)]
+    about: dict[str, Any] = {"train": train, "kind": kind, "months": span, "steps": tuple(at)}
+    about |= {"channel": channel.name, "unit": channel.unit}
     reason = ""
     if span < SHORTEST_TREND or count < max(FEWEST_WEEKS, len(columns) + 2):
         reason = f"{counted(round(span * MONTH), 'day')} in {counted(count, 'week')} show no trend"
-        nothing = np.nan
-        return Drift(
-            train,
-            kind,
-            channel.name,
-            channel.unit,
-            nothing,
-            nothing,
-            nothing,
-            nothing,
-            nothing,
-            0,
-            span,
-            tuple(at),
-            reason,
-        )
+        return Drift(**about, reason=reason)
     if season and not seasonal:
         reason = f"{span:.1f} months do not separate a season from a trend"
     beta, covariance = _regressed(np.column_stack(columns), value, std, weeks)
-    amplitude, amplitude_std, highest = np.nan, np.nan, 0
     if seasonal:
         sine, cosine = float(beta[-2]), float(beta[-1])
         amplitude = float(np.hypot(sine, cosine))
         along = np.array([sine, cosine]) / max(amplitude, 1e-300)
-        amplitude_std = float(np.sqrt(along @ covariance[-2:, -2:] @ along))
         peak = first + pd.Timedelta(days=float(np.arctan2(sine, cosine) / (2 * np.pi) * 365.25))
-        highest = int(peak.month)
-    factor = float(stdtrit(max(count - len(columns), 1), 0.975))
+        about |= {"season": amplitude, "highest_month": int(peak.month)}
+        about["season_std"] = float(np.sqrt(along @ covariance[-2:, -2:] @ along))
     return Drift(
-        train,
-        kind,
-        channel.name,
-        channel.unit,
-        float(beta[1]),
-        float(np.sqrt(covariance[1, 1])),
-        factor,
-        amplitude,
-        amplitude_std,
-        highest,
-        span,
-        tuple(at),
-        reason,
+        **about,
+        trend_a_month=float(beta[1]),
+        trend_std=float(np.sqrt(covariance[1, 1])),
+        band_factor=float(stdtrit(max(count - len(columns), 1), 0.975)),
+        reason=reason,
     )
 
 

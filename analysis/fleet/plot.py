@@ -23,8 +23,7 @@ from analysis.charts import (
     Span,
 )
 from analysis.fleet.resistance import KindResistance
-from analysis.fleet.trains import FleetTrains
-from analysis.fleet.trains_table import AT
+from analysis.fleet.trains import AT, FleetTrains
 from analysis.fleet.unlike import Finding
 from trainlog.arrays import FloatArray
 from trainlog.display import counted

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
 
 from analysis.fleet.drift import Drift, drift_of
@@ -12,22 +14,48 @@ from analysis.fleet.resistance import (
     FEWEST_COMPARED,
     FleetResistance,
     KindResistance,
+    TrainResistance,
     drives_of,
     fleet_resistance,
 )
 from analysis.fleet.unlike import (
     FALSE_ALARMS,
     Finding,
+    Limit,
     UnlikeTrains,
     months_of,
     unlike_trains,
 )
 from trainlog.display import counted
 from trainlog.errors import InputError
-from trainlog.presentation import Presented, WordTable
+from trainlog.presentation import (
+    FORCE,
+    NUMBER,
+    SHARE,
+    Band,
+    Column,
+    Presented,
+    Said,
+    WordTable,
+    new_table,
+)
+from trainlog.units import KMH
 
 if TYPE_CHECKING:
     from trainlog.catalogue import Catalogue
+
+AT = 80.0 / KMH
+"""Speed [m/s] at which trains are compared."""
+
+NAMES = {
+    "constant resistance": "dragging brake",
+    "size of the curve": "running resistance",
+    "effort gain": "effort gain, mass",
+    "speed scale": "wheel diameter",
+    "effort delay": "sensor delay",
+    "speed noise": "speed noise",
+}
+"""Faults by the channel that shows them."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,9 +89,131 @@ class FleetTrains(Presented):
 
     def tables(self) -> list[WordTable]:
         """Resistance of each train and its drift; what is unlike; what would not be seen."""
-        from analysis.fleet.trains_table import findings_table, limits_table, trains_table
+        return [self.trains_table(), self.findings_table(), self.limits_table()]
 
-        return [trains_table(self), findings_table(self), limits_table(self)]
+    def trains_table(self) -> WordTable:
+        """Resistance of each train, and its drift."""
+        rows = ((kind, one) for kind in self.resistance for one in (*kind.trains, kind.another))
+        return new_table(
+            "Trains of the fleet",
+            Column("train", of=lambda row: row[1].train or f"another {row[1].kind}"),
+            Column("kind", of=lambda row: row[1].kind),
+            Column("trips", NUMBER, of=lambda row: row[1].trips),
+            Column(
+                "at 80 km/h",
+                FORCE,
+                key="resistance_at_80_km_h",
+                band=True,
+                of=lambda row: Band(float(row[1].resistance(AT)), _std(row[1])),
+            ),
+            Column("against its kind", SHARE, key="against_kind", band=True, of=_against_kind),
+            Column(
+                "drift a month",
+                SHARE,
+                band=True,
+                of=lambda row: self._drift(row[1], "size of the curve"),
+            ),
+            Column(
+                "wheels a month",
+                SHARE,
+                band=True,
+                of=lambda row: self._drift(row[1], "speed scale"),
+            ),
+            Column(
+                "findings",
+                of=lambda row: ", ".join(
+                    each.what for each in (self.of(row[1].train) if row[1].train else ())
+                ),
+            ),
+            name="trains",
+            caption="± half the 95 % band",
+        ).add_rows(rows)
+
+    def _drift(self, one: TrainResistance, channel: str) -> Band | None:
+        for each in self.drift:
+            if (each.train, each.kind, each.channel) == (one.train, one.kind, channel):
+                known = np.isfinite(each.trend_a_month)
+                std = each.band_factor / 1.96 * each.trend_std
+                return Band(each.trend_a_month, std) if known else None
+        return None
+
+    def findings_table(self) -> WordTable:
+        """Trains that are not like the others, or like themselves before."""
+        unlike = self.unlike
+        found = counted(len(unlike.findings), "finding")
+        caption = f"A healthy train raises an alarm in at most {100.0 * unlike.rate:g} % of months."
+        if not unlike.findings:
+            caption += " None raised one; what would not be seen is listed by kind."
+        for step in unlike.steps:
+            caption += f"\n{step.train}: {step}, since {step.since:%Y-%m-%d %H:%M}"
+        return new_table(
+            f"{found} in {unlike.train_months:.1f} months of trains",
+            Column("train"),
+            Column("what", of=lambda each: str(each.explanation)),
+            Column("since", of=lambda each: f"{each.since:%Y-%m-%d %H:%M}"),
+            Column("first trip", of="trip"),
+            Column("seen within trips", NUMBER, of="trips"),
+            Column("compared with", key="against"),
+            Column("p", NUMBER, of=lambda each: Said(each.p, f"{each.p:.0e}")),
+            name="findings",
+            caption=caption,
+        ).add_rows(unlike.findings)
+
+    def limits_table(self) -> WordTable:
+        """What would not be seen: of each kind, on the train on which least is seen."""
+        table = new_table(
+            "Smallest faults that are seen",
+            Column("kind"),
+            Column("fault"),
+            Column("a change within five trips", key="change"),
+            Column("from its first trip on", key="constant"),
+            Column("not at all on", key="blind"),
+            name="limits",
+            caption="A fault of this size is seen in 9 of 10 cases, on the train of the kind that"
+            " shows it least.",
+        )
+        for kind in self.resistance:
+            names = {each.train for each in kind.trains}
+            for channel, name in NAMES.items():
+                limits = [
+                    each
+                    for each in self.unlike.limits
+                    if each.train in names and each.channel == channel
+                ]
+                blind = [each for each in limits if not np.isfinite(each.change)]
+                reason = f"{counted(len(blind), 'train')}: {blind[0].reason}" if blind else ""
+                largest = (
+                    _limit(limits, [getattr(each, which) for each in limits])
+                    for which in ("change", "constant")
+                )
+                table.add_cells(kind.kind, name, *largest, reason)
+        return table
+
+    def details(self) -> dict[str, Any]:
+        """What was found, as a file holds it: numbers in SI units."""
+        unlike = self.unlike
+        return {
+            "format": "trainlog/fleet-trains",
+            "version": 1,
+            "kinds": [
+                {
+                    "kind": kind.kind,
+                    "mean": _curve(kind.mean),
+                    "another": _curve(kind.another),
+                    "compared": kind.compared,
+                    "between_trains": kind.between,
+                    "between_trips": kind.within,
+                    "trains": [_curve(each) for each in kind.trains],
+                }
+                for kind in self.resistance
+            ],
+            "findings": [_finding(each) for each in unlike.findings],
+            "false_alarms_per_train_and_month": unlike.rate,
+            "train_months": unlike.train_months,
+            "limits": unlike.limits,
+            "steps": unlike.steps,
+            "drift": self.drift,
+        }
 
     @property
     def notes(self) -> list[str]:
@@ -127,6 +277,40 @@ class FleetTrains(Presented):
         return replace(
             self, resistance=replace(self.resistance, kinds=kinds), unlike=unlike, drift=drift
         )
+
+
+def _std(one: TrainResistance) -> float:
+    """The band of a Student distribution, as the standard deviation of which a table shows 1.96."""
+    return float(one.reach(AT)) / 1.96
+
+
+def _against_kind(row: tuple[KindResistance, TrainResistance]) -> Band | None:
+    kind, one = row
+    mean = float(kind.mean.resistance(AT))
+    apart = float(one.resistance(AT)) / mean - 1.0 if one.train else 0.0
+    return Band(apart, _std(one) / mean) if kind.compared else None
+
+
+def _limit(limits: Sequence[Limit], sizes: Sequence[float]) -> str:
+    known = [size for size in sizes if np.isfinite(size)]
+    if not known:
+        return "-"
+    size, unit = max(known), limits[0].unit
+    if unit == "N":
+        return f"{size / 1e3:.1f} kN"
+    return f"{size:.2f} s" if unit == "s" else f"{100.0 * size:.1f} %"
+
+
+def _curve(curve: TrainResistance) -> dict[str, Any]:
+    rest = {name: getattr(curve, name) for name in ("covariance", "freedom", "asked")}
+    return {"train": curve.train, "trips": curve.trips, **asdict(curve.resistance), **rest}
+
+
+def _finding(each: Finding) -> dict[str, Any]:
+    found, said = asdict(each), each.explanation
+    del found["explanation"]
+    about = {"train": each.train, "kind": each.kind, "what": each.what, "explained": said.explained}
+    return about | {"causes": [said.cause, *said.others]} | found
 
 
 def fleet_trains(

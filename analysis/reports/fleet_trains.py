@@ -9,7 +9,6 @@ from analysis.fleet.plot import (
     resistance_charts,
 )
 from analysis.fleet.trains import FleetTrains
-from analysis.fleet.trains_table import findings_table, limits_table, trains_table
 from analysis.reports.charts import as_picture
 from analysis.reports.page import Part, Warned
 from trainlog.presentation import new_table
@@ -22,7 +21,7 @@ def resistance_parts(found: FleetTrains) -> list[Part]:
     """Running resistance of each train against its kind."""
     pictures = [as_picture(resistance_charts(kind, found)) for kind in found.resistance]
     # Findings and limits have a section of their own.
-    return [*_few(found), *pictures, trains_table(found)]
+    return [*_few(found), *pictures, found.trains_table()]
 
 
 def unlike_parts(found: FleetTrains) -> list[Part]:
@@ -36,9 +35,9 @@ def unlike_parts(found: FleetTrains) -> list[Part]:
             " months."
         )
     else:
-        parts.append(findings_table(found))
+        parts.append(found.findings_table())
         parts.append(as_picture(findings_charts(found)))
-    return [*parts, limits_table(found)]
+    return [*parts, found.limits_table()]
 
 
 def _few(found: FleetTrains) -> list[Part]:

@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from trainlog.cli.options import CatalogueOption, ZoneOption, destination, measured
-from trainlog.cli.terminal import console, current, print_error, print_warning, show, state, wrote
+from trainlog.cli.terminal import (
+    as_json_text,
+    console,
+    current,
+    print_error,
+    print_warning,
+    show,
+    state,
+    wrote,
+)
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write, output_folder
@@ -436,8 +445,6 @@ def fleet_trains(
 
     Example: trainlog fleet trains -o results/fleet-trains
     """
-    import json
-
     from analysis.charts import draw_charts
     from analysis.fleet.plot import (
         channels_over_time,
@@ -446,7 +453,6 @@ def fleet_trains(
         resistance_charts,
     )
     from analysis.fleet.trains import trains_in
-    from analysis.fleet.trains_table import trains_data
     from trainlog.catalogue import open_catalogue
 
     with open_catalogue(catalogue) as known:
@@ -458,8 +464,7 @@ def fleet_trains(
     with output_folder(output):
         path = output / "trains.json"
         with atomic_write(path) as temporary:
-            content = json.dumps(trains_data(shown), indent=1, ensure_ascii=False)
-            temporary.write_text(content + "\n", "utf-8")
+            temporary.write_text(as_json_text(shown.details()) + "\n", "utf-8")
         written.append(path)
         for each in shown.resistance:
             written.append(output / f"{each.kind}.resistance.png")
