@@ -12,7 +12,6 @@ import pytest
 
 from analysis.charts import figure_of
 from analysis.comparison.calculated import Calculation, calculate, judged_together
-from analysis.comparison.calculated_table import calculation_charts
 from analysis.resistance import fit_trip
 from trainlog import read_line, read_train
 from trainlog.cli import main as cli
@@ -141,9 +140,9 @@ def test_trips_together_contradict_what_one_leaves_open() -> None:
     trips = [calculate(log, wrong_file("r2")) for log in logs]
     together = judged_together(trips)
     assert [each.name for each in together.wrong] == ["r2"]
-    assert together.trips == 2
-    stds = [each.diagnosis.wrong[0].std for each in trips]
-    assert together.wrong[0].std < max(stds)
+    assert together.judged_trips == 2
+    stds = [each.diagnosis.wrong[0].factor_std for each in trips]
+    assert together.wrong[0].factor_std < max(stds)
     with pytest.raises(InputError, match="one train"):
         judged_together([])
 
@@ -153,7 +152,7 @@ def test_a_coefficient_that_is_four_times_too_large_is_named(name: str) -> None:
     found = calculate(driven(), wrong_file(name), wind_std=3.0)
     (named,) = found.diagnosis.wrong
     assert named.name == name
-    assert named.factor - 1.96 * named.std < 4.0 < named.factor + 2.5 * named.std
+    assert named.factor - 1.96 * named.factor_std < 4.0 < named.factor + 2.5 * named.factor_std
     assert len(found.outside) == len(found.table)
     assert found.explained["running resistance"] > 0.9
 
@@ -188,9 +187,9 @@ def test_without_efforts_the_energy_is_calculated_with_a_band_that_holds_the_tru
     energy = true_work(driven())
     off = found.total("calculated_work") - energy
     assert abs(off) < 1.96 * found.total_std("work_std") < 0.2 * energy
-    assert found.diagnosis.reason
+    assert found.diagnosis.not_judged
     assert "not judged" in found._repr_html_()
-    assert len(figure_of(calculation_charts(found)).axes) == 3
+    assert len(figure_of(found.charts()).axes) == 3
 
 
 def test_a_fit_of_another_train_is_refused() -> None:

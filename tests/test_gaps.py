@@ -10,11 +10,7 @@ import numpy as np
 import pytest
 
 from analysis.charts import figure_of
-from analysis.comparison.calculated import Calculation, calculate, judged_together
-from analysis.comparison.calculated_table import (
-    calculation_charts,
-    together_words,
-)
+from analysis.comparison.calculated import Calculation, calculate, judged_together, together_words
 from analysis.comparison.compare import ComparedTrip, compare
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
@@ -207,12 +203,12 @@ def test_a_calculation_starts_anew_behind_a_gap(bridged: bool) -> None:
     off = found.table["calculated_time"] - own.table["calculated_time"]
     assert off.abs().max() < 3.0
     assert f"{trip.name}: no speed for 20 s" in found._repr_html_()
-    assert len(figure_of(calculation_charts(found)).axes) == 3
+    assert len(figure_of(found.charts()).axes) == 3
 
 
 def test_a_drive_given_twice_is_judged_once() -> None:
     found = calculated(simulated())
-    assert judged_together([found, replace(found, trip="copy")]).trips == 1
+    assert judged_together([found, replace(found, trip="copy")]).judged_trips == 1
     assert "1 given twice, counted once" in together_words([found, found], found.diagnosis)
 
 

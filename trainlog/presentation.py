@@ -519,6 +519,8 @@ class WordTable:
         """The rows as a frame, with the SI units of its columns in ``attrs["units"]``."""
         import pandas as pd
 
+        if self.frame is not None and "units" in self.frame.attrs:
+            return self.frame
         found = pd.DataFrame(self.data)
         found.attrs["units"] = {
             key: form.quantity.si_unit
@@ -772,11 +774,14 @@ class Presented(Plotted):
         return {"type": "object", "properties": properties, "required": sorted(properties)}
 
     def to_frame(self, name: str = "") -> pd.DataFrame:
-        """One of the tables, the first unless it is named, with SI units in ``attrs["units"]``."""
+        """One of the tables, unless it is named the first that holds more than words.
+
+        The SI units of its columns are in ``attrs["units"]``.
+        """
         return self._table(name).to_frame()
 
     def to_csv(self, path: str | Path | None = None, name: str = "") -> str:
-        """One of the tables as CSV, the first unless it is named; written if a path is given."""
+        """One of the tables as CSV, as `to_frame` chooses it; written if a path is given."""
         text = self._table(name).to_csv()
         if path is not None:
             Path(path).write_text(text, encoding="utf-8")
@@ -784,7 +789,8 @@ class Presented(Plotted):
 
     def _table(self, name: str) -> WordTable:
         tables = self.tables()
-        found = [each for each in tables if name in ("", each.name)]
+        numbers = [each for each in tables if not each.plain] or tables
+        found = [each for each in tables if name == each.name] if name else numbers
         if not found:
             names = ", ".join(each.name for each in tables) or "none"
             raise KeyError(f"{type(self).__name__} has no table '{name}'; it has {names}")

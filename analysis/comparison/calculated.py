@@ -18,26 +18,74 @@ the gain of the efforts, the gradients, the speed itself.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 
 from analysis.comparison.diagnosis import Diagnosis, Evidence, diagnosed
-from analysis.comparison.prediction import Cells, explained_by, inputs_of, predicted, variants_of
+from analysis.comparison.prediction import (
+    WIDEST,
+    Cells,
+    explained_by,
+    inputs_of,
+    predicted,
+    variants_of,
+)
+from analysis.comparison.sections import with_units
 from analysis.given import Given, trip_of
 from analysis.resistance.fit import TripFit
 from analysis.resistance.observed import FitOfTrips, parameter_set
 from trainlog.arrays import FloatArray
+from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.formats.files import check_kind
 from trainlog.formats.train import train_to_bytes
-from trainlog.presentation import Presented, WordTable
+from trainlog.presentation import (
+    DURATION,
+    ENERGY,
+    SHARE,
+    SPEED,
+    Band,
+    Column,
+    Presented,
+    Said,
+    WordTable,
+    new_table,
+)
 from trainlog.railway import Line, ParameterSet, Train
 from trainlog.trip import TRAIN_ATTACHMENT
 from trainlog.units import JOULES_PER_KWH
+
+
+def _calculated(row: Mapping[str, Any], name: str) -> Band | str:
+    determined = row[f"{name}_determined"]
+    return Band(row[f"calculated_{name}"], row[f"{name}_std"]) if determined else "not determined"
+
+
+def _off(row: Mapping[str, Any]) -> Said | None:
+    off = row["work"] / row["calculated_work"] - 1.0 if row["calculated_work"] else math.nan
+    known = math.isfinite(off) and row["work_determined"]
+    return Said(off, f"{off:+.1%}") if known else None
+
+
+SECTIONS = (
+    Column("section"),
+    Column("time measured", DURATION, of="time"),
+    Column("calculated", DURATION, of=lambda row: _calculated(row, "time")),
+    Column(
+        "speed off (RMS)",
+        SPEED,
+        of=lambda row: row["speed_rms"] if row["time_determined"] else None,
+    ),
+    Column("wheels measured", ENERGY, of="work"),
+    Column("calculated", ENERGY, of=lambda row: _calculated(row, "work")),
+    Column("off", SHARE, of=_off),
+)
+"""Of a section of a trip: measured and calculated time and work."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,7 +123,7 @@ class Calculation(Presented):
         As travelled: its kilometres are shown.
     """
 
-    charts_by: ClassVar[str] = "analysis.comparison.calculated_table:calculation_charts"
+    charts_by: ClassVar[str] = "analysis.comparison.plot:calculation_charts"
 
     trip: str
     model: str
@@ -100,22 +148,49 @@ class Calculation(Presented):
         return f"Trip '{self.trip}' against the {self.model}"
 
     def facts(self) -> dict[str, Any]:
-        """Sections, what explains the residuals, and what of the model is wrong."""
-        from analysis.comparison.calculated_table import calculation_data
-
-        return calculation_data(self)
+        """What explains the residuals, and what of the model is wrong."""
+        return {
+            "trip": self.trip,
+            "model": self.model,
+            "outside": self.outside,
+            "verdict": self.words,
+            "explained": self.explained,
+            "residual_rms_J": self.residual,
+            "wind_recorded": self.wind_recorded,
+            "wind_std_m_s": self.wind_std,
+            **asdict(self.diagnosis),
+        }
 
     def tables(self) -> list[WordTable]:
         """Sections, and what explains the residuals."""
-        from analysis.comparison.calculated_table import explained_table, sections_table
-
-        return [sections_table(self), *([explained_table(self)] if self.efforts else [])]
+        sections = new_table(
+            f"{self.title}: ± is half the 95 % band",
+            *SECTIONS,
+            name="sections",
+            frame=with_units(self.table),
+        ).add_rows(self.table.reset_index().to_dict("records"))
+        explained = new_table(
+            f"Residuals: {self.residual / JOULES_PER_KWH:.3f} kWh (RMS) in 500 m; explained by",
+            "cause",
+            "share",
+        )
+        for name, share in self.explained.items():
+            explained.add_row(name, f"{share:.0%}")
+        return [sections, *([explained] if self.efforts else [])]
 
     def sentences(self) -> list[str]:
         """What the model does not determine, and what the trip contradicts."""
-        from analysis.comparison.calculated_table import calculation_words
-
-        return calculation_words(self)
+        alarms = f"about {self.diagnosis.false_alarms:.0%} of trips contradict a right one"
+        return [
+            *(
+                f"the {self.model} does not determine the {quantity} of {', '.join(sections)}: half"
+                f" the 95 % band is more than {WIDEST:.0%} of the value, or reaches down to a stand"
+                for quantity, sections in self.not_determined.items()
+            ),
+            f"bands: {self.wind_words}",
+            f"{self.model} against trip '{self.trip}': {self.words} ({alarms})",
+            *(f"{self.trip}: {note}" for note in self.notes),
+        ]
 
     def summary(self) -> dict[str, str]:
         """Work and time, calculated and measured."""
@@ -147,7 +222,7 @@ class Calculation(Presented):
         where = f"contradicted in {', '.join(self.outside)} (outside of the 95 % band)"
         if self.diagnosis.wrong:
             return f"{where}: {self.diagnosis.words}"
-        reason = self.diagnosis.reason
+        reason = self.diagnosis.not_judged
         return where + (
             f"; which coefficient is {self.diagnosis.words}"
             if reason
@@ -285,6 +360,18 @@ def judged_together(found: Sequence[Calculation]) -> Diagnosis:
         If there is none, or they are of different trains.
     """
     return diagnosed([each.evidence for each in distinct(found)])
+
+
+def together_words(found: Sequence[Calculation], together: Diagnosis) -> str:
+    """What several trips together contradict of the model."""
+    every, found = len(found), distinct(found)
+    trips = counted(len(found), "trip")
+    if every > len(found):
+        trips += f" ({every - len(found)} given twice, counted once)"
+    words = f"{found[0].model} against {trips} together: {together.words}"
+    outside = [each.trip for each in found if each.outside]
+    of = f"{len(outside)} of them ({', '.join(outside)})" if outside else ""
+    return words + (f"; sections of {of} are outside of the 95 % band" if outside else "")
 
 
 def distinct(found: Sequence[Calculation]) -> list[Calculation]:

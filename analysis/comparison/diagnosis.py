@@ -54,7 +54,7 @@ class Wrong:
     ----------
     name : str
         ``"r0"``, ``"r1"``, ``"r2"``, ``"running resistance"`` (more than one) or ``"mass"``.
-    factor, std : float
+    factor, factor_std : float
         What the model states over what the trip shows, and its standard deviation.
     alternatives : tuple of str
         What explains the same nearly as well.
@@ -62,13 +62,13 @@ class Wrong:
 
     name: str
     factor: float
-    std: float
+    factor_std: float
     alternatives: tuple[str, ...] = ()
 
     @property
     def words(self) -> str:
         """In a sentence."""
-        size = f"{self.factor:.2f} ± {1.96 * self.std:.2f} times what the trip shows"
+        size = f"{self.factor:.2f} ± {1.96 * self.factor_std:.2f} times what the trip shows"
         others = f" (or {' or '.join(self.alternatives)})" if self.alternatives else ""
         return f"{self.name} is {size}{others}"
 
@@ -80,24 +80,24 @@ class Diagnosis:
     Attributes
     ----------
     wrong : tuple of Wrong
-    reason : str
+    not_judged : str
         Why nothing can be said, if so.
-    trips : int
+    judged_trips : int
         How many trips it rests on.
     false_alarms : float
         Share of trips that contradict a right file by chance, about.
     """
 
     wrong: tuple[Wrong, ...] = ()
-    reason: str = ""
-    trips: int = 1
+    not_judged: str = ""
+    judged_trips: int = 1
     false_alarms: float = FALSE_ALARMS
 
     @property
     def words(self) -> str:
         """In a sentence."""
-        if self.reason:
-            return f"not judged: {self.reason}"
+        if self.not_judged:
+            return f"not judged: {self.not_judged}"
         if not self.wrong:
             return "nothing that the trip contradicts"
         return "; ".join(each.words for each in self.wrong)

@@ -19,6 +19,7 @@ from analysis.charts import (
     Panel,
     Rule,
 )
+from analysis.comparison.calculated import Calculation
 from analysis.comparison.compare import ComparedDirection, ComparedTrip, Comparison
 from analysis.comparison.losses import CAUSES
 from trainlog.units import JOULES_PER_KWH, KMH
@@ -149,3 +150,46 @@ def _causes(shown: list[ComparedTrip]) -> Chart:
         ],
         "Seconds lost and gained by each trip, by cause.", span=(low - margin, high + margin),
     )  # fmt: skip
+
+
+def calculation_charts(found: Calculation) -> list[Chart]:
+    """Measured and calculated speed along the line, their difference, and the works."""
+    place = found.position / 1e3
+    speeds = [Curve("measured", place, KMH * found.speed, INK, width=1.4)]
+    off = list[Curve]()
+    if found.efforts:
+        middle, reach = KMH * found.calculated_speed, 1.96 * KMH * found.speed_std
+        label = "calculated with the recorded efforts"
+        low, high, less = middle - reach, middle + reach, KMH * found.speed
+        speeds.append(Curve(label, place, middle, BLUE, "line", low, high, width=1.2, dash="--"))
+        off.append(
+            Curve("95 % band", place, middle - less, BLUE, "line", low - less, high - less)
+        )  # fmt: skip
+    along = Chart(
+        "km in the direction of travel",
+        [
+            Panel("speed [km/h]", speeds, 1.3, from_zero=True),
+            Panel("calculated less\nmeasured [km/h]", off, 0.8, rules=[Rule(0.0)]),
+        ],
+        f"Measured and calculated speed of trip {found.trip} over kilometres.",
+        line=found.line,
+        title=f"Trip '{found.trip}' against the {found.model}: {found.words}",
+    )
+    rows = np.arange(len(found.table), dtype=np.float64)
+    measured, expected, std = (
+        found.table[name].to_numpy() / JOULES_PER_KWH
+        for name in ("work", "calculated_work", "work_std")
+    )
+    ends = expected - 1.96 * std, expected + 1.96 * std
+    bars = [Curve("calculated, 95 % band", rows + 0.18, expected, ORANGE, "bars", width=0.34)]
+    if found.efforts:
+        bars.insert(0, Curve("measured", rows - 0.18, measured, GREY, "bars", width=0.34))
+    bars.append(Curve("", rows + 0.18, expected, INK, "points", *ends, width=0.5))
+    top = 1.3 * float(np.nanmax(np.append(ends[1], measured)))
+    works = Chart(
+        "", [Panel("tractive work [kWh]", bars, 0.8, limits=(0.0, top))],
+        "Measured and calculated tractive work, section by section.",
+        ticks=[(float(row), str(name)) for row, name in zip(rows, found.table.index, strict=True)],
+        span=(-0.6, rows.size - 0.4),
+    )  # fmt: skip
+    return [along, works]

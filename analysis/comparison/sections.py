@@ -9,6 +9,7 @@ import pandas as pd
 
 from analysis.comparison.driven import STATION_REACH, UNKNOWN_TIME, DrivenTrip, Stand, station_at
 from trainlog.arrays import FloatArray
+from trainlog.presentation import Quantity
 from trainlog.railway import Line
 from trainlog.railway.kilometres import km_words
 from trainlog.units import KMH
@@ -18,6 +19,24 @@ EXCESS = 1.0 / KMH
 
 STOPPING_REACH = 50.0
 """A trip that goes so far into a section [m] stopped at the station before it."""
+
+
+UNITS = {
+    "m": "first last excess_distance",
+    "s": "running_time stood dwell lateness lost time calculated_time time_std",
+    "m_s": "excess off_advised_speed speed_rms",
+    "J": "traction braking dynamic_braking line work calculated_work work_std",
+}
+"""Columns of tables by section, by the SI unit that ends their names in files."""
+
+
+def with_units(table: pd.DataFrame) -> pd.DataFrame:
+    """The table with the SI units of its columns at the ends of their names."""
+    units = {name: unit for unit, names in UNITS.items() for name in names.split()}
+    named = {name: f"{name}_{units[name]}" for name in table if name in units}
+    found = table.reset_index().rename(columns=named)
+    found.attrs["units"] = {named[n]: Quantity(units[n], "").si_unit for n in named}
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +116,7 @@ def section_table(trip: DrivenTrip, sections: Sections) -> pd.DataFrame:
         stations, ``dwell`` [s] at the station where it ends, ``traction``, ``braking`` (all
         brakes), ``dynamic_braking`` [J] at the wheel rims, ``line`` [J], ``coasting`` (share of
         the distance), ``excess`` [m/s] largest, ``excess_distance`` [m], ``slips`` (number),
-        ``reference_rms`` [m/s] from the speed that it followed, ``lateness`` [s] at its end.
+        ``off_advised_speed`` [m/s] from the speed that it followed, ``lateness`` [s] at its end.
 
     Examples
     --------
@@ -187,7 +206,12 @@ def _driving(trip: DrivenTrip, low: FloatArray, high: FloatArray) -> dict[str, F
         return np.asarray(sums[: high.size], dtype=np.float64)
 
     unknown = np.full(high.size, np.nan)
-    found = {"coasting": unknown, "slips": unknown, "reference_rms": unknown, "lateness": unknown}
+    found = {
+        "coasting": unknown,
+        "slips": unknown,
+        "off_advised_speed": unknown,
+        "lateness": unknown,
+    }
     distance = np.maximum(summed(step), 1e-9)
     if "coasting" in trip.flags:
         found["coasting"] = summed(step * trip.flags["coasting"]) / distance
@@ -204,7 +228,7 @@ def _driving(trip: DrivenTrip, low: FloatArray, high: FloatArray) -> dict[str, F
         off = trip.speed - trip.signals["reference_speed"]
         known = np.isfinite(off)
         squares = summed(np.where(known, step * np.nan_to_num(off) ** 2, 0.0))
-        found["reference_rms"] = np.sqrt(squares / np.maximum(summed(step * known), 1e-9))
+        found["off_advised_speed"] = np.sqrt(squares / np.maximum(summed(step * known), 1e-9))
     if "lateness" in trip.signals:
         found["lateness"] = trip.at(trip.signals["lateness"], high)
     return found

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from analysis.comparison.compare import ComparedDirection, ComparedTrip
+from analysis.comparison.sections import with_units
 from trainlog.presentation import WordTable, new_table
 from trainlog.railway.kilometres import in_km
 from trainlog.units import JOULES_PER_KWH, KMH
@@ -153,7 +154,7 @@ def losses_table(found: ComparedDirection) -> WordTable:
 
 
 def _driving_known(each: ComparedTrip) -> bool:
-    return bool(each.table[["coasting", "slips", "reference_rms"]].notna().any(axis=None))
+    return bool(each.table[["coasting", "slips", "off_advised_speed"]].notna().any(axis=None))
 
 
 def driving_table(found: ComparedDirection) -> WordTable:
@@ -175,8 +176,8 @@ def driving_table(found: ComparedDirection) -> WordTable:
         coasting = float((rows["coasting"] * distance).sum(min_count=1) / distance.sum())
         excess = float(rows["excess"].max())
         slips, late = float(rows["slips"].sum(min_count=1)), float(rows["lateness"].iloc[-1])
-        rms = float(np.sqrt((rows["reference_rms"] ** 2 * distance).sum() / distance.sum()))
-        advised = bool(rows["reference_rms"].notna().any())
+        rms = float(np.sqrt((rows["off_advised_speed"] ** 2 * distance).sum() / distance.sum()))
+        advised = bool(rows["off_advised_speed"].notna().any())
         mass = each.trip.mass
         table.add_row(
             each.name,
@@ -215,24 +216,6 @@ def notes(found: ComparedDirection) -> list[str]:
     return every
 
 
-_UNITS = {
-    "first": "first_m",
-    "last": "last_m",
-    "running_time": "running_time_s",
-    "stood": "stood_s",
-    "dwell": "dwell_s",
-    "traction": "traction_J",
-    "braking": "braking_J",
-    "dynamic_braking": "dynamic_braking_J",
-    "line": "line_J",
-    "excess": "excess_m_s",
-    "excess_distance": "excess_distance_m",
-    "reference_rms": "off_advised_speed_m_s",
-    "lateness": "lateness_s",
-    "lost": "lost_s",
-}
-
-
 def direction_facts(found: ComparedDirection) -> dict[str, Any]:
     """A direction as JSON has it, in SI units."""
     return {
@@ -244,7 +227,6 @@ def direction_facts(found: ComparedDirection) -> dict[str, Any]:
 
 def _trip_data(each: ComparedTrip) -> dict[str, Any]:
     trip, energy = each.trip, each.energy
-    rows = each.table.rename(columns=_UNITS).reset_index()
     return {
         "trip": trip.name,
         "first_m": trip.covered[0],
@@ -266,6 +248,6 @@ def _trip_data(each: ComparedTrip) -> dict[str, Any]:
         ],
         "normalised_traction_J": None if energy is None else energy.value,
         "normalised_traction_std_J": None if energy is None else energy.std,
-        "sections": rows.to_dict("records"),
+        "sections": with_units(each.table).to_dict("records"),
         "notes": list(trip.notes),
     }

@@ -118,7 +118,7 @@ def wrong_files(train: Train) -> dict[str, Train]:
 
 def answer(diagnosis: Diagnosis, wrong: str) -> str:
     """How what was said of a file compares with what is wrong of it."""
-    if diagnosis.reason:
+    if diagnosis.not_judged:
         return "not judged"
     expected = wrong.partition(" ")[0]
     names = [each.name for each in diagnosis.wrong]

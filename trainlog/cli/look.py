@@ -153,12 +153,7 @@ def _groups(logs: list[Path], followed: list[Path]) -> None:
 
 def _calculated(logs: list[Path], file: Path, wind: float | None, picture: Path | None) -> None:
     from analysis.charts import draw_charts
-    from analysis.comparison.calculated import calculate, judged_together
-    from analysis.comparison.calculated_table import (
-        calculation_charts,
-        diagnosis_data,
-        together_words,
-    )
+    from analysis.comparison.calculated import calculate, judged_together, together_words
 
     model, trips = _model(file), list(logs_in(logs))
     every, calculations = [], []
@@ -167,12 +162,12 @@ def _calculated(logs: list[Path], file: Path, wind: float | None, picture: Path 
         calculations.append(found)
         every.append(found.data())
         together = judged_together(calculations)
-        if not state({"trips": every, "together": diagnosis_data(together)}):
+        if not state({"trips": every, "together": together}):
             show(found)
         if picture is not None:
             several = len(trips) > 1
             path = picture.with_stem(f"{picture.stem}-{log.stem}") if several else picture
-            draw_charts(calculation_charts(found), path)
+            draw_charts(found.charts(), path)
             wrote(path)
     if len(calculations) > 1:
         console.print(together_words(calculations, together), highlight=False)
