@@ -17,7 +17,6 @@ from analysis.comparison.compare import Comparison, compare
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
 from analysis.comparison.plot import comparison_charts
-from analysis.comparison.table import notes
 from trainlog import read_line, read_train
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
@@ -333,8 +332,8 @@ def test_excess_speed_is_stated_with_where_it_was() -> None:
     found = compare([free(), fast])
     table = found.trip("fast").table
     stated = "Excess speed is over the limit under the whole train"
-    assert stated in " ".join(notes(found.directions[0]))
-    assert stated not in " ".join(notes(compare(free()).directions[0]))
+    assert stated in " ".join(found.directions[0].notes)
+    assert stated not in " ".join(compare(free()).directions[0].notes)
     assert 1.5 < table["excess"].max() < 3.0
     assert table["excess_distance"].sum() > 3_000.0
     assert compare(free()).trip("free").table["excess_distance"].sum() == 0.0
@@ -414,8 +413,7 @@ def test_the_figure_and_the_data_hold_every_trip() -> None:
     found = compare([stopping(), nonstop()])
     figure = figure_of(comparison_charts(found.directions[0]))
     assert len(figure.axes) == 4
-    data = found.facts()
-    names = [trip["trip"] for trip in data["directions"][0]["trips"]]
+    names = [trip["trip"] for trip in found.data()["trips"]]
     assert names == ["trip-03", "trip-01"]
     assert "trip-03" in repr(found)
     assert "Gossau" in found._repr_html_()
@@ -437,12 +435,21 @@ def test_the_command_prints_json_and_saves_a_picture(
     assert picture.read_bytes()[:4] == b"\x89PNG"
     assert cli.run(["compare", *logs, "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
-    (direction,) = data["directions"]
-    assert direction["reference"] == "trip-01"
-    sections = direction["trips"][0]["sections"]
-    assert sum(each["lost_s"] for each in sections) == pytest.approx(
-        direction["trips"][0]["lost_s"]
-    )
+    assert data["references"] == {"forward": "trip-01"}
+    (lost,) = [each["lost_s"] for each in data["trips"] if each["trip"] == "trip-03"]
+    sections = [each["lost_s"] for each in data["sections"] if each["trip"] == "trip-03"]
+    assert sum(sections) == pytest.approx(lost)
+
+
+def test_frames_of_a_comparison_hold_numbers_with_units() -> None:
+    found = compare([stopping(), nonstop()])
+    frame = found.to_frame()
+    assert frame["duration_s"].tolist() == [
+        each.trip.duration for each in found.directions[0].trips
+    ]
+    assert frame.attrs["units"]["mass_kg"] == "kg"
+    assert found.to_frame("sections").attrs["units"]["line_J"] == "J"
+    assert found.to_frame("losses")["lost_s"].is_monotonic_decreasing
 
 
 def test_a_long_log_is_read_in_pieces_with_the_same_result(

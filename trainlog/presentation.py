@@ -778,20 +778,27 @@ class Presented(Plotted):
 
         The SI units of its columns are in ``attrs["units"]``.
         """
-        return self._table(name).to_frame()
+        import pandas as pd
+
+        frames = [each.to_frame() for each in self._named(name)]
+        if len(frames) == 1:
+            return frames[0]
+        found = pd.concat(frames, ignore_index=True)
+        found.attrs = frames[0].attrs
+        return found
 
     def to_csv(self, path: str | Path | None = None, name: str = "") -> str:
         """One of the tables as CSV, as `to_frame` chooses it; written if a path is given."""
-        text = self._table(name).to_csv()
+        text = self._named(name)[0].to_csv()
         if path is not None:
             Path(path).write_text(text, encoding="utf-8")
         return text
 
-    def _table(self, name: str) -> WordTable:
+    def _named(self, name: str) -> list[WordTable]:
         tables = self.tables()
         numbers = [each for each in tables if not each.plain] or tables
         found = [each for each in tables if name == each.name] if name else numbers
         if not found:
             names = ", ".join(each.name for each in tables) or "none"
             raise KeyError(f"{type(self).__name__} has no table '{name}'; it has {names}")
-        return found[0]
+        return [each for each in found if each.name == found[0].name]

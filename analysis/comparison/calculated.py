@@ -167,7 +167,7 @@ class Calculation(Presented):
             f"{self.title}: ± is half the 95 % band",
             *SECTIONS,
             name="sections",
-            frame=with_units(self.table),
+            frame=with_units(self.table.reset_index()),
         ).add_rows(self.table.reset_index().to_dict("records"))
         explained = new_table(
             f"Residuals: {self.residual / JOULES_PER_KWH:.3f} kWh (RMS) in 500 m; explained by",

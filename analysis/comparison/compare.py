@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -18,16 +19,39 @@ from analysis.comparison.sections import (
     common_range,
     section_table,
     sections_between,
+    with_units,
 )
 from analysis.given import Given, each_given
-from trainlog.display import counted
+from trainlog.display import counted, span
 from trainlog.errors import InputError, TrainlogError
-from trainlog.presentation import Presented, WordTable
+from trainlog.presentation import (
+    DURATION,
+    ENERGY,
+    MASS,
+    NUMBER,
+    SHARE,
+    SPEED,
+    Band,
+    Column,
+    Presented,
+    Said,
+    WordTable,
+    new_table,
+)
 from trainlog.railway import Line, ParameterSet, Trajectory
-from trainlog.units import clock
+from trainlog.railway.kilometres import in_km
+from trainlog.units import KMH, clock
 
 NEARLY_ALL = 0.98
 """Of the longest trip's distance: the reference is chosen among trips that cover so much."""
+
+LISTED = 12
+"""Losses that are listed of a direction."""
+
+SMALL = 0.5
+"""Time lost [s] below which a loss is not listed."""
+
+WHOLE = replace(DURATION, digits=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +85,79 @@ class ComparedTrip:
         """Of the trip."""
         return self.trip.name
 
+    @property
+    def facts(self) -> dict[str, Any]:
+        """The trip as a whole, in SI units."""
+        common, energy = self.common or (None, None), self.energy
+        return {
+            "trip": self.name,
+            "first": self.trip.covered[0],
+            "last": self.trip.covered[1],
+            "duration": self.trip.duration,
+            "mass": self.trip.mass.value,
+            "mass_std": self.trip.mass.std,
+            "first_in_common": common[0],
+            "last_in_common": common[1],
+            "lost": None if self.lost is None else self.lost.total,
+            "normalised_traction": None if energy is None else energy.value,
+            "normalised_traction_std": None if energy is None else energy.std,
+        }
+
+    def sum(self, column: str) -> float:
+        """Sum of a column of the table; NaN where a section has none."""
+        return float(self.table[column].sum(skipna=False))
+
+    def section_words(self, name: str) -> str:
+        """What the trip took in a section, in words."""
+        if name not in self.table.index:
+            return "-"
+        row = self.table.loc[name]
+        words = f"{row['running_time']:.0f}"
+        words += f" + {row['dwell']:.0f}" * bool(row["dwell"] >= SMALL)
+        words += f" + stood {row['stood']:.0f}" * bool(row["stood"] >= SMALL)
+        words += f", {row['covered']:.0%} of it" * bool(row["covered"] < 0.98)
+        lost = float(self.table["lost"][name]) if "lost" in self.table else math.nan
+        return words + (f" ({lost:+.0f})" if math.isfinite(lost) else "")
+
+    def mean(self, column: str) -> float:
+        """Mean of a column over the distance; NaN where no section has it."""
+        rows, distance = self.table, self.table["last"] - self.table["first"]
+        return float((rows[column] * distance).sum(min_count=1) / distance.sum())
+
+    @property
+    def off_advised_speed(self) -> float:
+        """Root mean square [m/s] of the difference to the speed that it followed."""
+        rows, distance = self.table, self.table["last"] - self.table["first"]
+        squares = (rows["off_advised_speed"] ** 2 * distance).sum(min_count=1)
+        return float(np.sqrt(squares / distance.sum()))
+
+
+def _normalised(each: ComparedTrip) -> Band | str:
+    return "" if each.energy is None else Band(each.energy.value, each.energy.std)
+
+
+def _excess(each: ComparedTrip) -> Said:
+    excess, distance = float(each.table["excess"].max()), each.sum("excess_distance")
+    return Said(excess, f"{KMH * excess:.1f} km/h, {distance:.0f} m" if excess else "none")
+
+
+def _mass(each: ComparedTrip) -> Band | None:
+    mass = each.trip.mass
+    return Band(mass.value, mass.std) if mass.known else None
+
+
+DRIVING = (
+    Column("trip", of="name"),
+    Column("mass", MASS, band=True, of=_mass),
+    Column("coasting", replace(SHARE, digits=0), of=lambda each: each.mean("coasting")),
+    Column("excess speed", SPEED, each=True, of=_excess),
+    Column("slips", NUMBER, of=lambda each: float(each.table["slips"].sum(min_count=1))),
+    Column("off advised speed\n(RMS)", SPEED, key="off_advised_speed"),
+    Column("late at the end", DURATION, of=lambda each: float(each.table["lateness"].iloc[-1])),
+    Column("braked", ENERGY, of=lambda each: each.sum("braking")),
+)
+"""How a trip was driven: coasting, excess speed, slip, how well advice was kept."""
+
 
 @dataclass(frozen=True, eq=False)
 class ComparedDirection:
@@ -87,24 +184,134 @@ class ComparedDirection:
     trips: tuple[ComparedTrip, ...]
     model: str = ""
 
+    @property
+    def name(self) -> str:
+        """Line and direction."""
+        return f"{self.line.name}, {self.direction}"
+
     def losses(self) -> pd.DataFrame:
         """Time lost by trip, place and cause; the largest first, in SI units."""
         rows = [
-            {
-                "trip": each.name,
-                "lost": loss.seconds,
-                "cause": loss.cause,
-                "place": loss.place,
-                "first": loss.first,
-                "last": loss.last,
-            }
+            (each.name, loss.seconds, loss.cause, loss.place, loss.first, loss.last, loss.words)
             for each in self.trips
             if each.lost is not None
             for loss in each.lost.losses
         ]
-        columns = ["trip", "lost", "cause", "place", "first", "last"]
+        columns = ["trip", "lost", "cause", "place", "first", "last", "words"]
         found = pd.DataFrame(rows, columns=columns)
         return found.sort_values("lost", ascending=False, kind="stable", ignore_index=True)
+
+    def tables(self) -> list[WordTable]:
+        """Trips, sections, losses, how it was driven."""
+        found = [self.trips_table(), self.sections_table()]
+        if any(trip.lost is not None and trip.lost.losses for trip in self.trips):
+            found.append(self.losses_table())
+        driven = [each.table[["coasting", "slips", "off_advised_speed"]] for each in self.trips]
+        if pd.concat(driven).notna().any(axis=None):
+            title = f"{self.name}: how it was driven"
+            found.append(new_table(title, *DRIVING, name="driving").add_rows(self.trips))
+        return found
+
+    def _data(self, frame: pd.DataFrame) -> pd.DataFrame:
+        return with_units(frame.assign(direction=self.direction))
+
+    def _km(self, first: float, last: float) -> str:
+        short = last - first < 100.0
+        return span(in_km(self.line, [first, first if short else last]), digits=1)
+
+    def trips_table(self) -> WordTable:
+        """Each trip as a whole: part of the line, times, energy, time lost by cause."""
+        planned = "the trajectory" if self.reference.planned else f"'{self.reference.name}'"
+        return new_table(
+            f"{self.name}: trips; time lost against {planned}",
+            Column("trip", of="name"),
+            Column("km", of=lambda each: self._km(*each.trip.covered)),
+            Column("running", of=lambda each: clock(each.sum("running_time"))),
+            Column("dwell", WHOLE, of=lambda each: each.sum("dwell") + each.sum("stood")),
+            Column(
+                "lost", of=lambda each: "" if each.lost is None else f"{each.lost.total:+.1f} s"
+            ),
+            Column("most of it", of=self._causes),
+            Column("wheels", ENERGY, of=lambda each: each.sum("traction")),
+            Column("line", ENERGY, of=lambda each: each.sum("line")),
+            Column("wheels at reference's\nload and time", ENERGY, of=_normalised),
+            name="trips",
+            frame=self._data(pd.DataFrame([each.facts for each in self.trips])),
+        ).add_rows(self.trips)
+
+    def _causes(self, each: ComparedTrip) -> str:
+        if each.lost is None or each.common is None:
+            own = each.trip is self.reference
+            return "reference" if own else "nothing in common with the reference"
+        causes = [(cause, s) for cause, s in each.lost.by_cause().items() if abs(s) >= SMALL]
+        largest = sorted(causes, key=lambda cause: -abs(cause[1]))[:3]
+        low, high = each.trip.covered
+        parted = each.common[0] > low + 200.0 or each.common[1] < high - 200.0
+        part = f" (km {self._km(*each.common)})" if parted else ""
+        return ", ".join(f"{cause} {s:+.0f}" for cause, s in largest) + part
+
+    def sections_table(self) -> WordTable:
+        """Running time by section, and dwell at the station behind it, side by side."""
+        title = (
+            f"{self.name}: running time by section + dwell at its end (+ stood on the way) [s];"
+            " in brackets lost"
+        )
+        rows = [each.table.assign(trip=each.name).reset_index() for each in self.trips]
+        table = new_table(
+            title,
+            Column("section"),
+            Column("km"),
+            *(Column(each.name) for each in self.trips),
+            name="sections",
+            frame=self._data(pd.concat(rows, ignore_index=True)),
+        )
+        places = in_km(self.line, self.sections.edges[:-1])
+        for name, km in zip(self.sections.names, places, strict=True):
+            table.add_cells(name, f"{km:.1f}", *(each.section_words(name) for each in self.trips))
+        return table
+
+    def losses_table(self) -> WordTable:
+        """Where most time was lost, and why; then where most was gained."""
+        every = self.losses()
+        large = every[every["lost"].abs() >= SMALL]
+        lost, gained = large[large["lost"] > 0.0], large[large["lost"] < 0.0]
+        shown = pd.concat([lost.head(LISTED), gained.tail(max(1, LISTED // 4)).iloc[::-1]])
+        return new_table(
+            f"{self.name}: where time was lost, {min(LISTED, len(lost))} of {len(lost)} places;"
+            f" gained in {len(gained)}",
+            Column("lost [s]", of=lambda row: f"{row['lost']:+.1f}"),
+            Column("trip"),
+            Column("place"),
+            Column("km", of=lambda row: self._km(row["first"], row["last"])),
+            Column("cause", of="words"),
+            name="losses",
+            frame=self._data(every),
+        ).add_rows(shown.to_dict("records"))
+
+    @property
+    def notes(self) -> list[str]:
+        """What a reader of the tables must know, in sentences."""
+        every = [f"{each.name}: {note}" for each in self.trips for note in each.trip.notes]
+        if self.model:
+            every.append(
+                f"Tractive energy at the load and running time of '{self.reference.name}', by the"
+                f" running resistance of the {self.model}; ± is half the 95 % band."
+            )
+        if any((each.table["excess"] > 0.0).any() for each in self.trips):
+            every.append(
+                "Excess speed is over the limit under the whole train; plans keep the limit at the"
+                " train's front unless made with --set protect=train."
+            )
+        unknown = [each.name for each in self.trips if "traction" not in each.trip.sums]
+        if unknown:
+            names = ", ".join(unknown)
+            every.append(f"no efforts are recorded: the energy of {names} is not known")
+        elif not all("supply" in each.trip.sums for each in self.trips):
+            every.append(
+                "Energy from the line follows from the train's efficiencies where no current"
+                " is recorded."
+            )
+        return every
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -131,27 +338,21 @@ class Comparison(Presented):
         return f"Comparison of {counted(trips, 'trip')} on {self.directions[0].line.name}"
 
     def facts(self) -> dict[str, Any]:
-        """Directions with sections, trips and losses."""
-        from analysis.comparison.table import direction_facts
-
+        """Line, and the reference of each direction."""
         return {
             "line": self.directions[0].line.name,
-            "directions": [direction_facts(each) for each in self.directions],
-            "left_out": list(self.left_out),
+            "references": {each.direction: each.reference.name for each in self.directions},
+            "left_out": self.left_out,
         }
 
     def tables(self) -> list[WordTable]:
         """Of each direction by itself: trips, sections, losses, how it was driven."""
-        from analysis.comparison.table import direction_tables
-
-        return [table for each in self.directions for table in direction_tables(each)]
+        return [table for each in self.directions for table in each.tables()]
 
     @property
     def notes(self) -> list[str]:
         """What a reader of the tables must know."""
-        from analysis.comparison.table import notes
-
-        every = [note for each in self.directions for note in notes(each)]
+        every = [note for each in self.directions for note in each.notes]
         return every + [f"left out: {reason}" for reason in self.left_out]
 
     def summary(self) -> dict[str, str]:
@@ -282,8 +483,6 @@ def _driven(
 
 def _renamed(trip: DrivenTrip, before: Sequence[str]) -> DrivenTrip:
     """The trip, with a number behind a name that came before."""
-    from dataclasses import replace
-
     count = before.count(trip.name)
     return trip if count == 0 else replace(trip, name=f"{trip.name} ({count + 1})")
 

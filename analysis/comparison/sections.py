@@ -22,19 +22,21 @@ STOPPING_REACH = 50.0
 
 
 UNITS = {
-    "m": "first last excess_distance",
-    "s": "running_time stood dwell lateness lost time calculated_time time_std",
+    "kg": "mass mass_std",
+    "m": "first last first_in_common last_in_common excess_distance",
+    "s": "running_time stood dwell lateness lost duration time calculated_time time_std",
     "m_s": "excess off_advised_speed speed_rms",
-    "J": "traction braking dynamic_braking line work calculated_work work_std",
+    "J": "traction braking dynamic_braking line work calculated_work work_std"
+    " normalised_traction normalised_traction_std",
 }
-"""Columns of tables by section, by the SI unit that ends their names in files."""
+"""Columns of tables of trips and sections, by the SI unit that ends their names in files."""
 
 
 def with_units(table: pd.DataFrame) -> pd.DataFrame:
     """The table with the SI units of its columns at the ends of their names."""
     units = {name: unit for unit, names in UNITS.items() for name in names.split()}
     named = {name: f"{name}_{units[name]}" for name in table if name in units}
-    found = table.reset_index().rename(columns=named)
+    found = table.rename(columns=named)
     found.attrs["units"] = {named[n]: Quantity(units[n], "").si_unit for n in named}
     return found
 
