@@ -25,9 +25,9 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from trainlog.arrays import IntArray
-from trainlog.declaration import Declared, Must, Part, Whole, from_content
+from trainlog.declaration import Declared, Must, Whole
 from trainlog.errors import InputError, LogError
-from trainlog.formats.declared import thing_from_bytes
+from trainlog.formats.declared import file_content, thing_from_bytes
 from trainlog.formats.files import LOOKED_AT, atomic_folder, check_written, read_bytes, sha256
 from trainlog.spans import Spans, overlapping, position_limits, spans_of_pieces, time_limits
 from trainlog.topics import (
@@ -102,7 +102,10 @@ class TopicWriter:
         self.path = path
         self._topic, self._attrs, self._columns = topic, frame.attrs, list(frame.columns)
         self._schema = _described(topic, _table_of(topic, frame).schema, frame.attrs)
+        self._kinds = {item.name: str(item.type) for item in self._schema if item.name != TIME}
         self._last, self._rows = np.iinfo(np.int64).min, 0
+        self._waiting: list[pa.Table] = []
+        self._file: Any = None
 
     def add(self, frame: pd.DataFrame) -> None:
         """Append rows; LogError if the columns are not those of the first, or time runs back."""
@@ -118,34 +121,6 @@ class TopicWriter:
         if len(table):
             self._last = int(_times_of(table)[-1])
         self._rows += len(table)
-        self._write(table)
-
-    def _write(self, table: pa.Table) -> None:
-        raise NotImplementedError
-
-    def close(self) -> None:
-        """Write the rows that wait, and close the file."""
-        raise NotImplementedError
-
-    @property
-    def entry(self) -> dict[str, Any]:
-        """What the index of the folder states of the closed file."""
-        raise NotImplementedError
-
-
-class _ParquetWriter(TopicWriter):
-    """A Parquet file; rows wait until a row group is full."""
-
-    def __init__(self, topic: str, path: Path, frame: pd.DataFrame) -> None:
-        super().__init__(topic, path, frame)
-        self._waiting: list[pa.Table] = []
-        self._file: pq.ParquetWriter | None = None
-
-    @property
-    def entry(self) -> dict[str, Any]:
-        return {"footer": _footer_digest(self.path)}
-
-    def _write(self, table: pa.Table) -> None:
         self._waiting.append(table)
         waiting = sum(map(len, self._waiting))
         if waiting >= ROWS:
@@ -156,58 +131,57 @@ class _ParquetWriter(TopicWriter):
             self._waiting = [together.take(np.arange(full, waiting))]
 
     def close(self) -> None:
+        """Write the rows that wait, and close the file."""
         rest, self._waiting = self._waiting, []
         if rest or self._file is None:
             self._store(pa.concat_tables([self._schema.empty_table(), *rest]))
         if self._file is not None:
             self._file.close()
 
+    @property
+    def entry(self) -> _TopicEntry:
+        """What the index of the folder states of the closed file."""
+        if self.path.suffix == CsvTripIndex.SUFFIX:
+            columns, attrs = self._kinds, {str(k): each for k, each in self._attrs.items()}
+            return _TopicEntry(self._topic, self.path.name, columns=columns, attrs=attrs)
+        return _TopicEntry(self._topic, self.path.name, _footer_digest(self.path))
+
     def _store(self, table: pa.Table) -> None:
         together = table.combine_chunks()
+        csv = self.path.suffix == CsvTripIndex.SUFFIX
         if self._file is None:
-            # The first row group decides how each column is best stored.
-            first = together.slice(0, ROWS)
-            encodings = {name: _encoding(first[name]) for name in self._schema.names}
-            self._file = pq.ParquetWriter(
-                self.path,
-                self._schema,
-                compression="zstd",
-                compression_level=COMPRESSION_LEVEL,
-                use_dictionary=[name for name, encoding in encodings.items() if encoding is None],
-                column_encoding={name: each for name, each in encodings.items() if each},
-                write_page_checksum=True,
-            )
+            self._file = self._csv_file() if csv else self._parquet_file(together.slice(0, ROWS))
+        if csv:
+            titles = [_title(self._schema.field(name)) for name in (TIME, *self._kinds)]
+            together = together.select([TIME, *self._kinds]).rename_columns(titles)
+            together = together.replace_schema_metadata()
         if len(together):
-            self._file.write_table(together, row_group_size=ROWS)
+            self._file.write_table(together, ROWS)
 
+    def _parquet_file(self, first: pa.Table) -> pq.ParquetWriter:
+        """The open file; the first row group decides how each column is best stored."""
+        encodings = {name: _encoding(first[name]) for name in self._schema.names}
+        return pq.ParquetWriter(
+            self.path,
+            self._schema,
+            compression="zstd",
+            compression_level=COMPRESSION_LEVEL,
+            use_dictionary=[name for name, encoding in encodings.items() if encoding is None],
+            column_encoding={name: each for name, each in encodings.items() if each},
+            write_page_checksum=True,
+        )
 
-class _CsvWriter(TopicWriter):
-    """A CSV file with the time first and the units in the header."""
-
-    def __init__(self, topic: str, path: Path, frame: pd.DataFrame) -> None:
-        super().__init__(topic, path, frame)
-        columns = [item for item in self._schema if item.name != TIME]
-        for item in columns:
-            if str(item.type) not in TYPES:
+    def _csv_file(self) -> pa.csv.CSVWriter:
+        """The open file, with the time first and the units in the header."""
+        for name, kind in self._kinds.items():
+            if kind not in TYPES:
                 raise LogError(
-                    f"{item.name} of {topic} is of the type {item.type}, which CSV has no text for",
+                    f"{name} of {self._topic} is of the type {kind}, which CSV has no text for",
                     remedy="convert to Parquet, or leave the topic out with 'trainlog convert'",
                 )
-        ordered = [self._schema.field(TIME), *columns]
-        self._kinds = {item.name: str(item.type) for item in columns}
-        self._header = pa.schema([pa.field(_title(item), item.type) for item in ordered])
-        self._file = pa.csv.CSVWriter(path, self._header)
-
-    @property
-    def entry(self) -> dict[str, Any]:
-        return {"columns": self._kinds, "attrs": dict(self._attrs)}
-
-    def _write(self, table: pa.Table) -> None:
-        ordered = table.select([TIME, *self._kinds]).rename_columns(self._header.names)
-        self._file.write_table(ordered.replace_schema_metadata())
-
-    def close(self) -> None:
-        self._file.close()
+        items = [self._schema.field(name) for name in (TIME, *self._kinds)]
+        header = pa.schema([pa.field(_title(item), item.type) for item in items])
+        return pa.csv.CSVWriter(self.path, header)
 
 
 def check_columns(topic: str, columns: Iterable[Any], frame: pd.DataFrame) -> None:
@@ -346,12 +320,6 @@ class TopicReader:
         """First and last time of parts of the file [ns], (k, 2)."""
         ends = [_times_of(batch)[[0, -1]] for batch in self.batches(2**31) if len(batch)]
         return np.array(ends, dtype=np.int64).reshape(-1, 2)
-
-    def knows(self, name: str) -> bool:
-        """Whether a column has any value."""
-        return name in self._columns and any(
-            batch[name].null_count < len(batch) for batch in self.batches(ROWS)
-        )
 
     def frame(self, table: pa.Table) -> pd.DataFrame:
         """The frame of rows that were read."""
@@ -507,28 +475,35 @@ def _backward(last: int, times: IntArray) -> int | None:
 
 @dataclass(frozen=True)
 class _TopicEntry:
+    """A topic's file: its name, and what else reading it needs.
+
+    Attributes
+    ----------
+    topic, file : str
+    footer : str
+        Of Parquet: SHA-256 of the end of the file, which says where its pages are; each has a
+        checksum.
+    columns : dict
+        Of CSV: type of each column by its name, as Arrow calls it.
+    attrs : dict
+        Of CSV: those of the frame, units and meanings.
+    """
+
     topic: str
     file: str
-    footer: str
-    """SHA-256 of the end of the file, which says where its pages are; each has a checksum."""
+    footer: str | None = None
+    columns: dict[str, str] | None = None
+    attrs: dict[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        if self.columns is None and self.footer is None:
+            raise InputError("'footer' is missing", remedy=AGAIN)
 
     def reader(self, path: Path, columns: list[str] | None) -> TopicReader:
         """The open file."""
-        return _ParquetReader(path, self.footer, columns)
-
-
-@dataclass(frozen=True)
-class _CsvEntry:
-    topic: str
-    file: str
-    columns: dict[str, str]
-    """Type of each column by its name, as Arrow calls it."""
-    attrs: dict[str, Any]
-    """Of the frame: units, meanings."""
-
-    def reader(self, path: Path, columns: list[str] | None) -> TopicReader:
-        """The open file."""
-        return _CsvReader(path, self.columns, self.attrs, columns)
+        if self.columns is None:
+            return _ParquetReader(path, str(self.footer), columns)
+        return _CsvReader(path, self.columns, self.attrs or {}, columns)
 
 
 @dataclass(frozen=True)
@@ -536,16 +511,6 @@ class _AttachmentEntry:
     name: str
     file: str
     sha256: str
-
-
-@dataclass(frozen=True)
-class _Entry(Part):
-    """A topic's file, Parquet or CSV."""
-
-    def read(self, found: Any, kind: Any) -> Any:  # noqa: ARG002
-        """The entry."""
-        csv = isinstance(found, dict) and "columns" in found
-        return from_content(_CsvEntry if csv else _TopicEntry, found)
 
 
 _KNOWN_SCHEMAS = Must("is not a schema that is known", "update trainlog", 1.0, SCHEMA_VERSION)
@@ -557,10 +522,9 @@ class TripIndex(Declared):
 
     FORMAT: ClassVar[str] = "trainlog/trip-parquet"
     SUFFIX: ClassVar[str] = ".parquet"
-    WRITER: ClassVar[type[TopicWriter]] = _ParquetWriter
 
     schema_version: Annotated[int, Whole(must=_KNOWN_SCHEMAS)]
-    topics: tuple[Annotated[_TopicEntry | _CsvEntry, _Entry()], ...]
+    topics: tuple[_TopicEntry, ...]
     metadata: dict[str, str]
     provenance: list[dict[str, Any]]
     attachments: tuple[_AttachmentEntry, ...]
@@ -571,7 +535,6 @@ class CsvTripIndex(TripIndex):
 
     FORMAT: ClassVar[str] = "trainlog/trip-csv"
     SUFFIX: ClassVar[str] = ".csv"
-    WRITER: ClassVar[type[TopicWriter]] = _CsvWriter
 
 
 # ----------------------------------------------------------------------------- writing a trip
@@ -652,7 +615,7 @@ class FolderWriter:
         for topic, frame in piece.topics.items():
             if topic not in self._topics:
                 path = self._folder / f"{self._free_name(topic)}{self._kind.SUFFIX}"
-                self._topics[topic] = self._kind.WRITER(topic, path, frame)
+                self._topics[topic] = TopicWriter(topic, path, frame)
             self._topics[topic].add(frame)
 
     def close(self) -> None:
@@ -668,20 +631,22 @@ class FolderWriter:
         for number, (name, content) in enumerate(sorted(trip.attachments.items()), start=1):
             file = f"{ATTACHMENTS}/{number:04d}-{_plain(name)}"
             (self._folder / file).write_bytes(content)
-            attached.append({"name": name, "file": file, "sha256": sha256(content)})
-        index = {
-            "format": self._kind.FORMAT,
-            "version": self._kind.VERSION,
-            "schema_version": SCHEMA_VERSION,
-            "topics": [
-                {"topic": topic, "file": each.path.name, **each.entry}
-                for topic, each in self._topics.items()
-            ],
-            "metadata": dict(sorted(trip.metadata.items())),
-            "provenance": trip.provenance,
-            "attachments": attached,
-        }
-        (self._folder / INDEX_FILE).write_bytes(_json(index))
+            attached.append(_AttachmentEntry(name, file, sha256(content)))
+        index = self._kind(
+            SCHEMA_VERSION,
+            tuple(each.entry for each in self._topics.values()),
+            dict(sorted(trip.metadata.items())),
+            list(trip.provenance),
+            tuple(attached),
+        )
+        try:
+            text = json.dumps(file_content(index), ensure_ascii=False, allow_nan=False, indent=1)
+            (self._folder / INDEX_FILE).write_bytes(f"{text}\n".encode())
+        except (TypeError, ValueError, InputError) as error:
+            raise LogError(
+                f"metadata or provenance cannot be written: {error}",
+                remedy="use text, finite numbers, lists and dictionaries with text keys",
+            ) from error
 
     def _free_name(self, topic: str) -> str:
         """A file name like the topic's that no other topic has, whatever the case of letters."""
@@ -693,17 +658,6 @@ class FolderWriter:
 def _plain(name: str) -> str:
     """Like a name, of letters that every file system takes."""
     return re.sub(r"[^A-Za-z0-9.-]", "_", name)[:80]
-
-
-def _json(value: object) -> bytes:
-    try:
-        text = json.dumps(value, ensure_ascii=False, allow_nan=False, indent=1)
-        return f"{text}\n".encode()
-    except (TypeError, ValueError) as error:
-        raise LogError(
-            f"metadata or provenance cannot be written: {error}",
-            remedy="use text, finite numbers, lists and dictionaries with text keys",
-        ) from error
 
 
 # ----------------------------------------------------------------------------- reading a trip
@@ -802,7 +756,10 @@ def _spans_within(folder: Path, position: tuple[float | None, float | None]) -> 
     limits = position_limits(*position)
     with _opened(folder, {name: ["position"] for name in POSITION_TOPICS}) as (trip, files):
         for topic in POSITION_TOPICS:
-            if topic in files and files[topic].knows("position"):
+            if topic in files and any(
+                "position" in rows.column_names and rows["position"].null_count < len(rows)
+                for rows in files[topic].batches(ROWS)
+            ):
                 pieces = (
                     (_times_of(rows), rows["position"].to_numpy())
                     for rows in files[topic].batches(ROWS)
