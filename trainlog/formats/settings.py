@@ -10,14 +10,13 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from trainlog.display import SPEED_UNITS
-from trainlog.errors import InputError
+from trainlog.errors import InputError, similar
 from trainlog.formats.files import write_bytes
 from trainlog.formats.samples import SAMPLE
 from trainlog.formats.toml import parse_toml
@@ -177,53 +176,32 @@ def _line_of(key: str) -> re.Pattern[str]:
 def _problem(key: str, value: object) -> tuple[str, str] | None:
     """What is wrong with a key and its value, and the remedy; None if nothing is."""
     if key not in MEANINGS:
-        close = get_close_matches(key, MEANINGS, n=1)
-        meant = f"did you mean '{close[0]}'? " if close else ""
+        meant = "".join(f"did you mean '{each}'? " for each in similar(key, MEANINGS, most=1))
         return f"'{key}' is no setting", f"{meant}known: {', '.join(MEANINGS)}"
     if not isinstance(value, str):
         return f"{key} must be text, not {value}", f'write it as {key} = "{value}"'
-    return _CHECKS[key](value)
+    if key == "speed" and value not in SPEED_UNITS:
+        return f"speed '{value}' is no unit that is shown", f"choose of {', '.join(SPEED_UNITS)}"
+    if key == "zone" and not _is_zone(value):
+        return f"zone '{value}' is not known", "name one as Europe/Zurich, or UTC"
+    if key == "results" and not value:
+        return "results is empty", "name a folder, such as results"
+    named = key in ("line", "train") and value and not _named_sample(value)
+    if named and not Path(value).expanduser().is_file():
+        return f"'{value}' does not exist", "name a file, 'sample', or set it to '' for none"
+    # Whether there is such a catalogue is found where it is opened.
+    return None
 
 
-def _speed(value: str) -> tuple[str, str] | None:
-    if value in SPEED_UNITS:
-        return None
-    return f"speed '{value}' is no unit that is shown", f"choose of {', '.join(SPEED_UNITS)}"
-
-
-def _zone(value: str) -> tuple[str, str] | None:
+def _is_zone(value: str) -> bool:
     from zoneinfo import ZoneInfo
 
     try:
         ZoneInfo(value)
     except (KeyError, ValueError, OSError):
-        return f"zone '{value}' is not known", "name one as Europe/Zurich, or UTC"
-    return None
-
-
-def _file(value: str) -> tuple[str, str] | None:
-    if not value or _named_sample(value) or Path(value).expanduser().is_file():
-        return None
-    return f"'{value}' does not exist", "name a file, 'sample', or set it to '' for none"
+        return False
+    return True
 
 
 def _named_sample(value: str) -> bool:
     return value == SAMPLE and not Path(value).is_file()
-
-
-def _folder(value: str) -> tuple[str, str] | None:
-    return None if value else ("results is empty", "name a folder, such as results")
-
-
-def _anything(_: str) -> None:
-    """Whether there is such a catalogue is found where it is opened."""
-
-
-_CHECKS: dict[str, Callable[[str], tuple[str, str] | None]] = {
-    "speed": _speed,
-    "zone": _zone,
-    "line": _file,
-    "train": _file,
-    "results": _folder,
-    "catalogue": _anything,
-}
