@@ -20,7 +20,7 @@ import pyarrow as pa
 from analysis.fleet.columns import ADHESION, CHECKS, DRIVING, KEY, PASSPORT, QUANTITIES
 from trainlog.errors import InputError
 from trainlog.formats.files import sha256
-from trainlog.formats.summaries import COLUMNS as SUMMARY, Column
+from trainlog.formats.summaries import COLUMNS as SUMMARY, Column, arrow_of, frame_of
 from trainlog.railway.condition import BIN_LENGTH
 from trainlog.railway.resistance import LARGEST_STD
 
@@ -32,15 +32,6 @@ if TYPE_CHECKING:
 # their parameters and columns, loads none of it. Workers load all of it once (`load_analyses`).
 
 Run = Callable[..., pd.DataFrame]
-
-_TYPES = {
-    "text": pa.string(),
-    "count": pa.int64(),
-    "number": pa.float64(),
-    "numbers": pa.list_(pa.float64()),
-    "data": pa.binary(),
-}
-_EMPTY: dict[str, Any] = {"text": "", "count": 0, "number": np.nan, "numbers": (), "data": b""}
 
 
 @dataclass(frozen=True)
@@ -121,46 +112,19 @@ class FleetAnalysis:
     @property
     def schema(self) -> pa.Schema:
         """Of the table as it is kept, with units and meanings."""
-        return pa.schema(
-            [
-                pa.field(
-                    column.name,
-                    _TYPES[column.kind],
-                    metadata={"unit": column.unit, "meaning": column.meaning},
-                )
-                for column in (KEY, *self.columns)
-            ]
-        )
+        return pa.schema([column.field for column in (KEY, *self.columns)])
 
     def arrow(self, tables: Iterable[tuple[str, pd.DataFrame]]) -> pa.Table:
         """Tables of trips, by their keys, as one table with units."""
         parts = [frame.assign(**{KEY.name: key}) for key, frame in tables if len(frame)]
-        schema = self.schema
-        if not parts:
-            return schema.empty_table()
-        arrays = []
-        for column in (KEY, *self.columns):
-            values = [value for part in parts for value in part[column.name].tolist()]
-            if column.kind == "number":
-                numbers = np.array(values, dtype=np.float64)
-                arrays.append(pa.array(numbers, mask=np.isnan(numbers)))
-            else:
-                arrays.append(pa.array(values, _TYPES[column.kind]))
-        return pa.Table.from_arrays(arrays, schema=schema)
-
-
-def frame_of(columns: Iterable[Column], rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
-    """A table of declared columns; what a row does not state is empty, 0 or NaN."""
-    given = list(rows)
-    return pd.DataFrame(
-        {
-            column.name: pd.Series(
-                [row.get(column.name, _EMPTY[column.kind]) for row in given],
-                dtype={"count": np.int64, "number": np.float64}.get(column.kind, object),
-            )
-            for column in columns
-        }
-    )
+        columns = (KEY, *self.columns)
+        return arrow_of(
+            columns,
+            {
+                each.name: [value for part in parts for value in part[each.name].tolist()]
+                for each in columns
+            },
+        )
 
 
 # -------------------------------------------------------------------------------- resistance

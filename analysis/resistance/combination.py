@@ -56,6 +56,7 @@ from trainlog.formats.summaries import (
     SURVEY,
     age,
     covariances_of,
+    frame_of,
     ordered,
     parameters_of,
     surveys_of,
@@ -104,15 +105,7 @@ def summarised(
     ]
     for row in rows:
         row |= {"sha256": known.get(str(row["trip"]), ""), "software": SOFTWARE}
-    empty = {"text": "", "count": 0, "number": np.nan}
-    columns = {
-        column.name: pd.Series(
-            [row.get(column.name, empty[column.kind]) for row in rows],
-            dtype={"text": object, "count": np.int64, "number": np.float64}[column.kind],
-        )
-        for column in COLUMNS
-    }
-    return ordered(pd.DataFrame(columns))
+    return ordered(frame_of(COLUMNS, rows))
 
 
 def _row(fit: TripFit) -> dict[str, object]:

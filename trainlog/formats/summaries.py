@@ -7,9 +7,10 @@ others needs. The frame is plain; `COLUMNS` says what it holds.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -30,23 +31,84 @@ ROWS = 100_000
 
 PARAMETERS = ("r0", "r1", "r2", "mass")
 _UNITS = ("N", "N/(m/s)", "N/(m/s)^2", "kg")
-COVARIANCE = tuple(
-    f"covariance_{PARAMETERS[i]}_{PARAMETERS[j]}" for i in range(4) for j in range(i, 4)
-)
-"""The upper triangle of the covariance of `PARAMETERS`, row by row."""
-SURVEY = tuple(f"survey_{PARAMETERS[i]}_{PARAMETERS[j]}" for i in range(3) for j in range(i, 3))
-"""The upper triangle of what errors of the line bring into that of r0, r1 and r2, row by row."""
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: ``kind`` is ``"text"``, ``"count"`` or ``"number"`` (null where unknown)."""
+    """One column of a table of trips.
+
+    Attributes
+    ----------
+    name, unit, meaning : str
+    kind : {"number", "count", "text", "numbers", "data"}
+        Numbers are null where they are unknown.
+    """
 
     name: str
     unit: str
     meaning: str
     kind: str = "number"
 
+    @property
+    def field(self) -> pa.Field:
+        """What it is in a file."""
+        about = {"unit": self.unit, "meaning": self.meaning}
+        return pa.field(self.name, _ARROW[self.kind], metadata=about)
+
+
+_ARROW = {
+    "text": pa.string(),
+    "count": pa.int64(),
+    "number": pa.float64(),
+    "numbers": pa.list_(pa.float64()),
+    "data": pa.binary(),
+}
+_EMPTY: dict[str, Any] = {"text": "", "count": 0, "number": np.nan, "numbers": (), "data": b""}
+
+
+def frame_of(columns: Iterable[Column], rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+    """A table of declared columns; what a row does not state is empty, 0 or NaN."""
+    given = list(rows)
+    return pd.DataFrame(
+        {
+            column.name: pd.Series(
+                [row.get(column.name, _EMPTY[column.kind]) for row in given],
+                dtype={"count": np.int64, "number": np.float64}.get(column.kind, object),
+            )
+            for column in columns
+        }
+    )
+
+
+def arrow_of(columns: Iterable[Column], frame: Mapping[str, Any] | pd.DataFrame) -> pa.Table:
+    """The table as it is kept in a file, with units and meanings."""
+    arrays = []
+    fields = [column.field for column in columns]
+    for field in fields:
+        values, unknown = frame[field.name], None
+        if field.type == pa.float64():
+            values = np.asarray(values, np.float64)
+            unknown = np.isnan(values)
+        arrays.append(pa.array(values, field.type, mask=unknown))
+    return pa.Table.from_arrays(arrays, schema=pa.schema(fields))
+
+
+def _triangle(prefix: str, size: int, meaning: str) -> tuple[Column, ...]:
+    """The upper triangle of a matrix of the first `PARAMETERS`, row by row."""
+    return tuple(
+        Column(f"{prefix}_{PARAMETERS[i]}_{PARAMETERS[j]}", f"{_UNITS[i]} {_UNITS[j]}", meaning)
+        for i in range(size)
+        for j in range(i, size)
+    )
+
+
+_COVARIANCE = _triangle("covariance", 4, "covariance")
+COVARIANCE = tuple(each.name for each in _COVARIANCE)
+"""The upper triangle of the covariance of `PARAMETERS`, row by row."""
+
+_SURVEY = _triangle("survey", 3, "what errors of the gradients bring into it")
+SURVEY = tuple(each.name for each in _SURVEY)
+"""The upper triangle of what errors of the line bring into that of r0, r1 and r2, row by row."""
 
 COLUMNS: tuple[Column, ...] = (
     Column("trip", "", "name of the trip", "text"),
@@ -55,18 +117,11 @@ COLUMNS: tuple[Column, ...] = (
     Column("software", "", "that made the summary, with its version", "text"),
     Column("refused", "", "why the trip does not determine the curve; empty if it does", "text"),
     Column("message", "", "the same in a sentence, with the figures", "text"),
-    *(
-        Column(name, unit, meaning)
-        for name, unit, meaning in zip(
-            PARAMETERS, _UNITS, (*3 * ("running resistance",), "without rotating part"), strict=True
-        )
-    ),
-    *(
-        Column(name, f"{_UNITS[i]} {_UNITS[j]}", "covariance")
-        for name, (i, j) in zip(
-            COVARIANCE, ((i, j) for i in range(4) for j in range(i, 4)), strict=True
-        )
-    ),
+    Column("r0", "N", "running resistance"),
+    Column("r1", "N/(m/s)", "running resistance"),
+    Column("r2", "N/(m/s)^2", "running resistance"),
+    Column("mass", "kg", "without rotating part"),
+    *_COVARIANCE,
     Column("freedom", "1", "degrees of freedom of the covariance", "count"),
     Column("rotating_mass", "kg", "from the train's file"),
     Column("train_power", "W", "largest traction power that the train's file states"),
@@ -97,12 +152,7 @@ COLUMNS: tuple[Column, ...] = (
         "SHA-256 of the line's gradients as travelled; of a route edges",
         "text",
     ),
-    *(
-        Column(name, f"{_UNITS[i]} {_UNITS[j]}", "what errors of the gradients bring into it")
-        for name, (i, j) in zip(
-            SURVEY, ((i, j) for i in range(3) for j in range(i, 3)), strict=True
-        )
-    ),
+    *_SURVEY,
     Column("masked_gap", "s", "time masked: gaps"),
     Column("masked_standstill", "s", "time masked: standstill"),
     Column("masked_braking", "s", "time masked: braking effort not known well enough"),
@@ -135,8 +185,9 @@ def write_summaries(summaries: pd.DataFrame, path: str | Path) -> None:
     """
     frame = ordered(summaries)
     _check(frame, path)
-    arrays = [_array(frame[column.name], column) for column in COLUMNS]
-    table = pa.Table.from_arrays(arrays, schema=_schema())
+    table = arrow_of(COLUMNS, frame).replace_schema_metadata(
+        {"format": FORMAT, "version": str(VERSION)}
+    )
     with atomic_write(path) as temporary:
         pq.write_table(
             table,
@@ -224,12 +275,7 @@ def parameters_of(summaries: pd.DataFrame) -> FloatArray:
 
 def covariances_of(summaries: pd.DataFrame) -> FloatArray:
     """Covariance of r0, r1, r2 and mass of each trip (k, 4, 4)."""
-    triangle = summaries[list(COVARIANCE)].to_numpy(np.float64)
-    full = np.empty((len(summaries), 4, 4))
-    rows, columns = np.triu_indices(4)
-    full[:, rows, columns] = triangle
-    full[:, columns, rows] = triangle
-    return full
+    return _symmetric(summaries, COVARIANCE, 4)
 
 
 def surveys_of(summaries: pd.DataFrame) -> FloatArray:
@@ -237,38 +283,21 @@ def surveys_of(summaries: pd.DataFrame) -> FloatArray:
 
     Zero where it is not known.
     """
-    full = np.empty((len(summaries), 3, 3))
-    rows, columns = np.triu_indices(3)
-    full[:, rows, columns] = summaries[list(SURVEY)].to_numpy(np.float64)
+    return np.nan_to_num(_symmetric(summaries, SURVEY, 3))
+
+
+def _symmetric(summaries: pd.DataFrame, names: Sequence[str], size: int) -> FloatArray:
+    """Matrices of each trip by the columns of their upper triangle."""
+    full = np.empty((len(summaries), size, size))
+    rows, columns = np.triu_indices(size)
+    full[:, rows, columns] = summaries[list(names)].to_numpy(np.float64)
     full[:, columns, rows] = full[:, rows, columns]
-    return np.nan_to_num(full)
+    return full
 
 
 def _version(software: str) -> tuple[int, ...]:
     digits = "".join(c if c.isdigit() else " " for c in software)
     return tuple(int(word) for word in digits.split())
-
-
-def _schema() -> pa.Schema:
-    types = {"text": pa.string(), "count": pa.int64(), "number": pa.float64()}
-    fields = [
-        pa.field(
-            column.name,
-            types[column.kind],
-            metadata={"unit": column.unit, "meaning": column.meaning},
-        )
-        for column in COLUMNS
-    ]
-    return pa.schema(fields, {"format": FORMAT, "version": str(VERSION)})
-
-
-def _array(values: pd.Series, column: Column) -> pa.Array:
-    if column.kind == "text":
-        return pa.array(values.tolist(), pa.string())
-    if column.kind == "count":
-        return pa.array(values.to_numpy(np.int64))
-    numbers = values.to_numpy(np.float64)
-    return pa.array(numbers, pa.float64(), mask=np.isnan(numbers))
 
 
 def _check_header(metadata: dict[bytes, bytes], path: str | Path) -> None:
