@@ -237,7 +237,7 @@ class Chart:
         What the axis is, with its unit.
     panels : sequence of Panel
     alt : str
-        What it shows, for those who do not see it.
+        What it shows, for those who do not see it; default: the titles.
     caption : str
     places : sequence of (float, str)
         Stations, marked in all panels and named in the first.
@@ -262,7 +262,7 @@ class Chart:
 
     x: str
     panels: Sequence[Panel]
-    alt: str
+    alt: str = ""
     caption: str = ""
     places: Sequence[tuple[float, str]] = ()
     span: tuple[float, float] | None = None
@@ -276,6 +276,8 @@ class Chart:
     equal: bool = False
 
     def __post_init__(self) -> None:
+        titles = filter(None, (self.title, *(panel.title for panel in self.panels)))
+        object.__setattr__(self, "alt", self.alt or "; ".join(titles))
         if self.line is not None and self.line.reference is not None:
             object.__setattr__(self, "x", "km")
 
@@ -284,7 +286,13 @@ class Chart:
         """Ends of the axis."""
         if self.span is not None:
             return self.span
-        every = [np.asarray(curve.x) for panel in self.panels for curve in panel.curves]
+        every = [
+            np.add.outer((-0.5 * curve.width, 0.5 * curve.width), curve.x)
+            if isinstance(curve, Curve) and curve.kind == "bars" and not curve.across
+            else np.asarray(curve.x)
+            for panel in self.panels
+            for curve in panel.curves
+        ]
         found = [each[np.isfinite(each)] for each in every]
         joined = np.concatenate([each for each in found if each.size] or [np.array([0.0, 1.0])])
         low, high = float(joined.min()), float(joined.max())

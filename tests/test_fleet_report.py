@@ -24,7 +24,7 @@ from analysis.fleet.unlike import Finding, UnlikeTrains
 from analysis.fleet.update import UpdateOptions, update_fleet
 from analysis.reports.fleet import FleetReportOptions, energy_sources, fleet_page
 from analysis.reports.fleet_attention import FleetFacts, attention_parts
-from analysis.reports.fleet_condition import lowest_places
+from analysis.reports.fleet_condition import lowest_parts
 from analysis.reports.page import Page, Section
 from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue
 from trainlog.formats.line import read_line
@@ -120,13 +120,13 @@ def test_what_was_refused_is_listed_with_its_reason_and_nothing_in_it_is_code(pa
 
 
 def test_the_condition_is_that_of_the_maps(catalogue: Catalogue, page: Page) -> None:
-    rows = table_of(page, "maps")
-    assert {row["rail"] for row in rows} == {"dry", "wet"}
+    rows = table_of(page, "track_condition")
+    assert {row["rail_condition"] for row in rows} == {"dry", "wet"}
     evidence = catalogue.results("adhesion").groupby("layer")["onsets"].sum()
-    assert {row["rail"]: row["onsets"] for row in rows} == evidence.to_dict()
-    lowest = [row["expected"] for row in table_of(page, "lowest_wet")]
+    onsets = {row["rail_condition"]: int(row["onsets_measured"]) for row in rows}
+    assert onsets == evidence.to_dict()
+    lowest = [row["expected_low"] for row in table_of(page, "lowest_wet")]
     assert np.all(np.diff(lowest) >= 0.0)
-    assert min(row["lowest"] for row in rows) == pytest.approx(lowest[0])
 
 
 def test_what_is_not_computed_asks_for_attention(page: Page) -> None:
@@ -206,7 +206,7 @@ def test_the_command_writes_one_page_that_asks_for_nothing(
     assert status == 0
     assert "fleet.html" in shown
     html = (tmp_path / "fleet.html").read_text("utf-8")
-    assert "coloured by the maximum adhesion that is expected on wet rail" in html
+    assert "Maximum adhesion to count on, wet rail" in html
     assert "rail; grey" not in html
     elements = re.sub(r"<script.*?</script>", "", html, flags=re.S)
     links = re.findall(r'(?:src|href)="([^"]*)"', elements)
@@ -222,12 +222,13 @@ def test_the_command_writes_one_page_that_asks_for_nothing(
 def test_the_report_counts_low_places_that_it_does_not_list() -> None:
     start = 1000.0 * np.arange(13)
     bins = pd.DataFrame(
-        {"edge": "east", "layer": "wet", "start_m": start, "end_m": start + 25.0, "events": 1.0,
-         "expected": 0.1 + start / 1e5, "expected_low": 0.05, "expected_high": 0.2}
+        {"line": "east", "layer": "wet", "start_m": start, "end_m": start + 25.0, "events": 1.0,
+         "observed": True, "expected": 0.1 + start / 1e5, "expected_low": 0.05,
+         "expected_high": 0.2}
     )  # fmt: skip
-    table, more = lowest_places(bins, "wet")
+    table, more = lowest_parts(bins, "wet")
     assert isinstance(table, WordTable)
     assert table.data is not None
     assert len(table.data) == 10
     assert str(more).startswith("3 more places")
-    assert len(lowest_places(bins[:10], "wet")) == 1
+    assert len(lowest_parts(bins[:10], "wet")) == 1

@@ -22,7 +22,7 @@ from analysis.control.follow import (
 )
 from analysis.control.observer import Observer
 from analysis.control.odometry import MARGIN, Odometry
-from analysis.control.plot import draw_following
+from analysis.control.plot import following_charts
 from analysis.control.prediction import TICK, TrainEstimate, pace_to_arrive, rollout, sampled
 from analysis.control.route import (
     CREEP,
@@ -255,12 +255,12 @@ def test_the_log_has_the_reference_and_the_configuration(tmp_path: Path) -> None
     # The load is weighed: the log does not state it exactly.
     error = float(trip.metadata["load"]) - 2_000.0
     assert 0.0 < abs(error) < 4.0 * float(trip.metadata["load_std"])
-    draw_following([trip], tmp_path / "following.png")
-    assert (tmp_path / "following.png").read_bytes().startswith(b"\x89PNG")
+    (chart,) = following_charts([trip])
+    assert [len(panel.curves) for panel in chart.panels] == [4, 1, 1, 1]
     with pytest.raises(LogError, match=r"'driven-.*' followed no trajectory"):
-        draw_following([replace(trip, topics={"/events": trip["/events"]})], tmp_path / "none.png")
+        following_charts([replace(trip, topics={"/events": trip["/events"]})])
     with pytest.raises(LogError, match="no trip to draw"):
-        draw_following([], tmp_path / "none.png")
+        following_charts([])
 
 
 def test_where_the_map_was_not_observed_it_still_states_what_is_likely() -> None:

@@ -15,6 +15,7 @@ from format_examples import assert_same, lines
 from hypothesis import HealthCheck, Phase, given, settings, strategies as st
 
 import trainlog
+from analysis.charts import draw_charts
 from trainlog.errors import InputError
 from trainlog.formats.attached import line_of
 from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line, write_line
@@ -456,15 +457,17 @@ def test_a_trip_on_a_route_is_trips_on_its_edges(tmp_path: Path) -> None:
 
 
 def test_a_picture_of_a_network_with_and_without_coordinates(tmp_path: Path) -> None:
-    from analysis.network.plot import AlongEdge, draw_network
-
     bounds = np.linspace(0.0, 3_000.0, 31)
-    shown = {"trunk": AlongEdge(bounds, np.linspace(0.1, 0.3, 30), np.linspace(0.0, 1.0, 30))}
-    draw_network(y_network(), tmp_path / "y.png", shown=shown, label="maximum adhesion")
+    shown = {"trunk": (bounds, np.linspace(0.1, 0.3, 30))}
+    (chart,) = y_network().charts(shown=shown, places=[("trunk", 500.0)])
+    labels = [curve.label for curve in chart.panels[0].curves if curve.label]
+    assert labels == ["0.08 to 0.12", "0.12 to 0.20", "from 0.20"]
+    assert [each.words for each in chart.panels[0].labels][-1].strip() == "1"
+    draw_charts(chart, tmp_path / "y.png")
     assert (tmp_path / "y.png").stat().st_size > 5_000
     one = Network("one", (Node("St. Gallen"), Node("Wil")), (
         Edge("850", WHOLE, "St. Gallen", "Wil"),))  # fmt: skip
-    figure = draw_network(one)
+    figure = one.plot()
     assert figure.axes[0].get_xlabel() == "east [km]"
 
 

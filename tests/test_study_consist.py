@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from simulated_line import level_line, steps
 
+from analysis.charts import draw_charts
 from analysis.consist_table import consist_tables
 from analysis.studies.in_train_forces import simulation as study
-from analysis.studies.in_train_forces.plot import draw_in_train_forces
+from analysis.studies.in_train_forces.plot import run_charts
 from analysis.studies.in_train_forces.run import consist_trip
 from analysis.studies.in_train_forces.table import forces_tables
 from trainlog.cli.main import run as command
@@ -103,7 +104,7 @@ def test_a_run_becomes_a_log(run: study.ConsistRun, tmp_path: Path) -> None:
 
 
 def test_the_report_and_the_picture_are_made(run: study.ConsistRun, tmp_path: Path) -> None:
-    draw_in_train_forces(run, tmp_path / "run.png")
+    draw_charts(run_charts(run), tmp_path / "run.png")
     assert (tmp_path / "run.png").stat().st_size > 20_000
     with console.capture() as captured:
         console.print(*forces_tables(run), *consist_tables(run.consist))

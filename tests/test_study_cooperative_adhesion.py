@@ -20,10 +20,10 @@ from analysis.control.cooperative import (
 )
 from analysis.control.rail_estimate import RailEstimator, rail_ahead
 from analysis.estimates import with_estimates
-from analysis.studies.report import as_markdown
+from analysis.studies.report import StudyReport, as_markdown
 from analysis.studies.zhao_2025 import simulation as study
 from analysis.studies.zhao_2025.controller import NonlinearReferee
-from analysis.studies.zhao_2025.plot import draw_rail, draw_start, draw_study
+from analysis.studies.zhao_2025.plot import rail_charts, start_charts, study_charts
 from analysis.studies.zhao_2025.rail import STEEP, driven
 from analysis.studies.zhao_2025.run import trip_of
 from analysis.studies.zhao_2025.table import (
@@ -33,6 +33,7 @@ from analysis.studies.zhao_2025.table import (
     start_table,
     torque_table,
 )
+from trainlog.cli import terminal
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import StepProfile
@@ -353,17 +354,16 @@ def test_tables_and_pictures_are_made(
     literal: dict[int, study.Run], exact: dict[int, study.Run], tmp_path: Path
 ) -> None:
     compared = {name: [replace(exact[2], total=study.SCARCE)] for name in study.STRATEGIES}
-    pictures = draw_study([literal[2], exact[2]], compared, tmp_path)
-    assert all(picture.stat().st_size > 10_000 for picture in pictures)
+    pictures = study_charts([literal[2], exact[2]], compared)
+    pictures |= {"start.png": start_charts(literal[1], literal[1])}
+    pictures |= {"rail.png": rail_charts([exact[2]])}
+    StudyReport(tmp_path, terminal.console).draw(pictures)
+    assert all((tmp_path / name).stat().st_size > 10_000 for name in pictures)
     assert len(published_table().rows) == 4
     assert len(torque_table([exact[2]]).rows) == 4
     assert len(start_table(literal[1], literal[1]).rows) == 2
-    draw_start(literal[1], literal[1], tmp_path / "start.png")
-    assert (tmp_path / "start.png").stat().st_size > 10_000
     assert len(gain_table(compared).rows) == 1
     assert len(knowledge_table({"known": [exact[2]], "map": [None]}).rows) == 1
-    draw_rail([exact[2]], tmp_path / "rail.png")
-    assert (tmp_path / "rail.png").stat().st_size > 10_000
 
 
 def test_the_page_has_what_the_cases_reach(

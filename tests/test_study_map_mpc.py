@@ -12,7 +12,7 @@ from pandas import Timestamp
 from analysis.studies.hauck_2023 import scenarios as study, simulation as driving
 from analysis.studies.hauck_2023.controller import AS_PUBLISHED
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
-from analysis.studies.hauck_2023.plot import draw_days, draw_risks, draw_study
+from analysis.studies.hauck_2023.plot import days_charts, risks_charts, study_charts
 from analysis.studies.hauck_2023.scenarios import Days, day_by_day, least_lateness, replanned
 from analysis.studies.hauck_2023.simulation import trip_of
 from analysis.studies.hauck_2023.table import (
@@ -25,6 +25,8 @@ from analysis.studies.hauck_2023.table import (
     risks_table,
     tracking_table,
 )
+from analysis.studies.report import StudyReport
+from trainlog.cli import terminal
 from trainlog.cli.main import run as command
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log
@@ -212,9 +214,9 @@ def test_tables_and_pictures_are_made(
     assert len(references_table(known.plan).rows) == 1
     assert len(days_table(days).rows) == 2
     assert "day 2: 0.0" in counted_on(days)
-    pictures = draw_study(known, three, tmp_path)
-    draw_days(days, tmp_path / "days.png")
-    assert all(path.stat().st_size > 10_000 for path in (*pictures, tmp_path / "days.png"))
+    pictures = {**study_charts(known, three), "days.png": days_charts(days)}
+    StudyReport(tmp_path, terminal.console).draw(pictures)
+    assert all((tmp_path / name).stat().st_size > 10_000 for name in pictures)
 
 
 def test_a_changing_rail_has_spots_that_come_and_go(known: study.Setup) -> None:
@@ -241,7 +243,7 @@ def test_less_risk_counts_on_less_where_slip_was_seen_and_explores_elsewhere(day
     assert np.all(careful.values[~careful.seen] == driving.NO_MAP.values[0])
 
 
-def test_days_read_with_different_risk_are_tabled_and_drawn(days: Days, tmp_path: Path) -> None:
+def test_days_read_with_different_risk_are_tabled_and_drawn(days: Days) -> None:
     blind = Days((days.days[0], replace(days.days[0], number=2)), days.stops)
     driven = {"no map": blind, "risk 0.05": days}
     table = risks_table(driven)
@@ -252,8 +254,8 @@ def test_days_read_with_different_risk_are_tabled_and_drawn(days: Days, tmp_path
         days.days[0].slip_events,
         days.days[1].slip_events,
     ]
-    draw_risks(driven, tmp_path / "risks.png")
-    assert (tmp_path / "risks.png").read_bytes().startswith(b"\x89PNG")
+    (chart,) = risks_charts(driven)
+    assert [curve.label for curve in chart.panels[0].curves] == ["no map", "", "risk 0.05", ""]
 
 
 def test_a_risk_that_is_none_and_one_as_published_are_refused(tmp_path: Path) -> None:
@@ -306,13 +308,8 @@ def test_where_no_map_can_be_made_the_days_driven_are_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("analysis.studies.hauck_2023.run.SCENARIOS", ())
-    for name in (
-        "draw_study",
-        "difference_table",
-        "tracking_table",
-        "lateness_table",
-        "gain_table",
-    ):
+    monkeypatch.setattr("analysis.studies.hauck_2023.run.study_charts", lambda *_: {})
+    for name in ("difference_table", "tracking_table", "lateness_table", "gain_table"):
         monkeypatch.setattr(f"analysis.studies.hauck_2023.run.{name}", lambda *_: "")
     assert command(["study", "map-mpc", "--sections", "1", "-o", str(tmp_path)]) == 0
     report = (tmp_path / "tables.md").read_text()

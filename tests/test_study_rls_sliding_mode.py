@@ -9,7 +9,7 @@ import pytest
 from test_study_tables import check, on_page, tables
 
 from analysis.studies.amirhosseini_2024 import simulation as study
-from analysis.studies.amirhosseini_2024.plot import draw_study
+from analysis.studies.amirhosseini_2024.plot import study_charts
 from analysis.studies.amirhosseini_2024.run import trip_of
 from analysis.studies.amirhosseini_2024.simulation import SlidingModeController, Target
 from analysis.studies.amirhosseini_2024.table import (
@@ -17,7 +17,8 @@ from analysis.studies.amirhosseini_2024.table import (
     eight_wagons_table,
     errors_table,
 )
-from analysis.studies.report import as_markdown
+from analysis.studies.report import StudyReport, as_markdown
+from trainlog.cli import terminal
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log
 
@@ -122,8 +123,9 @@ def test_eight_wagons_are_controlled_as_closely_as_one_particle(
     made = as_markdown(eight_wagons_table(runs, [every, first]))
     ((title, rows),) = tables(made).items()
     check(title, on_page("rls-sliding-mode")[title][: len(rows)], rows)
-    pictures = draw_study(runs, runs, [every, first], tmp_path)
-    assert all(picture.stat().st_size > 10_000 for picture in pictures)
+    pictures = study_charts(runs, runs, [every, first])
+    StudyReport(tmp_path, terminal.console).draw(pictures)
+    assert all((tmp_path / name).stat().st_size > 10_000 for name in pictures)
 
 
 def test_the_page_has_the_errors_that_the_estimators_reach(runs: dict[str, study.Run]) -> None:

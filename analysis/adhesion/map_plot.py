@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -158,23 +159,54 @@ def map_charts(
         title=f"{track.line}: maximum adhesion to count on, {track.bin_length:.0f} m bins{when}",
     )
     details = [
-        _detail(track, number, place, bins, truth or {}, line)
+        detail(track, number, place, bins, truth or {}, line)
         for number, place in enumerate(places, start=1)
     ]
     return [strips, *details]
 
 
-def lowest_places(bins: pd.DataFrame) -> list[float]:
-    """The middles of the bins with the lowest adhesion to count on, apart from each other [m]."""
+def lowest_bins(bins: pd.DataFrame, most: int = LOWEST) -> pd.DataFrame:
+    """The bins with the lowest adhesion to count on; those of one line apart from each other."""
     observed = bins[bins["observed"]].sort_values("expected_low", kind="stable")
-    taken = list[float]()
-    for start, end in zip(observed["start_m"], observed["end_m"], strict=True):
-        place = 0.5 * (start + end)
-        if all(abs(place - other) >= APART for other in taken):
-            taken.append(place)
-        if len(taken) == LOWEST:
+    middle = 0.5 * (observed["start_m"] + observed["end_m"])
+    taken, rows = list[tuple[str, float]](), list[int]()
+    for row, (line, place) in enumerate(zip(observed["line"], middle, strict=True)):
+        if all(line != known or abs(place - other) >= APART for known, other in taken):
+            taken.append((line, place))
+            rows.append(row)
+        if len(rows) == most:
             break
-    return taken
+    return observed.iloc[rows]
+
+
+def lowest_places(bins: pd.DataFrame) -> list[float]:
+    """The middles of the `lowest_bins` [m]."""
+    rows = lowest_bins(bins)
+    return (0.5 * (rows["start_m"] + rows["end_m"])).tolist()
+
+
+def low_by_bin(track: TrackConditionMap, bins: pd.DataFrame) -> FloatArray:
+    """The adhesion to count on of each bin of a map, NaN where rows of `bins_table` have none."""
+    low = np.full(track.bins, np.nan)
+    low[bins["bin"].to_numpy()] = bins["expected_low"].to_numpy(np.float64)
+    return low
+
+
+def strip_cells(
+    track: TrackConditionMap, low: FloatArray, least: float, span: tuple[float, float]
+) -> Cells:
+    """A strip along a map: the adhesion to count on, pieces as long as `least` [m] at least."""
+    edges = bin_edges(track) / 1e3
+    shown = _widened(low, max(round(least / track.bin_length), 1))
+    colours = np.array(
+        ["" if np.isnan(each) else ADHESION_COLOURS[adhesion_class(each)] for each in shown]
+    )
+    hover = {
+        "km": [f"{each:.3f}" for each in edges[:-1].tolist()],
+        "to count on": ["not observed" if np.isnan(each) else f"{each:.3f}" for each in shown],
+    }
+    names = dict(zip(ADHESION_CLASSES, ADHESION_COLOURS, strict=True))
+    return Cells(edges, span, colours[None, :], names, hover=hover)
 
 
 def _places_in_words(places: Sequence[float], line: Line | None, back: float) -> str:
@@ -196,20 +228,10 @@ def _strip(
 ) -> Panel:
     """A layer along the line: coloured where it was observed, its spots and changes above."""
     layer = track.layers[name]
-    edges = bin_edges(track) / 1e3
-    low = np.full(track.bins, np.nan)
-    low[bins["bin"].to_numpy()] = bins["expected_low"].to_numpy(np.float64)
-    shown = _widened(low, max(round(LEAST_SHOWN * (part[1] - part[0]) / track.bin_length), 1))
-    colours = np.array(
-        ["" if np.isnan(each) else ADHESION_COLOURS[adhesion_class(each)] for each in shown]
-    )
-    hover = {
-        "km": [f"{each:.3f}" for each in edges[:-1].tolist()],
-        "to count on": ["not observed" if np.isnan(each) else f"{each:.3f}" for each in shown],
-    }
-    names = dict(zip(ADHESION_CLASSES, ADHESION_COLOURS, strict=True))
+    low = low_by_bin(track, bins)
+    cells = strip_cells(track, low, LEAST_SHOWN * (part[1] - part[0]), (0.0, 0.45))
     first = name == next(iter(track.layers))
-    cells = Cells(edges, [0.0, 0.45], colours[None, :], names if first else {}, hover=hover)
+    cells = cells if first else replace(cells, names={})
     ground = Span(0.0, 0.45, PALE, "not observed" * first, 0.8, across=True)
     marks, labels = _marks(layer, at or last_evidence(track), part)
     numbers = [
@@ -287,17 +309,19 @@ def labels_apart(
     return found
 
 
-def _detail(
+def detail(
     track: TrackConditionMap,
     number: int,
     place: float,
     bins: pd.DataFrame,
     truth: Mapping[str, ArrayLike],
     line: Line | None,
+    edge: str = "",
 ) -> Chart:
     """One of the lowest places: what is expected there, with its band, and what was used."""
     here = bins[(bins["end_m"] > place - AROUND) & (bins["start_m"] < place + AROUND)]
-    curves, words = list[Curve](), [f"{number}: {km_words(line, place - 0.5 * track.bin_length)}"]
+    at = ", ".join(filter(None, (edge, km_words(line, place - 0.5 * track.bin_length))))
+    curves, words = list[Curve](), [f"{number}: {at}"]
     first = number == 1
     for name in track.layers:
         rows = here[here["layer"] == name]

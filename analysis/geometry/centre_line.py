@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 from scipy.ndimage import label
@@ -19,6 +20,7 @@ from trainlog.identity import Known, identity_of, same_drives
 from trainlog.ingest.chainage import Matched, chainage_of, distance_driven
 from trainlog.ingest.estimates import fixes_of
 from trainlog.ingest.fixes import Fixes
+from trainlog.plotted import Plotted
 from trainlog.presentation import facts_table
 from trainlog.railway.geometry import from_plane, nearest_on, thinned, to_plane, track_of
 from trainlog.railway.line import (
@@ -64,7 +66,7 @@ GAP = 100.0
 
 
 @dataclass(frozen=True, eq=False)
-class CentreLine:
+class CentreLine(Plotted):
     """A line's geometry, and what it rests on; arrays are (n,), one value a `STEP`.
 
     Attributes
@@ -94,6 +96,8 @@ class CentreLine:
     no_heights : str
         Why not.
     """
+
+    charts_by: ClassVar[str] = "analysis.geometry.plot:centre_line_charts"
 
     geometry: Geometry
     curvatures: CurvatureProfile

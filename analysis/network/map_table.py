@@ -1,8 +1,7 @@
-"""What the maps of a network know: a table by edge, and the network drawn by expected adhesion."""
+"""What the maps of a network know, as a table by edge."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,15 +9,8 @@ import pandas as pd
 
 from analysis.adhesion.condition_table import shown
 from analysis.network.maps import NetworkMap
-from analysis.network.plot import AlongEdge, draw_network
 from trainlog.errors import InputError
 from trainlog.presentation import WordTable, new_table
-from trainlog.railway.condition import TrackConditionMap
-from trainlog.railway.network import Network
-
-PIECES, LEAST_PIECE = 200.0, 100.0
-"""Of the length of a network in a picture, and how long they are at least [m]: what is shorter
-cannot be seen."""
 
 
 def network_rows(
@@ -109,81 +101,3 @@ def network_table(maps: NetworkMap, rows: list[dict[str, Any]]) -> WordTable:
             lowest,
         )
     return table
-
-
-def draw_network_map(
-    maps: NetworkMap,
-    path: str | Path,
-    *,
-    time: pd.Timestamp | None = None,
-    layer: str | None = None,
-    network: Network | None = None,
-) -> None:
-    """Draw a network by the adhesion that is expected along its edges; the surer, the wider.
-
-    Parameters
-    ----------
-    maps : NetworkMap
-    path : path
-        PNG or SVG.
-    time : Timestamp, optional
-        Default: right after the last evidence.
-    layer : str, optional
-        Rail condition; default: the one in which most was measured.
-    network : Network, optional
-        Default: that of the folder.
-
-    Raises
-    ------
-    InputError
-        If the network is not known, or no edge has the layer.
-    """
-    network = network or maps.network
-    if network is None:
-        raise InputError(
-            "the folder does not state the network, which gives the picture its shape",
-            file=maps.folder,
-            remedy="give it once with 'trainlog map update --network NETWORK'",
-        )
-    if layer is None:
-        measured = {
-            name: sum(t.layers[name].events.sum() for t in maps.maps.values() if name in t.layers)
-            for name in maps.layers
-        }
-        layer = max(measured, key=lambda name: (measured[name], name), default="dry")
-    piece = max(network.length / PIECES, LEAST_PIECE)
-    shown = {
-        name: _along(track, layer, time, piece)
-        for name, track in maps.maps.items()
-        if layer in track.layers
-    }
-    if not shown:
-        raise InputError(
-            f"no edge has a layer '{layer}'",
-            file=maps.folder,
-            remedy=f"layers there are: {', '.join(maps.layers) or 'none'}",
-        )
-    when = "" if time is None else f" on {time:%Y-%m-%d %H:%M} UTC"
-    draw_network(
-        network,
-        path,
-        shown=shown,
-        label="lowest expected adhesion",
-        title=f"{network.name}: expected adhesion, {layer} rail{when}; pieces of {piece:.0f} m,"
-        " the surer the wider; grey: not observed",
-    )
-
-
-def _along(
-    track: TrackConditionMap, layer: str, time: pd.Timestamp | None, piece: float
-) -> AlongEdge:
-    """The lowest expected adhesion of each piece [m] of an edge, where it was observed."""
-    expected = track.layer(layer).expected(time)
-    certainty = 1.0 - expected.log_std / max(track.settings.get("prior_std", 0.4), 1e-9)
-    each = max(round(piece / track.bin_length), 1)
-    starts = np.arange(0, track.bins, each)
-    lowest = np.where(expected.observed, expected.maximum_adhesion, np.inf)
-    values = np.minimum.reduceat(lowest, starts)
-    sure = np.maximum.reduceat(np.where(expected.observed, certainty, 0.0), starts)
-    bounds = np.minimum(np.append(starts, track.bins) * track.bin_length, track.length)
-    return AlongEdge(bounds, np.where(np.isfinite(values), values, np.nan), sure.clip(0.0, 1.0))

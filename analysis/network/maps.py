@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 from urllib.parse import quote
 
 import numpy as np
@@ -123,6 +123,8 @@ class NetworkMap(Presented):
     folder: Path
     network: Network | None
     maps: Mapping[str, TrackConditionMap]
+
+    charts_by: ClassVar[str] = "analysis.network.plot:network_map_charts"
 
     @property
     def title(self) -> str:

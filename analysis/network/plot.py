@@ -1,24 +1,26 @@
-"""Pictures of a network: its stations and edges, coloured by what is known along them."""
+"""Charts of a network: its stations and edges, and what the maps of its edges know."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+import pandas as pd
 
-from analysis.charts import GREY, INK, PALE, headline, new_figure, write_figure
+from analysis.adhesion.condition_table import bin_edges, bins_table
+from analysis.adhesion.map_plot import detail, low_by_bin, lowest_bins, strip_cells
+from analysis.charts import GREY, INK, PALE, Chart, Curve, Label, Panel
 from trainlog.arrays import FloatArray
+from trainlog.display import counted
+from trainlog.errors import InputError
 from trainlog.extras import require
+from trainlog.railway.condition import ADHESION_CLASSES, ADHESION_COLOURS, adhesion_class
 from trainlog.railway.network import Edge, Network
+from trainlog.spans import runs_of
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+    from analysis.network.maps import NetworkMap
 
 KM_OF_DEGREE = 111.195
 """Of latitude."""
@@ -26,65 +28,33 @@ KM_OF_DEGREE = 111.195
 PIECES = 48
 """Of a course that is drawn as a bow or a circle."""
 
+LEAST_SHOWN = 0.005
+"""Share of a network's extent that an observed piece takes at least: to be seen."""
 
-@dataclass(frozen=True, eq=False)
-class AlongEdge:
-    """What is shown along an edge.
-
-    Attributes
-    ----------
-    bounds : (n + 1,) array [m]
-        Of bins, on the edge's chainage.
-    values : (n,) array
-        NaN: not known, drawn grey.
-    certainty : (n,) array, optional
-        From 0 to 1: how wide a bin is drawn.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> AlongEdge(np.array([0.0, 500.0]), np.array([0.3])).values.tolist()
-    [0.3]
-    """
-
-    bounds: FloatArray
-    values: FloatArray
-    certainty: FloatArray | None = None
+MOST_STRIPS = 40
+"""Edges of a rail condition that are drawn as strips."""
 
 
-def draw_network(
+def network_charts(
     network: Network,
-    path: str | Path | None = None,
     *,
-    shown: Mapping[str, AlongEdge] | None = None,
-    label: str = "",
+    shown: Mapping[str, tuple[FloatArray, FloatArray]] | None = None,
+    places: Sequence[tuple[str, float]] = (),
     title: str = "",
-    colours: str = "viridis",
-    span: tuple[float, float] | None = None,
-) -> Figure:
-    """Draw a network by the course of its edges on the earth.
+) -> list[Chart]:
+    """A network by the course of its edges on the earth.
 
     Where it has no coordinates, nodes are placed by how long the edges between them are.
 
     Parameters
     ----------
     network : Network
-    path : path, optional
-        Where to write it (.png, .svg).
-    shown : mapping of edge to AlongEdge, optional
-        What colours the edges.
-    label : str
-        Of the colours, with the unit.
+    shown : mapping of edge to ((n + 1,) array [m], (n,) array), optional
+        Bins on the edge's chainage, and their maximum adhesion, which colours them; NaN: not known.
+    places : sequence of (edge, chainage [m])
+        Are numbered.
     title : str
         Default: the network's name.
-    colours : str
-        Colour map of matplotlib.
-    span : (float, float), optional
-        Values at its ends.
-
-    Returns
-    -------
-    Figure
 
     Examples
     --------
@@ -92,90 +62,178 @@ def draw_network(
     >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> nodes = (trainlog.Node("St. Gallen"), trainlog.Node("Wil"))
     >>> edge = trainlog.Edge("850", line, "St. Gallen", "Wil")
-    >>> figure = draw_network(trainlog.Network("one", nodes, (edge,)))
-    >>> figure.axes[0].get_xlabel()
+    >>> network_charts(trainlog.Network("one", nodes, (edge,)))[0].x
     'east [km]'
     """
     courses = edge_courses(network)
     every = np.concatenate([points for _, points in courses.values()])
-    wide, high = np.maximum(np.ptp(every, axis=0), 1e-9).tolist()
-    figure = new_figure(9.0, float(np.clip(8.0 * high / wide + 1.5, 3.5, 9.0)))
-    axes = figure.add_subplot()
-    drawn = _draw_edges(axes, network, courses, shown or {}, (colours, span))
-    _draw_nodes(axes, network, courses)
-    _draw_stations(axes, network, courses)
+    low, wide = every.min(axis=0), np.maximum(np.ptp(every, axis=0), 1e-9)
     on_earth = _placed(network) is not None
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.margins(0.08)
-    straight = any(edge.line.geometry is None for edge in network.edges)
-    east = f"east [km]{'; dashed: without coordinates of its own' * straight}"
-    axes.set_xlabel(east if on_earth else "no coordinates: distances are not true", color=INK)
-    axes.set_ylabel("north [km]" if on_earth else "", color=INK)
-    if not on_earth:
-        axes.set_xticks([])
-        axes.set_yticks([])
-    axes.tick_params(colors=INK, labelsize=9)
-    if on_earth:
-        axes.grid(visible=True, color=PALE, linewidth=0.5)
-    axes.set_axisbelow(True)
-    for side in axes.spines.values():
-        side.set_color(PALE)
-    if drawn is not None:
-        bar = figure.colorbar(drawn, ax=axes, shrink=0.8, pad=0.02)
-        bar.set_label(label, color=INK)
-        bar.outline.set_visible(False)
-    headline(figure, title or f"{network.name}, {network.length / 1e3:.1f} km of line")
-    if path is not None:
-        write_figure(figure, path)
-    return figure
+    straight = on_earth and any(edge.line.geometry is None for edge in network.edges)
+    curves = [
+        Curve("", *courses[edge.name][1].T, GREY if shown is None else PALE, width=2.0,
+              dash="--" if on_earth and edge.line.geometry is None else "")
+        for edge in network.edges
+    ]  # fmt: skip
+    for number, (name, colour) in enumerate(zip(ADHESION_CLASSES, ADHESION_COLOURS, strict=True)):
+        pieces = [
+            np.append(_stretch(*courses[edge], *bounds[[begin, end]]), [[np.nan, np.nan]], axis=0)
+            for edge, (bounds, values) in (shown or {}).items()
+            for begin, end in runs_of(np.isfinite(values) & (adhesion_class(values) == number))
+        ]
+        if pieces:
+            curves.append(Curve(name, *np.concatenate(pieces).T, colour, width=4.5))
+    labels = [
+        Label(x, f"  {number}", y, size=9.0, side="left")
+        for number, (edge, place) in enumerate(places, start=1)
+        for x, y in [_at(courses[edge], place)]
+    ]
+    nodes, names = _nodes(network, courses, 0.02 * float(wide.max()))
+    stations, others = _stations(network, courses, 0.03 * float(wide.max()))
+    margin = 0.08 * float(wide.max())
+    panel = Panel(
+        "north [km]" * on_earth, [*curves, *nodes, *stations],
+        float(np.clip(3.7 * wide[1] / wide[0], 1.0, 3.5)),
+        labels=[*names, *others, *labels], bare=not on_earth,
+        limits=(low[1] - margin, low[1] + wide[1] + margin),
+    )  # fmt: skip
+    dashed = "; dashed: without coordinates of its own" * straight
+    return [
+        Chart(
+            f"east [km]{dashed}" if on_earth else "no coordinates: distances are not true",
+            [panel],
+            f"The network {network.name}, its edges and stations.",
+            span=(low[0] - margin, low[0] + wide[0] + margin),
+            title=title or f"{network.name}, {network.length / 1e3:.1f} km of line",
+            ticks=() if on_earth else [(float(low[0]), "")],
+            equal=True,
+        )
+    ]
 
 
-def _draw_edges(
-    axes: Axes,
-    network: Network,
-    courses: Mapping[str, tuple[FloatArray, FloatArray]],
-    shown: Mapping[str, AlongEdge],
-    scale: tuple[str, tuple[float, float] | None],
-) -> LineCollection | None:
-    """Draw the edges; what carries the colours, if something is shown."""
-    segments, values, widths = [], [], []
-    on_earth = _placed(network) is not None
-    for edge in network.edges:
-        positions, points = courses[edge.name]
-        colour = PALE if edge.name in shown else GREY
-        style = (0, (4, 1.5)) if on_earth and edge.line.geometry is None else "-"
-        axes.plot(*points.T, color=colour, linewidth=2.0, linestyle=style, zorder=1)
-        known = shown.get(edge.name)
-        if known is None:
-            continue
-        for number in np.flatnonzero(np.isfinite(known.values)):
-            segments.append(_stretch(positions, points, *known.bounds[number : number + 2]))
-            values.append(known.values[number])
-            sure = 1.0 if known.certainty is None else float(known.certainty[number])
-            widths.append(1.5 + 4.5 * min(max(sure, 0.0), 1.0))
-    if not segments:
-        return None
-    drawn = LineCollection(segments, linewidths=widths, cmap=scale[0], zorder=2)
-    drawn.set_array(np.array(values))
-    if scale[1] is not None:
-        drawn.set_clim(*scale[1])
-    axes.add_collection(drawn)
-    return drawn
+def network_map_charts(
+    maps: NetworkMap,
+    *,
+    at: pd.Timestamp | None = None,
+    layers: Sequence[str] = (),
+    network: Network | None = None,
+) -> list[Chart]:
+    """The network and a strip for each edge, by rail condition; and details of the lowest places.
+
+    Colours are those of the map of a line: the lower end of the 95 % band of what is expected.
+
+    Parameters
+    ----------
+    maps : NetworkMap
+    at : Timestamp, optional
+        Only evidence of the days before counts. Default: right after the last evidence.
+    layers : sequence of str
+        Rail conditions; default: all.
+    network : Network, optional
+        Default: that of the folder; without one the strips are drawn alone.
+
+    Raises
+    ------
+    InputError
+        If no edge has a layer that is asked for.
+    """
+    known = maps if at is None else maps.known_before(at)
+    chosen = [name for name in known.layers if not layers or name in layers]
+    if not chosen:
+        raise InputError(
+            f"no edge has a layer '{', '.join(layers) or 'dry'}'",
+            file=maps.folder,
+            remedy=f"layers there are: {', '.join(known.layers) or 'none'}",
+        )
+    tracks = {edge: each for edge, each in known.maps.items() if set(each.layers) & set(chosen)}
+    bins = pd.concat(
+        [
+            bins_table(each, None, at, [name for name in chosen if name in each.layers])
+            for each in tracks.values()
+        ]
+    )
+    lowest = lowest_bins(bins)
+    middle = 0.5 * (lowest["start_m"] + lowest["end_m"])
+    places = list(zip(lowest["line"], middle.tolist(), strict=True))
+    when = "" if at is None else f" on {at:%Y-%m-%d %H:%M} UTC"
+    network, charts = network or maps.network, list[Chart]()
+    for name in chosen:
+        title = f"Maximum adhesion to count on, {name} rail{when}; grey: not observed"
+        own = {edge: each for edge, each in tracks.items() if name in each.layers}
+        low = {edge: low_by_bin(each, _rows(bins, edge, name)) for edge, each in own.items()}
+        if network is not None:
+            shown = {
+                edge.name: (bin_edges(own[edge.name]), low[edge.name])
+                for edge in network.edges
+                if edge.name in own
+            }
+            numbers = [each for each in places if each[0] in shown]
+            charts += network_charts(network, shown=shown, places=numbers, title=title)
+        seen = [edge for edge, values in low.items() if np.isfinite(values).any()]
+        if seen:
+            charts.append(_strips({edge: own[edge] for edge in seen[:MOST_STRIPS]}, low, places,
+                                  f"{title}{_more(len(seen) - MOST_STRIPS)}"))  # fmt: skip
+    details = [
+        detail(tracks[edge], number, place, bins[bins["line"] == edge], {}, None, edge)
+        for number, (edge, place) in enumerate(places, start=1)
+    ]
+    return [*charts, *details]
+
+
+def _more(count: int) -> str:
+    return f"; {counted(count, 'more edge')} observed" if count > 0 else ""
+
+
+def _rows(bins: pd.DataFrame, edge: str, layer: str) -> pd.DataFrame:
+    return bins[(bins["line"] == edge) & (bins["layer"] == layer)]
+
+
+def _strips(
+    tracks: Mapping[str, Any],
+    low: Mapping[str, FloatArray],
+    places: Sequence[tuple[str, float]],
+    title: str,
+) -> Chart:
+    """Edges below each other, each coloured where it was observed."""
+    longest = max(each.length for each in tracks.values())
+    edges = list(tracks)
+    cells = [
+        strip_cells(each, low[edge], LEAST_SHOWN * longest, (row - 0.3, row + 0.3))
+        for row, (edge, each) in enumerate(tracks.items())
+    ]
+    ground = [
+        Curve("not observed" * (row == 0), [each.length / 1e3], [row], PALE, "bars", width=0.6,
+              across=True)
+        for row, each in enumerate(tracks.values())
+    ]  # fmt: skip
+    labels = [
+        Label(place / 1e3, f" {number}", edges.index(edge) - 0.42, size=8.0)
+        for number, (edge, place) in enumerate(places, start=1)
+        if edge in edges and np.isfinite(low[edge][tracks[edge].bin_of(place)])
+    ]
+    panel = Panel("", [*ground, *cells], 0.3 + 0.12 * len(edges), rows=edges, labels=labels)
+    return Chart("km on the edge", [panel], span=(0.0, longest / 1e3), title=title)
+
+
+def _at(course: tuple[FloatArray, FloatArray], position: float) -> tuple[float, float]:
+    """East and north [km] of a chainage [m]."""
+    east, north = (float(np.interp(position, course[0], each)) for each in course[1].T)
+    return east, north
 
 
 def _stretch(positions: FloatArray, points: FloatArray, start: float, end: float) -> FloatArray:
     """The course from one chainage to another."""
     inside = positions[(positions > start) & (positions < end)]
     at = np.concatenate(([start], inside, [end]))
-    return np.column_stack([np.interp(at, positions, points[:, axis]) for axis in (0, 1)])
+    return np.column_stack([np.interp(at, positions, each) for each in points.T])
 
 
-def _draw_nodes(
-    axes: Axes, network: Network, courses: Mapping[str, tuple[FloatArray, FloatArray]]
-) -> None:
-    """Mark the nodes, and name the stations; labels stand on the side where fewer edges are."""
+def _nodes(
+    network: Network, courses: Mapping[str, tuple[FloatArray, FloatArray]], apart: float
+) -> tuple[list[Curve], list[Label]]:
+    """The nodes, and the names of stations on the side where fewer edges are."""
     places: dict[str, FloatArray] = {}
-    away: dict[str, list[FloatArray]] = {}
+    away: dict[str, FloatArray] = {}
     for edge in network.edges:
         _, points = courses[edge.name]
         quarter = max(len(points) // 4, 1)
@@ -185,63 +243,44 @@ def _draw_nodes(
         ):
             places[name] = end
             way = inner - end
-            away.setdefault(name, []).append(way / max(float(np.hypot(*way)), 1e-9))
-    for node in network.nodes:
-        place = places[node.name]
-        station = node.kind == "station"
-        axes.plot(
-            *place,
-            marker="o",
-            markersize=6.0 if station else 3.5,
-            color="white" if station else INK,
-            markeredgecolor=INK,
-            markeredgewidth=1.2,
-            zorder=3,
-        )
-        if station:
-            free = -np.sum(away[node.name], axis=0)
-            axes.annotate(
-                node.name,
-                (float(place[0]), float(place[1])),
-                xytext=(8.0 if free[0] >= 0.0 else -8.0, 7.0 if free[1] >= 0.0 else -7.0),
-                textcoords="offset points",
-                ha="left" if free[0] >= 0.0 else "right",
-                va="bottom" if free[1] >= 0.0 else "top",
-                fontsize=8,
-                color=INK,
-                zorder=4,
-            )
+            away[name] = away.get(name, 0.0) + way / max(float(np.hypot(*way)), 1e-9)
+    curves, labels = list[Curve](), list[Label]()
+    for kind, width in (("station", 3.2), ("junction", 1.8)):
+        of_kind = [
+            each.name for each in network.nodes if (each.kind == "station") == (kind == "station")
+        ]
+        if of_kind:
+            x, y = np.array([places[name] for name in of_kind]).T
+            curves.append(Curve("", x, y, INK, "points", width=width))
+        for name in of_kind if kind == "station" else ():
+            (x, y), right = places[name], away[name][0] <= 0.0
+            up = apart if away[name][1] <= 0.0 else -apart
+            words = f"  {name}" if right else f"{name}  "
+            labels.append(Label(x, words, y + up, side="left" if right else "right", size=8.0))
+    return curves, labels
 
 
-def _draw_stations(
-    axes: Axes, network: Network, courses: Mapping[str, tuple[FloatArray, FloatArray]]
-) -> None:
-    """Mark the stations inside edges, and name each once: one may lie on several tracks."""
-    places: dict[str, list[FloatArray]] = {}
+def _stations(
+    network: Network, courses: Mapping[str, tuple[FloatArray, FloatArray]], apart: float
+) -> tuple[list[Curve], list[Label]]:
+    """The stations inside edges, each named once: one may lie on several tracks."""
+    places: dict[str, list[tuple[float, float]]] = {}
     nodes = {node.name for node in network.nodes}
     for edge in network.edges:
-        positions, points = courses[edge.name]
         for station in edge.line.stations:
             if station.name not in nodes:
-                at = [np.interp(station.position, positions, points[:, axis]) for axis in (0, 1)]
-                places.setdefault(station.name, []).append(np.array(at))
-    for number, (name, found) in enumerate(places.items()):
-        for place in found:
-            axes.plot(*place, marker="|", markersize=10.0, markeredgewidth=1.6, color=INK, zorder=3)
-        # Above and below in turn: neighbours on one line do not run into each other.
-        middle, above = np.mean(found, axis=0), number % 2 == 0
-        axes.annotate(
-            name,
-            (float(middle[0]), float(middle[1])),
-            xytext=(0.0, 9.0 if above else -9.0),
-            textcoords="offset points",
-            ha="center",
-            va="bottom" if above else "top",
-            fontsize=8,
-            color=INK,
-            zorder=4,
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
-        )
+                at = _at(courses[edge.name], station.position)
+                places.setdefault(station.name, []).append(at)
+    if not places:
+        return [], []
+    every = np.array([place for found in places.values() for place in found])
+    # Above and below in turn: neighbours on one line do not run into each other.
+    labels = [
+        Label(x, name, y + (apart if number % 2 == 0 else -apart), size=8.0)
+        for number, (name, found) in enumerate(places.items())
+        for x, y in [np.mean(found, axis=0).tolist()]
+    ]
+    return [Curve("", *every.T, INK, "points", width=3.0, mark="|")], labels
 
 
 def edge_courses(network: Network) -> dict[str, tuple[FloatArray, FloatArray]]:

@@ -54,7 +54,8 @@ WITHOUT_BOKEH = (
 def as_part(chart: Chart) -> Interactive:
     """The chart as a part of a page; without Bokeh its still picture alone."""
     still = drawn(lambda path: draw_charts(chart, path), chart.alt, chart.caption)
-    item = _item(chart) if find_spec("bokeh") else None
+    # BokehJS would draw a unit of the axis longer than one of the ordinate.
+    item = _item(chart) if find_spec("bokeh") and not chart.equal else None
     return Interactive(still, item, chart.title, tuple(legend_of(chart)))
 
 
@@ -105,7 +106,7 @@ def _plot(chart: Chart, panel: Panel, shared: Any, *, first: bool, last: bool) -
         background_fill_color=PAPER, border_fill_color=PAPER, outline_line_color=PALE,
         border_line_color=None,
         output_backend="canvas", min_border_left=40 if narrow else 64,
-        match_aspect=chart.equal, **({"x_axis_type": "datetime"} if chart.dates else {}),
+        **({"x_axis_type": "datetime"} if chart.dates else {}),
     )  # fmt: skip
     if plot.title is not None:
         plot.title.update(text_color=INK, text_font_size="10pt", text_font_style="normal")

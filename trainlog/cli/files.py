@@ -279,8 +279,8 @@ def _route(given: Path) -> Route:
 
 def _line_of_fixes(logs: list[Path], output: Path, name: str | None, picture: Path | None) -> None:
     """Build a line from the satellite fixes of trips along it."""
+    from analysis.charts import draw
     from analysis.geometry.centre_line import geometry_of, line_of
-    from analysis.geometry.plot import draw_centre_line
     from trainlog.formats.line import write_line
     from trainlog.mcap import read_log
 
@@ -291,7 +291,7 @@ def _line_of_fixes(logs: list[Path], output: Path, name: str | None, picture: Pa
     with task("fitting"):
         centre_line = geometry_of(trips)
     write_line(line_of(centre_line, name or output.stem.removesuffix(".line")), output)
-    draw_centre_line(centre_line, trips, shown)
+    draw(centre_line, shown, trips=trips)
     for sentence in centre_line.lines():
         console.print(sentence)
     wrote(output, shown)
@@ -361,7 +361,9 @@ def show(
             print_problems(error)
             refused += 1
     if picture is not None:
-        _draw(files[0], picture)
+        from analysis.contents import contents_of, draw_contents
+
+        draw_contents(contents_of(files[0]), picture)
         wrote(picture)
     if browse:
         _open(files[0])
@@ -435,19 +437,6 @@ def _show_log(file: Path, found: LogDescription) -> None:
     console.print(*render(found, recorded))
     if PASSPORT_ATTACHMENT in (each.name for each in found.attachments):
         console.print(repr(passport_of(read_log(file, []))))
-
-
-def _draw(file: Path, picture: Path) -> None:
-    """Draw what a file holds."""
-    from analysis.contents import contents_of, draw_contents
-    from analysis.network.plot import draw_network
-
-    found = contents_of(file)
-    if found.kind == "network":
-        destination(picture, ".png")
-        draw_network(found.value, picture)
-    else:
-        draw_contents(found, picture)
 
 
 def _log_as_data(found: LogDescription, recorded: Mapping[str, frozenset[str]]) -> dict[str, Any]:

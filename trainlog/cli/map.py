@@ -267,14 +267,15 @@ def _show_network(
     folder: Path, when: pd.Timestamp | None, layers: list[str] | None, picture: Path | None
 ) -> None:
     """Show the maps of a network's folder."""
-    from analysis.network.map_table import draw_network_map, network_rows, network_table
+    from analysis.charts import draw
+    from analysis.network.map_table import network_rows, network_table
     from analysis.network.maps import network_map
 
     maps = network_map(folder)
     shown = maps if when is None else maps.known_before(when)
     rows = network_rows(shown, when, layers)
     if picture is not None:
-        draw_network_map(shown, picture, time=when, layer=None if not layers else layers[0])
+        draw(shown, picture, at=when, layers=layers or ())
     if not state({"folder": str(folder), "edges": rows}):
         console.print(network_table(shown, rows))
     if picture is not None:

@@ -119,8 +119,9 @@ def follow(
 
     Example: trainlog simulate follow plan.json --line sample --train sample -o results/driven
     """
+    from analysis.charts import draw_charts
     from analysis.control.follow import following_line, following_scenarios
-    from analysis.control.plot import draw_following
+    from analysis.control.plot import following_charts
     from analysis.control.route import counted_on
     from trainlog.formats.trajectory import read_trajectory
 
@@ -138,7 +139,7 @@ def follow(
         condition_map=the_map, seed=seed, risk=risk, time=time,
     )  # fmt: skip
     trips = _drive(scenarios, output, characteristic, traction, the_map, following_line)
-    draw_following(trips, output / "following.png")
+    draw_charts(following_charts(trips), output / "following.png")
     wrote(output / "following.png")
 
 
@@ -220,7 +221,8 @@ def _drive(
         rail = read_characteristic(characteristic)
         scenarios = [replace(each, characteristic=rail) for each in scenarios]
     if traction != "own":
-        from analysis.control.plot import draw_traction
+        from analysis.charts import draw_charts
+        from analysis.control.plot import traction_charts
         from analysis.control.traction import with_traction
 
         scenarios = with_traction(scenarios, traction, known)
@@ -247,8 +249,9 @@ def _drive(
             if run.traction is not None:
                 words = f"    traction control {traction_line(run.traction)}"
                 console.print(words, highlight=False)
-                draw_traction(trip, output / f"{trip.name}.traction.png", known)
-                wrote(output / f"{trip.name}.traction.png")
+                picture = output / f"{trip.name}.traction.png"
+                draw_charts(traction_charts(trip, known), picture)
+                wrote(picture)
             if line_of is not None:
                 console.print(f"    {line_of(trip)}", highlight=False)
                 driven.append(trip)

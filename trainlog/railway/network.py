@@ -147,6 +147,7 @@ class Network(Declared):
       edges  west (against its chainage), east (against its chainage)
     """
 
+    charts_by: ClassVar[str] = "analysis.network.plot:network_charts"
     FORMAT: ClassVar[str] = "trainlog/network"
     VERSION: ClassVar[int] = Line.VERSION
     ORDER: ClassVar[tuple[str, ...]] = ("name", "source")

@@ -1,49 +1,26 @@
-"""The figures of Amirhosseini et al. (2024), drawn from runs of `simulation`."""
+"""The figures of Amirhosseini et al. (2024), as charts of runs of `simulation`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 
-from analysis.charts import (
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    RED,
-    dress,
-    new_figure,
-    write_figure,
-)
+from analysis.charts import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, Chart, Curve, Panel
 from analysis.studies.amirhosseini_2024.simulation import VARIANTS, Run
+from trainlog.arrays import FloatArray
 from trainlog.units import KMH
 
 COLOURS = dict(zip((v.name for v in VARIANTS), (GREEN, BLUE, RED, ORANGE), strict=True))
 """Of the variants."""
 
-PICTURES = (
-    "figures-01-03-profile.png",
-    "figures-04-05-time-reset.png",
-    "figures-06-09-spatial-reset.png",
-    "figures-10-14-scalar.png",
-    "measured-speed.png",
-    "eight-wagons.png",
-)
-
 SECONDS = "time [s]"
 
 
-def draw_study(
-    runs: Mapping[str, Run],
-    measured: Mapping[str, Run],
-    coupled: Sequence[Run],
-    folder: Path,
-) -> list[Path]:
-    """Draw the paper's figures, and what it could not show; returns the pictures' paths.
+def study_charts(
+    runs: Mapping[str, Run], measured: Mapping[str, Run], coupled: Sequence[Run]
+) -> dict[str, list[Chart]]:
+    """The paper's figures, and comparisons that it has not, by the names of the files.
 
     Parameters
     ----------
@@ -53,141 +30,116 @@ def draw_study(
         The same with measured speed.
     coupled : sequence of Run
         With eight wagons.
-    folder : path
     """
-    paths = [folder / name for name in PICTURES]
-    profile, timed, spatial, scalar, compared, wagons = paths
-    _draw_profile(runs["spatial reset"], profile)
-    _draw_learning(runs["time reset"], timed, ("Fig. 4", "Fig. 5", "", ""))
-    _draw_learning(runs["spatial reset"], spatial, ("Fig. 6", "Fig. 7", "Fig. 8", "Fig. 9"))
-    _draw_scalar(runs["scalar"], scalar)
-    _draw_measured(runs, measured, compared)
-    _draw_wagons(runs, coupled, wagons)
-    return paths
+    timed, spatial = runs["time reset"], runs["spatial reset"]
+    return {
+        "figures-01-03-profile.png": _profile(spatial),
+        "figures-04-05-time-reset.png": _learning(timed, "Figs. 4 and 5"),
+        "figures-06-09-spatial-reset.png": _learning(spatial, "Figs. 6 to 9"),
+        "figures-10-14-scalar.png": _scalar(runs["scalar"]),
+        "measured-speed.png": _measured(runs, measured),
+        "eight-wagons.png": _wagons(runs, coupled),
+    }
 
 
-def _draw_profile(run: Run, path: Path) -> None:
+def _profile(run: Run) -> list[Chart]:
     """Figs. 1-3: speed over position and over time, force of the slopes."""
-    figure = new_figure(9.0, 8.0)
-    first, second, third = figure.subplots(3, 1)
-    first.plot(run.target_position / 1e3, run.target_speed * KMH, color=BLUE)
-    dress(first, x="km", y="km/h", title="Fig. 1  Desired speed over position")
-    second.plot(run.time, run.target_speed * KMH, color=BLUE)
-    dress(second, x=SECONDS, y="km/h", title="Fig. 2  Desired speed over time")
-    third.plot(run.time, run.slope_force / 1e3, color=RED, drawstyle="steps-post")
-    dress(third, x=SECONDS, y="kN", title="Fig. 3  Force of the slopes, f2")
-    write_figure(figure, path)
+    desired, slopes = KMH * run.target_speed, run.slope_force / 1e3
+    over_km = Curve("", run.target_position / 1e3, desired)
+    return [
+        Chart("km", [Panel("km/h", [over_km], title="Fig. 1  Desired speed over position")]),
+        Chart(
+            SECONDS,
+            [
+                Panel("km/h", [Curve("", run.time, desired)], 1.0, "Fig. 2  The same over time"),
+                Panel("kN", [Curve("", run.time, slopes, RED, "step")], 1.0,
+                      "Fig. 3  Force of the slopes, f2"),
+            ],
+        ),
+    ]  # fmt: skip
 
 
-def _draw_learning(run: Run, path: Path, numbers: Sequence[str]) -> None:
+def _estimate(run: Run, truth: FloatArray, found: FloatArray, unit: str, title: str) -> Panel:
+    """An estimate beside the truth; one that has not settled would hide the rest."""
+    curves = [
+        Curve("true", run.time, truth, GREY, width=2.5),
+        Curve("estimated", run.time, found, width=1.0),
+    ]
+    settled = np.concatenate([truth, found[found.size // 6 :]])
+    margin = 0.1 * max(float(np.ptp(settled)), 1e-9)
+    limits = (float(settled.min()) - margin, float(settled.max()) + margin)
+    return Panel(unit, curves, title=title, limits=limits)
+
+
+def _learning(run: Run, title: str) -> list[Chart]:
     """Estimates of a0 + f2, a1, a2; errors of position and speed; the control signal."""
-    figure = new_figure(9.0, 12.0)
-    places = figure.subplots(6, 1, sharex=True)
     true = [run.coefficients[:, 0] + run.slope_force, *run.coefficients.T[1:]]
-    scales, units = (1e3, 1.0, 1.0), ("kN", "N/(m/s)", "N/(m/s)²")
-    names = ("a0 + f2", "a1", "a2")
-    # An estimate that has not settled would hide the rest.
-    for axes, truth, found, scale, unit, name in zip(
-        places, true, run.theta.T, scales, units, names, strict=False
-    ):
-        axes.plot(run.time, truth / scale, color=GREY, linewidth=2.5, label="true")
-        axes.plot(run.time, found / scale, color=BLUE, linewidth=1.0, label="estimated")
-        _around(axes, truth / scale, found[found.size // 6 :] / scale)
-        dress(axes, x="", y=unit, title=_titled(numbers[0], f"Estimate of {name}"))
-    places[0].legend(frameon=False, fontsize=8, ncols=2)
-    _draw_errors(places[3:6], run, numbers[1:])
-    write_figure(figure, path)
+    named = ((1e3, "kN", "a0 + f2"), (1.0, "N/(m/s)", "a1"), (1.0, "N/(m/s)²", "a2"))
+    panels = [
+        _estimate(run, truth / scale, found / scale, unit, f"Estimate of {name}")
+        for truth, found, (scale, unit, name) in zip(true, run.theta.T, named, strict=False)
+    ]
+    return [Chart(SECONDS, [*panels, *_errors(run)], title=title)]
 
 
-def _draw_scalar(run: Run, path: Path) -> None:
+def _scalar(run: Run) -> list[Chart]:
     """Figs. 10-14: the sum of all resistances, errors, control, error of the estimate."""
-    figure = new_figure(9.0, 10.0)
-    places = figure.subplots(5, 1, sharex=True)
-    places[0].plot(run.time, run.resistance / 1e3, color=GREY, linewidth=2.5, label="true")
-    places[0].plot(run.time, run.estimate / 1e3, color=BLUE, linewidth=1.0, label="estimated")
-    places[0].legend(frameon=False, fontsize=8, ncols=2)
-    dress(places[0], x="", y="kN", title="Fig. 10  All resistances together")
-    _draw_errors(places[1:4], run, ("Fig. 11", "Fig. 12", "Fig. 13"))
-    places[3].set_xlabel("")
-    places[4].plot(run.time, (run.estimate - run.resistance) / 1e3, color=PURPLE, linewidth=0.8)
-    dress(places[4], x=SECONDS, y="kN", title="Fig. 14  Error of the estimate")
-    write_figure(figure, path)
+    off = Curve("", run.time, (run.estimate - run.resistance) / 1e3, PURPLE, width=0.8)
+    panels = [
+        _estimate(run, run.resistance / 1e3, run.estimate / 1e3, "kN", "All resistances together"),
+        *_errors(run),
+        Panel("kN", [off], title="Error of the estimate"),
+    ]
+    return [Chart(SECONDS, panels, title="Figs. 10 to 14")]
 
 
-def _draw_measured(runs: Mapping[str, Run], measured: Mapping[str, Run], path: Path) -> None:
-    """Position error with exact and with measured speed, of every variant."""
-    figure = new_figure(9.0, 7.0)
-    first, second = figure.subplots(2, 1, sharex=True)
-    noise = next(iter(measured.values())).noise
-    for axes, group, title in (
-        (first, runs, "Exact speed"),
-        (second, measured, f"Measured speed, σ = {noise:g} m/s"),
-    ):
-        for name, run in group.items():
-            largest = run.figures[0]
-            axes.plot(
-                run.time, run.position_error, color=COLOURS[name], linewidth=1.0,
-                label=f"{name}: {largest:.2f} m",
-            )  # fmt: skip
-        dress(axes, x="", y="position error [m]", title=title)
-        # Beside the title: below the axes' edge it would hide the errors.
-        axes.legend(
-            frameon=False,
-            fontsize=8,
-            ncols=4,
-            handlelength=1.2,
-            columnspacing=1.2,
-            loc="lower right",
-            bbox_to_anchor=(1.0, 1.0),
+def _errors(run: Run) -> list[Panel]:
+    colour = COLOURS[run.variant.name]
+    return [
+        Panel(unit, [Curve("", run.time, values, colour, width=0.9)], title=title)
+        for values, unit, title in (
+            (run.position_error, "m", "Position error"),
+            (run.speed_error, "m/s", "Speed error"),
+            (run.effort / 1e3, "kN", "Control signal"),
         )
-    second.set_xlabel(SECONDS)
-    write_figure(figure, path)
+    ]
 
 
-def _draw_wagons(runs: Mapping[str, Run], coupled: Sequence[Run], path: Path) -> None:
+def _measured(runs: Mapping[str, Run], measured: Mapping[str, Run]) -> list[Chart]:
+    """Position error with exact and with measured speed, of every variant."""
+    noise = next(iter(measured.values())).noise
+    panels = [
+        Panel(
+            "position error [m]",
+            [
+                Curve(f"{name}: {run.figures[0]:.2f} m", run.time, run.position_error,
+                      COLOURS[name], width=1.0)
+                for name, run in group.items()
+            ],
+            title=title,
+        )
+        for group, title in (
+            (runs, "Exact speed"), (measured, f"Measured speed, σ = {noise:g} m/s"),
+        )
+    ]  # fmt: skip
+    return [Chart(SECONDS, panels)]
+
+
+def _wagons(runs: Mapping[str, Run], coupled: Sequence[Run]) -> list[Chart]:
     """Position error beside that of the single particle, and the range of the couplers' forces."""
-    figure = new_figure(9.0, 3.2 * len(coupled))
-    places = figure.subplots(2 * len(coupled), 1, sharex=True)
-    for run, above, below in zip(coupled, places[::2], places[1::2], strict=True):
+    panels = list[Panel]()
+    for run in coupled:
         name = run.variant.name
         alone = any(vehicle.max_tractive_effort == 0.0 for vehicle in run.train.vehicles)
         what = f"{name}, {'the first wagon pulls' if alone else 'every wagon pulls'}"
-        single = runs[name]
-        above.plot(single.time, single.position_error, color=GREY, label="one particle")
-        above.plot(run.time, run.position_error, color=COLOURS[name], label="eight wagons")
-        above.legend(
-            frameon=False, fontsize=8, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0)
-        )
-        dress(above, x="", y="m", title=f"Position error: {what}")
-        forces = run.coupler_forces / 1e3
-        below.fill_between(
-            run.time, forces.min(axis=1), forces.max(axis=1), color=COLOURS[name], alpha=0.6,
-            linewidth=0.0,
-        )  # fmt: skip
-        dress(below, x="", y="kN", title="From the least to the largest of the couplers' forces")
-    places[-1].set_xlabel(SECONDS)
-    write_figure(figure, path)
-
-
-def _draw_errors(places: Sequence[Axes], run: Run, numbers: Sequence[str]) -> None:
-    curves = (
-        (run.position_error, "m", "Position error"),
-        (run.speed_error, "m/s", "Speed error"),
-        (run.effort / 1e3, "kN", "Control signal"),
-    )
-    for axes, number, (values, unit, title) in zip(places, numbers, curves, strict=True):
-        axes.plot(run.time, values, color=COLOURS[run.variant.name], linewidth=0.9)
-        dress(axes, x="", y=unit, title=_titled(number, title))
-    places[-1].set_xlabel(SECONDS)
-
-
-def _titled(number: str, title: str) -> str:
-    return f"{number}  {title}" if number else title
-
-
-def _around(axes: Axes, *curves: np.ndarray) -> None:
-    """Limit the vertical axis to what the curves span, with a margin."""
-    low = min(float(curve.min()) for curve in curves)
-    high = max(float(curve.max()) for curve in curves)
-    margin = 0.1 * max(high - low, 1e-9)
-    axes.set_ylim(low - margin, high + margin)
+        errors = [
+            Curve("one particle", runs[name].time, runs[name].position_error, GREY),
+            Curve("eight wagons", run.time, run.position_error, COLOURS[name]),
+        ]
+        low, high = (end(run.coupler_forces / 1e3, axis=1) for end in (np.min, np.max))
+        forces = Curve("", run.time, high, COLOURS[name], "area", low)
+        panels += [
+            Panel("m", errors, title=f"Position error: {what}"),
+            Panel("kN", [forces], title="From the least to the largest of the couplers' forces"),
+        ]
+    return [Chart(SECONDS, panels)]

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from analysis.studies.amirhosseini_2024 import simulation as study
-from analysis.studies.amirhosseini_2024.plot import draw_study
+from analysis.studies.amirhosseini_2024.plot import study_charts
 from analysis.studies.amirhosseini_2024.simulation import SPEED_NOISE, VARIANTS, Run
 from analysis.studies.amirhosseini_2024.table import (
     coefficients_table,
@@ -55,7 +55,7 @@ def main(report: StudyReport, seed: int) -> None:
     ]
     for run in (*runs[: 2 * count], *coupled):
         report.log(trip_of(run, seed))
-    report.keep(*draw_study(exact, measured, coupled, report.folder))
+    report.draw(study_charts(exact, measured, coupled))
     shifted = [exact[spatial.name], *runs[2 * count :]]
     report.show(
         errors_table(exact, measured, {spatial.name: shifted}),

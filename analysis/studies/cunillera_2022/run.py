@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from analysis.charts import draw
 from analysis.studies.cunillera_2022 import model as study, table
-from analysis.studies.cunillera_2022.plot import draw_others
+from analysis.studies.cunillera_2022.plot import others_charts
 from analysis.studies.report import StudyReport
 from trainlog.formats.trajectory import write_trajectory
 from trainlog.railway import Trajectory
@@ -27,7 +26,7 @@ def main(report: StudyReport, cells: int) -> None:
         path = report.folder / f"{name}.json"
         write_trajectory(found, path)
         report.keep(path)
-        draw(found, report.picture(f"{name}.png"), line=instance.line)
+        report.draw({f"{name}.png": found.charts(line=instance.line)})
     ends = [
         study.end_of(level, share, cells=cells)
         for share in report.track(study.SHARES, "lowest common end speeds")
@@ -35,7 +34,7 @@ def main(report: StudyReport, cells: int) -> None:
     alone = {each.name: answers[f"level-{each.name}"] for each in chosen}
     common, recourse = answers["level-common"], answers["level-recourse"]
     nominal = alone[study.NOMINAL]
-    draw_others(level, nominal, common, chosen, report.picture("nominal-driven-by-others.png"))
+    report.draw({"nominal-driven-by-others.png": others_charts(level, nominal, common, chosen)})
     on_level = [pair for pair in answers.items() if pair[1].line == level.line.name]
     report.show(
         table.configurations_table(level),

@@ -8,7 +8,7 @@ from functools import partial
 
 from analysis.studies.hauck_2023.controller import AS_PUBLISHED, EXTENDED
 from analysis.studies.hauck_2023.model import NOMINAL_MASS, PUBLISHED_TRAIN
-from analysis.studies.hauck_2023.plot import draw_days, draw_risks, draw_study
+from analysis.studies.hauck_2023.plot import days_charts, risks_charts, study_charts
 from analysis.studies.hauck_2023.reference import Reference
 from analysis.studies.hauck_2023.scenarios import (
     SCENARIOS,
@@ -98,7 +98,7 @@ def main(report: StudyReport, options: MapOptions) -> None:
         if not options.as_published:
             report.show(gain_table(outcomes))
     report.show(difference_table(outcomes))
-    report.keep(*draw_study(known, outcomes[: len(SCENARIOS)], report.folder))
+    report.draw(study_charts(known, outcomes[: len(SCENARIOS)]))
     if not options.as_published:
         _drive_days(report, known, drawn, options)
 
@@ -136,7 +136,7 @@ def _drive_days(
         return
     if len(driven.days) > 1:
         report.show(counted_on(driven))
-    draw_days(driven, report.picture("two-days.png"))
+    report.draw({"two-days.png": days_charts(driven)})
 
 
 def _drive_risks(report: StudyReport, known: Setup, options: MapOptions) -> None:
@@ -161,4 +161,4 @@ def _drive_risks(report: StudyReport, known: Setup, options: MapOptions) -> None
         report.keep(*driven[name].logs[len(first.logs) :])
         report.show(days_table(driven[name]))
     report.show(risks_table(driven))
-    draw_risks(driven, report.picture("risks.png"))
+    report.draw({"risks.png": risks_charts(driven)})

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.studies.in_train_forces.plot import draw_in_train_forces
+from analysis.studies.in_train_forces.plot import run_charts
 from analysis.studies.in_train_forces.simulation import STEP, ConsistRun, crest_and_sag, run
 from analysis.studies.in_train_forces.table import forces_tables
 from analysis.studies.report import START, StudyReport, study_trip
@@ -63,7 +63,7 @@ def main(report: StudyReport, options: ConsistOptions) -> None:
     name = source.name.removesuffix(".json").removesuffix(".consist")
     write_log(consist_trip(found), report.folder / f"{name}.mcap")
     report.keep(report.folder / f"{name}.mcap")
-    draw_in_train_forces(found, report.picture(f"{name}.png"))
+    report.draw({f"{name}.png": run_charts(found)})
     report.show(*forces_tables(found))
 
 

@@ -1,13 +1,11 @@
-"""The figures of Zhao et al. (2025), drawn from runs of `simulation`."""
+"""The figures of Zhao et al. (2025), as charts of runs of `simulation`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import TypedDict
+from dataclasses import replace
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from analysis.charts import (
     BLUE,
@@ -18,9 +16,12 @@ from analysis.charts import (
     PALE,
     RED,
     SKY,
-    dress,
-    new_figure,
-    write_figure,
+    Chart,
+    Curve,
+    Label,
+    Panel,
+    Rule,
+    Span,
 )
 from analysis.studies.zhao_2025.simulation import SCARCE, WET_SPAN, Run
 from trainlog.arrays import FloatArray
@@ -33,192 +34,162 @@ AXLES = ((BLUE, 4.0), (SKY, 2.8), (ORANGE, 1.6), (RED, 0.7))
 STRATEGIES = (BLUE, ORANGE, GREEN, RED)
 """Colours of the strategies."""
 
-SECONDS = "time [s]"
+WHEN_WET = [Span(*WET_SPAN, SKY, opacity=0.12)]
+"""Marks when the rail is wet."""
 
 
-class LineStyle(TypedDict):
-    """Of a line."""
+def _pair(left: Panel, right: Panel, title: str = "") -> list[Chart]:
+    """Two panels over time beside each other."""
+    return [
+        Chart("time [s]", [left], title=title, width=0.5),
+        Chart("time [s]", [right], width=0.5, beside=True),
+    ]
 
-    color: str
-    linewidth: float
 
-
-def draw_study(
-    runs: Sequence[Run], compared: Mapping[str, Sequence[Run]], folder: Path
-) -> list[Path]:
-    """Draw the paper's figures of every run, and what there is without cooperation.
+def study_charts(
+    runs: Sequence[Run], compared: Mapping[str, Sequence[Run]]
+) -> dict[str, list[Chart]]:
+    """The paper's figures of every run, and the runs without cooperation, by the files' names.
 
     Parameters
     ----------
     runs : sequence of Run
     compared : mapping of str to sequence of Run
         By strategy; the same runs in the same order.
-    folder : path
-
-    Returns
-    -------
-    list of Path
-        Of the pictures.
     """
-    paths = [folder / "figure-02-adhesion.png"]
-    _draw_curves(paths[0])
     stepped = {(run.preset.key, run.case.number): run for run in runs if run.integration == "euler"}
+    charts = {"figure-02-adhesion.png": [_curves()]}
     for run in (each for each in runs if each.integration != "euler"):
         key, number = run.preset.key, run.case.number
-        paths.append(folder / f"figure-{number + 2:02d}-case-{number}-{key}.png")
-        _draw_case(run, stepped.get((key, number)), paths[-1])
-    paths.append(folder / "without-cooperation.png")
-    shown = {
-        strategy: [run for run in each if run.total == SCARCE]
-        for strategy, each in compared.items()
-    }
-    _draw_compared(shown, paths[-1])
-    return paths
+        name = f"figure-{number + 2:02d}-case-{number}-{key}.png"
+        charts[name] = _case(run, stepped.get((key, number)))
+    shown = zip(*([run for run in each if run.total == SCARCE] for each in compared.values()),
+                strict=True)  # fmt: skip
+    rows = [dict(zip(compared, each, strict=True)) for each in shown]
+    charts["without-cooperation.png"] = [chart for row in rows for chart in _compared(row)]
+    return charts
 
 
-def _draw_curves(path: Path) -> None:
+def _curves() -> Chart:
     """Fig. 2: adhesion coefficient over slip speed."""
-    figure = new_figure(7.0, 4.0)
-    axes = figure.subplots()
     slip = np.linspace(0.0, 10.0, 401)
+    curves, labels = list[Curve](), list[Label]()
     for curve, colour, name in ((DRY, RED, "dry"), (WET, BLUE, "wet")):
-        axes.plot(slip, curve(slip), color=colour, label=name)
-        axes.plot(curve.peak_slip, curve.peak, "o", color=colour)
-        axes.annotate(
-            f"{curve.peak_slip:.2f} m/s, {curve.peak:.3f}", (curve.peak_slip, curve.peak),
-            textcoords="offset points", xytext=(6, 5), fontsize=8, color=INK,
-        )  # fmt: skip
-    axes.set_ylim(0.0, 0.32)
-    axes.legend(frameon=False, fontsize=8)
-    dress(axes, x="slip speed [m/s]", y="adhesion coefficient", title="Fig. 2  Creep curves")
-    write_figure(figure, path)
+        at, peak = curve.peak_slip, curve.peak
+        curves.append(Curve(name, slip, curve(slip), colour))
+        curves.append(Curve("", [at], [peak], colour, "points", width=3.0))
+        words = f"   {at:.2f} m/s, {peak:.3f}"
+        labels.append(Label(at, words, peak + 0.01, side="left", size=8.0))
+    panel = Panel("adhesion coefficient", curves, 1.3, limits=(0.0, 0.32), labels=labels)
+    return Chart("slip speed [m/s]", [panel], title="Fig. 2  Creep curves", width=0.65)
 
 
-def _draw_case(run: Run, stepped: Run | None, path: Path) -> None:
+def _case(run: Run, stepped: Run | None) -> list[Chart]:
     """Figs. 3-6: slip speeds and references, their errors, torques, adhesion coefficients.
 
     Where there is a run in the paper's steps, it is laid over as dots.
     """
-    figure = new_figure(11.0, 7.5)
-    (slips, errors), (torques, used) = figure.subplots(2, 2, sharex=True)
-    for axle, (colour, width) in enumerate(AXLES):
-        look = LineStyle(color=colour, linewidth=width)
-        slips.plot(run.time, run.reference[:, axle], color=PALE, linewidth=7.0, zorder=1)
-        slips.plot(run.time, run.slip[:, axle], label=f"axle {axle + 1}", **look)
-        errors.plot(run.time, run.slip_error[:, axle], **look)
-        torques.plot(run.time, run.torque[:, axle], drawstyle="steps-post", **look)
-        used.plot(run.time, run.maximum_adhesion[:, axle], color=PALE, linewidth=7.0, zorder=1)
-        used.plot(run.time, run.adhesion[:, axle], **look)
-    if stepped is not None:
-        _dot(
-            (slips, errors, torques, used), stepped.time,
-            (stepped.slip, stepped.slip_error, stepped.torque, stepped.adhesion),
-        )  # fmt: skip
-    for axes in (slips, errors, torques, used):
-        _shade(axes)
-    slips.legend(frameon=False, fontsize=8, ncols=4)
+
+    def panel(unit: str, title: str, values: str, wide: str = "", **options: object) -> Panel:
+        sought, found = (
+            getattr(run, name).T if name else [None] * len(AXLES) for name in (wide, values)
+        )
+        curves = [Curve("", run.time, each, PALE, width=7.0) for each in sought if each is not None]
+        kind = "step" if values == "torque" else "line"
+        curves += [
+            Curve(f"axle {number}" if values == "slip" else "", run.time, each, colour, kind,
+                  width=width)
+            for number, (each, (colour, width)) in enumerate(zip(found, AXLES, strict=True), 1)
+        ]  # fmt: skip
+        for each in () if stepped is None else getattr(stepped, values).T:
+            curves.append(Curve("", stepped.time, each, INK, "points", width=0.6))
+        return Panel(unit, curves, 1.2, title, spans=WHEN_WET, **options)
+
     limit = run.preset.locomotive.torque_limit
-    torques.axhline(limit, color=GREY, linewidth=0.8, linestyle=":")
-    torques.annotate(
-        "limit of a motor", (0.0, limit), textcoords="offset points", xytext=(2, 3),
-        fontsize=8, color=GREY,
-    )  # fmt: skip
-    torques.set_ylim(-0.03 * limit, 1.12 * limit)
-    dress(slips, x="", y="m/s", title="(a)  Slip speed; wide: its reference")
-    dress(errors, x="", y="m/s", title="(b)  Reference less slip speed")
-    dress(torques, x=SECONDS, y="N m", title="(c)  Torque of the motors")
-    dress(used, x=SECONDS, y="", title="(d)  Adhesion coefficient; wide: the most the rail gives")
     plant = "Runge-Kutta" if stepped is None else "Runge-Kutta; dots: Euler in steps of 0.1 s"
-    figure.suptitle(
+    title = (
         f"Fig. {run.case.number + 2}  Case {run.case.number}: {run.case.name}"
-        f" ({run.preset.locomotive.name}; {plant})",
-        fontsize=11, color=INK,
-    )  # fmt: skip
-    write_figure(figure, path)
+        f" ({run.preset.locomotive.name}; {plant})"
+    )
+    return [
+        *_pair(
+            panel("m/s", "(a)  Slip speed; wide: its reference", "slip", "reference"),
+            panel("m/s", "(b)  Reference less slip speed", "slip_error"),
+            title,
+        ),
+        *_pair(
+            panel("N m", "(c)  Torque of the motors; dotted: limit of a motor", "torque",
+                  rules=[Rule(limit, GREY, dash=":")], limits=(-0.03 * limit, 1.12 * limit)),
+            panel("", "(d)  Adhesion coefficient; wide: the most the rail gives", "adhesion",
+                  "maximum_adhesion"),
+        ),
+    ]  # fmt: skip
 
 
-def draw_start(solved: Run, assumed: Run, path: Path) -> None:
-    """Draw how case 1 begins, as solved from the first sample and with an assumed first torque.
+def start_charts(solved: Run, assumed: Run) -> list[Chart]:
+    """How case 1 begins, as solved from the first sample and with an assumed first torque.
 
     Parameters
     ----------
     solved, assumed : Run
         See `analysis.studies.zhao_2025.table.start_table`.
-    path : path
     """
-    figure = new_figure(9.0, 3.4)
-    torques, slips = figure.subplots(1, 2)
-    for run, colour, name in (
-        (assumed, ORANGE, "first torque assumed, eq. (19)"), (solved, BLUE, "solved from 0 s on"),
-    ):  # fmt: skip
-        torques.plot(run.time, run.torque[:, 0], color=colour, drawstyle="steps-post", label=name)
-        slips.plot(run.time, run.slip[:, 0], ".-", color=colour)
-    for axes in (torques, slips):
-        axes.set_xlim(-0.05, 2.0)
-    torques.set_ylim(bottom=0.0)
-    slips.set_ylim(0.0, 1.0)
-    torques.legend(frameon=False, fontsize=8, loc="lower right")
-    dress(torques, x=SECONDS, y="N m", title="Start of case 1: torque of a motor")
-    dress(slips, x=SECONDS, y="m/s", title="Slip speed")
-    write_figure(figure, path)
+    named = ((assumed, ORANGE, "first torque assumed, eq. (19)"), (solved, BLUE, "solved from 0 s"))
+    torques, slips = list[Curve](), list[Curve]()
+    for run, colour, name in named:
+        begin = run.time <= 2.0
+        time, slip = run.time[begin], run.slip[begin, 0]
+        torques.append(Curve(name, time, run.torque[begin, 0], colour, "step"))
+        slips += [Curve("", time, slip, colour), Curve("", time, slip, colour, "points")]
+    return _pair(
+        Panel("N m", torques, title="Start of case 1: torque of a motor", from_zero=True),
+        Panel("m/s", slips, title="Slip speed", limits=(0.0, 1.0)),
+    )
 
 
-def draw_rail(runs: Sequence[Run], path: Path) -> None:
-    """Draw what the controller took the rail under an axle to be, beside the rail as it was.
+def rail_charts(runs: Sequence[Run]) -> list[Chart]:
+    """The rail under an axle as the controllers assume it, beside the rail as it was.
 
     Parameters
     ----------
     runs : sequence of Run
         In which the rail was learnt.
-    path : path
     """
-    figure = new_figure(11.0, 2.8 * len(runs))
-    rows = figure.subplots(len(runs), 2, sharex=True, squeeze=False)
-    for run, (maxima, slips) in zip(runs, rows, strict=True):
-        maxima.plot(run.time, run.maximum_adhesion[:, 3], color=GREY, linewidth=3.0, label="true")
-        maxima.plot(run.time, run.assumed[:, 3], color=BLUE, linewidth=1.2, label="learnt")
-        maxima.plot(run.time, run.adhesion[:, 3], color=ORANGE, linewidth=1.0, label="in use")
-        slips.plot(run.time, run.reference[:, 3], color=GREY, linewidth=3.0, label="sought")
-        slips.plot(run.time, run.slip[:, 3], color=BLUE, linewidth=1.2, label="reached")
-        maxima.set_ylim(0.0, 0.36)
+
+    def curves(run: Run, *shown: tuple[str, FloatArray, str, float]) -> list[Curve]:
+        return [Curve(name, run.time, values[:, 3], colour, width=width)
+                for name, values, colour, width in shown]  # fmt: skip
+
+    charts = list[Chart]()
+    for run in runs:
+        maxima = curves(run, ("true", run.maximum_adhesion, GREY, 3.0),
+                        ("learnt", run.assumed, BLUE, 1.2),
+                        ("in use", run.adhesion, ORANGE, 1.0))  # fmt: skip
+        slips = curves(run, ("sought", run.reference, GREY, 3.0), ("reached", run.slip, BLUE, 1.2))
         title = f"Case {run.case.number}, {run.total:.0f} N m asked, axle 4"
-        dress(maxima, x="", y="", title=f"{title}: maximum adhesion")
-        dress(slips, x="", y="m/s", title="slip speed")
-    for axes in rows[0]:
-        axes.legend(frameon=False, fontsize=8, ncols=3)
-    for axes in rows[-1]:
-        axes.set_xlabel(SECONDS)
-    write_figure(figure, path)
+        charts += _pair(
+            Panel("", maxima, title=f"{title}: maximum adhesion", limits=(0.0, 0.36)),
+            Panel("m/s", slips, title="slip speed"),
+        )
+    return charts
 
 
-def _dot(places: Sequence[Axes], time: FloatArray, values: Sequence[FloatArray]) -> None:
-    for axes, each in zip(places, values, strict=True):
-        axes.plot(time, each, ".", color=INK, markersize=1.2, zorder=3)
-
-
-def _draw_compared(compared: Mapping[str, Sequence[Run]], path: Path) -> None:
+def _compared(runs: Mapping[str, Run]) -> list[Chart]:
     """Force between wheels and rail, and speed, of each strategy."""
-    count = len(next(iter(compared.values())))
-    figure = new_figure(11.0, 2.8 * count)
-    rows = figure.subplots(count, 2, sharex=True, squeeze=False)
-    for number, (forces, speeds) in enumerate(rows):
-        for colour, (strategy, runs) in zip(STRATEGIES, compared.items(), strict=False):
-            run = runs[number]
-            forces.plot(run.time, run.force / 1e3, color=colour, linewidth=1.3, label=strategy)
-            speeds.plot(run.time, run.speed * KMH, color=colour, linewidth=1.3)
-        run = next(iter(compared.values()))[number]
-        title = f"Case {run.case.number}, {run.preset.key}, {run.total:.0f} N m asked"
-        for axes in (forces, speeds):
-            _shade(axes)
-            axes.set_ylim(bottom=0.0)
-        dress(forces, x="", y="kN", title=f"{title}: force on the rail")
-        dress(speeds, x="", y="km/h", title="speed of the train")
-    rows[0][0].legend(frameon=False, fontsize=8, ncols=2, loc="lower left")
-    for axes in rows[-1]:
-        axes.set_xlabel(SECONDS)
-    write_figure(figure, path)
-
-
-def _shade(axes: Axes) -> None:
-    """Mark when the rail is wet."""
-    axes.axvspan(*WET_SPAN, color=SKY, alpha=0.12, linewidth=0.0)
+    first = next(iter(runs.values()))
+    title = f"Case {first.case.number}, {first.preset.key}, {first.total:.0f} N m asked"
+    force, speed = (
+        Panel(
+            unit,
+            [
+                Curve(name, run.time, factor * getattr(run, field), colour, width=1.3)
+                for colour, (name, run) in zip(STRATEGIES, runs.items(), strict=False)
+            ],
+            title=words, from_zero=True, spans=WHEN_WET,
+        )
+        for unit, field, factor, words in (
+            ("kN", "force", 1e-3, f"{title}: force on the rail"),
+            ("km/h", "speed", KMH, "speed of the train"),
+        )
+    )  # fmt: skip
+    return _pair(force, replace(speed, curves=[replace(each, label="") for each in speed.curves]))

@@ -7,7 +7,7 @@ import pandas as pd
 
 from analysis.studies.report import START, StudyReport, study_trip
 from analysis.studies.zhao_2025 import simulation as study
-from analysis.studies.zhao_2025.plot import draw_rail, draw_start, draw_study
+from analysis.studies.zhao_2025.plot import rail_charts, start_charts, study_charts
 from analysis.studies.zhao_2025.rail import RAIL_SOURCES, by_knowledge
 from analysis.studies.zhao_2025.simulation import DURATION, RESTORED, WET_SPAN, Case, Preset, Run
 from analysis.studies.zhao_2025.table import (
@@ -55,7 +55,7 @@ def main(report: StudyReport, seed: int) -> None:
     for run in runs:
         report.log(trip_of(run))
     assumed = study.run(study.CASES[0], integration="euler", first=study.FIRST_TORQUE)
-    draw_start(runs[0], assumed, report.picture("figure-03-start.png"))
+    report.draw({"figure-03-start.png": start_charts(runs[0], assumed)})
     compared = {
         strategy: [study.run(*plan, strategy=strategy) for plan in study.COMPARED]
         for strategy in report.track(study.STRATEGIES, "comparing")
@@ -64,9 +64,9 @@ def main(report: StudyReport, seed: int) -> None:
         name: by_knowledge(name, seed)
         for name in report.track(RAIL_SOURCES, "driving on rails that are not known")
     }
-    report.keep(*draw_study(runs, compared, report.folder))
+    report.draw(study_charts(runs, compared))
     learnt = [run for run in known["learnt"] if run is not None]
-    draw_rail(learnt[:4], report.picture("rail-learnt.png"))
+    report.draw({"rail-learnt.png": rail_charts(learnt[:4])})
     report.show(
         published_table(), start_table(runs[0], assumed), torque_table(runs), gain_table(compared),
         knowledge_table(known),
