@@ -53,23 +53,23 @@ def _plan(centre_line: CentreLine, trips: Sequence[Trip], title: str) -> Chart:
     origin = (float(centre_line.latitude.mean()), float(centre_line.longitude.mean()))
 
     def curve(
-        label: str, place: tuple[FloatArray, ...], colour: str, *kind: Any, width: float
+        label: str, place: tuple[FloatArray, ...], colour: str, width: float, kind: Any = "line"
     ) -> Curve:
-        points = to_plane(*place, origin) / 1e3
-        return Curve(label, points.real, points.imag, colour, *kind, width=width)
+        points = to_plane(place[0], place[1], origin) / 1e3
+        return Curve(label, points.real, points.imag, colour, kind, width=width)
 
     fixes = [trip["/gnss/fix"] for trip in trips if trip.name in centre_line.used]
     place = (centre_line.latitude, centre_line.longitude)
     curves = [
         curve("fixes" * (number == 0),
-              (fix["latitude"].to_numpy(), fix["longitude"].to_numpy()), GREY, "points", width=0.8)
+              (fix["latitude"].to_numpy(), fix["longitude"].to_numpy()), GREY, 0.8, "points")
         for number, fix in enumerate(fixes)
-    ] + [curve("line", place, BLUE, width=1.2)]  # fmt: skip
+    ] + [curve("line", place, BLUE, 1.2)]  # fmt: skip
     for number, (start, end) in enumerate(centre_line.unsupported):
         bridged = (centre_line.position >= start) & (centre_line.position <= end)
         part = tuple(each[bridged] for each in place)
-        curves.append(curve("no fixes" * (number == 0), part, RED, width=2.5))
-    curves.append(curve("km 0", tuple(each[:1] for each in place), ORANGE, "points", width=3.5))
+        curves.append(curve("no fixes" * (number == 0), part, RED, 2.5))
+    curves.append(curve("km 0", tuple(each[:1] for each in place), ORANGE, 3.5, "points"))
     return Chart("east [km]", [Panel("north [km]", curves, 1.7)], title=title, equal=True)
 
 

@@ -71,8 +71,8 @@ def network_charts(
     on_earth = _placed(network) is not None
     straight = on_earth and any(edge.line.geometry is None for edge in network.edges)
     curves = [
-        Curve("", *courses[edge.name][1].T, GREY if shown is None else PALE, width=2.0,
-              dash="--" if on_earth and edge.line.geometry is None else "")
+        _through("", courses[edge.name][1], GREY if shown is None else PALE, 2.0,
+                 dash="--" if on_earth and edge.line.geometry is None else "")
         for edge in network.edges
     ]  # fmt: skip
     for number, (name, colour) in enumerate(zip(ADHESION_CLASSES, ADHESION_COLOURS, strict=True)):
@@ -82,7 +82,7 @@ def network_charts(
             for begin, end in runs_of(np.isfinite(values) & (adhesion_class(values) == number))
         ]
         if pieces:
-            curves.append(Curve(name, *np.concatenate(pieces).T, colour, width=4.5))
+            curves.append(_through(name, np.concatenate(pieces), colour, 4.5))
     labels = [
         Label(x, f"  {number}", y, size=9.0, side="left")
         for number, (edge, place) in enumerate(places, start=1)
@@ -250,8 +250,8 @@ def _nodes(
             each.name for each in network.nodes if (each.kind == "station") == (kind == "station")
         ]
         if of_kind:
-            x, y = np.array([places[name] for name in of_kind]).T
-            curves.append(Curve("", x, y, INK, "points", width=width))
+            every = np.array([places[name] for name in of_kind])
+            curves.append(_through("", every, INK, width, kind="points"))
         for name in of_kind if kind == "station" else ():
             (x, y), right = places[name], away[name][0] <= 0.0
             up = apart if away[name][1] <= 0.0 else -apart
@@ -280,7 +280,12 @@ def _stations(
         for number, (name, found) in enumerate(places.items())
         for x, y in [np.mean(found, axis=0).tolist()]
     ]
-    return [Curve("", *every.T, INK, "points", width=3.0, mark="|")], labels
+    return [_through("", every, INK, 3.0, kind="points", mark="|")], labels
+
+
+def _through(label: str, points: FloatArray, colour: str, width: float, **options: Any) -> Curve:
+    """A curve through places, (n, 2)."""
+    return Curve(label, points[:, 0], points[:, 1], colour, width=width, **options)
 
 
 def edge_courses(network: Network) -> dict[str, tuple[FloatArray, FloatArray]]:

@@ -264,23 +264,23 @@ def _lateness(days: Days, shown: Sequence[Day]) -> Panel:
 def risks_charts(driven: Mapping[str, Days]) -> list[Chart]:
     """Slips, work of creep and lateness day by day, by how the map was read."""
     colours = dict(zip(driven, (GREY, ORANGE, GREEN, BLUE, RED, PURPLE, SKY), strict=False))
-    shown = (
-        ("axles", "Axles that begin to skid or slide, all trips of the day",
-         lambda _, day: day.slip_events),
-        ("MJ", "All work of creep", lambda _, day: day.slip_energy / 1e6),
-        ("s", "Latest arrival at any stop", lambda days, day: days.late(day).max()),
-    )  # fmt: skip
-    panels = [
-        Panel(
-            unit,
-            [
-                Curve(name if kind == "line" else "", [day.number for day in driven[name].days],
-                      [value(driven[name], day) for day in driven[name].days], colour, kind)
-                for name, colour in colours.items()
-                for kind in ("line", "points")
-            ],
-            title=title,
+    named = (
+        ("axles", "Axles that begin to skid or slide, all trips of the day"),
+        ("MJ", "All work of creep"),
+        ("s", "Latest arrival at any stop"),
+    )
+    curves: list[list[Curve]] = [[], [], []]
+    for name, colour in colours.items():
+        days = driven[name]
+        number = [day.number for day in days.days]
+        values = (
+            [day.slip_events for day in days.days],
+            [day.slip_energy / 1e6 for day in days.days],
+            [days.late(day).max() for day in days.days],
         )
-        for unit, title, value in shown
-    ]  # fmt: skip
+        for each, y in zip(curves, values, strict=True):
+            each += [Curve(name, number, y, colour), Curve("", number, y, colour, "points")]
+    panels = [
+        Panel(unit, each, title=title) for (unit, title), each in zip(named, curves, strict=True)
+    ]
     return [Chart("day; the first is driven without a map", panels)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 
@@ -90,19 +90,20 @@ def _case(run: Run, stepped: Run | None) -> list[Chart]:
     Where there is a run in the paper's steps, it is laid over as dots.
     """
 
-    def panel(unit: str, title: str, values: str, wide: str = "", **options: object) -> Panel:
+    def panel(unit: str, title: str, values: str, wide: str = "", **options: Any) -> Panel:
         sought, found = (
             getattr(run, name).T if name else [None] * len(AXLES) for name in (wide, values)
         )
         curves = [Curve("", run.time, each, PALE, width=7.0) for each in sought if each is not None]
-        kind = "step" if values == "torque" else "line"
+        kind: Literal["step", "line"] = "step" if values == "torque" else "line"
         curves += [
             Curve(f"axle {number}" if values == "slip" else "", run.time, each, colour, kind,
                   width=width)
             for number, (each, (colour, width)) in enumerate(zip(found, AXLES, strict=True), 1)
         ]  # fmt: skip
-        for each in () if stepped is None else getattr(stepped, values).T:
-            curves.append(Curve("", stepped.time, each, INK, "points", width=0.6))
+        if stepped is not None:
+            dots = getattr(stepped, values).T
+            curves += [Curve("", stepped.time, each, INK, "points", width=0.6) for each in dots]
         return Panel(unit, curves, 1.2, title, spans=WHEN_WET, **options)
 
     limit = run.preset.locomotive.torque_limit
@@ -182,7 +183,8 @@ def _compared(runs: Mapping[str, Run]) -> list[Chart]:
         Panel(
             unit,
             [
-                Curve(name, run.time, factor * getattr(run, field), colour, width=1.3)
+                Curve(name * (field == "force"), run.time, factor * getattr(run, field), colour,
+                      width=1.3)
                 for colour, (name, run) in zip(STRATEGIES, runs.items(), strict=False)
             ],
             title=words, from_zero=True, spans=WHEN_WET,
@@ -192,4 +194,4 @@ def _compared(runs: Mapping[str, Run]) -> list[Chart]:
             ("km/h", "speed", KMH, "speed of the train"),
         )
     )  # fmt: skip
-    return _pair(force, replace(speed, curves=[replace(each, label="") for each in speed.curves]))
+    return _pair(force, speed)
