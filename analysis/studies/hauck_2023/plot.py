@@ -273,7 +273,7 @@ def risks_charts(driven: Mapping[str, Days]) -> list[Chart]:
     for name, colour in colours.items():
         days = driven[name]
         number = [day.number for day in days.days]
-        values = (
+        values: tuple[list[float], ...] = (
             [day.slip_events for day in days.days],
             [day.slip_energy / 1e6 for day in days.days],
             [days.late(day).max() for day in days.days],
