@@ -42,6 +42,9 @@ PADDING = 3
 LONGEST_WORD = 32
 """Letters of a word that is never broken: longer ones are checksums and paths."""
 
+SHORT = 12
+"""Letters of a cell, as ``7 / 16``, that is broken only where nothing else can be."""
+
 LONG_NAME, SHORTEST_NAME = 24, 7
 """Letters to which long names are cut in a narrow terminal: before columns are left out, and where
 leaving them out is not enough."""
@@ -463,7 +466,12 @@ class WordTable:
         ]
         wishes = [max(_longest_line(head), row) for head, row in zip(heads, whole, strict=True)]
         space = width - PADDING * len(heads) - 1
-        leasts = (whole, [*whole[:1], *words[1:]], words)
+        lines = [[len(line) for cell in cells for line in cell.split("\n")] for cells in columns]
+        short = [
+            max([word, *(length for length in each if length <= SHORT)])
+            for word, each in zip(words, lines, strict=True)
+        ]
+        leasts = (whole, [*whole[:1], *short[1:]], [*whole[:1], *words[1:]], short, words)
         least = next((each for each in leasts if sum(each) <= space), None)
         if least is None or sum(wishes) <= space:
             return [None] * len(heads)
