@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from trainlog.display import picture
 from trainlog.errors import InputError
 from trainlog.railway import (
     Configuration,
@@ -198,7 +197,6 @@ def test_objects_sum_themselves_up(shown: object) -> None:
     assert max(map(len, repr(shown).splitlines())) < 120
     page = ElementTree.fromstring(shown._repr_html_())  # type: ignore[attr-defined]
     assert page.find("table") is not None
-    assert (page.find("{*}svg") is not None) == isinstance(shown, Line | TrackConditionMap)
 
 
 def test_a_summary_has_the_figures_of_its_object() -> None:
@@ -208,11 +206,3 @@ def test_a_summary_has_the_figures_of_its_object() -> None:
     assert "100 t empty" in repr(TRAIN)
     assert "100.0 to 110.0 t" in repr(SHOWN[3])
     assert "2 x wagon" in repr(SHOWN[2])
-
-
-def test_a_picture_has_a_gap_where_nothing_is_known() -> None:
-    drawn = picture(
-        [0.0, 1.0, 2.0, 3.0, 4.0], {"a": [1.0, 2.0, np.nan, 3.0, 4.0], "b": [np.nan] * 5}
-    )
-    assert drawn.count("<polyline") == 2
-    assert "a: 1 to 4" in drawn

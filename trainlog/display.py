@@ -1,30 +1,18 @@
-"""Summaries of objects: a few lines of text for a prompt, a table and a picture for a notebook."""
+"""Summaries of objects: a few lines of text for a prompt, and the words that they are made of."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from html import escape
 from zoneinfo import ZoneInfo
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trainlog.arrays import BoolArray, FloatArray
-
-WIDTH, HEIGHT = 480, 110
-"""Of a picture [px]."""
-
-COLOURS = ("#1f6f8b", "#c8553d", "#6a8d3f", "#8a6fb0")
-"""Of the curves of a picture, in order."""
-
 MOST_LINES = 10
 """Of the text of an object."""
-
-_MOST_POINTS = 600
-"""Of a curve: more than there are pixels show nothing more."""
 
 
 def as_text(title: str, rows: Mapping[str, str]) -> str:
@@ -42,59 +30,6 @@ def as_text(title: str, rows: Mapping[str, str]) -> str:
     if len(lines) > MOST_LINES:
         lines[MOST_LINES - 1 :] = [f"  and {len(lines) - MOST_LINES + 1} more"]
     return "\n".join(lines)
-
-
-def picture(
-    position: ArrayLike, curves: Mapping[str, ArrayLike], *, steps: Sequence[str] = ()
-) -> str:
-    """Curves over position as a small SVG, each on a scale of its own.
-
-    Parameters
-    ----------
-    position : (n,) array [m]
-    curves : dict of str to (n,) array
-        By label; not finite where there is none.
-    steps : sequence of str
-        Labels of the curves that hold each value up to the next position.
-    """
-    s = np.asarray(position, dtype=np.float64)
-    drawn, labels = [], []
-    for number, (label, values) in enumerate(curves.items()):
-        y, colour = np.asarray(values, dtype=np.float64), COLOURS[number % len(COLOURS)]
-        known = np.isfinite(y)
-        if not known.any():
-            continue
-        low, high = float(y[known].min()), float(y[known].max())
-        labels.append(
-            f"<text x='4' y='{12 + 13 * number}' fill='{colour}' font-size='11'>"
-            f"{escape(label)}: {low:g} to {high:g}</text>"
-        )
-        drawn += [
-            f"<polyline points='{points}' fill='none' stroke='{colour}' stroke-width='1.2'/>"
-            for points in _points(s, y, known, label in steps)
-        ]
-    return (
-        f"<svg width='{WIDTH}' height='{HEIGHT}' xmlns='http://www.w3.org/2000/svg'"
-        f" style='display:block'>{''.join(drawn)}{''.join(labels)}</svg>"
-    )
-
-
-def _points(s: FloatArray, y: FloatArray, known: BoolArray, steps: bool) -> list[str]:
-    """Points of each part of a curve that is known without a gap."""
-    low, high = y[known].min(), y[known].max()
-    x = WIDTH * (s - s[0]) / max(s[-1] - s[0], 1e-9)
-    down = HEIGHT - 6 - (HEIGHT - 54) * (y - low) / max(high - low, 1e-12)
-    edges = np.flatnonzero(np.diff(known.astype(np.int8), prepend=0, append=0))
-    found = []
-    for first, last in zip(edges[::2], edges[1::2], strict=True):
-        across, depth = x[first:last], down[first:last]
-        if steps:
-            across = np.repeat(np.append(across, x[min(last, x.size - 1)]), 2)[1:-1]
-            depth = np.repeat(depth, 2)
-        every = max(across.size // _MOST_POINTS, 1)
-        pairs = zip(across[::every], depth[::every], strict=True)
-        found.append(" ".join(f"{each:.1f},{other:.1f}" for each, other in pairs))
-    return found
 
 
 def at_most(share: float, digits: int = 3) -> str:

@@ -711,10 +711,6 @@ class Presented(Plotted):
         """Sentences beside the tables."""
         return ()
 
-    def sketch(self) -> str:
-        """A small SVG for a notebook; empty for none."""
-        return ""
-
     # What follows from these.
 
     def __repr__(self) -> str:
@@ -736,7 +732,7 @@ class Presented(Plotted):
             each._repr_html_() if isinstance(each, WordTable) else f"<p>{escape(each)}</p>"
             for each in parts
         )
-        return f"<div><b>{escape(self.title)}</b>{self.sketch()}{shown}</div>"
+        return f"<div><b>{escape(self.title)}</b>{shown}</div>"
 
     def __eq__(self, other: object) -> bool:
         return same_values(self, other) if type(other) is type(self) else NotImplemented

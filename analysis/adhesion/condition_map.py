@@ -214,10 +214,6 @@ class UpdatedMap(Presented):
         skipped = ", ".join(self.skipped[:4]) + (" and more" if len(self.skipped) > 4 else "")
         return self.track.summary() | ({"held already": skipped} if skipped else {})
 
-    def sketch(self) -> str:
-        """The map."""
-        return self.track.sketch()
-
     def tables(self) -> list[WordTable]:
         """What the map knows, layer by layer, with its lowest spots."""
         title = f"Track condition of {self.track.line}, {self.track.bin_length:.0f} m bins"

@@ -173,10 +173,6 @@ class MapState(Presented):
         at = "no evidence" if self.at is None else f"expected at {self.at:%Y-%m-%d %H:%M} UTC"
         return self.track.summary() | {"time": at}
 
-    def sketch(self) -> str:
-        """The map."""
-        return self.track.sketch()
-
     def facts(self) -> dict[str, Any]:
         """Line and times."""
         last = self.last_evidence

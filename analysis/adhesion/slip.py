@@ -37,7 +37,7 @@ from estimators.slip import (
     train_speed,
 )
 from trainlog.arrays import BoolArray, FloatArray
-from trainlog.display import picture, span
+from trainlog.display import span
 from trainlog.errors import LogError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.presentation import Presented, WordTable, frame_table
@@ -163,13 +163,6 @@ class SlipAnalysis(Presented):
         known |= {"unmeasured": unmeasured} if unmeasured else {}
         known |= {} if self.complete else {"complete": False}
         return known | ({"notes": list(self.notes)} if self.notes else {})
-
-    def sketch(self) -> str:
-        """Speed and adhesion in use."""
-        time = (self.time - self.time[0]).total_seconds().to_numpy()
-        most = np.fmax.reduce(np.abs(self.adhesion), axis=1)
-        curves = {"speed [m/s]": self.speed, "adhesion in use, greatest of the axles": most}
-        return picture(time, curves)
 
     @property
     def title(self) -> str:

@@ -27,7 +27,7 @@ from analysis.resistance.combination import (
     nearest_physical,
     node_curves,
 )
-from analysis.resistance.fit import CURVE_COLUMNS, RESISTANCE_COLUMN, curve_picture, curve_words
+from analysis.resistance.fit import CURVE_COLUMNS, RESISTANCE_COLUMN, curve_words
 from analysis.resistance.regression import CONFIDENCE, band_factor, curve_std
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted
@@ -123,10 +123,6 @@ class TrainResistance(Presented):
         """The row of the curve."""
         return [curve_table([self], self.title)]
 
-    def sketch(self) -> str:
-        """The curve with its band."""
-        return curve_picture(self)
-
     def std(self, speed: ArrayLike) -> FloatArray:
         """Standard deviation of the curve [N] at each speed [m/s]."""
         return curve_std(self.covariance, speed)
@@ -204,10 +200,6 @@ class KindResistance(Presented):
     def tables(self) -> list[WordTable]:
         """A row for the mean and each train."""
         return [curve_table([self.mean, *self.trains], self.title)]
-
-    def sketch(self) -> str:
-        """The mean with its band."""
-        return curve_picture(self.mean)
 
     @property
     def compared(self) -> bool:

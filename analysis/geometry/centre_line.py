@@ -14,7 +14,7 @@ from estimators.altitude import OVER, HeightProfile, Ride, height_profile
 from estimators.centre_line import Curve, fitted_curve
 from estimators.motion import smooth_motion
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from trainlog.display import counted, picture
+from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.identity import Known, identity_of, same_drives
 from trainlog.ingest.chainage import Matched, chainage_of, distance_driven
@@ -137,11 +137,8 @@ class CentreLine(Plotted):
         return "\n  ".join(["CentreLine", *self.lines()[:9]])
 
     def _repr_html_(self) -> str:
-        known = np.where(self.support > 0, 1.0, np.nan)
-        curves = {"curvature [1/km]": 1e3 * self.curvature * known, "trips": self.support}
         rows = {str(number): line for number, line in enumerate(self.lines(), 1)}
-        drawn = picture(self.position, curves, steps=("trips",))
-        return f"<div>{drawn}{facts_table('CentreLine', rows)._repr_html_()}</div>"
+        return facts_table("CentreLine", rows)._repr_html_()
 
     def lines(self) -> list[str]:
         """What was found, in words."""

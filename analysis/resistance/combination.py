@@ -40,7 +40,6 @@ from analysis.resistance.fit import (
     CURVE_COLUMNS,
     RESISTANCE_COLUMN,
     TripFit,
-    curve_picture,
     curve_words,
 )
 from analysis.resistance.recording import TripRefusedError
@@ -388,10 +387,6 @@ class CommonFit(Presented):
                 [self]
             )
         ]
-
-    def sketch(self) -> str:
-        """The curve with its band."""
-        return curve_picture(self)
 
     def std(self, speed: ArrayLike) -> FloatArray:
         """Standard deviation of the mean curve [N] at each speed [m/s]."""

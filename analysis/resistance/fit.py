@@ -35,7 +35,7 @@ from analysis.resistance.regression import (
 )
 from analysis.resistance.windows import Evidence, WindowPoints, Windows, part_of
 from trainlog.arrays import FloatArray
-from trainlog.display import picture, span
+from trainlog.display import span
 from trainlog.errors import InputError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256
@@ -225,10 +225,6 @@ class TripFit(Presented):
         """The row of a fit."""
         return [new_table(self.title, *COLUMNS, name="trips").add_rows([self])]
 
-    def sketch(self) -> str:
-        """The curve with its band."""
-        return curve_picture(self)
-
     def _efforts(self) -> dict[str, str]:
         """How the recorded efforts were corrected."""
         if self.passport is None:
@@ -291,15 +287,6 @@ class DragCurve(Protocol):
 
     def band(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Lower and upper end [N] of the 95 % band of the whole curve at each speed [m/s]."""
-
-
-def curve_picture(fit: DragCurve) -> str:
-    """A curve with its band from standstill to the highest speed asked for, as a small SVG."""
-    speed = np.linspace(0.0, fit.asked[1], 100)
-    low, high = fit.band(speed)
-    curves = {"running resistance [kN]": fit.resistance(speed) / 1e3}
-    curves |= {"95 % band, lower": low / 1e3, "upper": high / 1e3}
-    return picture(speed, curves)
 
 
 def curve_words(fit: DragCurve) -> str:

@@ -177,10 +177,6 @@ class Fits(Presented):
         words += [f"{self.parameters.assumed_power}."] * bool(self.parameters.assumed_power)
         return words
 
-    def sketch(self) -> str:
-        """The curve of all trips with its band."""
-        return self.common.sketch()
-
 
 @dataclass(eq=False)
 class _Read:

@@ -48,7 +48,7 @@ from analysis.trajectory.problem import (
 )
 from analysis.trajectory.rollout import LEAST_TIME_MARGIN, least_time_together
 from trainlog.arrays import FloatArray
-from trainlog.display import at_most, counted, picture
+from trainlog.display import at_most, counted
 from trainlog.errors import InfeasibleError, InputError, TrainlogError
 from trainlog.formats.attached import line_kept
 from trainlog.presentation import (
@@ -494,10 +494,6 @@ class Front(Presented):
         """Train, line and energy."""
         first = self.trajectories[0]
         return f"Energy against time of {first.train} on {first.line}, {first.energy_label}"
-
-    def sketch(self) -> str:
-        """Energy over time."""
-        return picture(self.times, {"kWh": (self.energies / JOULES_PER_KWH).round(2)})
 
     def tables(self) -> list[WordTable]:
         """Energy against running time, and what each extra second saves."""

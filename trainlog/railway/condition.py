@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from pandas import Timestamp
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
-from trainlog.display import counted, picture, span
+from trainlog.display import counted, span
 from trainlog.errors import InputError
 from trainlog.presentation import Presented
 from trainlog.railway.evidence import DailyEvidence
@@ -537,14 +537,6 @@ class TrackConditionMap(Presented):
     layers: dict[str, ConditionLayer]
     trips: tuple[dict[str, Any], ...] = ()
     settings: dict[str, float] = field(default_factory=dict)
-
-    def sketch(self) -> str:
-        """The estimates over position."""
-        curves = {}
-        for name, layer in self.layers.items():
-            curves[f"{name}, lasting"] = layer.maximum_adhesion.round(3)
-            curves[f"{name}, expected"] = layer.expected().maximum_adhesion.round(3)
-        return picture(self.centres, curves)
 
     @property
     def title(self) -> str:

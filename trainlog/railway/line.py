@@ -26,7 +26,7 @@ from trainlog.declaration import (
     Table,
     Text,
 )
-from trainlog.display import counted, picture, span
+from trainlog.display import counted, span
 from trainlog.errors import InputError
 from trainlog.plotted import Plotted
 from trainlog.railway.line_parts import (
@@ -325,16 +325,6 @@ class Line(Declared, Plotted):
                     remedy=f"it needs {LEAST_RADIUS * offset[at]:.0f} m; correct the radius, or"
                     " state 'proportional'",
                 )
-
-    def sketch(self) -> str:
-        """Limits and gradients over position."""
-        s = np.linspace(0.0, self.length, 500)
-        drawn = {"limit [km/h]": KMH * self.speed_limit(s)}
-        if self.speed_limits_reverse is not None:
-            drawn["limit the other way [km/h]"] = KMH * self.speed_limits_reverse(s)
-        steps = tuple(drawn)
-        drawn["altitude [m]"] = self.altitudes(s).round(1)
-        return picture(s, drawn, steps=steps)
 
     @property
     def title(self) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.declaration import Array, Choice, Declared, Json, Many, Quantity, check
-from trainlog.display import at_most, lateness, picture, span
+from trainlog.display import at_most, lateness, span
 from trainlog.errors import InputError
 from trainlog.plotted import Plotted
 from trainlog.railway.line import Line
@@ -35,8 +35,6 @@ class Trajectory(Declared, Plotted):
 
     The braking effort is constant in each cell between two neighbouring positions, the tractive
     effort linear: where it takes all the power it falls as the speed rises.
-
-    Printing it gives a summary in a few lines, in a notebook with a picture of its speeds.
 
     Attributes
     ----------
@@ -146,17 +144,6 @@ class Trajectory(Declared, Plotted):
                 place=f"tractive_effort_fall.values[{steep[0]}]",
                 remedy="correct it",
             )
-
-    def sketch(self) -> str:
-        """Speed and effort over position."""
-        row = self.latest
-        place = np.linspace(self.positions[0], self.positions[-1], 500)
-        effort = self.tractive_effort_at(place) - self.braking_effort[row, self.cell_of(place)]
-        drawn = {
-            "speed [km/h]": (KMH * self.speed_at(row, place)).round(1),
-            "effort [kN]": (effort / 1e3).round(1),
-        }
-        return picture(place, drawn)
 
     @property
     def title(self) -> str:
