@@ -1299,6 +1299,7 @@ class Declared(Presented):
     """Keys that come first in the file; the others follow in the order of the fields."""
 
     def __post_init__(self) -> None:
+        hold_arrays(self)
         check(self)
 
     @property
@@ -1327,6 +1328,29 @@ class Declared(Presented):
     def summary(self) -> dict[str, str]:
         """The rows of the summary."""
         return summary_of(self)
+
+
+def hold_arrays(thing: Any) -> None:
+    """Turn what is given for the arrays of a thing into arrays.
+
+    Raises
+    ------
+    InputError
+        If it is not numbers.
+    """
+    for name in _arrays_of(type(thing)):
+        try:
+            values = np.ascontiguousarray(getattr(thing, name), dtype=np.float64)
+        except (TypeError, ValueError):
+            raise InputError(f"{type(thing).__name__}: {name} must be numbers") from None
+        object.__setattr__(thing, name, values)
+
+
+@_once
+def _arrays_of(kind: type) -> tuple[str, ...]:
+    """The fields that are arrays of numbers."""
+    hints = get_type_hints(kind)
+    return tuple(each.name for each in fields(kind) if hints[each.name] == FloatArray)
 
 
 def _beyond(thing: Any) -> list[InputError]:

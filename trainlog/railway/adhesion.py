@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray
-from trainlog.declaration import Quantity
+from trainlog.declaration import Declared, Quantity, hold_arrays
 from trainlog.errors import InputError
 
 SlipVariable = Literal["creepage", "slip speed"]
@@ -363,9 +363,7 @@ class AdhesionTable(AdhesionCharacteristic):
     variable: SlipVariable = "creepage"
 
     def __post_init__(self) -> None:
-        for name in ("slips", "adhesions"):
-            values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
-            object.__setattr__(self, name, values)
+        hold_arrays(self)
         _check_variable(self.variable)
         x, y = self.slips, self.adhesions
         if x.ndim != 1 or x.shape != y.shape or x.size < 3:
@@ -380,17 +378,8 @@ class AdhesionTable(AdhesionCharacteristic):
         if not np.all((y > 0.0) & (y < GREATEST_ADHESION)):
             raise InputError("adhesion characteristic: an adhesion is not between 0 and 1.5")
 
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, AdhesionTable):
-            return NotImplemented
-        return (
-            self.variable == other.variable
-            and np.array_equal(self.slips, other.slips)
-            and np.array_equal(self.adhesions, other.adhesions)
-        )
-
-    def __hash__(self) -> int:
-        return hash((self.variable, self.slips.tobytes(), self.adhesions.tobytes()))
+    __eq__ = Declared.__eq__
+    __hash__ = Declared.__hash__
 
     def adhesion_over(self, slip: FloatArray, speed: FloatArray) -> FloatArray:  # noqa: ARG002
         """Adhesion at slips that are not negative."""
@@ -436,11 +425,11 @@ class AdhesionPoints:
 
     def __post_init__(self) -> None:
         _check_variable(self.variable)
-        for name in ("slips", "adhesions", "speeds"):
-            if getattr(self, name) is not None:
-                values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
-                object.__setattr__(self, name, values)
-        arrays = [self.slips, self.adhesions] + ([] if self.speeds is None else [self.speeds])
+        hold_arrays(self)
+        arrays = [self.slips, self.adhesions]
+        if self.speeds is not None:
+            object.__setattr__(self, "speeds", np.asarray(self.speeds, dtype=np.float64))
+            arrays.append(self.speeds)
         if self.slips.ndim != 1 or any(each.shape != self.slips.shape for each in arrays):
             raise InputError("points of adhesion: need pairs of slip and adhesion")
         if not all(np.all(np.isfinite(each)) for each in arrays):

@@ -7,6 +7,7 @@ tangents from above, ``effort <= offset + power / v`` at every speed, on which a
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated
@@ -51,27 +52,25 @@ class EffortCurve(Declared):
     speeds: Annotated[FloatArray, Column("speed", "km/h", "m/s")]
     efforts: Annotated[FloatArray, Column("effort", "kN", "N")]
 
-    def __post_init__(self) -> None:
-        for name in ("speeds", "efforts"):
-            values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
-            object.__setattr__(self, name, values)
+    def problems(self) -> Iterator[InputError]:
+        """What no curve of effort can be."""
         if self.speeds.ndim != 1 or self.speeds.size < 2 or self.speeds.shape != self.efforts.shape:
-            raise InputError(
+            yield InputError(
                 "tractive effort: needs pairs of speed and effort, two at least",
                 remedy="give the effort at standstill and at the highest speed",
             )
-        if not np.all(np.isfinite(self.speeds) & np.isfinite(self.efforts)):
-            raise InputError(
+        elif not np.all(np.isfinite(self.speeds) & np.isfinite(self.efforts)):
+            yield InputError(
                 "tractive effort: a speed or an effort is not a finite number",
                 remedy="give numbers",
             )
-        if self.speeds[0] != 0.0 or np.any(np.diff(self.speeds) <= 0.0):
-            raise InputError(
+        elif self.speeds[0] != 0.0 or np.any(np.diff(self.speeds) <= 0.0):
+            yield InputError(
                 "tractive effort: speeds do not grow from 0",
                 remedy="order the pairs by speed, the first at standstill",
             )
-        if not np.all(self.efforts >= 0.0):
-            raise InputError("tractive effort: an effort is negative", remedy="give 0 or more")
+        elif not np.all(self.efforts >= 0.0):
+            yield InputError("tractive effort: an effort is negative", remedy="give 0 or more")
 
     def __call__(self, speed: ArrayLike) -> FloatArray:
         """Largest effort [N] at each speed [m/s]."""

@@ -40,7 +40,6 @@ from trainlog.railway.line_parts import (
     StepProfile as StepProfile,
     Survey as Survey,
     Tunnel as Tunnel,
-    check_positions as check_positions,
     route_words as route_words,
     tunnels_between,
 )

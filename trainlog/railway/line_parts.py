@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,16 +17,6 @@ from trainlog.errors import InputError
 
 TINY = 1e-6
 """Pieces that are shorter [m] do not come of a cut: positions are rounded to less."""
-
-
-def hold_as_arrays(profile: object, *names: str) -> None:
-    """Turn fields of a frozen dataclass into arrays, so that lists can be given."""
-    for name in names:
-        try:
-            values = np.asarray(getattr(profile, name), dtype=np.float64)
-        except (TypeError, ValueError):
-            raise InputError(f"{type(profile).__name__}: {name} must be numbers") from None
-        object.__setattr__(profile, name, values)
 
 
 POSITION = Column("position", "m", "m", from_start=True)
@@ -58,9 +48,9 @@ class StepProfile(Declared):
     positions: FloatArray
     values: FloatArray
 
-    def __post_init__(self) -> None:
-        hold_as_arrays(self, "positions", "values")
-        check_positions("profile", self.positions, self.values)
+    def problems(self) -> Iterator[InputError]:
+        """What no profile can be."""
+        yield from _disorder("profile", self.positions, self.values)
 
     def __repr__(self) -> str:
         low, high = float(self.values.min()), float(self.values.max())
@@ -74,7 +64,7 @@ class StepProfile(Declared):
     def reversed(self, length: float, sign: float = 1.0) -> StepProfile:
         """The profile seen from the other end of a line of `length` [m]."""
         ends = np.append(self.positions[1:], length)
-        return StepProfile((length - ends)[::-1].copy(), sign * self.values[::-1])
+        return StepProfile((length - ends)[::-1], sign * self.values[::-1])
 
     def between(self, start: float, end: float) -> StepProfile:
         """The profile from `start` to `end` [m], counted from `start`.
@@ -113,11 +103,65 @@ class StepProfile(Declared):
         return np.asarray((antiderivative(end) - antiderivative(start)) / (end - start))
 
 
+class _Elements(Declared):
+    """What varies in a straight line over each of several elements of a line."""
+
+    __slots__ = ()
+
+    WORDS: ClassVar[str]
+    TURNED: ClassVar[float] = 1.0
+    """Factor of the values as seen from the other end of the line."""
+
+    positions: FloatArray
+    start: FloatArray
+    end: FloatArray
+
+    def problems(self) -> Iterator[InputError]:
+        """What no such elements can be."""
+        yield from _disorder(self.WORDS, self.positions, self.start, self.end)
+
+    def at(self, position: ArrayLike, length: float) -> FloatArray:
+        """The value at each position of a line of `length` [m]; ends are extended."""
+        s = np.asarray(position, dtype=np.float64)
+        index = np.maximum(np.searchsorted(self.positions, s, side="right") - 1, 0)
+        ends = np.append(self.positions[1:], max(length, self.positions[-1]))
+        width = np.maximum(ends - self.positions, 1e-9)
+        share = np.clip((s - self.positions[index]) / width[index], 0.0, 1.0)
+        return np.asarray(self.start[index] + share * (self.end[index] - self.start[index]))
+
+    def reversed(self, length: float) -> Self:
+        """The elements seen from the other end of a line of `length` [m]."""
+        ends = np.append(self.positions[1:], length)
+        return replace(
+            self,
+            positions=(length - ends)[::-1],
+            start=self.TURNED * self.end[::-1],
+            end=self.TURNED * self.start[::-1],
+        )
+
+    def between(self, start: float, end: float, length: float) -> Self:
+        """The elements from `start` to `end` [m] of a line of `length` [m], from `start` on."""
+        ends = np.append(self.positions[1:], max(length, float(self.positions[-1])))
+        kept = (ends > start + TINY) & (self.positions < end - TINY)
+        positions, ends = self.positions[kept], ends[kept]
+        first, last = self.start[kept], self.end[kept]
+        width, change = np.maximum(ends - positions, 1e-9), last - first
+        cut = positions - start
+        cut[0] = 0.0
+        return replace(
+            self,
+            positions=cut,
+            start=first + np.maximum(start - positions, 0.0) / width * change,
+            end=np.where(ends <= end, last, first + (end - positions) / width * change),
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class CurvatureProfile(Declared):
+class CurvatureProfile(_Elements):
     """Signed track curvature: circular arcs and, between them, linear transitions.
 
-    Positive curvature bends to the right in the direction of travel.
+    Positive curvature bends to the right in the direction of travel; seen from the other end of the
+    line it is a bend to the left.
 
     Attributes
     ----------
@@ -133,36 +177,21 @@ class CurvatureProfile(Declared):
     array([0.   , 0.001, 0.002])
     """
 
+    WORDS: ClassVar[str] = "curvature"
+    TURNED: ClassVar[float] = -1.0
+
     positions: Annotated[FloatArray, POSITION]
     start: Annotated[FloatArray, _radius("start")]
     end: Annotated[FloatArray, _radius("end")]
-
-    def __post_init__(self) -> None:
-        hold_as_arrays(self, "positions", "start", "end")
-        check_positions("curvature", self.positions, self.start)
-        check_positions("curvature", self.positions, self.end)
 
     def __repr__(self) -> str:
         sharpest = float(max(np.abs(self.start).max(), np.abs(self.end).max()))
         radius = f"radius {1.0 / sharpest:.0f} m at least" if sharpest else "straight"
         return f"CurvatureProfile of {counted(self.start.size, 'element')}, {radius}"
 
-    def at(self, position: ArrayLike, length: float) -> FloatArray:
-        """Curvature [1/m] at each position of a line of `length` [m]."""
-        return _between(self.positions, self.start, self.end, position, length)
-
-    def reversed(self, length: float) -> CurvatureProfile:
-        """The profile seen from the other end: a left-hand bend becomes a right-hand one."""
-        ends = np.append(self.positions[1:], length)
-        return CurvatureProfile((length - ends)[::-1].copy(), -self.end[::-1], -self.start[::-1])
-
-    def between(self, start: float, end: float, length: float) -> CurvatureProfile:
-        """The curvature from `start` to `end` [m] of a line of `length` [m]."""
-        return CurvatureProfile(*_cut((self.positions, self.start, self.end), (start, end), length))
-
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class LineReference(Declared):
+class LineReference(_Elements):
     """How the operator of a line calls it and counts its kilometres.
 
     Kilometres may run against the chainage, and jump where the line was rebuilt.
@@ -185,6 +214,8 @@ class LineReference(Declared):
     array([61200., 60950., 60250.])
     """
 
+    WORDS: ClassVar[str] = "kilometres"
+
     name: Annotated[str, Text(least=1)]
     positions: Annotated[
         FloatArray, Column("position", "m", "m", table="kilometres", from_start=True)
@@ -192,68 +223,23 @@ class LineReference(Declared):
     start: Annotated[FloatArray, Column("km_at_start", "km", "m", table="kilometres")]
     end: Annotated[FloatArray, Column("km_at_end", "km", "m", table="kilometres")]
 
-    def __post_init__(self) -> None:
-        hold_as_arrays(self, "positions", "start", "end")
-        check_positions("kilometres", self.positions, self.start)
-        check_positions("kilometres", self.positions, self.end)
 
-    def at(self, position: ArrayLike, length: float) -> FloatArray:
-        """The operator's kilometre, in metres, at each position of a line of `length` [m]."""
-        return _between(self.positions, self.start, self.end, position, length)
-
-    def reversed(self, length: float) -> LineReference:
-        """The same kilometres seen from the other end."""
-        ends = np.append(self.positions[1:], length)
-        return LineReference(
-            self.name, (length - ends)[::-1].copy(), self.end[::-1], self.start[::-1]
-        )
-
-    def between(self, start: float, end: float, length: float) -> LineReference:
-        """The kilometres from `start` to `end` [m] of a line of `length` [m]."""
-        pieces = (self.positions, self.start, self.end)
-        return LineReference(self.name, *_cut(pieces, (start, end), length))
-
-
-def _cut(
-    pieces: tuple[FloatArray, FloatArray, FloatArray], span: tuple[float, float], length: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Position, value at start and at end of the pieces within a span, counted from its start."""
-    positions, first, last = pieces
-    start, end = span
-    ends = np.append(positions[1:], max(length, float(positions[-1])))
-    kept = (ends > start + TINY) & (positions < end - TINY)
-    positions, ends, first, last = positions[kept], ends[kept], first[kept], last[kept]
-    width, change = np.maximum(ends - positions, 1e-9), last - first
-    begin = first + np.maximum(start - positions, 0.0) / width * change
-    finish = np.where(ends <= end, last, first + (end - positions) / width * change)
-    cut = positions - start
-    cut[0] = 0.0
-    return cut, begin, finish
-
-
-def _between(
-    positions: FloatArray, start: FloatArray, end: FloatArray, at: ArrayLike, length: float
-) -> FloatArray:
-    """What varies in a straight line from `start` to `end` of each piece, at some positions."""
-    s = np.asarray(at, dtype=np.float64)
-    index = np.maximum(np.searchsorted(positions, s, side="right") - 1, 0)
-    ends = np.append(positions[1:], max(length, positions[-1]))
-    width = np.maximum(ends - positions, 1e-9)
-    share = np.clip((s - positions[index]) / width[index], 0.0, 1.0)
-    return np.asarray(start[index] + share * (end[index] - start[index]))
-
-
-def check_positions(what: str, positions: FloatArray, values: FloatArray) -> None:
-    """Refuse profiles that are empty, ragged, not finite or out of order."""
-    if positions.ndim != 1 or positions.size == 0 or positions.shape != values.shape:
-        raise InputError(f"{what}: needs as many positions as values, and at least one")
-    if not (np.all(np.isfinite(positions)) and np.all(np.isfinite(values))):
-        raise InputError(f"{what}: positions and values must be finite numbers")
-    if positions[0] != 0.0:
-        raise InputError(f"{what}: must begin at position 0, begins at {positions[0]} m")
-    if np.any(np.diff(positions) <= 0.0):
-        at = positions[1:][np.diff(positions) <= 0.0][0]
-        raise InputError(f"{what}: positions must increase, they do not at {at} m")
+def _disorder(what: str, positions: FloatArray, *columns: FloatArray) -> Iterator[InputError]:
+    """The first of what positions and values along a line cannot be."""
+    steps = np.diff(positions, axis=0)
+    if (
+        positions.ndim != 1
+        or positions.size == 0
+        or any(each.shape != positions.shape for each in columns)
+    ):
+        yield InputError(f"{what}: needs as many positions as values, and at least one")
+    elif not all(np.all(np.isfinite(each)) for each in (positions, *columns)):
+        yield InputError(f"{what}: positions and values must be finite numbers")
+    elif positions[0] != 0.0:
+        yield InputError(f"{what}: must begin at position 0, begins at {positions[0]} m")
+    elif np.any(steps <= 0.0):
+        at = positions[1:][steps <= 0.0][0]
+        yield InputError(f"{what}: positions must increase, they do not at {at} m")
 
 
 Metres = Annotated[float, Quantity("m", "m")]
@@ -315,14 +301,15 @@ class Geometry(Declared):
     longitudes: Annotated[FloatArray, Column("longitude", "deg", "deg", table="track")]
     quality: str
 
-    def __post_init__(self) -> None:
-        hold_as_arrays(self, "positions", "latitudes", "longitudes")
+    def problems(self) -> Iterator[InputError]:
+        """What no course can be."""
         if self.positions.shape != self.latitudes.shape or self.positions.size < 2:
-            raise InputError("needs at least two points, each with two coordinates")
-        check_positions("geometry", self.positions - self.positions[0], self.latitudes)
-        check_positions("geometry", self.positions - self.positions[0], self.longitudes)
+            yield InputError("needs at least two points, each with two coordinates")
+            return
+        since = self.positions - self.positions[0]
+        yield from _disorder("geometry", since, self.latitudes, self.longitudes)
         if np.any(np.abs(self.latitudes) > 90.0) or np.any(np.abs(self.longitudes) > 180.0):
-            raise InputError(
+            yield InputError(
                 "a coordinate is beyond 90° of latitude or 180° of longitude",
                 remedy="give degrees, latitude first",
             )
@@ -353,11 +340,11 @@ class Geometry(Declared):
 
     def reversed(self, length: float) -> Geometry:
         """The same points counted from the other end."""
-        return replace(
-            self,
-            positions=(length - self.positions)[::-1].copy(),
-            latitudes=self.latitudes[::-1].copy(),
-            longitudes=self.longitudes[::-1].copy(),
+        return Geometry(
+            (length - self.positions)[::-1],
+            self.latitudes[::-1],
+            self.longitudes[::-1],
+            self.quality,
         )
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray, IntArray
+from trainlog.declaration import hold_arrays
 from trainlog.errors import InputError
 from trainlog.units import NANOSECONDS
 
@@ -222,8 +223,7 @@ class Weather:
     def __post_init__(self) -> None:
         for name in ("starts", "ends"):
             object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.int64))
-        for name in ("temperature", "humidity", "precipitation"):
-            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.float64))
+        hold_arrays(self)
         if len({len(getattr(self, name)) for name in self.__dataclass_fields__}) != 1:
             raise InputError("weather: its columns differ in length")
         if np.any(self.ends <= self.starts) or np.any(self.starts[1:] < self.ends[:-1]):
