@@ -1,37 +1,23 @@
 """The log: trips as MCAP files."""
 
-from trainlog.mcap.account import Account, DamageWarning, Loss
+from trainlog.mcap.account import Account as Account, DamageWarning as DamageWarning, Loss as Loss
 from trainlog.mcap.description import (
-    AttachmentDescription,
-    LogDescription,
-    TopicDescription,
-    describe,
+    AttachmentDescription as AttachmentDescription,
+    LogDescription as LogDescription,
+    TopicDescription as TopicDescription,
+    describe as describe,
 )
-from trainlog.mcap.foreign import ForeignFrames, Skipped, frames_of
-from trainlog.mcap.reader import read_log, stream_log
-from trainlog.mcap.recorder import OverloadWarning, Recording, RecordingAccount, record
-from trainlog.mcap.recovery import account_of, recover
-from trainlog.mcap.writer import LogWriter, write_log
-
-__all__ = [
-    "Account",
-    "AttachmentDescription",
-    "DamageWarning",
-    "ForeignFrames",
-    "LogDescription",
-    "LogWriter",
-    "Loss",
-    "OverloadWarning",
-    "Recording",
-    "RecordingAccount",
-    "Skipped",
-    "TopicDescription",
-    "account_of",
-    "describe",
-    "frames_of",
-    "read_log",
-    "record",
-    "recover",
-    "stream_log",
-    "write_log",
-]
+from trainlog.mcap.foreign import (
+    ForeignFrames as ForeignFrames,
+    Skipped as Skipped,
+    frames_of as frames_of,
+)
+from trainlog.mcap.reader import read_log as read_log, stream_log as stream_log
+from trainlog.mcap.recorder import (
+    OverloadWarning as OverloadWarning,
+    Recording as Recording,
+    RecordingAccount as RecordingAccount,
+    record as record,
+)
+from trainlog.mcap.recovery import account_of as account_of, recover as recover
+from trainlog.mcap.writer import LogWriter as LogWriter, write_log as write_log

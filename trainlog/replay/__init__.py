@@ -7,24 +7,20 @@ from trainlog.extras import require
 
 require("rerun")
 
-from trainlog.replay.live import LiveReplay, live_replay
-from trainlog.replay.log_layout import scalars, write_layout
-from trainlog.replay.picture import HeadlessViewer, headless_viewer, take_picture
-from trainlog.replay.recording import Replay, ReplayOptions, write_replay
-from trainlog.replay.viewer import has_display, open_viewer, run_viewer
-
-__all__ = [
-    "HeadlessViewer",
-    "LiveReplay",
-    "Replay",
-    "ReplayOptions",
-    "has_display",
-    "headless_viewer",
-    "live_replay",
-    "open_viewer",
-    "run_viewer",
-    "scalars",
-    "take_picture",
-    "write_layout",
-    "write_replay",
-]
+from trainlog.replay.live import LiveReplay as LiveReplay, live_replay as live_replay
+from trainlog.replay.log_layout import scalars as scalars, write_layout as write_layout
+from trainlog.replay.picture import (
+    HeadlessViewer as HeadlessViewer,
+    headless_viewer as headless_viewer,
+    take_picture as take_picture,
+)
+from trainlog.replay.recording import (
+    Replay as Replay,
+    ReplayOptions as ReplayOptions,
+    write_replay as write_replay,
+)
+from trainlog.replay.viewer import (
+    has_display as has_display,
+    open_viewer as open_viewer,
+    run_viewer as run_viewer,
+)

@@ -4,81 +4,57 @@
 controller drives when it implements the protocol `Driver`.
 """
 
-from trainlog.simulation.consist import ConsistPlant, ConsistState, Variation
+from trainlog.simulation.consist import (
+    ConsistPlant as ConsistPlant,
+    ConsistState as ConsistState,
+    Variation as Variation,
+)
 from trainlog.simulation.drivers import (
-    Demand,
-    Driver,
-    Habits,
-    Observation,
-    Stop,
-    TimetableDriver,
-    check_stops,
-    plan,
+    Demand as Demand,
+    Driver as Driver,
+    Habits as Habits,
+    Observation as Observation,
+    Stop as Stop,
+    TimetableDriver as TimetableDriver,
+    check_stops as check_stops,
+    plan as plan,
 )
-from trainlog.simulation.fleet import Fleet, FleetScenario, as_recorded, draw_fleet
-from trainlog.simulation.fleet_logs import FleetLogs, write_fleet, write_trip
-from trainlog.simulation.network import draw_network
-from trainlog.simulation.plant import Drive, Plant, PlantState
-from trainlog.simulation.rail import Change, Rail, RailState
-from trainlog.simulation.recording import Run, drive, recorded, simulate
+from trainlog.simulation.fleet import (
+    Fleet as Fleet,
+    FleetScenario as FleetScenario,
+    as_recorded as as_recorded,
+    draw_fleet as draw_fleet,
+)
+from trainlog.simulation.fleet_logs import (
+    FleetLogs as FleetLogs,
+    write_fleet as write_fleet,
+    write_trip as write_trip,
+)
+from trainlog.simulation.network import draw_network as draw_network
+from trainlog.simulation.plant import Drive as Drive, Plant as Plant, PlantState as PlantState
+from trainlog.simulation.rail import Change as Change, Rail as Rail, RailState as RailState
+from trainlog.simulation.recording import (
+    Run as Run,
+    drive as drive,
+    recorded as recorded,
+    simulate as simulate,
+)
 from trainlog.simulation.scenario import (
-    Locator,
-    Scenario,
-    draw_days,
-    draw_scenarios,
-    trajectory_scenarios,
+    Locator as Locator,
+    Scenario as Scenario,
+    draw_days as draw_days,
+    draw_scenarios as draw_scenarios,
+    trajectory_scenarios as trajectory_scenarios,
 )
-from trainlog.simulation.sensors import Instruments, Reading, Sensors
+from trainlog.simulation.sensors import (
+    Instruments as Instruments,
+    Reading as Reading,
+    Sensors as Sensors,
+)
 from trainlog.simulation.traction import (
-    DriveReading,
-    DriveSensors,
-    TractionControl,
-    TractionLoop,
+    DriveReading as DriveReading,
+    DriveSensors as DriveSensors,
+    TractionControl as TractionControl,
+    TractionLoop as TractionLoop,
 )
-from trainlog.simulation.vehicles import Fault, FleetTrain
-
-__all__ = [
-    "Change",
-    "ConsistPlant",
-    "ConsistState",
-    "Demand",
-    "Drive",
-    "DriveReading",
-    "DriveSensors",
-    "Driver",
-    "Fault",
-    "Fleet",
-    "FleetLogs",
-    "FleetScenario",
-    "FleetTrain",
-    "Habits",
-    "Instruments",
-    "Locator",
-    "Observation",
-    "Plant",
-    "PlantState",
-    "Rail",
-    "RailState",
-    "Reading",
-    "Run",
-    "Scenario",
-    "Sensors",
-    "Stop",
-    "TimetableDriver",
-    "TractionControl",
-    "TractionLoop",
-    "Variation",
-    "as_recorded",
-    "check_stops",
-    "draw_days",
-    "draw_fleet",
-    "draw_network",
-    "draw_scenarios",
-    "drive",
-    "plan",
-    "recorded",
-    "simulate",
-    "trajectory_scenarios",
-    "write_fleet",
-    "write_trip",
-]
+from trainlog.simulation.vehicles import Fault as Fault, FleetTrain as FleetTrain
