@@ -230,7 +230,7 @@ LINE_CASES = [
     (
         "survey",
         {"gradient_std": {"value": -0.1, "unit": "permil"}},
-        "f.json, survey.gradient_std: -0.1 per mille is not positive and finite; give how far off",
+        "f.json, survey.gradient_std: -0.1 per mille is not positive and finite; give more",
     ),
     (
         "survey",
@@ -274,7 +274,7 @@ OTHER_CASES = [
         "parameters",
         "configurations.0.mass.value",
         -1,
-        "f.json, configurations[0]: configuration 'a': mass and power",
+        "f.json, configurations[0].mass: -1 kg is not positive; give more than 0",
     ),
     ("parameters", "common_covariance.values.1", [1], "f.json, common_covariance.values: needs 3"),
     (

@@ -158,12 +158,19 @@ def test_nonsensical_lines_are_refused_with_the_place() -> None:
     with pytest.raises(InputError, match="leaves the line"):
         line(tunnels=(Tunnel(900.0, 200.0, 40.0),))
     for length, section in ((-200.0, 40.0), (0.0, 40.0), (200.0, 0.0), (200.0, np.nan)):
-        with pytest.raises(InputError, match=r"km 0\.300 has a length of .* both must be positive"):
-            line(tunnels=(Tunnel(300.0, length, section),))
+        with pytest.raises(InputError, match="is not positive and finite"):
+            Tunnel(300.0, length, section)
     with pytest.raises(InputError, match="positions must increase, they do not at 5"):
         StepProfile(np.array([0.0, 10.0, 5.0]), np.zeros(3))
     with pytest.raises(InputError, match="finite"):
         StepProfile(np.array([0.0]), np.array([np.nan]))
+
+
+def test_a_configuration_has_no_negative_load() -> None:
+    with pytest.raises(InputError, match=r"load: -0\.005 t is negative; give 0 or more"):
+        Configuration.of(TRAIN, -5.0)
+    with pytest.raises(InputError, match="rotating_mass: -1 kg is negative"):
+        Configuration("light", 1e5, -1.0, TRAIN.resistance, 1e6)
 
 
 def test_nonsensical_trains_are_refused() -> None:

@@ -312,25 +312,11 @@ def on_grid(
     return OnGrid(grid, time, np.asarray(speed))
 
 
-@dataclass(frozen=True, eq=False)
-class Difference:
-    """A trip less its reference, on the same grid.
-
-    Attributes
-    ----------
-    position : (n,) array [m]
-    time : (n,) array [s]
-        Lost since the first node that both reached; negative where gained. NaN outside of both.
-    speed : (n,) array [m/s]
-    """
-
-    position: FloatArray
-    time: FloatArray
-    speed: FloatArray
-
-
-def difference(trip: OnGrid, reference: OnGrid) -> Difference:
+def difference(trip: OnGrid, reference: OnGrid) -> OnGrid:
     """How far a trip is behind a reference, and how much faster, at each node of their grid.
+
+    Time is what was lost since the first node that both reached, negative where gained; time and
+    speed are NaN outside of both.
 
     Raises
     ------
@@ -350,7 +336,7 @@ def difference(trip: OnGrid, reference: OnGrid) -> Difference:
     lost = trip.time - reference.time
     both = np.flatnonzero(np.isfinite(lost))
     since = lost[both[0]] if both.size else 0.0
-    return Difference(trip.position, lost - since, trip.speed - reference.speed)
+    return OnGrid(trip.position, lost - since, trip.speed - reference.speed)
 
 
 def known_rows(trip: Trip, topic: str, *names: str) -> tuple[Any, ...] | None:

@@ -15,6 +15,7 @@ import inspect
 import json
 import math
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
@@ -83,6 +84,9 @@ class Must:
 POSITIVE = Must("is not positive", "give more than 0", above=True)
 NOT_NEGATIVE = Must("is negative", "give 0 or more")
 SHARE = Must("is not between 0 and 100 %", "give it as a share, for example 90 %", high=1.0)
+LARGEST = sys.float_info.max
+FINITE = Must("is not a finite number", "give one", low=-LARGEST, high=LARGEST)
+POSITIVE_FINITE = Must("is not positive and finite", "give more than 0", high=LARGEST, above=True)
 POSITIVE_SHARE = Must(
     "is not above 0 and at most 100 %", "give it as a share, for example 90 %", high=1.0, above=True
 )

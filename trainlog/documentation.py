@@ -6,10 +6,9 @@ import html
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 
-from trainlog.errors import InputError
+from trainlog.errors import InputError, similar
 
 _PACKAGE = Path(__file__).resolve().parent
 _INSTALLED = _PACKAGE / "documentation_pages"
@@ -94,8 +93,8 @@ class Documentation:
                 mark = f'id="{dotted}"' if self.built else f"::: {dotted}\n"
                 if page.startswith("reference/") and mark in path.read_text("utf-8"):
                     return path, dotted if self.built else ""
-        alike = get_close_matches(name, [*pages, *(page.rpartition("/")[2] for page in pages)], 3)
-        hint = f"near to it: {', '.join(dict.fromkeys(alike))}; " if alike else ""
+        alike = similar(name, [*pages, *(page.rpartition("/")[2] for page in pages)])
+        hint = f"near to it: {', '.join(alike)}; " if alike else ""
         raise InputError(
             f"there is no page '{wanted}'", remedy=f"{hint}'trainlog docs --list' lists all pages"
         )

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
-from trainlog.errors import InputError
+from trainlog.errors import InputError, similar
 
 Spans = IntArray
 """Spans of time, (k, 2): first and last instant of each [ns since 1970 UTC], both belonging to it;
@@ -93,13 +93,10 @@ def check_zone(name: str) -> None:
     try:
         pd.Timestamp(0, tz=name)
     except (KeyError, ValueError, TypeError, OSError) as error:
-        from difflib import get_close_matches
         from zoneinfo import available_timezones
 
-        folded = {each.casefold(): each for each in sorted(available_timezones())}
-        close = [folded[each] for each in get_close_matches(name.casefold(), folded, n=3)]
-        near = " or ".join(f"'{each}'" for each in close)
-        remedy = f"did you mean {near}?" if close else "name it as Europe/Zurich"
+        near = " or ".join(f"'{each}'" for each in similar(name, sorted(available_timezones())))
+        remedy = f"did you mean {near}?" if near else "name it as Europe/Zurich"
         raise InputError(f"'{name}' is no time zone", remedy=remedy) from error
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray
-from trainlog.errors import InputError
+from trainlog.errors import InputError, similar
 
 if TYPE_CHECKING:
     from pint import UnitRegistry
@@ -190,9 +189,8 @@ def _meant(unit: str, si: str | None = None, before: str = "") -> str:
             registry.parse_units(_spelled(si))
         )
     ]
-    lowered = {each.casefold(): each for each in reversed(of_kind)}
-    close = get_close_matches(unit.strip().casefold(), list(lowered), n=1, cutoff=0.7)
-    return f"{before}did you mean '{lowered[close[0]]}'?" if close else ""
+    close = similar(unit, reversed(of_kind), 1)
+    return f"{before}did you mean '{close[0]}'?" if close else ""
 
 
 def to_si(value: ArrayLike, unit: str, si: str) -> FloatArray:

@@ -8,7 +8,6 @@ are quadratic in speed, so that each is a `RunningResistance` with coefficients 
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,11 +20,12 @@ from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray
 from trainlog.declaration import (
+    FINITE,
     NOT_NEGATIVE,
     POSITIVE,
+    POSITIVE_FINITE,
     Declared,
     Many,
-    Must,
     Part,
     Quantity,
     Text,
@@ -46,15 +46,7 @@ HEAD_WIND = 15.0 / KMH
 """Wind that is added to the speed in the air resistance of coaches and traction units [m/s]."""
 
 
-_LARGEST = sys.float_info.max
-_FINITE = Must("is not a finite number", "give one", low=-_LARGEST, high=_LARGEST)
-_STIFF = Must(
-    "is not positive and finite",
-    "vehicles that are not coupled are not a consist",
-    high=_LARGEST,
-    above=True,
-)
-_NONLINEAR = Quantity("1/m^2", "1/m^2", must=_FINITE, stated="required")
+_NONLINEAR = Quantity("1/m^2", "1/m^2", must=FINITE, stated="required")
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,14 +74,14 @@ class Coupler:
     array([-10000.,      0.,  10000.])
     """
 
-    stiffness: Annotated[float, Quantity("MN/m", "N/m", must=_STIFF)]
+    stiffness: Annotated[float, Quantity("MN/m", "N/m", must=POSITIVE_FINITE)]
     nonlinearity: Annotated[float, _NONLINEAR] = 0.0
     damping: Annotated[
         float, Quantity("kN*s/m", "N/(m/s)", must=NOT_NEGATIVE, stated="required")
     ] = 0.0
     slack: Annotated[float, Quantity("mm", "m", must=NOT_NEGATIVE, stated="required")] = 0.0
-    buffing_stiffness: Annotated[float | None, Quantity("MN/m", "N/m", must=_STIFF)] = None
-    buffing_nonlinearity: Annotated[float | None, Quantity("1/m^2", "1/m^2", must=_FINITE)] = None
+    buffing_stiffness: Annotated[float | None, Quantity("MN/m", "N/m", must=POSITIVE_FINITE)] = None
+    buffing_nonlinearity: Annotated[float | None, Quantity("1/m^2", "1/m^2", must=FINITE)] = None
 
     def __post_init__(self) -> None:
         check(self)
@@ -138,9 +130,6 @@ class Coupler:
         return beyond, np.where(x < 0.0, k_buff, k), np.where(x < 0.0, eps_buff, eps)
 
 
-_POSITIVE = Must("is not positive and finite", "give what it has", high=_LARGEST, above=True)
-
-
 @dataclass(frozen=True, slots=True)
 class Vehicle:
     """A locomotive, a wagon or a coach.
@@ -173,8 +162,8 @@ class Vehicle:
     ORDER: ClassVar[tuple[str, ...]] = ("name", "mass", "rotating_mass")
 
     name: Annotated[str, Text(least=1)]
-    mass: Annotated[float, Quantity("t", "kg", must=_POSITIVE)]
-    length: Annotated[float, Quantity("m", "m", must=_POSITIVE)]
+    mass: Annotated[float, Quantity("t", "kg", must=POSITIVE_FINITE)]
+    length: Annotated[float, Quantity("m", "m", must=POSITIVE_FINITE)]
     resistance: Annotated[RunningResistance, Part(key="running_resistance")]
     rotating_mass: Annotated[float, Quantity("t", "kg", must=NOT_NEGATIVE, stated="required")] = 0.0
     max_tractive_effort: Annotated[float, Quantity("kN", "N", must=NOT_NEGATIVE)] = 0.0

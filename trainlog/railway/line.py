@@ -284,12 +284,6 @@ class Line(Declared, Plotted):
                 )
         yield from self._curve_problems(where)
         for tunnel in self.tunnels:
-            if not (0.0 < tunnel.length < np.inf and 0.0 < tunnel.cross_section < np.inf):
-                yield InputError(
-                    f"{where}: tunnel at km {tunnel.position / 1e3:.3f} has a length of"
-                    f" {tunnel.length:g} m and a cross-section of {tunnel.cross_section:g} m²",
-                    remedy="both must be positive",
-                )
             if tunnel.position < -TINY or tunnel.position + tunnel.length > self.length + TINY:
                 yield InputError(
                     f"{where}: tunnel at km {tunnel.position / 1e3:.3f} leaves the line"
@@ -621,32 +615,25 @@ class Line(Declared, Plotted):
         >>> line.reversed().stations[0].name
         'Wil'
         """
-        return Line(
-            name=self.name,
-            length=self.length,
+        return replace(
+            self,
             stations=tuple(
                 Station(station.name, self.length - station.position)
                 for station in reversed(self.stations)
             ),
             speed_limits=self.limits_against.reversed(self.length),
             gradients=self.gradients.reversed(self.length, sign=-1.0),
-            curvatures=None if self.curvatures is None else self.curvatures.reversed(self.length),
             tunnels=tuple(
                 Tunnel(self.length - t.position - t.length, t.length, t.cross_section)
                 for t in reversed(self.tunnels)
             ),
             altitude=float(self.altitudes(self.length)),
-            geometry=None if self.geometry is None else self.geometry.reversed(self.length),
-            source=self.source,
-            braking_parameters=self.braking_parameters,
-            survey=self.survey,
-            assumed=self.assumed,
-            reference=None if self.reference is None else self.reference.reversed(self.length),
-            curve_resistance=self.curve_resistance,
             legs=tuple(leg.reversed(self.length) for leg in reversed(self.legs)),
-            speed_limits_reverse=None
-            if self.speed_limits_reverse is None
-            else self.speed_limits.reversed(self.length),
+            speed_limits_reverse=self.speed_limits_reverse
+            and self.speed_limits.reversed(self.length),
+            curvatures=self.curvatures and self.curvatures.reversed(self.length),
+            geometry=self.geometry and self.geometry.reversed(self.length),
+            reference=self.reference and self.reference.reversed(self.length),
         )
 
     def section(self, start: float, end: float) -> Line:
@@ -682,19 +669,14 @@ class Line(Declared, Plotted):
             ),
             speed_limits=self.speed_limits.between(start, end),
             gradients=self.gradients.between(start, end),
-            curvatures=None
-            if self.curvatures is None
-            else self.curvatures.between(start, end, self.length),
+            curvatures=self.curvatures and self.curvatures.between(start, end, self.length),
             tunnels=tuple(tunnels_between(self.tunnels, start, end)),
             altitude=float(self.altitudes(start)),
-            geometry=None if self.geometry is None else self.geometry.between(start, end),
-            reference=None
-            if self.reference is None
-            else self.reference.between(start, end, self.length),
+            geometry=self.geometry and self.geometry.between(start, end),
+            reference=self.reference and self.reference.between(start, end, self.length),
             legs=tuple(filter(None, (leg.between(start, end) for leg in self.legs))),
-            speed_limits_reverse=None
-            if self.speed_limits_reverse is None
-            else self.speed_limits_reverse.between(start, end),
+            speed_limits_reverse=self.speed_limits_reverse
+            and self.speed_limits_reverse.between(start, end),
         )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Self
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray
-from trainlog.declaration import INFINITY, Column, Declared, Must, Quantity, Text, check
+from trainlog.declaration import INFINITY, POSITIVE_FINITE, Column, Declared, Quantity, Text, check
 from trainlog.display import counted
 from trainlog.errors import InputError
 
@@ -132,7 +131,7 @@ class _Elements(Declared):
     def reversed(self, length: float) -> Self:
         """The elements seen from the other end of a line of `length` [m]."""
         ends = np.append(self.positions[1:], length)
-        return replace(
+        return replace(  # type: ignore[type-var]
             self,
             positions=(length - ends)[::-1],
             start=self.TURNED * self.end[::-1],
@@ -148,7 +147,7 @@ class _Elements(Declared):
         width, change = np.maximum(ends - positions, 1e-9), last - first
         cut = positions - start
         cut[0] = 0.0
-        return replace(
+        return replace(  # type: ignore[type-var]
             self,
             positions=cut,
             start=first + np.maximum(start - positions, 0.0) / width * change,
@@ -257,8 +256,11 @@ class Tunnel:
     """
 
     position: Metres
-    length: Metres
-    cross_section: Annotated[float, Quantity("m^2", "m^2")]
+    length: Annotated[float, Quantity("m", "m", must=POSITIVE_FINITE)]
+    cross_section: Annotated[float, Quantity("m^2", "m^2", must=POSITIVE_FINITE)]
+
+    def __post_init__(self) -> None:
+        check(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,14 +350,6 @@ class Geometry(Declared):
         )
 
 
-_KNOWN = Must(
-    "is not positive and finite",
-    "give how far off gradients are, or leave the survey out",
-    high=sys.float_info.max,
-    above=True,
-)
-
-
 @dataclass(frozen=True, slots=True)
 class Survey:
     """How well the gradients of a line are known.
@@ -368,8 +362,8 @@ class Survey:
         Over how long the same error holds; None: each gradient has one of its own.
     """
 
-    gradient_std: Annotated[float, Quantity("permil", "1", must=_KNOWN)]
-    correlation_length: Annotated[float | None, Quantity("m", "m", must=_KNOWN)] = None
+    gradient_std: Annotated[float, Quantity("permil", "1", must=POSITIVE_FINITE)]
+    correlation_length: Annotated[float | None, Quantity("m", "m", must=POSITIVE_FINITE)] = None
 
     def __post_init__(self) -> None:
         check(self)

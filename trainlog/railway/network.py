@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby, pairwise
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 
@@ -26,6 +26,8 @@ from trainlog.railway.line_parts import TINY
 
 if TYPE_CHECKING:
     from networkx import DiGraph
+
+Part = TypeVar("Part")
 
 NodeKind = Literal["station", "junction"]
 
@@ -311,12 +313,7 @@ class Network(Declared):
         InputError
             If there is none.
         """
-        if name not in self._nodes:
-            raise InputError(
-                f"network '{self.name}' has no node '{name}'",
-                remedy=_nearest(name, self._nodes, "look at its nodes"),
-            )
-        return self._nodes[name]
+        return self._called("node", name, self._nodes)
 
     def edge(self, name: str) -> Edge:
         """The edge of a name.
@@ -326,12 +323,15 @@ class Network(Declared):
         InputError
             If there is none.
         """
-        if name not in self._edges:
+        return self._called("edge", name, self._edges)
+
+    def _called(self, kind: str, name: str, known: Mapping[str, Part]) -> Part:
+        if name not in known:
             raise InputError(
-                f"network '{self.name}' has no edge '{name}'",
-                remedy=_nearest(name, self._edges, "look at its edges"),
+                f"network '{self.name}' has no {kind} '{name}'",
+                remedy=_nearest(name, known, f"look at its {kind}s"),
             )
-        return self._edges[name]
+        return known[name]
 
     @cached_property
     def _nodes(self) -> dict[str, Node]:
@@ -417,8 +417,7 @@ class Network(Declared):
             {(each.node, each.edge, each.position): each.station for each in self.place(name)}
             for name in names
         ]
-        ends = {e.name: EdgeEnds(e.start, e.end, e.line.length) for e in self.edges}
-        found = RouteSearch(ends, self.turns, stages).stretches()
+        found = RouteSearch(self._edges, self.turns, stages).stretches()
         if isinstance(found, int):
             raise InputError(
                 f"network '{self.name}' has no route from '{names[found]}' to '{names[found + 1]}'",
@@ -475,10 +474,10 @@ class Network(Declared):
         places = [self._ends(*movements[0])[0], self._ends(*movements[-1])[1]]
         if start is not None:
             stretches[0] = (first[0], start, first[2])
-            places[0] = self._named(first[0], start)
+            places[0] = self._name_of(first[0], start)
         if end is not None:
             stretches[-1] = (last[0], stretches[-1][1], end)
-            places[1] = self._named(last[0], end)
+            places[1] = self._name_of(last[0], end)
         for (name, begin, finish), (_, forward) in zip(stretches, movements, strict=True):
             if (finish > begin) is not forward:
                 raise InputError(
@@ -502,7 +501,7 @@ class Network(Declared):
         edge = self.edge(name)
         return (edge.start, edge.end) if forward else (edge.end, edge.start)
 
-    def _named(self, name: str, chainage: float) -> str:
+    def _name_of(self, name: str, chainage: float) -> str:
         """A point of an edge as a place: its node, its station, or ``edge@km``."""
         edge = self.edge(name)
         node = self._point(edge, chainage).node
@@ -655,14 +654,6 @@ _State = tuple[int, str, int, int]
 """Towards which place, over which edge, which piece of it, in which direction (1 or -1)."""
 
 
-class EdgeEnds(NamedTuple):
-    """The nodes at which an edge begins and ends, and its length [m]."""
-
-    start: str
-    end: str
-    length: float
-
-
 class RouteSearch:
     """The shortest way through places, as a graph of pieces of edges that are travelled.
 
@@ -671,7 +662,7 @@ class RouteSearch:
 
     Parameters
     ----------
-    edges : dict of str to EdgeEnds
+    edges : dict of str to Edge
     turns : dict of str to sequence of (str, str)
         By node, pairs of edges between which trains pass; see `trainlog.railway.network.Network`.
     stages : sequence of dict
@@ -679,7 +670,10 @@ class RouteSearch:
 
     Examples
     --------
-    >>> edges = {"a": EdgeEnds("X", "Y", 800.0), "b": EdgeEnds("Y", "Z", 500.0)}
+    >>> from trainlog.formats.line import read_line
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> first, second = line.section(0.0, 800.0), line.section(800.0, 1_300.0)
+    >>> edges = {"a": Edge("a", first, "X", "Y"), "b": Edge("b", second, "Y", "Z")}
     >>> stages = [{("Z", "", 0.0): True}, {("", "a", 300.0): True}]
     >>> RouteSearch(edges, {}, stages).stretches()
     [('b', 500.0, 0.0), ('a', 800.0, 300.0)]
@@ -687,12 +681,12 @@ class RouteSearch:
 
     def __init__(
         self,
-        edges: Mapping[str, EdgeEnds],
+        edges: Mapping[str, Edge],
         turns: Mapping[str, Sequence[tuple[str, str]]],
         stages: Sequence[Mapping[Point, bool]],
     ) -> None:
         self.edges, self.turns, self.stages = edges, turns, stages
-        cuts = {name: [0.0, edge.length] for name, edge in edges.items()}
+        cuts = {name: [0.0, edge.line.length] for name, edge in edges.items()}
         for _, name, position in {point for stage in stages for point in stage if not point[0]}:
             cuts[name].append(position)
         self.cuts = {name: sorted(set(found)) for name, found in cuts.items()}

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, ClassVar, Literal, get_args
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from trainlog.declaration import ByName, Declared, Many, Number, Text
+from trainlog.declaration import ByName, Declared, Many, Number, Text, check
 from trainlog.errors import InputError
 
 Source = Literal["recorded", "estimated", "assumed"]
 """``"recorded"``: stated with the trip. ``"estimated"``: from the trip's own samples, and what was
 assumed beforehand. ``"assumed"``: what holds for such trains; the trip does not show it."""
-
-SOURCES: tuple[Source, ...] = get_args(Source)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +42,7 @@ class Quantity:
     reason: Annotated[str, Text(stated="written")] = ""
 
     def __post_init__(self) -> None:
-        if self.source not in SOURCES:
-            raise InputError(
-                f"source '{self.source}' of a quantity is unknown",
-                remedy=f"it must be one of {', '.join(SOURCES)}",
-            )
+        check(self)
         if self.std < 0.0:
             raise InputError(f"standard deviation {self.std} is negative", remedy="give 0 or more")
 

@@ -556,9 +556,6 @@ def _against_mass(values: Mapping[str, Any], mass: float) -> Iterator[InputError
         yield from _RESISTANCE_OVER_WEIGHT.implausible(over_weight, "running_resistance")
 
 
-_LOAD = Quantity("kg", "kg", (50, 2e7, "trains carry"))
-"""Load of a trip; 0 is an empty train."""
-
 MOST_LOAD = 1.5
 """Times the mass of the empty train, that a load reaches at most where the train states no more."""
 
@@ -576,15 +573,16 @@ def check_load(load: float, train: Train | None = None) -> None:
     >>> check_load(11_700.0)
     >>> check_load(11.7)  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    trainlog.errors.InputError: load: 11.7 kg is not plausible: trains carry 50 to 2e+07 kg; were...
+    trainlog.errors.InputError: load: 0.0117 t is not plausible: trains carry 0.05 to 20000 t; ...
     """
-    for problem in _LOAD.implausible(load, "load"):
+    form = form_for(Train, "max_load")
+    for problem in form.implausible(load, "load"):
         raise problem
     most = np.inf if train is None else max(MOST_LOAD * train.mass, train.max_load)
     if not 0.0 <= load <= most:
-        against = f" for a train of {train.mass:.0f} kg" if train is not None else ""
+        against = f" for a train of {form.words(train.mass)}" if train is not None else ""
         raise InputError(
-            f"load {load:.0f} kg is not plausible{against}",
+            f"load {form.words(load)} is not plausible{against}",
             remedy="is it the mass of the loaded train, or is its unit another than kg?",
         )
 
@@ -616,17 +614,13 @@ class Configuration:
     ORDER: ClassVar[tuple[str, ...]] = ("name", "mass", "rotating_mass", "max_power")
 
     name: str
-    mass: Annotated[float, Quantity("kg", "kg")]
-    rotating_mass: Annotated[float, Quantity("kg", "kg")]
+    mass: Annotated[float, Quantity("kg", "kg", must=POSITIVE)]
+    rotating_mass: Annotated[float, Quantity("kg", "kg", must=NOT_NEGATIVE)]
     resistance: Annotated[RunningResistance, Part(key="running_resistance", in_si=True)]
-    max_power: Annotated[float, Quantity("W", "W")]
+    max_power: Annotated[float, Quantity("W", "W", must=POSITIVE)]
 
     def __post_init__(self) -> None:
-        if not (self.mass > 0.0 and self.rotating_mass >= 0.0 and self.max_power > 0.0):
-            raise InputError(
-                f"configuration '{self.name}': mass and power must be positive,"
-                f" got {self.mass} kg and {self.max_power} W"
-            )
+        check(self)
         speeds = np.linspace(0.0, 60.0, 61)
         drag = self.resistance(speeds)
         if np.any(drag < 0.0):
@@ -652,7 +646,15 @@ class Configuration:
         >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
         >>> Configuration.of(train, load=8_000.0).inertia
         142200.0
+
+        Raises
+        ------
+        InputError
+            If the load is negative.
         """
+        problem = form_for(Train, "max_load").refused(load, "load")
+        if problem is not None:
+            raise problem
         return Configuration(
             name, train.mass + load, train.rotating_mass, train.resistance, train.max_traction_power
         )
