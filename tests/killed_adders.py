@@ -11,22 +11,19 @@ many were killed, how many failed and where the kills fell is printed.
 from __future__ import annotations
 
 import json
-import os
 import random
 import signal
 import sys
 import tempfile
-import time
-import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-from passed_points import Passed
+from killed import Passed, Watched
 
 from trainlog.catalogue import Computation, ResultOutcome, adding, open_catalogue, reading, results
 from trainlog.catalogue.database import Database
@@ -96,50 +93,6 @@ def watch(passed: Passed) -> None:
     Database.writing = writing  # type: ignore[method-assign,assignment]
 
 
-class Adder:
-    """A process that works; what it passed."""
-
-    def __init__(
-        self, work: Callable[[], None], folder: Path, order: tuple[str, int] | None
-    ) -> None:
-        self.passed = Passed(folder / f"passed-{time.monotonic_ns()}", POINTS)
-        self.passed.order = order
-        self.status: int | None = None
-        self.number = os.fork()
-        if self.number:
-            return
-        status = 1
-        try:
-            watch(self.passed)
-            work()
-            status = 0
-        except BaseException:  # noqa: BLE001 - the child must not go on as the parent
-            traceback.print_exc()
-        finally:
-            os._exit(status)
-
-    def running(self) -> bool:
-        if self.status is None:
-            number, status = os.waitpid(self.number, os.WNOHANG)
-            self.status = os.waitstatus_to_exitcode(status) if number else None
-        return self.status is None
-
-    def kill(self, points: int, within: float) -> None:
-        """Kill it a moment after it passed so many points, or let it end."""
-        while self.passed.total < points and self.running():
-            time.sleep(0.001)
-        time.sleep(within)
-        if self.running():
-            os.kill(self.number, signal.SIGKILL)
-
-    def end(self) -> int:
-        """Wait for its end; its exit status, negative if it was killed."""
-        while self.running():
-            time.sleep(0.002)
-        assert self.status is not None
-        return self.status
-
-
 def main(where: str, results_folder: str, folder: str, adders: int, kills: int) -> int:
     """Kill adders, and let one finish."""
     kept = results_folder or None
@@ -156,25 +109,26 @@ def main(where: str, results_folder: str, folder: str, adders: int, kills: int) 
                     catalogue.remove(f"key >= '{'2468ac'[seed % 6]}'")
             work(where, kept, list(logs), seed)
 
-        def begun(seed: int) -> Adder:
+        def begun(seed: int) -> Watched:
             point = POINTS[seed // 2 % len(POINTS)]
             order = (point, draw.randint(1, 4)) if seed % 2 else None
-            return Adder(partial(removed_and_added, seed), Path(notes), order)
+            work = partial(removed_and_added, seed)
+            return Watched(Path(notes), POINTS, watch, work, order)
 
         running = [begun(seed) for seed in range(adders)]
         seed = adders
         while sum(fell.values()) < kills and seed < 10 * kills:
             victim = running.pop(0)
             if victim.passed.order is None:
-                victim.kill(draw.randint(1, 30), draw.uniform(0.0, 0.02))
-            status = victim.end()
+                victim.kill_after(draw.randint(1, 30), draw.uniform(0.0, 0.02))
+            status = victim.wait()
             if status == -signal.SIGKILL:
                 fell[victim.passed.last or "begun"] += 1
             failed += status > 0
             running.append(begun(seed))
             seed += 1
         for each in running:
-            failed += each.end() > 0
+            failed += each.wait() > 0
     work(where, kept, logs, 1000)
     print(json.dumps({"killed": sum(fell.values()), "failed": failed, "fell": fell}))
     return 0

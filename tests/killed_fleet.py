@@ -24,11 +24,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from killed import PATIENCE, Forked
+
 from trainlog.catalogue import open_catalogue
 from trainlog.catalogue.schema import results, trips
 from trainlog.formats.mapmerge import merge_files
-
-PATIENCE = 60.0
 
 
 def started(catalogue: str, *options: str) -> subprocess.Popen[bytes]:
@@ -39,51 +39,24 @@ def started(catalogue: str, *options: str) -> subprocess.Popen[bytes]:
     )
 
 
-class Forked:
+def forked(catalogue: str, *options: str) -> Forked:
     """A command forked from this process, whose workers are forked from it."""
 
-    def __init__(self, catalogue: str, *options: str) -> None:
-        self.returncode: int | None = None
-        self.pid = os.fork()
-        if self.pid:
-            return
-        status = 1
-        try:
-            from analysis.fleet import engine
-            from trainlog.cli.main import run
+    def update() -> int:
+        from analysis.fleet import engine
+        from trainlog.cli.main import run
 
-            signal.signal(signal.SIGINT, signal.default_int_handler)
-            quiet = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(quiet, 1)
-            os.dup2(quiet, 2)
-            engine.multiprocessing = SimpleNamespace(  # type: ignore[attr-defined]
-                get_all_start_methods=lambda: ["fork"],
-                get_context=lambda _: multiprocessing.get_context("fork"),
-            )
-            status = run(["fleet", "update", "--catalogue", catalogue, *options])
-        finally:
-            os._exit(status)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        quiet = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(quiet, 1)
+        os.dup2(quiet, 2)
+        engine.multiprocessing = SimpleNamespace(  # type: ignore[attr-defined]
+            get_all_start_methods=lambda: ["fork"],
+            get_context=lambda _: multiprocessing.get_context("fork"),
+        )
+        return run(["fleet", "update", "--catalogue", catalogue, *options])
 
-    def poll(self) -> int | None:
-        """Its exit status if it has ended."""
-        if self.returncode is None:
-            pid, status = os.waitpid(self.pid, os.WNOHANG)
-            self.returncode = os.waitstatus_to_exitcode(status) if pid else None
-        return self.returncode
-
-    def send_signal(self, number: int) -> None:
-        """Send it a signal, if it has not ended."""
-        if self.poll() is None:
-            os.kill(self.pid, number)
-
-    def wait(self, patience: float) -> int:
-        """Its exit status when it has ended."""
-        until = time.monotonic() + patience
-        while (status := self.poll()) is None:
-            if time.monotonic() > until:
-                raise TimeoutError(f"process {self.pid} does not end")
-            time.sleep(0.005)
-        return status
+    return Forked(update)
 
 
 def descendants(pid: int) -> list[int]:
@@ -290,7 +263,7 @@ def main() -> None:
         shutil.rmtree(maps)
         found = kill_at_random(
             catalogue, left, rounds["compared"], "--workers", "2", "--batch", "1",
-            within=0.4, each=8, start=Forked,
+            within=0.4, each=8, start=forked,
         )  # fmt: skip
         done = {name: done[name] + found[name] for name in done}
         with open_catalogue(catalogue) as opened:

@@ -13,14 +13,11 @@ something to compute, to merge and to map. At last two updates end, and what fel
 from __future__ import annotations
 
 import json
-import os
 import pathlib
 import random
 import shutil
 import signal
 import sys
-import time
-import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -30,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
-from passed_points import Passed
+from killed import Passed, Watched
 
 from analysis.fleet import maps, update, work
 from analysis.fleet.analyses import FleetAnalysis, analyses_named
@@ -67,7 +64,6 @@ ANALYSES = ("adhesion", "checks")
 """What the updates compute: with the maps, that which passes all points."""
 
 OTHER_CODE = "0123456789abcdef"
-PATIENCE = 120.0
 
 
 def watch(passed: Passed) -> None:
@@ -254,55 +250,6 @@ def forget_whole(catalogue: Catalogue, analysis: FleetAnalysis) -> None:
                 path.unlink()
 
 
-class Forked:
-    """A process that updates; what it passed."""
-
-    def __init__(self, folder: Path, run: Callable[[], None], order: tuple[str, int] | None):
-        self.passed = Passed(folder / f"passed-{time.monotonic_ns()}", POINTS)
-        self.passed.order = order
-        self.pid = os.fork()
-        self.status: int | None = None
-        if self.pid:
-            return
-        status = 1
-        try:
-            watch(self.passed)
-            run()
-            status = 0
-        except BaseException:  # noqa: BLE001 - the child must not go on as the parent
-            traceback.print_exc()
-        finally:
-            sys.stderr.flush()
-            os._exit(status)
-
-    def running(self) -> bool:
-        """Whether it has not ended."""
-        if self.status is None:
-            pid, status = os.waitpid(self.pid, os.WNOHANG)
-            self.status = os.waitstatus_to_exitcode(status) if pid else None
-        return self.status is None
-
-    def end(self) -> int:
-        """Wait for its end; its exit status, negative if it was killed."""
-        until = time.monotonic() + PATIENCE
-        while self.running():
-            if time.monotonic() > until:
-                os.kill(self.pid, signal.SIGKILL)
-                raise AssertionError(f"hangs at: {self.passed.last}")
-            time.sleep(0.005)
-        assert self.status is not None
-        return self.status
-
-
-def kill_after(forked: Forked, points: int, within: float) -> None:
-    """Kill a process a moment after it passed so many points, or let it end."""
-    while forked.passed.total < points and forked.running():
-        time.sleep(0.001)
-    time.sleep(within)
-    if forked.running():
-        os.kill(forked.pid, signal.SIGKILL)
-
-
 def orders(each: int, draw: random.Random) -> Iterator[str]:
     """The points, each so many times, mixed."""
     wanted = [point for point in POINTS for _ in range(each)]
@@ -314,7 +261,7 @@ def run(
     folder: Path, where: str, each: int, at_random: int, together: int
 ) -> Mapping[str, Mapping[str, int]]:
     """Kill updates at each point and at random; where they fell."""
-    draw = random.Random(together)
+    draw, forked = random.Random(together), partial(Watched, folder, POINTS, watch)
     fell: dict[str, Counter[str]] = {"named": Counter(), "random": Counter(), "beside": Counter()}
     runs, missed, waiting = 0, "", [*orders(each, draw), *[""] * at_random]
     while waiting:
@@ -324,12 +271,12 @@ def run(
         # Where it did not come so often to the point, the next is killed the first time there.
         order = (point, 1 if point == missed else draw.randint(1, 3)) if point else None
         missed = ""
-        first = Forked(folder, partial(updated, where, code, seed), order)
+        first = forked(partial(updated, where, code, seed), order)
         beside = partial(updated, where, code)
-        others = [Forked(folder, beside, None) for _ in range(together - 1)]
+        others = [forked(beside) for _ in range(together - 1)]
         if order is None:
-            kill_after(first, draw.randint(1, 60), draw.uniform(0.0, 0.05))
-        status = first.end()
+            first.kill_after(draw.randint(1, 60), draw.uniform(0.0, 0.05))
+        status = first.wait()
         if status == -signal.SIGKILL:
             fell["named" if point else "random"][first.passed.last] += 1
         elif status == 0:
@@ -339,8 +286,8 @@ def run(
             raise AssertionError(f"an update failed at: {first.passed.last}")
         for other in others:
             if draw.random() < 0.5:
-                kill_after(other, other.passed.total + draw.randint(0, 10), 0.0)
-            status = other.end()
+                other.kill_after(other.passed.total + draw.randint(0, 10), 0.0)
+            status = other.wait()
             if status == -signal.SIGKILL:
                 fell["beside"][other.passed.last] += 1
             elif status:
@@ -349,7 +296,7 @@ def run(
         if runs > 10 * (each * len(POINTS) + at_random + 1):
             raise AssertionError(f"never come to: {sorted(set(waiting))}")
     for code in (OTHER_CODE, ""):
-        if Forked(folder, partial(updated, where, code), None).end():
+        if forked(partial(updated, where, code)).wait():
             raise AssertionError("the last update failed")
     return {"runs": {"all": runs}, **fell}
 

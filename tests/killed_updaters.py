@@ -15,13 +15,13 @@ import selectors
 import signal
 import sys
 import time
-import traceback
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from killed import Forked
 from test_map_file import part, recording
 from test_traction_map import LINE, piece
 
@@ -42,30 +42,23 @@ def recording_of(seed: int) -> Recording:
     return recording(SHARED.get(seed) or piece(seed, ("dry", "wet")[seed % 2]))
 
 
-class Updater:
+class Updater(Forked):
     """A process that does some work; what it prints is read from a pipe."""
 
     def __init__(self, work: Callable[[], object], complaints: Path) -> None:
         self.shown = b""
-        self.status: int | None = None
         self.complaints = complaints
         self.pipe, write = os.pipe()
         errors = os.open(complaints, os.O_WRONLY | os.O_CREAT)
-        self.pid = os.fork()
-        if self.pid:
-            os.close(write)
-            os.close(errors)
-            return
-        status = 1
-        try:
+
+        def printing() -> object:
             os.dup2(write, 1)
             os.dup2(errors, 2)
-            status = int(work() or 0)
-        except BaseException:  # noqa: BLE001 - the child must not go on as the parent
-            traceback.print_exc()
-        finally:
-            sys.stdout.flush()
-            os._exit(status)
+            return work()
+
+        super().__init__(printing)
+        os.close(write)
+        os.close(errors)
 
     def read(self) -> bool:
         """Read what it has printed; False when it has ended."""
@@ -78,8 +71,7 @@ class Updater:
         while self.read():
             pass
         os.close(self.pipe)
-        self.status = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
-        return self.status
+        return self.wait()
 
     @property
     def lines(self) -> list[str]:
@@ -137,7 +129,7 @@ def kill_and_append(folder: Path, updaters: int, kills: int, each: int) -> dict[
             for found in running:
                 found.end()
         stated += [[int(line) for line in found.lines] for found in running]
-        assert {found.status for found in running} <= {0, -signal.SIGKILL}, "an updater failed"
+        assert {found.returncode for found in running} <= {0, -signal.SIGKILL}, "an updater failed"
         if path.exists():
             with MapFile(path) as file:
                 file.trips()

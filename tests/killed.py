@@ -1,0 +1,112 @@
+"""Processes that are killed: forked from one that has imported everything; what they passed."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+PATIENCE = 120.0
+
+
+class Forked:
+    """A process forked from this one; asked, signalled and awaited like a `subprocess.Popen`."""
+
+    def __init__(self, work: Callable[[], object]) -> None:
+        self.returncode: int | None = None
+        self.pid = os.fork()
+        if self.pid:
+            return
+        status = 1
+        try:
+            status = int(work() or 0)  # type: ignore[call-overload]
+        except BaseException:  # noqa: BLE001 - the child must not go on as the parent
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(status)
+
+    def poll(self) -> int | None:
+        """Its exit status if it has ended, negative if it was killed."""
+        if self.returncode is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            self.returncode = os.waitstatus_to_exitcode(status) if pid else None
+        return self.returncode
+
+    def send_signal(self, number: int) -> None:
+        """Send it a signal, if it has not ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def wait(self, patience: float = PATIENCE) -> int:
+        """Its exit status when it has ended; it is killed if it does not end."""
+        until = time.monotonic() + patience
+        while (status := self.poll()) is None:
+            if time.monotonic() > until:
+                os.kill(self.pid, signal.SIGKILL)
+                raise TimeoutError(f"process {self.pid} does not end")
+            time.sleep(0.002)
+        return status
+
+
+class Passed:
+    """How often a process passed each point, and the last of them, in a file that outlasts it."""
+
+    def __init__(self, path: Path, points: Sequence[str]) -> None:
+        self._points = tuple(points)
+        path.write_bytes(bytes(4 * (len(points) + 1)))
+        self._stream = path.open("r+b")
+        self._map = mmap.mmap(self._stream.fileno(), 0)
+        self._view = memoryview(self._map).cast("I")
+        self.order: tuple[str, int] | None = None
+
+    def at(self, point: str) -> None:
+        """Note a point, and end there if that was ordered."""
+        number = self._points.index(point)
+        self._view[number] += 1
+        self._view[len(self._points)] = number
+        if self.order == (point, self._view[number]):
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    @property
+    def total(self) -> int:
+        return sum(self._view[: len(self._points)])
+
+    @property
+    def last(self) -> str:
+        """The last point; empty if it passed none."""
+        return self._points[self._view[len(self._points)]] if self.total else ""
+
+
+class Watched(Forked):
+    """A process that notes what it passes, and ends at a point if that is ordered."""
+
+    def __init__(
+        self,
+        folder: Path,
+        points: Sequence[str],
+        watch: Callable[[Passed], None],
+        work: Callable[[], object],
+        order: tuple[str, int] | None = None,
+    ) -> None:
+        self.passed = Passed(folder / f"passed-{time.monotonic_ns()}", points)
+        self.passed.order = order
+
+        def watched() -> None:
+            watch(self.passed)
+            work()
+
+        super().__init__(watched)
+
+    def kill_after(self, points: int, within: float) -> None:
+        """Kill it a moment after it passed so many points, or let it end."""
+        while self.passed.total < points and self.poll() is None:
+            time.sleep(0.001)
+        time.sleep(within)
+        self.send_signal(signal.SIGKILL)
