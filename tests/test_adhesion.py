@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
+from refusals import refused
 from slipping_axles import AXLE_LOAD, AXLES, INERTIA, ROTATING_MASS, Run, run
 
 from analysis.adhesion.events import onset
@@ -99,10 +100,8 @@ class TestSlipDetector:
         assert detector.result().excitation == 0.0
 
     def test_refuses_what_is_no_detector(self) -> None:
-        with pytest.raises(InputError, match="needs axles"):
-            SlipDetector(0, 0.1)
-        with pytest.raises(InputError, match=r"shape \(samples, 2\)"):
-            SlipDetector(2, 0.1).update(np.zeros((5, 3)))
+        refused(InputError, "needs axles", SlipDetector, 0, 0.1)
+        refused(InputError, r"shape \(samples, 2\)", SlipDetector(2, 0.1).update, np.zeros((5, 3)))
 
 
 class TestObserver:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings, strategies as st
+from refusals import refused
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, minimize_scalar
 from simulated_line import flirt, hilly_line, level_line, steps
@@ -190,8 +191,7 @@ def test_a_scaled_table_has_a_scaled_maximum_at_the_same_slip(factor: float) -> 
     ],
 )
 def test_what_is_no_characteristic_is_refused(make, message: str) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(InputError, match=message):
-        make()
+    refused(InputError, message, make)
 
 
 # --------------------------------------------------------------------------------- in the plant

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from refusals import refused
 from simulated_line import flirt, hilly_line, level_line
 from slip_truth import Seen, seen
 
@@ -248,12 +249,10 @@ class TestFile:
         ],
     )
     def test_impossible_geometry_is_refused(self, change: dict[str, float], words: str) -> None:
-        with pytest.raises(InputError, match=words):
-            replace(GEOMETRY, **change)  # type: ignore[arg-type]
+        refused(InputError, words, replace, GEOMETRY, **change)
 
     def test_axles_that_fill_no_vehicle_are_refused(self) -> None:
-        with pytest.raises(InputError, match="6 powered axles are not whole vehicles"):
-            with_geometry(count=6)
+        refused(InputError, "6 powered axles are not whole vehicles", with_geometry, count=6)
 
     def test_millimetres_are_recognised(self, tmp_path: Path) -> None:
         content = json.loads(train_to_bytes(with_geometry()))

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 from satellite_trips import (
     PACES,
     Field,
@@ -181,8 +182,7 @@ def test_a_branch_is_not_the_line() -> None:
     main = curve_of(np.zeros(s.size))
     bend = np.where((s > 4_000.0) & (s < 5_000.0), 1.0 / 800.0, 0.0)
     trip, _ = drive(curve_of(bend), Receiver())
-    with pytest.raises(InputError, match="give the line that was driven"):
-        estimated(trip, main)
+    refused(InputError, "give the line that was driven", estimated, trip, main)
 
 
 def test_a_line_that_lies_right_is_rarely_called_misplaced() -> None:

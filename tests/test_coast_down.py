@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 
 from analysis.charts import draw
 from analysis.resistance.coast_down import CoastDown, coast_down
@@ -125,8 +126,7 @@ def test_a_train_that_never_coasts_is_refused(efforts: tuple[float, float]) -> N
 
 def test_constant_speed_is_refused() -> None:
     time, position, speed, _ = driven(LEVEL, CURVE, [(600.0, np.nan)], speed=25.0)
-    with pytest.raises(NotIdentifiableError):
-        coast_down([recorded(time, position, speed, line=LEVEL)])
+    refused(NotIdentifiableError, "", coast_down, [recorded(time, position, speed, line=LEVEL)])
 
 
 def test_one_speed_only_is_refused() -> None:
@@ -149,16 +149,12 @@ def test_what_is_missing_is_named() -> None:
     time, position, speed, _ = driven(HILLY, CURVE, DRIVE)
     trip = recorded(time, position, speed, line=HILLY)
     fixes = replace(trip, topics={"/estimates/state": trip["/estimates/state"]})
-    with pytest.raises(NotIdentifiableError, match="no speed was recorded"):
-        coast_down([fixes])
+    refused(NotIdentifiableError, "no speed was recorded", coast_down, [fixes])
     unplaced = replace(trip, topics={"/gnss/motion": trip["/gnss/motion"]})
-    with pytest.raises(NotIdentifiableError, match=r"where on the line .* ingest"):
-        coast_down([unplaced])
-    with pytest.raises(LogError, match=r"carries no line\.json"):
-        coast_down([replace(trip, attachments={})])
+    refused(NotIdentifiableError, r"where on the line .* ingest", coast_down, [unplaced])
+    refused(LogError, r"carries no line\.json", coast_down, [replace(trip, attachments={})])
     rare = recorded(time, position, speed, line=HILLY, every=50)
-    with pytest.raises(NotIdentifiableError, match=r"a speed every 5\.0 s only"):
-        coast_down([rare])
+    refused(NotIdentifiableError, r"a speed every 5\.0 s only", coast_down, [rare])
     twice = coast_down([trip, trip])
     assert "'made (2)' is the same drive as 'made', which is used" in twice.refused["made (2)"]
     np.testing.assert_array_equal(twice.curve.covariance, coast_down([trip]).curve.covariance)
@@ -166,10 +162,8 @@ def test_what_is_missing_is_named() -> None:
     with pytest.raises(InputError, match="different trains: a, b"):
         coast_down([replace(trip, metadata={"trip": "a", "train": "a"}), other])
     back = frame_of(GNSS_MOTION, [2, 3, 3, 4], {"speed": [1.0, 2.0, 3.0, 4.0]})
-    with pytest.raises(LogError, match="time does not increase"):
-        coast_down([trip.with_topic(back)])
-    with pytest.raises(NotIdentifiableError, match="no trip was given"):
-        coast_down([])
+    refused(LogError, "time does not increase", coast_down, [trip.with_topic(back)])
+    refused(NotIdentifiableError, "no trip was given", coast_down, [])
 
 
 def test_a_line_may_be_given_and_is_turned_round_for_the_way_back() -> None:
@@ -444,8 +438,7 @@ def test_too_little_coasting_is_refused() -> None:
     trip = recorded(time, position, speed, line=HILLY, every=1, noise=0.02)
     start = trip["/gnss/motion"].index[0]
     short = trip.between(str(start + pd.Timedelta(60, "s")), str(start + pd.Timedelta(111, "s")))
-    with pytest.raises(NotIdentifiableError, match=r"60 s are needed"):
-        coast_down([short])
+    refused(NotIdentifiableError, r"60 s are needed", coast_down, [short])
 
 
 def test_the_lever_tells_when_a_trip_coasted() -> None:
@@ -492,5 +485,4 @@ def test_phones_that_tell_no_speed_are_refused_with_the_reason() -> None:
         trip for _, trip in zip(range(3), ingest_each(AALTO / "device_data.csv"), strict=False)
     ]
     for stated in (coast_down, coast_down_without_gradient):
-        with pytest.raises(NotIdentifiableError, match=r"2 more trips .* no speed was recorded"):
-            stated(trips)
+        refused(NotIdentifiableError, r"2 more trips .* no speed was recorded", stated, trips)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 from simulated_line import level_line, steps
 
 from trainlog.errors import InputError
@@ -152,8 +153,7 @@ def test_on_a_slope_each_coupler_carries_what_hangs_on_it() -> None:
 def test_time_does_not_pass_backwards() -> None:
     plant = ConsistPlant(train(2))
     state = plant.at(100.0, 10.0)
-    with pytest.raises(InputError, match="-10 steps"):
-        plant.advance(state, 0.0, 0.0, -10)
+    refused(InputError, "-10 steps", plant.advance, state, 0.0, 0.0, -10)
     assert state.time == 0.0
 
 
@@ -285,8 +285,7 @@ def test_slack_runs_in_and_out() -> None:
     ],
 )
 def test_what_cannot_be_is_refused(make: object, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        make()  # type: ignore[operator]
+    refused(InputError, words, make)
 
 
 def test_efforts_that_a_vehicle_does_not_have_are_refused() -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from advice_law import breaches
 from command import run
+from refusals import refused
 
 from analysis.reports.advice import write_driver_advice
 from analysis.trajectory.advice import (
@@ -196,17 +197,13 @@ def test_sections_that_do_not_follow_each_other_are_refused(
     sections: tuple[Trajectory, ...], line: Line, tmp_path: Path
 ) -> None:
     back = line.reversed()
-    with pytest.raises(InputError, match="the next begins at km"):
-        journey_advice([sections[0], sections[0]], back)
+    refused(InputError, "the next begins at km", journey_advice, [sections[0], sections[0]], back)
     other = replace(sections[1], train="another")
-    with pytest.raises(InputError, match="are not of one journey"):
-        journey_advice([sections[0], other], back)
+    refused(InputError, "are not of one journey", journey_advice, [sections[0], other], back)
     early = with_times(sections, [0.0, 10.0], "S1")
-    with pytest.raises(InputError, match="departs before the one before arrives"):
-        journey_advice(early, back)
+    refused(InputError, "departs before the one before arrives", journey_advice, early, back)
     for word in ("25:00", "7", "07:61", "noon"):
-        with pytest.raises(InputError, match="is not a valid time of day"):
-            time_of_day(word)
+        refused(InputError, "is not a valid time of day", time_of_day, word)
     (tmp_path / "plan.json").write_text('{"format": "trainlog/line"}')
     with pytest.raises(InputError, match=r"plan\.json"):
         write_driver_advice([tmp_path / "plan.json"], tmp_path / "a.html", tmp_path / "a.csv")

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 
 from estimators.adhesion import AdhesionObserver
 from estimators.interface import (
@@ -40,20 +41,13 @@ def test_a_saved_state_goes_through_json_and_back() -> None:
 
 def test_a_saved_state_that_does_not_fit_is_refused() -> None:
     state = saved_state("kind", 3, {"matrix": np.eye(2), "count": -1, "word": "many"})
-    with pytest.raises(InputError, match="needs 'other', 3"):
-        check_state(state, "other", 3, ())
-    with pytest.raises(InputError, match="version 3; needs 'kind', 4"):
-        check_state(state, "kind", 4, ())
-    with pytest.raises(InputError, match="no saved state, but a list"):
-        check_state([], "kind", 3, ())  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="it lacks more"):
-        check_state(state, "kind", 3, ("matrix", "more"))
-    with pytest.raises(InputError, match=r"matrix has shape \(2, 2\), needs \(3,\)"):
-        array_of(state, "matrix", (3,))
-    with pytest.raises(InputError, match="word is no array"):
-        array_of(state, "word", ())
-    with pytest.raises(InputError, match="count is no count: -1"):
-        count_of(state, "count")
+    refused(InputError, "needs 'other', 3", check_state, state, "other", 3, ())
+    refused(InputError, "version 3; needs 'kind', 4", check_state, state, "kind", 4, ())
+    refused(InputError, "no saved state, but a list", check_state, [], "kind", 3, ())
+    refused(InputError, "it lacks more", check_state, state, "kind", 3, ("matrix", "more"))
+    refused(InputError, r"matrix has shape \(2, 2\), needs \(3,\)", array_of, state, "matrix", (3,))
+    refused(InputError, "word is no array", array_of, state, "word", ())
+    refused(InputError, "count is no count: -1", count_of, state, "count")
 
 
 COUNT = 400
@@ -149,12 +143,9 @@ def test_a_state_of_another_kind_or_incomplete_is_refused(case: Case) -> None:
     estimator = case.make()
     case.feed(estimator, slice(0, 50))
     state, kind = estimator.state(), type(estimator)
-    with pytest.raises(InputError, match="format 'other'"):
-        kind.resume(state | {"format": "other"})
-    with pytest.raises(InputError, match="version 99"):
-        kind.resume(state | {"version": 99})
+    refused(InputError, "format 'other'", kind.resume, state | {"format": "other"})
+    refused(InputError, "version 99", kind.resume, state | {"version": 99})
     for name in state:
         with pytest.raises(InputError):
             kind.resume({key: value for key, value in state.items() if key != name})
-        with pytest.raises(InputError):
-            kind.resume(state | {name: "nonsense"})
+        refused(InputError, "", kind.resume, state | {name: "nonsense"})

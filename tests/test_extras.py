@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from refusals import refused
 
 from trainlog.errors import MissingExtraError
 from trainlog.extras import EXTRAS, load, require
@@ -94,8 +95,7 @@ def test_modules_are_checked_and_loaded(monkeypatch: pytest.MonkeyPatch) -> None
     require("rerun", "casadi")
     assert load("casadi").__name__ == "casadi"
     monkeypatch.setitem(sys.modules, "daqp", None)
-    with pytest.raises(MissingExtraError, match=r"package daqp.*trainlog\[plan\]"):
-        load("daqp")
+    refused(MissingExtraError, r"package daqp.*trainlog\[plan\]", load, "daqp")
 
 
 def test_each_extra_lists_its_packages() -> None:

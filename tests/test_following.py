@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 from simulated_line import flirt, hilly_line, level_line, steps
 
 from analysis.control import prediction as prediction
@@ -259,8 +260,7 @@ def test_the_log_has_the_reference_and_the_configuration(tmp_path: Path) -> None
     assert [len(panel.curves) for panel in chart.panels] == [4, 1, 1, 1]
     with pytest.raises(LogError, match=r"'driven-.*' followed no trajectory"):
         following_charts([replace(trip, topics={"/events": trip["/events"]})])
-    with pytest.raises(LogError, match="no trip to draw"):
-        following_charts([])
+    refused(LogError, "no trip to draw", following_charts, [])
 
 
 def test_where_the_map_was_not_observed_it_still_states_what_is_likely() -> None:
@@ -394,8 +394,7 @@ def test_a_wrong_wheel_is_found_out_by_satellites_and_balises() -> None:
 
 
 def test_a_negative_margin_is_refused() -> None:
-    with pytest.raises(InputError, match=r"margin of speed -0\.1 is negative"):
-        Margin(speed=-0.1)
+    refused(InputError, r"margin of speed -0\.1 is negative", Margin, speed=-0.1)
 
 
 # ---- the prediction -------------------------------------------------------------------------
@@ -573,8 +572,7 @@ def test_a_trajectory_of_another_line_or_train_is_refused() -> None:
     with pytest.raises(InputError, match="made for train 'flirt', not for 'other'"):
         Follower(trajectory, hilly_line(), replace(train, name="other"))
     shorter = replace(level_line(length=5_000.0), name="hilly")
-    with pytest.raises(InputError, match=r"ends at km 11\.000"):
-        Follower(trajectory, shorter, train)
+    refused(InputError, r"ends at km 11\.000", Follower, trajectory, shorter, train)
 
 
 def test_a_trajectory_that_does_not_stop_is_refused() -> None:
@@ -594,8 +592,7 @@ def test_a_map_of_another_line_and_a_layer_it_has_not_are_refused() -> None:
 
 
 def test_a_tuning_that_is_not_positive_is_refused() -> None:
-    with pytest.raises(InputError, match="following: step 0"):
-        Tuning(step=0.0)
+    refused(InputError, "following: step 0", Tuning, step=0.0)
 
 
 def test_a_trajectory_without_a_driver_makes_no_scenario() -> None:
@@ -603,8 +600,7 @@ def test_a_trajectory_without_a_driver_makes_no_scenario() -> None:
     (scenario,) = trajectory_scenarios(
         trajectory, hilly_line(), train, [MIDDLE], lambda: Follower(trajectory, hilly_line(), train)
     )
-    with pytest.raises(InputError, match="go together"):
-        replace(scenario, follows=None)
+    refused(InputError, "go together", replace, scenario, follows=None)
 
 
 def test_a_train_with_curves_follows_within_them() -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from analysis.resistance import TripFit, fit_trip
 from analysis.resistance.regression import powers
@@ -80,8 +81,7 @@ def test_the_bound_shrinks_with_what_is_told() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_one_speed_is_refused(seed: int) -> None:
-    with pytest.raises(NotIdentifiableError):
-        fitted(CONSTANT, seed)
+    refused(NotIdentifiableError, "", fitted, CONSTANT, seed)
 
 
 @pytest.mark.long

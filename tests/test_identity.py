@@ -13,6 +13,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 
 from analysis.adhesion.condition_map import adhesion_map, empty_map, merge, update
 from analysis.estimates import estimate_log
@@ -190,8 +191,7 @@ class TestIdentity:
     def test_what_recorded_neither_speed_nor_place_has_none(self) -> None:
         assert identity_of(replace(WHOLE, topics={"/events": WHOLE["/events"]})) is None
         assert identity_from_text("") is None
-        with pytest.raises(InputError, match="is no identity of a trip"):
-            identity_from_text("2024-10-07 1 x")
+        refused(InputError, "is no identity of a trip", identity_from_text, "2024-10-07 1 x")
 
     def test_it_takes_a_fraction_of_the_time_of_reading(self) -> None:
         from time import process_time  # not the clock: others may be at work
@@ -407,8 +407,7 @@ class TestMap:
         assert map_to_bytes(whole.track) == map_to_bytes(found.track)
         apart = [adhesion_map([half]).track for half in halves]
         assert map_to_bytes(merge(*apart)) == map_to_bytes(found.track)
-        with pytest.raises(InputError, match="both track-condition maps count trip"):
-            merge(apart[0], mapped)
+        refused(InputError, "both track-condition maps count trip", merge, apart[0], mapped)
 
     def test_two_drives_of_one_name_are_two(self) -> None:
         stopping = read_log(sample("stopping.mcap"))

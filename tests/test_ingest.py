@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from ingest_logs import clean_run, plain_profile, write
+from refusals import refused
 from simulated_line import flirt, hilly_line
 
 from trainlog import __version__
@@ -154,8 +155,7 @@ def test_the_report_reads_as_text(tmp_path: Path) -> None:
 
 
 def test_trips_that_were_not_ingested_have_no_report(driven: Trip) -> None:
-    with pytest.raises(LogError, match="was not made by ingest"):
-        report_of(driven)
+    refused(LogError, "was not made by ingest", report_of, driven)
 
 
 def test_line_and_train_bound_the_speed(tmp_path: Path, driven: Trip) -> None:

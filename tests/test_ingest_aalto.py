@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
@@ -102,11 +103,9 @@ def test_rides_by_rail_become_trips(tmp_path: Path) -> None:
 
 def test_files_that_cannot_be_used(tmp_path: Path) -> None:
     path = both(tmp_path, fixes(1, "09:00:00", "09:01:00"), [ride(1, "BUS", "1", "09:00:00", "")])
-    with pytest.raises(InputError, match="none of 0 rides by rail"):
-        list(ingest_each(path))
+    refused(InputError, "none of 0 rides by rail", list, ingest_each(path))
     (tmp_path / "manual_log.csv").write_text("device_id,line_type\n1,TRAM\n", "utf-8")
-    with pytest.raises(InputError, match=r"manual_log\.csv, row 1: no column 'line_name'"):
-        list(ingest_each(path))
+    refused(InputError, r"manual_log\.csv, row 1: no column 'line_name'", list, ingest_each(path))
     (tmp_path / "manual_log.csv").unlink()
     with pytest.raises(InputError, match=r"device_data\.csv: needs manual_log\.csv beside it"):
         list(ingest_each(path))
@@ -115,8 +114,7 @@ def test_files_that_cannot_be_used(tmp_path: Path) -> None:
 @pytest.mark.skipif(not PUBLISHED.is_dir(), reason="the Aalto data are not beside the checkout")
 def test_the_published_rides() -> None:
     path = PUBLISHED / "device_data.csv"
-    with pytest.raises(InputError, match=r"holds 73 recordings: ride-002-subway-v, .*; take them"):
-        ingest(path)
+    refused(InputError, r"holds 73 recordings: ride-002-subway-v, .*; take them", ingest, path)
     trips = list(ingest_each(path))
     table = account(trips[0])
     assert len(table) == 82

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 from ingest_logs import clean_run, plain_profile, plain_rows, plain_text
 from recorder_files import MTK_HEADER, mtk
+from refusals import refused
 
 from trainlog.errors import InputError
 from trainlog.ingest import Profile, ingest, repairs_of, report_of
@@ -185,8 +186,7 @@ def test_the_message_names_the_cause(
     rows = [row.format(row=text) for text in plain_rows(60)]
     if "comma" in remedy:
         rows = [text.partition(",")[0] + ",12,5,1000,25" for text in plain_rows(60)]
-    with pytest.raises(InputError, match=f"{problem}.*{remedy}"):
-        read(tmp_path, rows, header)
+    refused(InputError, f"{problem}.*{remedy}", read, tmp_path, rows, header)
 
 
 def test_the_commonest_number_of_cells_is_stated(tmp_path: Path) -> None:
@@ -195,8 +195,7 @@ def test_the_commonest_number_of_cells_is_stated(tmp_path: Path) -> None:
     assert report_of(read(tmp_path, some, "t,v,s")).count("truncated_rows") == 20
     every = [f"{row},9,9" if i % 3 else f"{row},9,9,9" for i, row in enumerate(rows)]
     words = "60 of 60 rows .* it has 3 columns, they have 5 cells in 40 of them"
-    with pytest.raises(InputError, match=words):
-        read(tmp_path, every, "t,v,s")
+    refused(InputError, words, read, tmp_path, every, "t,v,s")
 
 
 def test_columns_without_a_name_are_not_used(tmp_path: Path) -> None:

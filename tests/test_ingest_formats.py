@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 from ingest_logs import PLAIN, clean_run, plain_profile, ublox, write
+from refusals import refused
 
 from trainlog.errors import InputError
 from trainlog.ingest import RULES, formats, ingest, profile_of, report_of
@@ -83,8 +84,7 @@ def test_damaged_parquet_is_refused(tmp_path: Path, change: object, message: str
     path = tmp_path / "run.parquet"
     pa.parquet.write_table(pa.table({"t": [1.0, 2.0], "v": [1.0, 2.0], "s": [1.0, 2.0]}), path)
     path.write_bytes(change(path.read_bytes()))
-    with pytest.raises(InputError, match=message):
-        ingest(path, profile=plain_profile())
+    refused(InputError, message, ingest, path, profile=plain_profile())
 
 
 def test_parquet_that_does_not_fit_is_refused(tmp_path: Path) -> None:
@@ -92,16 +92,12 @@ def test_parquet_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     run = clean_run(5, 1.0)
     stamps = pd.DatetimeIndex(run.time, tz="UTC")
     pa.parquet.write_table(pa.table({"t": stamps, "v": run.speed, "s": stamps}), path)
-    with pytest.raises(InputError, match=r"column s: .* no numbers"):
-        ingest(path, profile=plain_profile())
-    with pytest.raises(InputError, match="give a profile"):
-        ingest(path)
+    refused(InputError, r"column s: .* no numbers", ingest, path, profile=plain_profile())
+    refused(InputError, "give a profile", ingest, path)
     pa.parquet.write_table(pa.table({"t": stamps, "w": run.speed, "s": run.position}), path)
-    with pytest.raises(InputError, match="no column 'v'; columns: t, w, s"):
-        ingest(path, profile=plain_profile())
+    refused(InputError, "no column 'v'; columns: t, w, s", ingest, path, profile=plain_profile())
     pa.parquet.write_table(pa.table({"t": stamps[:0], "v": [], "s": []}), path)
-    with pytest.raises(InputError, match="holds no row of data"):
-        ingest(path, profile=plain_profile())
+    refused(InputError, "holds no row of data", ingest, path, profile=plain_profile())
 
 
 # ------------------------------------------------------------------ odd but good text files
@@ -233,8 +229,7 @@ def test_a_format_that_cannot_be_loaded_is_named(installed: Path) -> None:
     import sys
 
     sys.modules.pop("wayside_log", None)
-    with pytest.raises(InputError, match="format 'wayside' cannot be loaded from wayside_log:WAY"):
-        formats()
+    refused(InputError, "format 'wayside' cannot be loaded from wayside_log:WAY", formats)
 
 
 # ------------------------------------------------------------------ profiles of one's own
@@ -268,8 +263,7 @@ def test_a_profile_of_the_users_folder_is_used_as_if_given(
     (folder / "mine.toml").write_text(MINE, "utf-8")
     run = clean_run(50, 0.1)
     path = write(tmp_path / "run.csv", run.rows(), f"t,{name},s")
-    with pytest.raises(InputError, match="give a profile"):
-        ingest(path)
+    refused(InputError, "give a profile", ingest, path)
     monkeypatch.setenv("TRAINLOG_PROFILES", str(folder))
     trip = ingest(path)
     given = ingest(path, profile=folder / "mine.toml")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ingest_logs import PLAIN, clean_run, plain_profile, write
+from refusals import refused
 
 from analysis.adhesion.events import protection_onsets
 from trainlog.errors import InputError
@@ -141,10 +142,9 @@ def test_each_mistake_gives_one_line_with_file_place_and_remedy(
 ) -> None:
     path = tmp_path / "mine.profile.toml"
     path.write_text(toml, "utf-8")
-    with pytest.raises(InputError, match=message.replace("[", r"\[")) as caught:
-        read_profile(path)
-    assert str(caught.value).startswith(str(path))
-    assert "\n" not in str(caught.value)
+    caught = refused(InputError, message.replace("[", r"\["), read_profile, path)
+    assert str(caught).startswith(str(path))
+    assert "\n" not in str(caught)
 
 
 def test_all_that_is_wrong_with_a_profile_is_listed_at_once(tmp_path: Path) -> None:
@@ -169,9 +169,8 @@ load = { value = 3, unit = "m" }
 """,
         "utf-8",
     )
-    with pytest.raises(InputError) as caught:
-        read_profile(path)
-    stated = [str(problem) for problem in caught.value.each]
+    caught = refused(InputError, "", read_profile, path)
+    stated = [str(problem) for problem in caught.each]
     for beginning in (
         "time.colunm: unknown key 'colunm'; did you mean 'column'",
         """columns."/gnss/fix.latitude".colum: unknown key 'colum'; did you mean 'column'""",
@@ -184,7 +183,7 @@ load = { value = 3, unit = "m" }
     ):
         assert sum(text.startswith(beginning) for text in stated) == 1, (beginning, stated)
     assert len(stated) == 8
-    assert str(caught.value).startswith(f"{path}: 8 problems: (1) ")
+    assert str(caught).startswith(f"{path}: 8 problems: (1) ")
 
 
 @pytest.mark.parametrize(
@@ -198,21 +197,18 @@ load = { value = 3, unit = "m" }
 def test_a_mass_that_cannot_be_meant_is_refused(tmp_path: Path, trip: str, message: str) -> None:
     path = tmp_path / "mine.profile.toml"
     path.write_text(HEAD + "[trip]\n" + trip, "utf-8")
-    with pytest.raises(InputError, match=message):
-        read_profile(path)
+    refused(InputError, message, read_profile, path)
 
 
 @pytest.mark.parametrize("data", [b"\xff\xfe\x00x", b"name = 'caf\xe9'"])
 def test_profiles_are_utf8(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "mine.profile.toml"
     path.write_bytes(data)
-    with pytest.raises(InputError, match="is not UTF-8 text"):
-        read_profile(path)
+    refused(InputError, "is not UTF-8 text", read_profile, path)
 
 
 def test_a_missing_profile_is_reported(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none\.toml: does not exist"):
-        read_profile(tmp_path / "none.toml")
+    refused(InputError, r"none\.toml: does not exist", read_profile, tmp_path / "none.toml")
 
 
 def test_profiles_for_tables_need_time_and_columns(tmp_path: Path) -> None:
@@ -428,5 +424,4 @@ def test_an_axle_that_is_not_recorded_keeps_its_number(tmp_path: Path) -> None:
 def test_what_names_nothing_is_refused(tmp_path: Path, toml: str, message: str) -> None:
     path = tmp_path / "x.toml"
     path.write_text(HEAD + "[columns]\n" + toml + "\n", encoding="utf-8")
-    with pytest.raises(InputError, match=message):
-        read_profile(path)
+    refused(InputError, message, read_profile, path)

@@ -22,6 +22,7 @@ from ingest_logs import (
     write,
 )
 from recorder_files import gpx, mtk
+from refusals import refused
 
 from trainlog.errors import LogError
 from trainlog.ingest import REPAIRS_ATTACHMENT, ingest, pipeline, repairs_of, report_of
@@ -164,8 +165,7 @@ def test_a_clean_file_keeps_no_raw_values(tmp_path: Path) -> None:
     assert REPAIRS_ATTACHMENT not in trip.attachments
     assert len(repairs_of(trip)) == 0
     assert list(repairs_of(trip).columns)[:3] == ["row", "table", "column"]
-    with pytest.raises(LogError, match="was not made by ingest"):
-        repairs_of(Trip({}))
+    refused(LogError, "was not made by ingest", repairs_of, Trip({}))
 
 
 def test_what_is_kept_is_bounded_and_the_rest_counted(

@@ -19,6 +19,7 @@ from recorder_files import (
     since_start,
     ubx,
 )
+from refusals import refused
 
 from trainlog.errors import InputError, MissingExtraError
 from trainlog.ingest import ingest, repairs_of, report_of
@@ -148,8 +149,7 @@ def test_no_fix_and_void_sentences_say_nothing(tmp_path: Path) -> None:
     ],
 )
 def test_logs_that_cannot_be_used(tmp_path: Path, lines: list[str], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        read(tmp_path, lines)
+    refused(InputError, message, read, tmp_path, lines)
 
 
 def test_a_missing_parser_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -229,19 +229,16 @@ def test_hex_lines_with_nmea_alone(tmp_path: Path) -> None:
 
 def test_hex_lines_without_a_time_are_refused(tmp_path: Path) -> None:
     lines = [line for line in hexlines(1).text.splitlines() if ",I," in line]
-    with pytest.raises(InputError, match=r"no message gives the time.*NAV-PVT"):
-        read(tmp_path, lines)
+    refused(InputError, r"no message gives the time.*NAV-PVT", read, tmp_path, lines)
     run = drive(9, 1.0)
     void = [f"{since_start(10**9 * i)},U,{nav_pvt(run, i, valid=False).hex()}" for i in range(9)]
-    with pytest.raises(InputError, match="no message gives the time"):
-        read(tmp_path, lines + void)
+    refused(InputError, "no message gives the time", read, tmp_path, lines + void)
 
 
 def test_a_logger_that_was_restarted_is_refused(tmp_path: Path) -> None:
     run = drive(300, 1.0)
     lines = [f"{since_start(10**9 * (i % 150 + 5))},U,{nav_pvt(run, i).hex()}" for i in range(300)]
-    with pytest.raises(InputError, match=r"clock was restarted: .* split the file"):
-        read(tmp_path, lines)
+    refused(InputError, r"clock was restarted: .* split the file", read, tmp_path, lines)
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))

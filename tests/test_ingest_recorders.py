@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recorder_files import MTK_HEADER, Recorded, drive, gpx, gpx_text, mtk
+from refusals import refused
 
 from trainlog.cli.main import main
 from trainlog.errors import InputError
@@ -74,8 +75,7 @@ def test_gpx_segments_are_one_trip_tracks_are_several(tmp_path: Path) -> None:
     assert len(trip["/gnss/fix"]) == 300
     assert trip.metadata["segments"] == "4"
     path.write_text(gpx_text(run, parts=[parts[:2], [], parts[2:]]), "utf-8")
-    with pytest.raises(InputError, match=r"day\.gpx: holds 2 recordings: day-1, day-2; .*_each"):
-        ingest(path)
+    refused(InputError, r"day\.gpx: holds 2 recordings: day-1, day-2; .*_each", ingest, path)
     trips = list(ingest_each(path))
     assert [t.name for t in trips] == ["day-1", "day-2"]
     assert [t.metadata["track"] for t in trips] == ["track 1", "track 3"]
@@ -128,8 +128,7 @@ EXTERNAL = '<?xml version="1.0"?>\n<!DOCTYPE gpx [<!ENTITY a SYSTEM "file:///etc
     ],
 )
 def test_bad_gpx_is_refused(tmp_path: Path, text: str, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        read(tmp_path, "run.gpx", text, format="gpx")
+    refused(InputError, message, read, tmp_path, "run.gpx", text, format="gpx")
 
 
 def test_the_command_names_logs_after_files_or_trips(

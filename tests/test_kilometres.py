@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from command import run
 from matplotlib.figure import Figure
+from refusals import refused
 
 from analysis import charts
 from analysis.adhesion.slip import SlipAnalysis, slip
@@ -225,5 +226,4 @@ def test_an_open_section_has_the_kilometres_above_or_below() -> None:
 
 def test_a_kilometre_that_a_jump_leaves_out_is_refused() -> None:
     line = replace(PLAIN, reference=KILOMETRES["jump"][0])
-    with pytest.raises(InputError, match=r"no km 52\.7; .* jump from 52\.000 to 53\.500"):
-        position_of(line, 52.7)
+    refused(InputError, r"no km 52\.7; .* jump from 52\.000 to 53\.500", position_of, line, 52.7)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 
 from analysis.studies.hauck_2023 import model as dynamics
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
@@ -69,8 +70,7 @@ def test_a_negative_resistance_is_refused() -> None:
 
 
 def test_a_mass_beyond_the_range_is_refused() -> None:
-    with pytest.raises(InputError, match="cannot weigh 90 t"):
-        PUBLISHED_TRAIN.check_mass(90_000.0)
+    refused(InputError, "cannot weigh 90 t", PUBLISHED_TRAIN.check_mass, 90_000.0)
 
 
 def test_the_reconstructed_line_is_made_again_byte_for_byte() -> None:

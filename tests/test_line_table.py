@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.line_table import UNITS, line_table
@@ -72,8 +73,7 @@ def test_a_straight_line_has_an_infinite_radius() -> None:
 
 def test_a_map_of_another_line_is_refused() -> None:
     other = empty_map(made_up(name="other"))
-    with pytest.raises(InputError, match="the map is of 'other'"):
-        line_table(made_up(), other)
+    refused(InputError, "the map is of 'other'", line_table, made_up(), other)
 
 
 def test_limits_of_both_directions_stand_where_they_differ() -> None:

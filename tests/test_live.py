@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 
 import trainlog
 from trainlog.cli.main import run
@@ -396,12 +397,10 @@ def test_a_growing_file_is_followed_through_rotation_and_cut_lines(
 
 def test_addresses_that_are_none_are_refused() -> None:
     for wrong in ("", "host", "127.0.0.1", "1:99999"):
-        with pytest.raises(InputError, match="is no address; write PORT or HOST:PORT"):
-            Datagrams(wrong)
+        refused(InputError, "is no address; write PORT or HOST:PORT", Datagrams, wrong)
     with Datagrams("0") as source:
         assert source.name == f"UDP 127.0.0.1:{source.port}"
-        with pytest.raises(InputError, match=r"cannot listen to 127\.0\.0\.1"):
-            Datagrams(str(source.port))
+        refused(InputError, r"cannot listen to 127\.0\.0\.1", Datagrams, str(source.port))
 
 
 # ------------------------------------------------------------------------ however the program ends

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 from scipy.special import ndtr
 
 import analysis
@@ -199,8 +200,7 @@ def test_what_cannot_be_compared_is_refused(whole: TrackConditionMap) -> None:
         ({"second": whole}, "both maps count the same trips"),
         ({"second": replace(whole, length=9_000.0)}, "the maps differ in length"),
     ):
-        with pytest.raises(InputError, match=message):
-            analysis.map_difference(whole, **given)
+        refused(InputError, message, analysis.map_difference, whole, **given)
 
 
 def test_a_history_has_the_evidence_and_the_estimate_of_each_day(

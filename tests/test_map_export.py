@@ -13,6 +13,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pyogrio
 import pytest
+from refusals import refused
 
 import analysis
 import trainlog
@@ -243,13 +244,11 @@ def test_what_cannot_be_exported_is_refused_and_older_files_stay(
         path = tmp_path / name
         if path.parent.exists():
             path.write_text("older")
-        with pytest.raises(InputError, match=message):
-            analysis.export_map(track, path, line=given, layers=layers)
+        refused(InputError, message, analysis.export_map, track, path, line=given, layers=layers)
         assert not path.parent.exists() or path.read_text() == "older"
         assert not list(tmp_path.glob(".*"))
     empty = replace(track, layers={})
-    with pytest.raises(InputError, match="has no layer yet"):
-        analysis.export_map(empty, tmp_path / "empty.csv")
+    refused(InputError, "has no layer yet", analysis.export_map, empty, tmp_path / "empty.csv")
     monkeypatch.setitem(sys.modules, "pyogrio", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'trainlog\[gis\]'"):
         analysis.export_map(track, tmp_path / "map.gpkg", line=line)
@@ -272,8 +271,7 @@ def test_arguments_are_checked_before_a_map_is_read(
     """The file is not a map: what is refused first is the argument."""
     command, *options = words
     (tmp_path / "other.map").write_bytes(b"not a map")
-    with pytest.raises(InputError, match=message):
-        run(["map", command, str(tmp_path / "other.map"), *options])
+    refused(InputError, message, run, ["map", command, str(tmp_path / "other.map"), *options])
 
 
 def test_pieces_beyond_the_known_course_have_no_geometry(
@@ -339,5 +337,4 @@ def test_the_line_is_taken_from_a_log_that_the_map_was_made_from(
     content = json.loads((tmp_path / "own.geojson").read_text("utf-8"))
     assert content["trainlog"]["operators_line"] == "850"
     log.unlink()
-    with pytest.raises(InputError, match=r"needs the coordinates of line 'own'.*--line"):
-        run(words)
+    refused(InputError, r"needs the coordinates of line 'own'.*--line", run, words)

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from refusals import refused
 from rich.console import Console
 
 import analysis
@@ -167,8 +168,7 @@ def test_a_past_time_is_shown_and_written_as_it_was_known_then(tmp_path: Path) -
         lambda: analysis.export_map(longer, tmp_path / "none.csv", at=early),
         lambda: draw(longer, tmp_path / "none.png", at=early),
     ):
-        with pytest.raises(InputError, match="holds no evidence of a day before 2024-10-07"):
-            view()
+        refused(InputError, "holds no evidence of a day before 2024-10-07", view)
     assert not list(tmp_path.glob("none*"))
 
 
@@ -272,8 +272,7 @@ def test_the_picture_names_stations_and_dates_and_what_is_unknown(
     assert not {"Uzwil", "changed 2024-10-06"} & texts
     assert not any("2024-10-07" in text for text in texts)
     assert figure.axes[0].get_xlim() == (9.0, 12.0)
-    with pytest.raises(InputError, match="the map is of line"):
-        track.plot(line=replace(line, name="elsewhere"))
+    refused(InputError, "the map is of line", track.plot, line=replace(line, name="elsewhere"))
 
 
 def test_the_five_lowest_places_are_named_with_kilometre_and_band(
@@ -357,8 +356,7 @@ def test_the_command_prints_json_and_states_the_zone_that_it_assumed(
     unread = tmp_path / "other.map"
     unread.write_bytes(b"not a map")
     for given, message in (("8:8", "not a part of a line"), ("8:9", "what a picture shows")):
-        with pytest.raises(InputError, match=message):
-            run(["map", "show", str(unread), "--km", given])
+        refused(InputError, message, run, ["map", "show", str(unread), "--km", given])
     assert run([*words[:-1], "2024-10-09T08:00+02:00"]) == 0
     shown = " ".join(capsys.readouterr().out.split())
     assert "expected at 2024-10-09 06:00 UTC" in shown

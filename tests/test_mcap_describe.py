@@ -12,6 +12,7 @@ import pytest
 from mcap.writer import Writer
 from mcap_mutations import CHUNK, records_of
 from mcap_trips import ATTACHMENTS, METADATA, PROVENANCE, START, trip_of
+from refusals import refused
 from rich.console import Console
 
 import trainlog
@@ -162,9 +163,8 @@ def test_foreign_files_are_listed_but_are_no_trip() -> None:
         assert found.problem.startswith("holds no topic of trainlog, but ")
         assert found.topics
         assert found.topics[0].name in printed(found)
-        with pytest.raises(LogError, match="holds no topic of trainlog") as caught:
-            read_log(path)
-        assert caught.value.file == path
+        caught = refused(LogError, "holds no topic of trainlog", read_log, path)
+        assert caught.file == path
 
 
 @foreign
@@ -226,5 +226,4 @@ def test_a_recording_that_was_not_closed_is_not_called_damaged(tmp_path: Path) -
 
 
 def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="does not exist"):
-        describe(tmp_path / "nothing.mcap")
+    refused(InputError, "does not exist", describe, tmp_path / "nothing.mcap")

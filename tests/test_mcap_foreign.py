@@ -28,6 +28,7 @@ from mcap_ros1.decoder import DecoderFactory as Ros1DecoderFactory
 from mcap_ros1.writer import Writer as Ros1Writer
 from mcap_ros2.writer import Writer as Ros2Writer
 from mcap_trips import trip_of
+from refusals import refused
 
 from trainlog.errors import InputError, LogError
 from trainlog.mcap import frames_of, write_log
@@ -296,13 +297,10 @@ def test_a_log_of_trainlog_is_an_mcap_file_like_any(tmp_path):
 
 def test_no_mcap_file_and_no_such_topic(tmp_path):
     (tmp_path / "no.mcap").write_bytes(b"speed;position")
-    with pytest.raises(LogError, match="is not an MCAP file"):
-        frames_of(tmp_path / "no.mcap")
-    with pytest.raises(InputError):
-        frames_of(tmp_path / "missing.mcap")
+    refused(LogError, "is not an MCAP file", frames_of, tmp_path / "no.mcap")
+    refused(InputError, "", frames_of, tmp_path / "missing.mcap")
     path = json_log(tmp_path / "json.mcap", "/things", [{}])
-    with pytest.raises(LogError, match="topics are '/things'"):
-        frames_of(path, topics=["/thing"])
+    refused(LogError, "topics are '/things'", frames_of, path, topics=["/thing"])
 
 
 @pytest.mark.skipif(not SHARED.exists(), reason="the shared data is not here")

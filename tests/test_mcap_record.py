@@ -18,6 +18,7 @@ import pandas as pd
 import pytest
 from mcap.reader import make_reader
 from mcap_trips import ATTACHMENTS, METADATA, START, assert_same, trip_of
+from refusals import refused
 
 import trainlog
 from trainlog.errors import InputError, LogError
@@ -153,11 +154,10 @@ def test_what_does_not_fit_is_refused_at_once(
     with trainlog.record(tmp_path / "log.mcap") as log:
         log.write(STATE, START, speed=1.0)
         log.write(AXLES, START, wheel_speed=[1.0, 2.0, 3.0], wheel_effort=(4.0, 5.0, 6.0))
-        with pytest.raises(LogError, match=said) as caught:
-            log.write(*arguments, **values)
+        caught = refused(LogError, said, log.write, *arguments, **values)
         log.write(STATE, START + 1, speed=2.0)
-    assert caught.value.file == tmp_path / "log.mcap"
-    assert caught.value.remedy
+    assert caught.file == tmp_path / "log.mcap"
+    assert caught.remedy
     found = read_log(tmp_path / "log.mcap")
     assert found[STATE]["speed"].tolist() == [1.0, 2.0]
     assert found[AXLES].to_numpy().tolist() == [[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]]
@@ -270,16 +270,13 @@ def test_many_threads_may_write(tmp_path: Path) -> None:
 
 def test_a_file_that_exists_is_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "log.mcap").write_text("precious")
-    with pytest.raises(InputError, match="exists already"):
-        trainlog.record(tmp_path / "log.mcap")
+    refused(InputError, "exists already", trainlog.record, tmp_path / "log.mcap")
     assert (tmp_path / "log.mcap").read_text() == "precious"
     with pytest.raises(InputError, match="its folder does not exist"):
         trainlog.record(tmp_path / "gone" / "log.mcap")
     for options in ({"flush": 0.0}, {"flush": float("nan")}, {"queue": 0}):
-        with pytest.raises(InputError, match=r"is (0|nan)"):
-            trainlog.record(tmp_path / "new.mcap", **options)
-    with pytest.raises(LogError, match="not text"):
-        trainlog.record(tmp_path / "new.mcap", metadata={"load": 5})  # type: ignore[dict-item]
+        refused(InputError, r"is (0|nan)", trainlog.record, tmp_path / "new.mcap", **options)
+    refused(LogError, "not text", trainlog.record, tmp_path / "new.mcap", metadata={"load": 5})
     assert [path.name for path in tmp_path.iterdir()] == ["log.mcap"]
 
 
@@ -289,8 +286,7 @@ def test_an_exception_closes_the_file_properly(tmp_path: Path) -> None:
         trainlog.record(tmp_path / "log.mcap", flush=60.0, sync=True) as log,
     ):
         log.write(STATE, START, speed=1.0 / len(list(tmp_path.glob("*.txt"))))
-    with pytest.raises(LogError, match="is closed"):
-        log.write(STATE, START, speed=1.0)
+    refused(LogError, "is closed", log.write, STATE, START, speed=1.0)
     log.close()
     assert read_log(tmp_path / "log.mcap").name == "unnamed"
 
@@ -312,12 +308,9 @@ def test_a_file_taken_away_is_reported(replaced: bool, tmp_path: Path) -> None:
     if replaced:
         (tmp_path / "log.mcap").write_text("another")
     until(lambda: log._failure is not None)
-    with pytest.raises(InputError, match="cannot be written"):
-        log.write(STATE, START, speed=1.0)
-    with pytest.raises(InputError, match="cannot be written"):
-        log.event(1, "x")
-    with pytest.raises(InputError, match="cannot be written"):
-        log.close()
+    refused(InputError, "cannot be written", log.write, STATE, START, speed=1.0)
+    refused(InputError, "cannot be written", log.event, 1, "x")
+    refused(InputError, "cannot be written", log.close)
     if replaced:
         assert (tmp_path / "log.mcap").read_text() == "another"
 
@@ -394,17 +387,14 @@ def fill(log: Recording) -> None:
 
 def test_a_disk_that_is_really_full(small_disk: Path) -> None:
     log = trainlog.record(small_disk / "log.mcap", flush=0.01)
-    with pytest.raises(InputError, match="no space left on device; free some space"):
-        fill(log)
-    with pytest.raises(InputError, match="no space left"):
-        log.close()
+    refused(InputError, "no space left on device; free some space", fill, log)
+    refused(InputError, "no space left", log.close)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the missing summary, if there was no space for it
         state = read_log(small_disk / "log.mcap")[STATE]
     assert len(state) == log.account().written[STATE] > 0
     np.testing.assert_array_equal(state["speed"], np.random.default_rng(1).random(len(state)))
-    with pytest.raises(InputError, match="no space left"):
-        write_log(trip_of(rows=5000), small_disk / "trip.mcap")
+    refused(InputError, "no space left", write_log, trip_of(rows=5000), small_disk / "trip.mcap")
     assert [path.name for path in small_disk.iterdir()] == ["log.mcap"]
 
 

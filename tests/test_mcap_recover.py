@@ -20,6 +20,7 @@ from mcap.writer import CompressionType
 from mcap_judge import Specimen, foreign, messages_in, specimen, specimens, time_limit
 from mcap_mutations import CHUNK, MESSAGE, chunk_bytes, records_of
 from mcap_trips import assert_same, trip_of
+from refusals import refused
 from rerun.chunk import McapReader
 
 import trainlog
@@ -86,8 +87,7 @@ def test_a_log_cut_at_every_byte_gives_its_whole_chunks(tmp_path: Path) -> None:
     assert_cuts(small, tmp_path / "cut.mcap")
     for length in range(8):
         (tmp_path / "cut.mcap").write_bytes(small.data[:length])
-        with pytest.raises(LogError):
-            account_of(tmp_path / "cut.mcap")
+        refused(LogError, "", account_of, tmp_path / "cut.mcap")
 
 
 @pytest.mark.parametrize("number", [0, 3, 5])
@@ -110,8 +110,7 @@ def test_a_cut_log_is_read_with_a_warning(whole: Specimen, tmp_path: Path) -> No
             path = put(tmp_path, whole.data[:length])
             complete = sum(each <= length for each in ends)
             if not complete:
-                with pytest.raises(LogError, match="no message of it is readable"):
-                    read_log(path)
+                refused(LogError, "no message of it is readable", read_log, path)
                 continue
             with pytest.warns(DamageWarning) as caught:
                 trip = read_log(path)
@@ -411,15 +410,13 @@ def test_the_input_is_never_overwritten(whole: Specimen, tmp_path: Path) -> None
     path = put(tmp_path, whole.data[:-10])
     (tmp_path / "link.mcap").symlink_to(path)
     for output in (path, tmp_path / "link.mcap"):
-        with pytest.raises(InputError, match="would be overwritten"):
-            recover(path, output)
+        refused(InputError, "would be overwritten", recover, path, output)
     assert path.read_bytes() == whole.data[:-10]
 
 
 def test_what_cannot_be_recovered_is_refused(tmp_path: Path) -> None:
     for data in (b"", b"time,speed\n1,2\n", b"\x89MCAP0\r\n" + bytes(100)):
-        with pytest.raises(LogError):
-            recover(put(tmp_path, data), tmp_path / "again.mcap")
+        refused(LogError, "", recover, put(tmp_path, data), tmp_path / "again.mcap")
         assert not (tmp_path / "again.mcap").exists()
 
 

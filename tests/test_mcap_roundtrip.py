@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from hypothesis import HealthCheck, given, settings
 from mcap_trips import START, assert_same, trip_of, trips
+from refusals import refused
 
 import trainlog
 from trainlog.errors import InputError, LogError
@@ -225,24 +226,21 @@ EVENT = frame_of(EVENTS, [START], {"level": [2], "message": ["departure"]})
 def test_what_cannot_be_written_is_refused_and_leaves_no_file(
     trip: Trip, said: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(LogError, match=said) as caught:
-        write_log(trip, tmp_path / "trip.mcap")
-    assert caught.value.file == tmp_path / "trip.mcap"
-    assert caught.value.remedy
+    caught = refused(LogError, said, write_log, trip, tmp_path / "trip.mcap")
+    assert caught.file == tmp_path / "trip.mcap"
+    assert caught.remedy
     assert list(tmp_path.iterdir()) == []
 
 
 def test_an_older_file_survives_a_failed_write(tmp_path: Path) -> None:
     write_log(trip_of(rows=5), tmp_path / "trip.mcap")
     before = (tmp_path / "trip.mcap").read_bytes()
-    with pytest.raises(LogError):
-        write_log(Trip({"/train/mood": STATE}), tmp_path / "trip.mcap")
+    refused(LogError, "", write_log, Trip({"/train/mood": STATE}), tmp_path / "trip.mcap")
     assert (tmp_path / "trip.mcap").read_bytes() == before
 
 
 def test_missing_files_and_unknown_topics_are_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="does not exist"):
-        read_log(tmp_path / "nothing.mcap")
+    refused(InputError, "does not exist", read_log, tmp_path / "nothing.mcap")
     with pytest.raises(LogError, match="no topic /train/mood"):
         read_log(tmp_path / "nothing.mcap", topics=["/train/mood"])
     assert "/train/mood" not in TOPICS

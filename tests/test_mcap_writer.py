@@ -17,6 +17,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from mcap.reader import SeekingReader
 from mcap_trips import START, assert_same, trip_of
+from refusals import refused
 
 from trainlog.errors import InputError, LogError
 from trainlog.mcap import LogWriter, read_log, write_log
@@ -111,11 +112,9 @@ def test_a_topic_may_come_late(tmp_path: Path) -> None:
 def test_pieces_that_do_not_follow_each_other_are_refused(tmp_path: Path) -> None:
     first, second = pieces(trip_of(rows=50), [pd.Timestamp(START + 2 * 10**9, tz="UTC")])
     other = Trip({TRAIN_AXLES.name: second[TRAIN_AXLES.name].iloc[:, :0]})
-    with pytest.raises(LogError, match="begins before") as caught:
-        write_pieces(tmp_path / "trip.mcap", second, first)
-    assert caught.value.file == tmp_path / "trip.mcap"
-    with pytest.raises(LogError, match="number of axles"):
-        write_pieces(tmp_path / "trip.mcap", first, other)
+    caught = refused(LogError, "begins before", write_pieces, tmp_path / "trip.mcap", second, first)
+    assert caught.file == tmp_path / "trip.mcap"
+    refused(LogError, "number of axles", write_pieces, tmp_path / "trip.mcap", first, other)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -196,5 +195,4 @@ def test_threads_are_whole_numbers_from_one_on(threads: int, tmp_path: Path) -> 
         write_log(Trip({}), path, threads=threads)
     assert not path.exists()
     write_log(Trip({}), path)
-    with pytest.raises(InputError, match="threads is"):
-        read_log(path, threads=threads)
+    refused(InputError, "threads is", read_log, path, threads=threads)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 
 import trainlog
 from tests.mcap_trips import assert_same, trip_of
@@ -104,12 +105,9 @@ def test_logs_of_two_trips_are_refused(whole: Trip, tmp_path: Path) -> None:
         paths = [written(first, tmp_path / "a.mcap"), written(second, tmp_path / "b.mcap")]
         with pytest.raises(LogError, match=f"states {key} 'two', .*a.mcap states 'one'"):
             merge(paths, tmp_path / "both.mcap")
-    with pytest.raises(InputError, match="name two logs at least"):
-        merge(paths[:1], tmp_path / "both.mcap")
-    with pytest.raises(InputError, match="given twice"):
-        merge([paths[0], paths[0]], tmp_path / "both.mcap")
-    with pytest.raises(InputError, match="would be overwritten"):
-        merge(paths, paths[0])
+    refused(InputError, "name two logs at least", merge, paths[:1], tmp_path / "both.mcap")
+    refused(InputError, "given twice", merge, [paths[0], paths[0]], tmp_path / "both.mcap")
+    refused(InputError, "would be overwritten", merge, paths, paths[0])
 
 
 def test_what_logs_disagree_on_is_left_out_and_attachments_are_kept(

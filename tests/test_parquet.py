@@ -13,6 +13,7 @@ import pyarrow.dataset
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 
 from tests.mcap_trips import START, assert_same, trip_of, trips
 from trainlog.errors import InputError, LogError
@@ -232,10 +233,9 @@ def test_doubles_are_split_by_bytes_unless_few_come_again_and_again(tmp_path: Pa
 def test_what_cannot_be_written_is_refused_and_leaves_no_folder(
     trip: Trip, said: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(LogError, match=said) as caught:
-        write_parquet(trip, tmp_path / "trip.parquet")
-    assert caught.value.file == tmp_path / "trip.parquet"
-    assert caught.value.remedy
+    caught = refused(LogError, said, write_parquet, trip, tmp_path / "trip.parquet")
+    assert caught.file == tmp_path / "trip.parquet"
+    assert caught.remedy
     assert list(tmp_path.iterdir()) == []
 
 
@@ -282,9 +282,8 @@ def test_a_folder_that_does_not_exist_is_named(tmp_path: Path) -> None:
 def test_folders_that_hold_no_trip_are_named(tmp_path: Path) -> None:
     for name, said in (("nothing", "does not exist"), ("file", "not a folder"), ("", "no trip")):
         (tmp_path / "file").write_bytes(b"")
-        with pytest.raises(InputError, match=said) as caught:
-            read_parquet(tmp_path / name)
-        assert caught.value.remedy
+        caught = refused(InputError, said, read_parquet, tmp_path / name)
+        assert caught.remedy
 
 
 @pytest.fixture
@@ -302,13 +301,11 @@ def test_damaged_files_are_named(written: Path) -> None:
         "of other rows": (written / "events.parquet").read_bytes()[:100] + whole[100:],
     }.items():
         state.write_bytes(damaged)
-        with pytest.raises(LogError, match="is damaged") as caught:
-            read_parquet(written)
-        assert caught.value.file == state, name
-        assert caught.value.remedy
+        caught = refused(LogError, "is damaged", read_parquet, written)
+        assert caught.file == state, name
+        assert caught.remedy
     state.unlink()
-    with pytest.raises(LogError, match=r"train_state.*missing"):
-        list(stream_parquet(written))
+    refused(LogError, r"train_state.*missing", list, stream_parquet(written))
 
 
 @settings(deadline=None, max_examples=60)
@@ -335,8 +332,7 @@ def test_a_flipped_bit_is_found_or_harmless(
 
 def test_a_damaged_attachment_is_named(written: Path) -> None:
     (written / "attachments" / "0001-line.json").write_bytes(b"{}")
-    with pytest.raises(LogError, match=r"0001-line.json: is damaged"):
-        read_parquet(written)
+    refused(LogError, r"0001-line.json: is damaged", read_parquet, written)
 
 
 @pytest.mark.parametrize(
@@ -355,7 +351,6 @@ def test_an_index_that_does_not_fit_is_refused(
 ) -> None:
     index = json.loads((written / "trip.json").read_text())
     (written / "trip.json").write_text(json.dumps(index | change))
-    with pytest.raises(error, match=said) as caught:
-        read_parquet(written)
-    assert isinstance(caught.value, InputError | LogError)
-    assert caught.value.file is not None
+    caught = refused(error, said, read_parquet, written)
+    assert isinstance(caught, InputError | LogError)
+    assert caught.file is not None

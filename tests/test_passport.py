@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import run
+from refusals import refused
 
 import trainlog
 from analysis import passport
@@ -183,8 +184,7 @@ def test_a_load_that_is_no_mass_is_refused(stopping: Trip) -> None:
 
 
 def test_a_quantity_refuses_a_source_that_is_none() -> None:
-    with pytest.raises(InputError, match="source 'guessed'"):
-        Quantity(1.0, 0.1, "guessed")  # type: ignore[arg-type]
+    refused(InputError, "source 'guessed'", Quantity, 1.0, 0.1, "guessed")
 
 
 def test_a_passport_reads_as_a_few_lines(stopping: Trip) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from trainlog.cli import main as cli
 from trainlog.errors import InfeasibleError, InputError
@@ -103,10 +104,9 @@ def test_every_invalid_case_is_refused_with_what_is_wrong(file: Path) -> None:
         "no_two_items_section": "at least 2 items",
         "incomplete_section": "neither speed nor resistance",
     }[file.stem]
-    with pytest.raises(InputError) as refusal:
-        read(file)
-    assert expected in str(refusal.value)
-    assert file.name in str(refusal.value)
+    refusal = refused(InputError, "", read, file)
+    assert expected in str(refusal)
+    assert file.name in str(refusal)
 
 
 @SHARED
@@ -164,8 +164,7 @@ def test_a_formation_adds_its_vehicles_up() -> None:
     assert formation.inertia(0.0) == pytest.approx(60e3 * 1.1 + 50e3 * 1.06)
     assert formation.tractive_effort(20.0) == pytest.approx(50e3)
     assert formation.deceleration == 0.375
-    with pytest.raises(InputError, match="no vehicle has tractive effort"):
-        Formation("wagons", (wagon,))
+    refused(InputError, "no vehicle has tractive effort", Formation, "wagons", (wagon,))
 
 
 def path_file(folder: Path, sections: str) -> Path:
@@ -201,10 +200,8 @@ def test_a_hill_that_is_too_steep_is_explained(tmp_path: Path) -> None:
     line = read_running_paths(file)["here"]
     with pytest.raises(InfeasibleError, match=r"'one' comes to a stand at km [01]\.\d+"):
         shortest_run(line, Formation("one", (UNIT,)))
-    with pytest.raises(InputError, match="a share of 1"):
-        shortest_run(line, Formation("one", (UNIT,)), loaded=1.5)
-    with pytest.raises(InputError, match="step of 0"):
-        shortest_run(line, Formation("one", (UNIT,)), step=0.0)
+    refused(InputError, "a share of 1", shortest_run, line, Formation("one", (UNIT,)), loaded=1.5)
+    refused(InputError, "step of 0", shortest_run, line, Formation("one", (UNIT,)), step=0.0)
 
 
 @pytest.mark.parametrize(
@@ -224,8 +221,7 @@ def test_a_hill_that_is_too_steep_is_explained(tmp_path: Path) -> None:
 def test_other_files_are_refused(tmp_path: Path, text: str, words: str) -> None:
     file = tmp_path / "odd.yaml"
     file.write_text(text)
-    with pytest.raises(InputError, match=words):
-        read_running_paths(file)
+    refused(InputError, words, read_running_paths, file)
 
 
 @pytest.mark.parametrize(
@@ -240,8 +236,7 @@ def test_other_files_are_refused(tmp_path: Path, text: str, words: str) -> None:
 def test_effort_curves_that_cannot_be_are_refused(
     speeds: list[float], efforts: list[float], words: str
 ) -> None:
-    with pytest.raises(InputError, match=words):
-        EffortCurve(np.array(speeds), np.array(efforts))
+    refused(InputError, words, EffortCurve, np.array(speeds), np.array(efforts))
 
 
 STOCK = """

@@ -5,6 +5,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from refusals import refused
 
 from trainlog.errors import InputError
 from trainlog.railway import (
@@ -57,8 +58,7 @@ def test_steps_hold_from_their_position_to_the_next() -> None:
 def test_profiles_take_lists_and_refuse_what_is_no_number() -> None:
     made = StepProfile([0.0, 400.0], [20.0, 30.0])  # type: ignore[arg-type]
     assert made == LINE.speed_limits
-    with pytest.raises(InputError, match="values must be numbers"):
-        StepProfile([0.0], ["fast"])  # type: ignore[arg-type,list-item]
+    refused(InputError, "values must be numbers", StepProfile, [0.0], ["fast"])
 
 
 def test_mean_of_a_step_profile_is_its_integral() -> None:
@@ -130,8 +130,7 @@ def test_creep_curve_is_odd_and_never_beyond_its_peak(slip: float) -> None:
     "curve", [(1.2, 0.54, 1.0, 1.0), (0.5, 1.2, 1.0, 0.9), (-0.1, 1.0, 1.0, 1.0)]
 )
 def test_curves_that_do_not_rise_from_zero_are_refused(curve: tuple[float, ...]) -> None:
-    with pytest.raises(InputError, match="creep curve"):
-        CreepCurve(*curve)
+    refused(InputError, "creep curve", CreepCurve, *curve)
 
 
 def test_nonsensical_lines_are_refused_with_the_place() -> None:
@@ -153,17 +152,14 @@ def test_nonsensical_lines_are_refused_with_the_place() -> None:
     line(gradients=StepProfile(np.array([0.0, 66.3]), np.array([0.06, -0.2])))
     with pytest.raises(InputError, match="beyond the line's end"):
         line(speed_limits=StepProfile(np.array([0.0, 1500.0]), np.array([20.0, 30.0])))
-    with pytest.raises(InputError, match="not in the order"):
-        line(stations=(Station("B", 900.0), Station("A", 0.0)))
-    with pytest.raises(InputError, match="leaves the line"):
-        line(tunnels=(Tunnel(900.0, 200.0, 40.0),))
+    refused(InputError, "not in the order", line, stations=(Station("B", 900.0), Station("A", 0.0)))
+    refused(InputError, "leaves the line", line, tunnels=(Tunnel(900.0, 200.0, 40.0),))
     for length, section in ((-200.0, 40.0), (0.0, 40.0), (200.0, 0.0), (200.0, np.nan)):
         with pytest.raises(InputError, match="is not positive and finite"):
             Tunnel(300.0, length, section)
     with pytest.raises(InputError, match="positions must increase, they do not at 5"):
         StepProfile(np.array([0.0, 10.0, 5.0]), np.zeros(3))
-    with pytest.raises(InputError, match="finite"):
-        StepProfile(np.array([0.0]), np.array([np.nan]))
+    refused(InputError, "finite", StepProfile, np.array([0.0]), np.array([np.nan]))
 
 
 def test_a_configuration_has_no_negative_load() -> None:
@@ -176,8 +172,7 @@ def test_a_configuration_has_no_negative_load() -> None:
 def test_nonsensical_trains_are_refused() -> None:
     from dataclasses import replace
 
-    with pytest.raises(InputError, match=r"mass: -0\.001 t is not positive"):
-        replace(TRAIN, mass=-1.0)
+    refused(InputError, r"mass: -0\.001 t is not positive", replace, TRAIN, mass=-1.0)
     with pytest.raises(
         InputError, match=r"efficiency_traction: 9000 % is not above 0 and at most 100 %"
     ):

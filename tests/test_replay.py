@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
+from refusals import refused
 from replay_trips import (
     LENGTH,
     LINE,
@@ -464,24 +465,20 @@ def test_other_content_has_another_id(trip: Trip, tmp_path: Path) -> None:
 def test_places_that_cannot_be_written_are_refused(
     trip: Trip, tmp_path: Path, name: str, problem: str
 ) -> None:
-    with pytest.raises(InputError, match=problem):
-        write_replay([trip], tmp_path / name)
+    refused(InputError, problem, write_replay, [trip], tmp_path / name)
     assert not list(tmp_path.iterdir())
 
 
 def test_nothing_to_replay_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no trip"):
-        write_replay([], tmp_path / "none.rrd")
-    with pytest.raises(LogError, match="no samples"):
-        write_replay([Trip({})], tmp_path / "none.rrd")
+    refused(InputError, "no trip", write_replay, [], tmp_path / "none.rrd")
+    refused(LogError, "no samples", write_replay, [Trip({})], tmp_path / "none.rrd")
     assert not list(tmp_path.iterdir())
 
 
 def test_an_older_recording_stays_when_a_new_one_fails(trip: Trip, tmp_path: Path) -> None:
     path = tmp_path / "replay.rrd"
     path.write_bytes(b"older")
-    with pytest.raises(LogError):
-        write_replay([trip, Trip({})], path)
+    refused(LogError, "", write_replay, [trip, Trip({})], path)
     assert path.read_bytes() == b"older"
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 
 from tests.mcap_trips import START, frames, trip_of, trips
 from trainlog.errors import InputError, LogError
@@ -247,8 +248,7 @@ def test_what_cannot_be_joined_is_named(
 ) -> None:
     trip = Trip({}).with_topic(state([0, 1], [0.0, 10.0]))
     trip = trip.with_topic(frame_of(EVENTS, clock(0.0), {"message": ["departure"]}))
-    with pytest.raises(error, match=said):
-        joined(trip, columns, on, max_gap=None)
+    refused(error, said, joined, trip, columns, on, max_gap=None)
 
 
 def test_columns_that_are_not_there_are_named() -> None:
@@ -298,8 +298,7 @@ def test_a_step_is_a_duration_or_seconds(step: Any) -> None:
     "wrong", ["500ms", [0, 1], np.arange(3), None, True, pd.Timedelta("-1s"), pd.NaT]
 )
 def test_what_is_no_clock_is_refused(wrong: Any) -> None:
-    with pytest.raises(InputError, match="clock"):
-        resampled(two_topics(), wrong, max_gap=1.0)
+    refused(InputError, "clock", resampled, two_topics(), wrong, max_gap=1.0)
     if not isinstance(wrong, str):
         with pytest.raises(InputError, match="clock"):
             joined(two_topics(), ["/train/state.speed"], on=wrong, max_gap=1.0)
@@ -307,7 +306,6 @@ def test_what_is_no_clock_is_refused(wrong: Any) -> None:
 
 @pytest.mark.parametrize("wrong", [-1, 0, float("nan"), "1", pd.Timedelta("1s")])
 def test_a_longest_gap_that_is_no_positive_number_is_refused(wrong: Any) -> None:
-    with pytest.raises(InputError, match="max_gap is"):
-        resampled(two_topics(), 0.5, max_gap=wrong)
+    refused(InputError, "max_gap is", resampled, two_topics(), 0.5, max_gap=wrong)
     with pytest.raises(InputError, match="max_gap is"):
         joined(two_topics(), ["/train/state.speed"], on=0.5, max_gap=wrong)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from refusals import refused
 
 from estimators.rls import RecursiveLeastSquares, edges_crossed, periods_elapsed, record_with_resets
 from trainlog.arrays import FloatArray
@@ -109,9 +110,7 @@ def test_a_reset_due_at_the_first_sample_happens() -> None:
 
 
 def test_what_cannot_be_is_refused() -> None:
-    with pytest.raises(InputError, match="increase"):
-        edges_crossed([10.0, 5.0], [1.0])
-    with pytest.raises(InputError, match="period"):
-        periods_elapsed(0.0, [1.0])
+    refused(InputError, "increase", edges_crossed, [10.0, 5.0], [1.0])
+    refused(InputError, "period", periods_elapsed, 0.0, [1.0])
     with pytest.raises(InputError, match="do not fit"):
         record_with_resets(RecursiveLeastSquares(PRIOR), [True], np.ones((2, 3)), np.ones(2))  # type: ignore[arg-type]

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 
 from estimators.rls import RecursiveLeastSquares, RlsResult
 from trainlog.arrays import FloatArray
@@ -353,15 +354,13 @@ def test_saved_state_resumes_bit_for_bit(dtype: type) -> None:
 )
 def test_foreign_state_is_refused(change: dict[str, object]) -> None:
     state = RecursiveLeastSquares(PRIOR).state() | change
-    with pytest.raises(InputError):
-        RecursiveLeastSquares.resume(state)
+    refused(InputError, "", RecursiveLeastSquares.resume, state)
 
 
 def test_incomplete_state_is_refused() -> None:
     state = RecursiveLeastSquares(PRIOR).state()
     del state["diagonal"]
-    with pytest.raises(InputError, match="incomplete"):
-        RecursiveLeastSquares.resume(state)
+    refused(InputError, "incomplete", RecursiveLeastSquares.resume, state)
 
 
 @pytest.mark.parametrize(
@@ -376,8 +375,7 @@ def test_incomplete_state_is_refused() -> None:
     ],
 )
 def test_bad_settings_are_refused(arguments: dict[str, object], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        RecursiveLeastSquares(**arguments)  # type: ignore[arg-type]
+    refused(InputError, message, RecursiveLeastSquares, **arguments)
 
 
 def test_bad_samples_are_refused_and_change_nothing() -> None:
@@ -392,11 +390,9 @@ def test_bad_samples_are_refused_and_change_nothing() -> None:
         ([[1.0, 2.0, 4.0]], [1.0], [1.0, 1.0]),
         ([[1.0, 2.0, 4.0]], [1.0], np.nan),
     ):
-        with pytest.raises(InputError):
-            estimator.update(rows, values, variance)
+        refused(InputError, "", estimator.update, rows, values, variance)
     for nowhere in ([3], [-1], [0, 7]):
-        with pytest.raises(InputError, match="cannot reset"):
-            estimator.reset(nowhere)
+        refused(InputError, "cannot reset", estimator.reset, nowhere)
     assert estimator.state() == before
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 from simulated_line import flirt, hilly_line, level_line, steps, trajectory_of
 
 from trainlog.errors import InfeasibleError, InputError
@@ -118,8 +119,7 @@ def test_early_driver_runs_more_slowly() -> None:
 
 def test_a_train_that_cannot_climb_is_refused() -> None:
     line = replace(hilly_line(), gradients=steps((0.0, 0.0), (3_000.0, 0.06)))
-    with pytest.raises(InfeasibleError, match="does not arrive; at km 3"):
-        drive(journey(line, adhesion=0.05))
+    refused(InfeasibleError, "does not arrive; at km 3", drive, journey(line, adhesion=0.05))
 
 
 def test_a_train_that_never_moves_is_given_up_after_twenty_minutes() -> None:
@@ -188,8 +188,7 @@ def test_a_restriction_ends_where_the_rear_has_passed_it(
     ],
 )
 def test_impossible_stops_are_refused(stops: tuple[Stop, ...], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        TimetableDriver(hilly_line(), flirt(), stops)
+    refused(InputError, message, TimetableDriver, hilly_line(), flirt(), stops)
 
 
 def test_choice_of_configurations() -> None:
@@ -197,8 +196,7 @@ def test_choice_of_configurations() -> None:
     assert trajectory.chosen("all") == ("r0.9", "r1", "r1.1")
     assert set(trajectory.chosen()) == {"r0.9", "r1.1"}
     assert trajectory.chosen("r1, r0.9") == ("r1", "r0.9")
-    with pytest.raises(InputError, match="no configuration 'r7'"):
-        trajectory.chosen("r7")
+    refused(InputError, "no configuration 'r7'", trajectory.chosen, "r7")
 
 
 def nobody() -> Driver:
@@ -216,8 +214,7 @@ def test_trajectory_of_another_line_is_refused() -> None:
 
 def test_a_train_that_cannot_brake_is_not_driven() -> None:
     train = replace(flirt(), max_dynamic_braking_effort=0.0, max_pneumatic_braking_effort=0.0)
-    with pytest.raises(InputError, match="has no brake"):
-        draw_scenarios(hilly_line(), train, count=1)
+    refused(InputError, "has no brake", draw_scenarios, hilly_line(), train, count=1)
 
 
 def test_any_driver_can_drive() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 
 import trainlog
 from trainlog.errors import InputError
@@ -322,17 +323,14 @@ def test_faults_show_in_the_physics_from_their_day_on_and_change_nothing_else(
     ],
 )
 def test_a_fault_that_cannot_be_read_is_refused_with_the_reason(words: str, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        Fault.of(words)
+    refused(InputError, message, Fault.of, words)
 
 
 def test_fleets_that_cannot_be_are_refused(network: Network) -> None:
     with pytest.raises(InputError, match="no such train"):
         draw_fleet(network, trains=2, faults=[Fault("flirt-09", "mass", 3e3, 0)])
-    with pytest.raises(InputError, match="more than"):
-        draw_fleet(network, trains=1, days=1, trips=100)
-    with pytest.raises(InputError, match="0 lines"):
-        draw_network(1, lines=0)
+    refused(InputError, "more than", draw_fleet, network, trains=1, days=1, trips=100)
+    refused(InputError, "0 lines", draw_network, 1, lines=0)
 
 
 def test_a_year_with_few_trips_a_day_meets_winter_and_wear(network: Network) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 from scipy.integrate import solve_ivp
 from simulated_line import flirt, hilly_line, level_line, steps
 
@@ -405,20 +406,17 @@ def test_recording_changes_nothing() -> None:
     ],
 )
 def test_impossible_trains_are_refused(arguments: dict[str, object], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        Plant.of(level_line(), flirt(), **arguments)  # type: ignore[arg-type]
+    refused(InputError, message, Plant.of, level_line(), flirt(), **arguments)
 
 
 def test_more_adhesive_mass_than_train_is_refused() -> None:
     train = replace(flirt(), axles=Axles(adhesive_mass=200_000.0))
-    with pytest.raises(InputError, match="cannot rest on the powered axles"):
-        Plant.of(level_line(), train)
+    refused(InputError, "cannot rest on the powered axles", Plant.of, level_line(), train)
 
 
 def test_a_train_cannot_start_beyond_the_line() -> None:
     plant = Plant.of(level_line(length=1_000.0), flirt())
-    with pytest.raises(InputError, match=r"line ends at km 1\.000"):
-        plant.at(1_200.0)
+    refused(InputError, r"line ends at km 1\.000", plant.at, 1_200.0)
 
 
 @pytest.mark.parametrize("gradient", [-0.04, 0.0, 0.03])

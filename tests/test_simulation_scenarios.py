@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 from simulated_line import flirt, hilly_line
 
 from trainlog.errors import InputError, LogError
@@ -277,18 +278,14 @@ def test_ublox_file(tmp_path: Path) -> None:
 def test_foreign_files_need_what_they_hold(tmp_path: Path) -> None:
     trip = trips()[0]
     bare = replace(trip, topics={k: v for k, v in trip.topics.items() if k != "/gnss/fix"})
-    with pytest.raises(LogError, match="/gnss/fix"):
-        write_ublox_csv(bare, tmp_path / "x.csv")
+    refused(LogError, "/gnss/fix", write_ublox_csv, bare, tmp_path / "x.csv")
     short = replace(trip, topics={k: v.iloc[:100] for k, v in trip.topics.items()})
-    with pytest.raises(LogError, match="too short"):
-        write_recorder_csv(short, tmp_path / "x.csv")
+    refused(LogError, "too short", write_recorder_csv, short, tmp_path / "x.csv")
     assert not list(tmp_path.iterdir())
 
 
 def test_bad_wishes_are_refused() -> None:
-    with pytest.raises(InputError, match="cannot draw 0"):
-        draw_scenarios(hilly_line(), flirt(), count=0)
+    refused(InputError, "cannot draw 0", draw_scenarios, hilly_line(), flirt(), count=0)
     with pytest.raises(InputError, match="fewer than two stations"):
         draw_scenarios(replace(hilly_line(), stations=()), flirt())
-    with pytest.raises(InputError, match="direction 'up' is unknown"):
-        replace(drawn()[0], direction="up")
+    refused(InputError, "direction 'up' is unknown", replace, drawn()[0], direction="up")

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refused
 from simulated_line import hilly_line
 
 from trainlog.errors import InputError
@@ -138,10 +139,8 @@ def test_environment_is_that_of_the_position() -> None:
 
 @pytest.mark.parametrize("rate", [5, 15, 30, 400])
 def test_impossible_rates_are_refused(rate: int) -> None:
-    with pytest.raises(InputError, match=f"rate {rate} Hz"):
-        Sensors(rate=rate)
+    refused(InputError, f"rate {rate} Hz", Sensors, rate=rate)
 
 
 def test_negative_noise_is_refused() -> None:
-    with pytest.raises(InputError, match=r"speed_noise -0\.1 is negative"):
-        Sensors(speed_noise=-0.1)
+    refused(InputError, r"speed_noise -0\.1 is negative", Sensors, speed_noise=-0.1)

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 from hypothesis.extra import numpy as hnp
+from refusals import refused
 
 from tests.mcap_trips import START, assert_same, trips
 from trainlog.errors import InputError, LogError
@@ -106,9 +107,8 @@ def test_a_slice_is_a_step_of_provenance_and_leaves_the_trip_as_it_was() -> None
     ],
 )
 def test_times_that_make_no_slice_are_refused(start: object, end: object, said: str) -> None:
-    with pytest.raises(InputError, match=said) as caught:
-        driven([0, 1], [0, 10]).between(start, end)
-    assert caught.value.remedy
+    caught = refused(InputError, said, driven([0, 1], [0, 10]).between, start, end)
+    assert caught.remedy
 
 
 # --------------------------------------------------------------------------------- by position
@@ -152,14 +152,12 @@ def test_positions_that_are_not_known_are_passed_over() -> None:
 
 def test_a_trip_without_position_is_refused() -> None:
     trip = Trip({EVENTS.name: frame_of(EVENTS, [START], {})}, {"trip": "t7"})
-    with pytest.raises(LogError, match=r"t7.*does not know where.*slice it by time"):
-        trip.within(0, 1)
+    refused(LogError, r"t7.*does not know where.*slice it by time", trip.within, 0, 1)
 
 
 @pytest.mark.parametrize("limits", [(2, 1), (np.nan, 1), (0, np.nan), ("km 1", 2)])
 def test_stretches_that_are_none_are_refused(limits: tuple[Any, Any]) -> None:
-    with pytest.raises(InputError, match="there is no stretch"):
-        driven([0, 1], [0, 10]).within(*limits)
+    refused(InputError, "there is no stretch", driven([0, 1], [0, 10]).within, *limits)
 
 
 def test_a_stretch_to_infinity_can_be_written(tmp_path: Path) -> None:

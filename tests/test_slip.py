@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 from simulated_line import flirt, hilly_line, level_line
 from slip_truth import Fine, Score, Seen, onset_errors, seen, slip_power
 
@@ -625,12 +626,10 @@ class TestEnergyOfSlip:
 
 class TestRefusals:
     def test_no_axles(self, trips: list[Seen]) -> None:
-        with pytest.raises(LogError, match="no topic /train/axles"):
-            slip(without(trips[0].trip, "/train/axles"))
+        refused(LogError, "no topic /train/axles", slip, without(trips[0].trip, "/train/axles"))
 
     def test_no_position(self, trips: list[Seen]) -> None:
-        with pytest.raises(LogError, match="has no position"):
-            slip(without(trips[0].trip, "/train/state"))
+        refused(LogError, "has no position", slip, without(trips[0].trip, "/train/state"))
 
     def test_a_train_with_fewer_axles(self, trips: list[Seen]) -> None:
         train = train_to_bytes(flirt(axles=Axles(count=2)))
@@ -641,19 +640,16 @@ class TestRefusals:
     def test_no_axle_speed(self, trips: list[Seen]) -> None:
         axles = trips[0].trip["/train/axles"].copy()
         axles[[name for name in axles if name.startswith("wheel_speed_")]] = np.nan
-        with pytest.raises(LogError, match="holds no axle speed"):
-            slip(trips[0].trip.with_topic(axles))
+        refused(LogError, "holds no axle speed", slip, trips[0].trip.with_topic(axles))
 
     def test_no_train(self, trips: list[Seen]) -> None:
         bare = replace(trips[0].trip, attachments={})
-        with pytest.raises(LogError, match=r"carries no train\.json"):
-            slip(bare)
+        refused(LogError, r"carries no train\.json", slip, bare)
 
     def test_an_empty_recording(self, trips: list[Seen]) -> None:
         empty = trips[0].trip["/train/axles"].iloc[:1]
         empty.attrs = trips[0].trip["/train/axles"].attrs
-        with pytest.raises(LogError, match="holds 1 samples"):
-            slip(trips[0].trip.with_topic(empty))
+        refused(LogError, "holds 1 samples", slip, trips[0].trip.with_topic(empty))
 
     def test_a_load_that_is_no_number(self, trips: list[Seen]) -> None:
         trip = trips[0].trip

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 from resistance_trips import constant_speed, trip
 
 from analysis.resistance import combine, summarised
@@ -84,15 +85,11 @@ def test_trips_of_one_name_and_other_logs_stay_apart() -> None:
 def test_what_is_no_file_of_summaries_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "no.parquet"
     path.write_bytes(b"PAR1 and nothing more")
-    with pytest.raises(InputError, match="not a Parquet file"):
-        read_summaries(path)
+    refused(InputError, "not a Parquet file", read_summaries, path)
     rows().to_parquet(path)
-    with pytest.raises(InputError, match="not a trainlog/summaries file"):
-        read_summaries(path)
-    with pytest.raises(InputError, match="does not exist"):
-        read_summaries(tmp_path / "missing.parquet")
-    with pytest.raises(InputError, match="lacks column 'mass'"):
-        write_summaries(rows().drop(columns="mass"), path)
+    refused(InputError, "not a trainlog/summaries file", read_summaries, path)
+    refused(InputError, "does not exist", read_summaries, tmp_path / "missing.parquet")
+    refused(InputError, "lacks column 'mass'", write_summaries, rows().drop(columns="mass"), path)
     with pytest.raises(InputError, match="unknown column 'weather'"):
         write_summaries(rows().assign(weather="wet"), path)
 
@@ -117,8 +114,7 @@ def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
     for place in range(2000, len(data) // 2, 400):
         data[place] ^= 0xFF
     path.write_bytes(bytes(data))
-    with pytest.raises(InputError, match="damaged"):
-        read_summaries(path)
+    refused(InputError, "damaged", read_summaries, path)
 
 
 def test_known_logs_are_not_read_again_and_nothing_changes(tmp_path: Path) -> None:

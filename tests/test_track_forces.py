@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.integrate import solve_ivp
 
 from analysis import OptimiserOptions, TrajectoryProblem, optimise
@@ -91,10 +92,8 @@ def test_curve_resistance_is_that_of_the_formula_in_plan_and_simulation(
 
 
 def test_a_formula_outside_its_radii_is_refused() -> None:
-    with pytest.raises(InputError, match="does not hold for the radius of 50 m at km"):
-        curved(50.0)
-    with pytest.raises(InputError, match="no such curve_resistance"):
-        curved(400.0, formula="roeckel")
+    refused(InputError, "does not hold for the radius of 50 m at km", curved, 50.0)
+    refused(InputError, "no such curve_resistance", curved, 400.0, formula="roeckel")
 
 
 def test_files_state_the_choices_and_leave_the_defaults_out() -> None:
@@ -107,10 +106,8 @@ def test_files_state_the_choices_and_leave_the_defaults_out() -> None:
     assert train_from_bytes(train_to_bytes(train)) == train
     assert b"mass_model" not in train_to_bytes(FLIRT)
     assert b"curve_resistance" not in line_to_bytes(WIL)
-    with pytest.raises(InputError, match="a homogeneous_strip has a length"):
-        replace(train, length=0.0)
-    with pytest.raises(InputError, match="no such mass_model 'strip'"):
-        replace(train, mass_model="strip")
+    refused(InputError, "a homogeneous_strip has a length", replace, train, length=0.0)
+    refused(InputError, "no such mass_model 'strip'", replace, train, mass_model="strip")
 
 
 @pytest.mark.parametrize("formula", ["proportional", "roeckl"])
@@ -247,8 +244,7 @@ def test_a_train_that_is_a_strip_is_identified_as_one() -> None:
     assert fit.resistance(speeds) == pytest.approx(scenario.resistance(speeds), rel=0.03)
     point = train_to_bytes(replace(strip, mass_model="mass_point"))
     mistaken = replace(trip, attachments={**trip.attachments, TRAIN_ATTACHMENT: point})
-    with pytest.raises(TripRefusedError, match="the curve is known to"):
-        fit_trip(mistaken)
+    refused(TripRefusedError, "the curve is known to", fit_trip, mistaken)
     # Without its efforts, from how it coasts.
     true = scenario.resistance(speeds) / (scenario.mass + scenario.rotating_mass)
     errors = [coast_down([each]).curve(speeds) / true - 1.0 for each in (trip, mistaken)]

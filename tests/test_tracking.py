@@ -8,6 +8,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 from scipy.linalg import expm, solve_discrete_are
 
 from analysis.control.qp import SOFTNESS, solve, terminal_weight
@@ -279,13 +280,11 @@ def test_a_train_that_is_late_but_can_be_in_time_is_neither_late_nor_early(
 
 
 def test_a_tuning_that_is_not_positive_is_refused() -> None:
-    with pytest.raises(InputError, match="lever 0"):
-        Tuning(lever=0.0)
+    refused(InputError, "lever 0", Tuning, lever=0.0)
 
 
 def test_an_unknown_linearisation_is_refused(plan: Reference) -> None:
-    with pytest.raises(InputError, match="about 'nothing' is unknown"):
-        Method("nothing")
+    refused(InputError, "about 'nothing' is unknown", Method, "nothing")
 
 
 def test_a_late_train_that_stands_short_of_its_stop_goes_on_to_it(plan: Reference) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from trainlog.errors import InputError
 from trainlog.formats.line import read_line
@@ -170,16 +171,13 @@ def partial_shared(fails: Callable[[float], bool]) -> Callable[[], Shared]:
 )
 def test_efforts_that_no_plant_can_give_are_refused(efforts: np.ndarray) -> None:
     unit = plant()
-    with pytest.raises(InputError, match="finite"):
-        unit.advance(unit.at(), 1e4, 0.0, 1, 1, efforts)
+    refused(InputError, "finite", unit.advance, unit.at(), 1e4, 0.0, 1, 1, efforts)
 
 
 @pytest.mark.parametrize("period", [0.0, 0.001, 0.0125])
 def test_a_period_that_the_plant_does_not_resolve_is_refused(period: float) -> None:
-    with pytest.raises(InputError, match="period"):
-        TractionLoop(Shared(np.ones(4), period=period), plant())
+    refused(InputError, "period", TractionLoop, Shared(np.ones(4), period=period), plant())
 
 
 def test_sensors_that_cannot_be_are_refused() -> None:
-    with pytest.raises(InputError, match="speed_noise"):
-        DriveSensors(speed_noise=-1.0)
+    refused(InputError, "speed_noise", DriveSensors, speed_noise=-1.0)

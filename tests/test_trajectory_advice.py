@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from advice_law import breaches
+from refusals import refused
 from trajectory_cases import FLIRT, drawn, hilly_line, observed, optimised, slippery
 
 from analysis.charts import draw
@@ -200,13 +201,11 @@ def test_a_trip_with_the_advice_beside_it_can_be_kept_and_replayed(
     seconds = (frame.index[-1] - frame.index[0]).total_seconds()
     assert frame["lateness"].iloc[-1] == pytest.approx(seconds - sampled.running_time, abs=60.0)
     assert advised.provenance[-1]["step"] == "advise"
-    with pytest.raises(InputError, match="carries a reference already"):
-        with_advice(advised, sampled)
+    refused(InputError, "carries a reference already", with_advice, advised, sampled)
     with pytest.raises(InputError, match=r"is for line 'CH_StGallen_Wil' reverse, trip '.*forward"):
         with_advice(trip, replace(sampled, direction="reverse"))
     beyond = replace(sampled, positions=sampled.positions + 1e6)
-    with pytest.raises(InputError, match=r"is never between km 1000\.000 and"):
-        with_advice(trip, beyond)
+    refused(InputError, r"is never between km 1000\.000 and", with_advice, trip, beyond)
 
 
 def test_a_replay_refuses_the_trajectory_of_another_line(
@@ -235,8 +234,7 @@ def test_the_slope_of_the_front_is_the_price_of_a_second(tmp_path: Path) -> None
 
 def test_a_front_of_nothing_is_refused() -> None:
     problem = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 1.0))
-    with pytest.raises(InputError, match="no reserves"):
-        energy_against_time(problem, ())
+    refused(InputError, "no reserves", energy_against_time, problem, ())
     with pytest.raises(InfeasibleError, match="under one common traction"):
         energy_against_time(problem, (1e-7,), OptimiserOptions(100))
 

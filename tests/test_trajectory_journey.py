@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 from trajectory_cases import FLIRT, KMH, drawn, hilly_line, observed, optimised, optimised_journey
 
 from analysis.trajectory.journey import sections_of
@@ -113,8 +114,7 @@ def test_every_configuration_keeps_the_windows(free: Trajectory) -> None:
     ],
 )
 def test_windows_that_cannot_be_kept_are_explained(window: TimingPoint, words: str) -> None:
-    with pytest.raises(InfeasibleError, match=words):
-        run(window)
+    refused(InfeasibleError, words, run, window)
 
 
 @pytest.mark.parametrize(
@@ -128,8 +128,7 @@ def test_windows_that_cannot_be_kept_are_explained(window: TimingPoint, words: s
 def test_passing_points_that_are_none_are_refused(
     windows: tuple[TimingPoint, ...], words: str
 ) -> None:
-    with pytest.raises(InputError, match=words):
-        run(*windows)
+    refused(InputError, words, run, *windows)
 
 
 def stop(place: float, earliest: float | None = None, latest: float | None = None) -> TimingPoint:

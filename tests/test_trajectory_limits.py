@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 from trajectory_cases import (
     FLIRT,
     KMH,
@@ -265,5 +266,4 @@ def test_expected_energy_is_least_for_the_weights_that_are_given() -> None:
 )
 def test_bad_input_is_refused(changes: dict[str, object], words: str) -> None:
     question: dict[str, object] = {"configurations": observed(FLIRT, 1.0), **changes}
-    with pytest.raises(InputError, match=words):
-        optimised(hilly_line(), FLIRT, **question)  # type: ignore[arg-type]
+    refused(InputError, words, optimised, hilly_line(), FLIRT, **question)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from refusals import refused
 from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, optimised
 
 from analysis.trajectory import representatives
@@ -119,8 +120,7 @@ def test_when_the_time_is_over_the_best_so_far_is_the_answer_with_its_gap(object
 
 
 def test_a_time_limit_is_some_time() -> None:
-    with pytest.raises(InputError, match="time limit must be more than 0 s"):
-        OptimiserOptions(time_limit=0.0)
+    refused(InputError, "time limit must be more than 0 s", OptimiserOptions, time_limit=0.0)
 
 
 def test_shares_add_up_and_the_slowest_stands_for_itself() -> None:

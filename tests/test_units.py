@@ -3,6 +3,7 @@
 import re
 
 import pytest
+from refusals import refused
 
 from trainlog.errors import InputError
 from trainlog.units import (
@@ -47,21 +48,18 @@ def test_known_conversions(value: float, unit: str, si: str, expected: float) ->
 
 @pytest.mark.parametrize("unit", ["kg", "furlong per", "", "km", "m/s/", "[m]"])
 def test_wrong_units_are_refused_with_the_unit_named(unit: str) -> None:
-    with pytest.raises(InputError, match="cannot be read as m/s") as caught:
-        to_si(1.0, unit, "m/s")
-    assert f"'{unit}'" in str(caught.value)
-    assert "declare a unit" in str(caught.value)
+    caught = refused(InputError, "cannot be read as m/s", to_si, 1.0, unit, "m/s")
+    assert f"'{unit}'" in str(caught)
+    assert "declare a unit" in str(caught)
 
 
 @pytest.mark.parametrize(
     ("unit", "meant"), [("kmh", "km/h"), ("m/s2", "m/s^2"), ("promille", "permil")]
 )
 def test_a_misspelt_unit_is_answered_with_the_common_spelling(unit: str, meant: str) -> None:
-    with pytest.raises(InputError, match=f"did you mean '{re.escape(meant)}'"):
-        si_unit(unit)
+    refused(InputError, f"did you mean '{re.escape(meant)}'", si_unit, unit)
     kind = si_unit(meant)
-    with pytest.raises(InputError, match=f"did you mean '{re.escape(meant)}'"):
-        factor(unit, kind)
+    refused(InputError, f"did you mean '{re.escape(meant)}'", factor, unit, kind)
     with pytest.raises(
         InputError, match=f"declare a unit of that kind, for example '{re.escape(kind)}'"
     ):
@@ -109,10 +107,9 @@ def test_values_are_read_as_people_write_them(measure: Measure, written: str, va
 def test_what_is_no_value_is_answered_with_how_it_is_written(
     measure: Measure, written: str
 ) -> None:
-    with pytest.raises(InputError) as caught:
-        measure.read(written, "--name")
-    assert str(caught.value).startswith(f"--name '{written}' is not a valid {measure.noun}; write")
-    assert ("decimals after a point" in str(caught.value)) == (written == "1,5")
+    caught = refused(InputError, "", measure.read, written, "--name")
+    assert str(caught).startswith(f"--name '{written}' is not a valid {measure.noun}; write")
+    assert ("decimals after a point" in str(caught)) == (written == "1,5")
 
 
 @pytest.mark.parametrize(
@@ -124,5 +121,4 @@ def test_what_is_no_value_is_answered_with_how_it_is_written(
     ],
 )
 def test_bounds_are_stated_in_the_usual_unit(measure: Measure, written: str, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        measure.read(written)
+    refused(InputError, words, measure.read, written)

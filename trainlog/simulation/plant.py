@@ -386,7 +386,7 @@ class Plant:
         given = np.asarray(efforts, dtype=np.float64)
         if given.shape != self.weights.shape or not np.all(np.isfinite(given)):
             raise InputError(
-                f"traction control: efforts {given} are not {self.axles} finite numbers",
+                f"traction control: efforts {given.tolist()} are not {self.axles} finite numbers",
                 remedy="give one effort for each powered axle, negative in braking",
             )
         p = self.parameters
