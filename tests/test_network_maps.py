@@ -17,7 +17,7 @@ from analysis.adhesion.evidence import Evidence
 from analysis.adhesion.updating import update_map
 from analysis.network.edges import EdgeOfLine
 from analysis.network.map_scores import score_network, score_network_on
-from analysis.network.map_table import network_rows
+from analysis.network.map_table import network_table
 from analysis.network.maps import (
     LogOnEdges,
     NetworkMap,
@@ -280,13 +280,12 @@ def test_a_report_and_the_command_state_one_band_of_the_evidence_before_a_time(
     last = max(int(track.days[-1]) for track in network_map(maps).maps.values())
     for day in (last, last + 1):
         at = pd.Timestamp(day, unit="D", tz="UTC")
-        rows = network_rows(network_map(maps).known_before(at), at)
-        lowest = min((row for row in rows if "lowest" in row), key=lambda row: row["lowest"])
+        rows = network_table(network_map(maps).known_before(at), at).data
+        lowest = min((row for row in rows if row["lowest"]), key=lambda row: row["lowest"])
         table = next(
             each for each in condition_parts(maps, None, at) if isinstance(each, WordTable)
         )
-        low, high = lowest["lowest_band"]
+        low, high = lowest["lowest_low"], lowest["lowest_high"]
         (found,) = (row for row in table.data if row["edge"] == lowest["edge"])
-        stated = f"{lowest['lowest']:.3f} ({low:.3f} to {high:.3f})"
-        assert found["lowest_95_band"].startswith(stated)
+        assert found == lowest
         assert low < lowest["lowest"] < high

@@ -142,6 +142,12 @@ class MapUpdate(Presented):
         title = f"Update of {self.path}"
         return [new_table(title, *columns, name="logs", usual=False).add_rows(self.logs)]
 
+    @property
+    def notes(self) -> list[str]:
+        """What to do about logs without axle speeds."""
+        remedy = "record wheel speeds, or name their columns in the profile and ingest again"
+        return [f"a map needs the speed of a powered axle: {remedy}"] * bool(self.not_recorded)
+
     def of(self, outcome: Outcome) -> tuple[LogOutcome, ...]:
         """The logs with an outcome."""
         return tuple(each for each in self.logs if each.outcome == outcome)

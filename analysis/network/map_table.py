@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 
 from analysis.adhesion.condition_table import shown
 from analysis.network.maps import NetworkMap
 from trainlog.errors import InputError
-from trainlog.presentation import WordTable, new_table
+from trainlog.presentation import (
+    ADHESION,
+    NUMBER,
+    POSITION,
+    Cell,
+    Column,
+    Ends,
+    Said,
+    WordTable,
+    new_table,
+)
 
 
-def network_rows(
+def network_table(
     maps: NetworkMap, time: pd.Timestamp | None = None, layers: list[str] | None = None
-) -> list[dict[str, Any]]:
-    """A row an edge and rail condition, in SI units, in the order of the network's edges.
+) -> WordTable:
+    """A row per edge and rail condition, in the order of the network's edges.
 
     Parameters
     ----------
@@ -38,66 +46,44 @@ def network_rows(
                 file=maps.folder,
                 remedy=f"layers there are: {', '.join(maps.layers) or 'none'}",
             )
-    order = list(maps.maps)
-    if maps.network is not None:
-        order = [edge.name for edge in maps.network.edges]
-    rows = []
-    for edge in order:
+    network = maps.network
+    name = network.name if network is not None else maps.folder.name
+    table = new_table(
+        f"Track condition of network {name}",
+        Column("edge"),
+        Column("rail\ncondition", key="layer"),
+        Column("trips", NUMBER),
+        Column("onsets\nmeasured", NUMBER, key="onsets"),
+        Column("observed", POSITION),
+        Column("expected\nadhesion", ADHESION, key="expected"),
+        Column("lowest (95 % band)", ADHESION, key="lowest"),
+        Column("lowest at", POSITION),
+        name="edges",
+    )
+    for edge in maps.maps if network is None else [each.name for each in network.edges]:
         track = maps.maps.get(edge)
         if track is None:
-            rows.append({"edge": edge, "layer": None, "trips": 0})
+            table.add_cells(edge, None, 0, 0, Said(0.0, "nothing"), None, None, None)
             continue
+        widths = np.diff(np.minimum(np.arange(track.bins + 1) * track.bin_length, track.length))
         for name, layer in track.layers.items():
             if layers and name not in layers:
                 continue
             expected, seen = layer.expected(time), layer.observed
-            widths = np.diff(np.minimum(np.arange(track.bins + 1) * track.bin_length, track.length))
-            row: dict[str, Any] = {
-                "edge": edge,
-                "layer": name,
-                "trips": sum(trip["layer"] == name for trip in track.trips),
-                "onsets": int(layer.events.sum()),
-                "observed_m": float(widths[seen].sum()),
-                "length_m": track.length,
-            }
+            observed = float(widths[seen].sum())
+            share = f"{observed / 1e3:.1f} km, {observed / track.length:.0%}"
+            found: tuple[Cell, ...] = (None, None, None)
             if seen.any():
                 middle = expected.log_mean
-                _, *ends = shown(expected)
                 lowest = int(np.flatnonzero(seen)[np.argmin(middle[seen])])
-                row |= {
-                    "expected": float(np.exp(np.mean(middle[seen]))),
-                    "lowest": float(np.exp(middle[lowest])),
-                    "lowest_at_m": float(track.centres[lowest]),
-                    "lowest_band": [float(each[lowest]) for each in ends],
-                }
-            rows.append(row)
-    return rows
-
-
-def network_table(maps: NetworkMap, rows: list[dict[str, Any]]) -> WordTable:
-    """The rows of `network_rows` as a table."""
-    name = maps.network.name if maps.network is not None else maps.folder.name
-    table = new_table(
-        f"Track condition of network {name}",
-        "edge", "rail\ncondition", "trips", "onsets\nmeasured", "observed",
-        "expected\nadhesion", "lowest (95 % band)",
-    )  # fmt: skip
-    for row in rows:
-        if row["layer"] is None:
-            table.add_row(row["edge"], "-", "0", "0", "nothing", "-", "-")
-            continue
-        lowest = "-"
-        if "lowest" in row:
-            low, high = row["lowest_band"]
-            place = f"km {row['lowest_at_m'] / 1e3:.3f}"
-            lowest = f"{row['lowest']:.3f} ({low:.3f} to {high:.3f}) at {place}"
-        table.add_row(
-            row["edge"],
-            row["layer"],
-            str(row["trips"]),
-            str(row["onsets"]),
-            f"{row['observed_m'] / 1e3:.1f} km, {row['observed_m'] / row['length_m']:.0%}",
-            f"{row['expected']:.3f}" if "expected" in row else "-",
-            lowest,
-        )
+                _, low, high = (float(each[lowest]) for each in shown(expected))
+                found = (
+                    float(np.exp(np.mean(middle[seen]))),
+                    Ends(float(np.exp(middle[lowest])), low, high),
+                    float(track.centres[lowest]),
+                )
+            trips = sum(trip["layer"] == name for trip in track.trips)
+            table.add_cells(
+                edge, name, trips, int(layer.events.sum()), Said(observed, share), *found
+            )
     return table

@@ -143,9 +143,9 @@ class NetworkMap(Presented):
 
     def tables(self) -> list[WordTable]:
         """A row per edge and rail condition."""
-        from analysis.network.map_table import network_rows, network_table
+        from analysis.network.map_table import network_table
 
-        return [network_table(self, network_rows(self))]
+        return [network_table(self)]
 
     @property
     def layers(self) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import pandas as pd
 
 from analysis.adhesion.condition_table import bins_table, with_ends
 from analysis.adhesion.map_plot import lowest_bins
-from analysis.network.map_table import network_rows, network_table
+from analysis.network.map_table import network_table
 from analysis.network.maps import NetworkMap, map_files, two_maps
 from analysis.reports.charts import as_parts
 from analysis.reports.page import Part, Warned
@@ -65,7 +65,7 @@ def condition_parts(
         f" {counted(len(known.maps), 'edge')}, on each condition of the rail. Where nothing was"
         " observed the maps have no estimate.",
         *as_parts(known.charts(at=at)),
-        network_table(known, network_rows(known, at)),
+        network_table(known, at),
         *(part for layer in known.layers for part in lowest_parts(bins, layer)),
     ]
 

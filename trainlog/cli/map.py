@@ -15,11 +15,14 @@ from trainlog.cli.options import (
     Logs,
     MapArgument,
     MapOrFolder,
+    PictureOption,
     ZoneOption,
     destination,
     logs_in,
     measured,
     moment,
+    stretch,
+    written,
     zone_assumed,
 )
 from trainlog.cli.terminal import console, current, print_error, show, state, wrote
@@ -35,7 +38,6 @@ if TYPE_CHECKING:
 
     from analysis.adhesion.updating import LogOutcome, MapUpdate
     from analysis.verification.scoring import Score
-    from trainlog.railway import Line, TrackConditionMap
 
 map_app = typer.Typer(no_args_is_help=True, help="The track-condition map: maximum adhesion.")
 
@@ -149,7 +151,7 @@ def map_show(
     at: AtOption = None,
     zone: ZoneOption = None,
     layer: LayersOption = None,
-    picture: Annotated[Path | None, typer.Option(help="Draw the map here as well.")] = None,
+    picture: PictureOption = None,
     km: Annotated[
         str | None,
         typer.Option(
@@ -186,8 +188,6 @@ def map_show(
 
     Example: trainlog map show results/wil.map --km 12.3 --layer wet --picture place.png
     """
-    if picture is not None:
-        destination(picture, ".png")
     if km is not None and ":" not in km:
         if at is not None or zone is not None or model:
             raise InputError(
@@ -198,12 +198,11 @@ def map_show(
         return
     if days is not None:
         raise InputError("--days is for one place", remedy="give it, as --km 12.3")
-    when, ends = moment(at, zone), _kilometres(km)
-    if ends is not None and picture is None:
+    if km is not None and picture is None:
         raise InputError("--km chooses what a picture shows", remedy="name it with --picture")
-
+    when = moment(at, zone)
     if condition.is_dir():
-        if ends is not None or line is not None or model:
+        if km is not None or line is not None or model:
             raise InputError(
                 "--km, --line and --model are for the map of one line",
                 remedy="leave them out, or name the map of an edge",
@@ -211,21 +210,19 @@ def map_show(
         _show_network(condition, when, layer, picture)
         return
 
-    from analysis.adhesion.map_state import map_state
+    from analysis.adhesion.map_state import line_of_map, map_state
+    from analysis.charts import draw
     from trainlog.formats.condition import read_map
-    from trainlog.railway.kilometres import position_of
 
     track = read_map(condition)
-    known = course(track, line, condition)
+    known = line_of_map(track, line, condition)
     shown = map_state(track, when, line=known, layers=layer)
     assumed = zone_assumed(at, zone)
     shown = replace(shown, notes=(*shown.notes, assumed)) if assumed else shown
     if picture is not None:
-        from analysis.charts import draw
-
-        positions = [position_of(known, each) for each in ends or ()]
-        part = (positions[0], positions[1]) if positions else None
-        draw(shown.track, picture, line=known, at=when, part=part)
+        start, end = stretch(km, known) or (None, None)
+        part = (start or 0.0, track.length if end is None else end)
+        draw(shown.track, picture, line=known, at=when, part=part if km else None)
     show(shown, also=["model"] if model else [])
     if picture is not None:
         wrote(picture)
@@ -241,26 +238,26 @@ def _show_place(
 ) -> None:
     """Show what a map knows of one place over time: its evidence, and the estimate of each day."""
     from analysis.adhesion.map_history import MOST_DAYS, map_history
+    from analysis.adhesion.map_state import line_of_map
     from analysis.charts import draw
     from trainlog.formats.condition import read_map
     from trainlog.railway.kilometres import position_of
 
-    place = KILOMETRE.read(km, "--km")
     track = read_map(condition)
-    known = course(track, line, condition)
-    position = position_of(known, place)
+    known = line_of_map(track, line, condition)
+    position = position_of(known, KILOMETRE.read(km, "--km"))
     names = list(track.layers) if layers is None else layers
-    most = MOST_DAYS if days is None else days
-    found = [map_history(track, position, name, line=known, days=most) for name in names]
-    written = []
-    if picture is not None:
-        for each in found:
-            several = picture.with_stem(f"{picture.stem}-{each.layer}")
-            written.append(several if len(found) > 1 else picture)
-            draw(each, written[-1])
+    found = [
+        map_history(track, position, name, line=known, days=days or MOST_DAYS) for name in names
+    ]
+    pictures = [] if picture is None else [picture]
+    if picture is not None and len(found) > 1:
+        pictures = [picture.with_stem(f"{picture.stem}-{each.layer}") for each in found]
+    for each, path in zip(found, pictures, strict=False):
+        draw(each, path)
     if not state({"layers": [each.data() for each in found]}):
         show(*found)
-    wrote(*written)
+    wrote(*pictures)
 
 
 def _show_network(
@@ -268,29 +265,17 @@ def _show_network(
 ) -> None:
     """Show the maps of a network's folder."""
     from analysis.charts import draw
-    from analysis.network.map_table import network_rows, network_table
+    from analysis.network.map_table import network_table
     from analysis.network.maps import network_map
 
     maps = network_map(folder)
     shown = maps if when is None else maps.known_before(when)
-    rows = network_rows(shown, when, layers)
+    table = network_table(shown, when, layers)
     if picture is not None:
         draw(shown, picture, at=when, layers=layers or ())
-    if not state({"folder": str(folder), "edges": rows}):
-        console.print(network_table(shown, rows))
+    console.print(table)
     if picture is not None:
         wrote(picture)
-
-
-def _kilometres(given: str | None) -> tuple[float, float] | None:
-    """Two kilometres as given by ``--km 8:12``."""
-    if given is None:
-        return None
-    parts = given.split(":")
-    ends = [KILOMETRE.read(each, "--km") for each in parts] if len(parts) == 2 else [0.0, 0.0]
-    if ends[0] == ends[1]:
-        raise InputError(f"--km '{given}' is not a part of a line", remedy="write it as --km 8:12")
-    return ends[0], ends[1]
 
 
 @map_app.command("diff")
@@ -314,7 +299,7 @@ def map_diff(
         float,
         measured("--least", of=NUMBER, help="Difference of adhesion whose probability is stated."),
     ] = 0.01,
-    picture: Annotated[Path | None, typer.Option(help="Draw the difference here as well.")] = None,
+    picture: PictureOption = None,
 ) -> None:
     """Show what changed between two dates of a map, or between two maps, with significance.
 
@@ -323,18 +308,18 @@ def map_diff(
 
     Example: trainlog map diff results/wil.map --from 2026-10-31 --picture diff.png
     """
-    if picture is not None:
-        destination(picture, ".png")
     if len(maps) > 2:
         raise InputError(f"{len(maps)} maps are given", remedy="give two, or one with --from")
-    since, until = _day(start), _day(end)
 
     from analysis.adhesion.map_difference import map_difference
-    from analysis.charts import draw
+    from analysis.adhesion.map_state import line_of_map
     from trainlog.formats.condition import read_map
+    from trainlog.railway.evidence import day_of
+    from trainlog.spans import utc
 
+    since, until = (None if given is None else day_of(utc(given)) for given in (start, end))
     first, *second = [read_map(each) for each in maps]
-    known = course(first, line, maps[0])
+    known = line_of_map(first, line, maps[0])
     found = map_difference(
         first,
         second[0] if second else None,
@@ -345,21 +330,9 @@ def map_diff(
         rate=rate,
         least=least,
     )
-    if picture is not None:
-        draw(found, picture, line=known)
-    show(found)
-    if picture is not None:
-        wrote(picture)
+    show(found, picture=picture, line=known)
     if found.changed:
         raise typer.Exit(1)
-
-
-def _day(given: str | None) -> int | None:
-    """A day as given, counted from 1970-01-01 in UTC."""
-    from trainlog.railway.evidence import day_of
-    from trainlog.spans import utc
-
-    return None if given is None else day_of(utc(given))
 
 
 @map_app.command("export")
@@ -388,23 +361,17 @@ def map_export(
     when = moment(at, zone)
 
     from analysis.adhesion.export import export_map, exported_suffix
+    from analysis.adhesion.map_state import line_of_map
     from trainlog.condition import left_out
     from trainlog.formats.condition import read_map
 
     exported_suffix(output)
     track = read_map(condition)
-    export_map(track, output, line=course(track, line, condition), at=when, layers=layer)
+    export_map(track, output, line=line_of_map(track, line, condition), at=when, layers=layer)
     chosen = replace(track, layers={name: track.layer(name) for name in layer or track.layers})
     for words in filter(None, [left_out(chosen, when), zone_assumed(at, zone)]):
         console.print(f"  {words}", soft_wrap=True)
     wrote(output)
-
-
-def course(track: TrackConditionMap, given: Path | None, condition: Path) -> Line | None:
-    """The line of a map, see `analysis.adhesion.map_state.line_of_map`."""
-    from analysis.adhesion.map_state import line_of_map
-
-    return line_of_map(track, given, condition)
 
 
 @map_app.command("forecast")
@@ -429,46 +396,30 @@ def map_forecast(
 
     Example: trainlog map forecast results/wil.map --at 2026-11-22T06:00Z -o results/forecast.csv
     """
+    from analysis.network.maps import forecasts_of_network, network_map
     from analysis.verification.forecasts import first_free, forecast_of
     from trainlog.condition import left_out
     from trainlog.formats.condition import read_map
-    from trainlog.formats.forecast import write_forecast
-
-    if condition.is_dir():
-        _forecast_network(condition, output, moment(at, zone), hours, layer)
-        return
-    track = read_map(condition)
-    destination(output, ".csv")
-    time = moment(at, zone) or first_free(track)
-    forecast = forecast_of(track, time, layer=layer, hours=hours)
-    write_forecast(forecast, output)
-    later = left_out(track, time)
-    content = {
-        "forecast": str(output),
-        "line": forecast.line,
-        "from": time.isoformat(),
-        "hours": hours,
-        "layers": sorted(set(forecast.layer)),
-    }
-    state(content)
-    if later:
-        console.print(f"  forecast {later}", soft_wrap=True)
-    wrote(output)
-
-
-def _forecast_network(
-    folder: Path, output: Path, time: pd.Timestamp | None, hours: float, layer: str | None
-) -> None:
-    """Write a forecast for each edge of a network's folder of maps."""
-    from analysis.network.maps import forecasts_of_network, network_map
     from trainlog.formats.files import output_folder
     from trainlog.formats.forecast import write_forecast
 
-    when, found = forecasts_of_network(network_map(folder), time, layer, hours)
-    with output_folder(output) as place:
-        for path, forecast in found.items():
-            write_forecast(forecast, place / path)
-    state({"forecasts": str(output), "edges": len(found), "from": when.isoformat()})
+    time = moment(at, zone)
+    if condition.is_dir():
+        time, found = forecasts_of_network(network_map(condition), time, layer, hours)
+        with output_folder(output) as place:
+            for path, each in found.items():
+                write_forecast(each, place / path)
+        state({"forecasts": output, "edges": len(found), "from": time})
+    else:
+        track = read_map(condition)
+        time = time or first_free(track)
+        forecast = forecast_of(track, time, layer=layer, hours=hours)
+        write_forecast(forecast, destination(output, ".csv"))
+        layers = sorted(set(forecast.layer))
+        content = {"line": forecast.line, "from": time, "hours": hours, "layers": layers}
+        state({"forecast": output, **content})
+        if later := left_out(track, time):
+            console.print(f"  forecast {later}", soft_wrap=True)
     wrote(output)
 
 
@@ -495,7 +446,7 @@ def map_score(
         Path | None,
         typer.Option(help="Weather (CSV): the rail condition of logs that state none."),
     ] = None,
-    picture: Annotated[Path | None, typer.Option(help="Draw the scores here.")] = None,
+    picture: PictureOption = None,
 ) -> None:
     """Score a map's forecast, or anyone's, on trips that it does not know.
 
@@ -507,48 +458,31 @@ def map_score(
 
     Example: trainlog map score results/wil.map results/later-trips --picture results/score.png
     """
-    from analysis.charts import draw
     from analysis.verification.scoring import by_reason
 
-    if picture is not None:
-        destination(picture, ".png")
-    scored = _scored_network if forecast.is_dir() else _scored
-    found = scored(forecast, logs or [], rolling, layer, weather)
+    found = _scored(forecast, logs or [], rolling, layer, weather)
     for words in found.refused:
         print_error(words)
-    if picture is not None:
-        draw(found, picture)
     if not current().as_json:
         for words in by_reason(found.left_out):
             console.print(f"  {words}", soft_wrap=True)
-    show(found)
-    if picture is not None:
-        wrote(picture)
+    show(found, picture=picture)
     if found.refused:
         raise typer.Exit(1)
 
 
-def _scored_network(
-    folder: Path, logs: list[Path], rolling: bool, layer: str | None, weather: Path | None
+def _scored(
+    forecast: Path, logs: list[Path], rolling: bool, layer: str | None, weather: Path | None
 ) -> Score:
+    """Score a map on its own days, or a forecast on logs."""
     from analysis.network.map_scores import score_network, score_network_on
     from analysis.network.maps import network_map
+    from analysis.verification.scoring import line_of_logs, score_forecast, score_map, score_rolling
+    from trainlog.formats.condition import read_map
+    from trainlog.formats.forecast import read_forecast
     from trainlog.formats.weather import read_weather
 
-    _check_scored(logs, rolling, weather)
-    maps = network_map(folder)
-    if logs:
-        sky = None if weather is None else read_weather(weather)
-        return score_network_on(maps, tracked(logs_in(logs), "scoring", "log"), layer, sky)[0]
-    with task("forecasting edge by edge", unit="edge") as step:
-        chosen = None if layer is None else [layer]
-        return score_network(maps, chosen, lambda done, edges: step(done, edges))[0]
-
-
-def _check_scored(
-    logs: list[Path], rolling: bool, weather: Path | None, *, foreign: bool = False
-) -> None:
-    """Refuse what contradicts itself: a map is scored on its own days, or on logs."""
+    foreign = forecast.suffix.lower() == ".csv"
     if rolling and weather is not None:
         raise InputError(
             "--weather gives the rail condition of logs, of which --rolling takes none",
@@ -564,35 +498,23 @@ def _check_scored(
             "there is nothing to compare the forecast with",
             remedy="give logs of trips" + ("" if foreign else ", or --rolling"),
         )
-
-
-def _scored(
-    forecast: Path, logs: list[Path], rolling: bool, layer: str | None, weather: Path | None
-) -> Score:
-    from analysis.verification.scoring import line_of_logs, score_forecast, score_map, score_rolling
-    from trainlog.formats.condition import read_map
-    from trainlog.formats.forecast import read_forecast
-    from trainlog.formats.weather import read_weather
-
-    foreign = forecast.suffix.lower() == ".csv"
-    _check_scored(logs, rolling, weather, foreign=foreign)
     if rolling:
-        own = read_map(forecast)
-        with task("forecasting day by day", unit="day") as step:
-            return score_rolling(
-                own,
-                None if layer is None else [layer],
-                lambda day, days: step(day - 1, days),
-            )
-    sky = None if weather is None else read_weather(weather)
+        layers = None if layer is None else [layer]
+        unit = "edge" if forecast.is_dir() else "day"
+        with task(f"forecasting {unit} by {unit}", unit=unit) as step:
+            if forecast.is_dir():
+                return score_network(network_map(forecast), layers, step)[0]
+            own = read_map(forecast)
+            return score_rolling(own, layers, lambda day, days: step(day - 1, days))
     paths = logs_in(logs)
-    stated = read_forecast(forecast, *line_of_logs(paths)) if foreign else None
-    own_map = None if foreign else read_map(forecast)
+    sky = None if weather is None else read_weather(weather)
     every = tracked(paths, "scoring", "log")
-    if stated is not None:
+    if forecast.is_dir():
+        return score_network_on(network_map(forecast), every, layer, sky)[0]
+    if foreign:
+        stated = read_forecast(forecast, *line_of_logs(paths))
         return score_forecast(stated, every, layer, sky)
-    assert own_map is not None
-    return score_map(own_map, every, layer, sky)
+    return score_map(read_map(forecast), every, layer, sky)
 
 
 @map_app.command("remove")
@@ -620,7 +542,7 @@ def map_remove(
 @map_app.command("merge")
 def map_merge(
     maps: Annotated[list[Path], typer.Argument(help="Map files of one line.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="New map file.")],
+    output: Annotated[Path, written("--output", "-o", suffix=".map", help="New map file (.map).")],
 ) -> None:
     """Make one map of several; a trip that more than one of them holds is counted once.
 
@@ -628,7 +550,6 @@ def map_merge(
     """
     from trainlog.formats.mapmerge import merge_files
 
-    destination(output, ".map")
     trips, days = merge_files(maps, output)
     console.print(f"the map holds {counted(trips, 'trip')} of {counted(days, 'day')}")
     wrote(output)

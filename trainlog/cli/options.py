@@ -40,6 +40,15 @@ def measured(*names: str, of: Measure, help: str) -> Any:
     return typer.Option(*names, parser=read, metavar=of.noun.upper(), help=help)
 
 
+def written(*names: str, suffix: str = ".png", help: str) -> Any:
+    """An option that names a file to be written, which is checked before any work is done."""
+
+    def read(given: Any) -> Path:
+        return destination(Path(given), suffix)
+
+    return typer.Option(*names, parser=read, metavar="FILE", help=help)
+
+
 class ChosenTrips:
     """Marks the logs of a command: trips of a catalogue may be chosen in their place.
 
@@ -140,6 +149,10 @@ KilometreOption = Annotated[
     ),
 ]
 
+
+PictureOption = Annotated[
+    Path | None, written("--picture", help="Draw it into this file (.png), too.")
+]
 
 SECONDS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0}
 
