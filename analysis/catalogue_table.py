@@ -20,19 +20,19 @@ _TIME = "%Y-%m-%d %H:%M UTC"
 
 
 def trips_table(frame: pd.DataFrame, found: int) -> WordTable:
-    """Trips, as `trainlog.catalogue.Catalogue.query` gives them; `found`: with those not listed."""
+    """Trips, as `trainlog.catalogue.Catalogue.query` gives them; `found`: with those not listed.
+
+    As data the table has all columns, with the units of numbers in their names.
+    """
+    units = {"s": "_s", "m": "_m", "kg": "_kg"}
+    names = {name: f"{name}{units.get(unit, '')}" for name, unit in frame.attrs["units"].items()}
+    names |= {"km_from": "from_km", "km_to": "to_km"}
     table = new_table(
         f"{found:,} trips" if found != 1 else "1 trip",
-        Column("key"),
-        Column("trip"),
-        Column("train"),
-        Column("line"),
-        Column("start"),
-        Column("time", Quantity("s", ""), key="duration"),
-        Column("km"),
-        Column("weather"),
+        *map(Column, ("key", "trip", "train", "line", "start", "time", "km", "weather")),
         Column("load", MASS),
         name="trips",
+        frame=frame.rename(columns=names).map(_plain),
     )
     for row in frame.to_dict("records"):
         km = row["km_from"], row["km_to"]
@@ -42,21 +42,12 @@ def trips_table(frame: pd.DataFrame, found: int) -> WordTable:
             row["train"],
             row["line"],
             _time(row["start"]),
-            Said(row["duration"], clock(float(row["duration"]))),
+            clock(float(row["duration"])),
             "-" if pd.isna(km[0]) else f"{km[0]:.1f} to {km[1]:.1f}".replace("-0.0 ", "0.0 "),
             row["weather"],
             row["load"],
         )
     return table
-
-
-def trips_as_data(frame: pd.DataFrame) -> list[dict[str, Any]]:
-    """The same as JSON holds it: numbers with their units, all columns."""
-    units = {"s": "_s", "m": "_m", "kg": "_kg"}
-    names = {name: f"{name}{units.get(unit, '')}" for name, unit in frame.attrs["units"].items()}
-    names |= {"km_from": "from_km", "km_to": "to_km"}
-    records = frame.rename(columns=names).to_dict("records")
-    return [{str(key): value for key, value in record.items()} for record in records]
 
 
 _HEADINGS = {
@@ -114,16 +105,11 @@ SHOWN_DIGITS = 6
 def found_table(frame: pd.DataFrame, found: int) -> WordTable:
     """What a statement of SQL finds; `found`: with the rows that are not listed."""
     title = f"{found:,} rows" if found != 1 else "1 row"
-    table = new_table(title, *map(str, frame.columns), name="found")
+    columns = [Column(str(each)) for each in frame.columns]
+    table = new_table(title, *columns, name="rows", frame=frame.map(_plain))
     for row in frame.itertuples(index=False):
-        table.add_row(*map(_shown, row))
+        table.add_cells(*map(_shown, row))
     return table
-
-
-def found_as_data(frame: pd.DataFrame) -> dict[str, Any]:
-    """The same as JSON holds it: the columns, and the values of each row in their order."""
-    rows = [[_plain(each) for each in row] for row in frame.itertuples(index=False)]
-    return {"columns": [str(each) for each in frame.columns], "rows": rows}
 
 
 def _plain(value: Any) -> Any:
@@ -148,7 +134,7 @@ def _shown(value: Any) -> str:
 def problems_table(catalogue: Catalogue) -> WordTable:
     """Files that do not count, with the reasons, and damaged logs that do."""
     title = "Files that do not count, and damaged logs that do"
-    table = new_table(title, "file", "what", "of, or reason", name="problems")
+    table = new_table(title, "file", "what", "of, or reason", name="files")
     frame = catalogue.uncounted()
     for row in frame.to_dict("records"):
         table.add_row(row["path"], row["what"], row["reason"])

@@ -406,7 +406,7 @@ def test_commands_take_the_trips_of_an_expression(
     assert "2 trips" in shown
     assert "and 1 more" in shown
     status, shown, _ = ran("fleet", "show", "--problems", "--json")
-    assert [each["what"] for each in json.loads(shown)["problems"]] == ["same drive"]
+    assert [each["what"] for each in json.loads(shown)["files"]] == ["same drive"]
     status, shown, _ = ran("fleet", "query", "to_km > 20 and duration_s > '1 s'")
     assert status == 0
     status, _, said = ran("fleet", "query", "weather = 'Wet'")

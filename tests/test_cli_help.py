@@ -69,7 +69,11 @@ def examples(command: Any) -> list[list[str]]:
 
 
 @pytest.mark.parametrize("words", [words for words, _ in commands()])
-def test_every_command_has_an_example_that_parses_and_at_most_twelve_options(words: str) -> None:
+def test_every_command_has_an_example_that_parses_and_at_most_twelve_options(
+    words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "results").mkdir()
+    monkeypatch.chdir(tmp_path)
     command = dict(commands())[words]
     found = examples(command)
     assert found

@@ -71,7 +71,7 @@ fleet show --catalogue fleet --by edge
 fleet show --catalogue fleet --by day
 fleet show --catalogue fleet --by weather
 fleet query tables --catalogue fleet
-fleet query --catalogue fleet select/**/key,duration/**/from/**/trips
+fleet query --catalogue fleet select/**/key,duration/**/as/**/duration_s/**/from/**/trips
 fleet query --catalogue fleet weather='wet'
 fleet query -o trips.csv --catalogue fleet
 fleet refresh --catalogue fleet

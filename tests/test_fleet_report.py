@@ -120,10 +120,10 @@ def test_what_was_refused_is_listed_with_its_reason_and_nothing_in_it_is_code(pa
 
 
 def test_the_condition_is_that_of_the_maps(catalogue: Catalogue, page: Page) -> None:
-    rows = table_of(page, "track_condition")
-    assert {row["rail_condition"] for row in rows} == {"dry", "wet"}
+    rows = table_of(page, "edges")
+    assert {row["layer"] for row in rows} == {"dry", "wet"}
     evidence = catalogue.results("adhesion").groupby("layer")["onsets"].sum()
-    onsets = {row["rail_condition"]: int(row["onsets_measured"]) for row in rows}
+    onsets = {row["layer"]: row["onsets"] for row in rows}
     assert onsets == evidence.to_dict()
     lowest = [row["expected_low"] for row in table_of(page, "lowest_wet")]
     assert np.all(np.diff(lowest) >= 0.0)
@@ -212,7 +212,7 @@ def test_the_command_writes_one_page_that_asks_for_nothing(
     links = re.findall(r'(?:src|href)="([^"]*)"', elements)
     assert all(each.startswith(("#", "data:")) for each in links)
     assert re.search(r"script-src 'none'|script-src 'sha256-", html)
-    wrong = ("report", place, "--where", "train = 'none'")
+    wrong = ("report", place, "--trips", "train = 'none'")
     status, _, complaint = run(monkeypatch, capsys, *wrong, "-o", tmp_path / "a.html")
     assert (status, complaint.count("\n")) == (2, 1)
     assert "no trip is chosen" in complaint

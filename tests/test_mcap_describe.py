@@ -18,7 +18,6 @@ from rich.console import Console
 import trainlog
 from trainlog.errors import InputError, LogError
 from trainlog.mcap import LogDescription, describe, read_log, write_log
-from trainlog.mcap.description import render
 from trainlog.topics import EVENTS, TOPICS, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 
@@ -33,7 +32,7 @@ def described(trip: Trip, folder: Path) -> LogDescription:
 
 def printed(description: LogDescription) -> str:
     console = Console(file=StringIO(), width=140)
-    console.print(*render(description))
+    console.print(*description.shown())
     assert isinstance(console.file, StringIO)
     return console.file.getvalue()
 

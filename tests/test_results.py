@@ -168,7 +168,7 @@ def results(tmp_path_factory, fitted) -> dict[type, Presented]:  # type: ignore[
         ),
         *(plan, Front((plan,), plan.running_time)),
         JourneyPlan(journey, (plan,), *times, {**energies, **bound, **about, **gap}),
-        *(added, refreshed, updated, status, compared),
+        *(added, refreshed, updated, status, compared, trainlog.mcap.describe(LOG)),
         *(fleet, fleet.resistance, kind, kind.mean),
         *(ingested, next(each.report for each in ingested.outcomes if each.report)),
         analysis.report(folder),

@@ -40,7 +40,6 @@ from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.attached import line_of, passport_of
 from trainlog.ingest.report import report_of
 from trainlog.mcap import describe, read_log
-from trainlog.mcap.description import render
 from trainlog.presentation import WordTable, kwh, new_table
 from trainlog.railway import Line
 from trainlog.railway.kilometres import in_km
@@ -262,7 +261,7 @@ def trip_sections(log: Path, zone: Zone = Zone()) -> list[Section]:
                 *([Warned(damage)] if damage else []),
                 _facts(trip, motion, zone, cost),
                 *_quality(trip),
-                *render(replace(description, path=Path(log.name))),
+                *replace(description, path=Path(log.name)).shown(),
             ],
             folded=True,
         ),

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import sqlalchemy as sa
 
@@ -69,15 +69,26 @@ class Refreshed(Presented):
     back: int = 0
     outcomes: tuple[FileOutcome, ...] = ()
 
+    _others: ClassVar[tuple[str, ...]] = ("vanished", "moved", "changed")
+
     @property
     def title(self) -> str:
         """How the catalogue compares with the disk."""
         return f"Refreshed: {self.sentence}"
 
+    def facts(self) -> dict[str, Any]:
+        """Which files are as they were, and which are not."""
+        return {name: getattr(self, name) for name in ("same", *self._others, "back")}
+
     def tables(self) -> list[WordTable]:
         """A row per file that was read."""
         columns = map(Column, ("path", "state", "reason", "damage"))
-        return [new_table("Files", *columns, name="files").add_rows(self.outcomes)]
+        return [new_table("Files", *columns, name="files", usual=False).add_rows(self.outcomes)]
+
+    def sentences(self) -> list[str]:
+        """Which files are not as they were, and all of it in a line."""
+        listed = [f"  {name}: {path}" for name in self._others for path in getattr(self, name)]
+        return [*listed, self.sentence]
 
     @property
     def sentence(self) -> str:

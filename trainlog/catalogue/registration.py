@@ -64,10 +64,19 @@ class Added(Presented):
         """The first that were refused."""
         return {each.path: each.reason for each in self.of("refused")[:8]}
 
+    def facts(self) -> dict[str, Any]:
+        """How many files there are of each state."""
+        return {"counts": self.counts}
+
     def tables(self) -> list[WordTable]:
         """A row per file."""
         columns = map(Column, ("path", "state", "reason", "damage"))
-        return [new_table("Files", *columns, name="files").add_rows(self.outcomes)]
+        return [new_table("Files", *columns, name="files", usual=False).add_rows(self.outcomes)]
+
+    def sentences(self) -> list[str]:
+        """Which logs are damaged, and what became of all files."""
+        damaged = [each for each in self.outcomes if each.damage]
+        return [*(f"damaged: {each.path}: {each.damage}" for each in damaged), self.sentence]
 
     def of(self, *states: FileState) -> list[FileOutcome]:
         """The outcomes of some states."""

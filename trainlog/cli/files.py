@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from datetime import date, timedelta
@@ -32,10 +32,10 @@ from trainlog.cli.options import (
 from trainlog.cli.terminal import (
     console,
     current,
-    plain,
     print_account,
     print_error,
     print_problems,
+    show as show_,
     state,
     wrote,
 )
@@ -427,72 +427,16 @@ def _show_log(file: Path, found: LogDescription) -> None:
     """State what a log holds, and its passport."""
     from trainlog.formats.attached import passport_of
     from trainlog.mcap import read_log
-    from trainlog.mcap.description import recorded_fields, render
+    from trainlog.mcap.description import recorded_fields
     from trainlog.trip import PASSPORT_ATTACHMENT
 
-    recorded = recorded_fields(found)
+    found = replace(found, recorded=recorded_fields(found))
     if state({}):
-        current().content.setdefault("logs", []).append(_log_as_data(found, recorded))
+        current().content.setdefault("logs", []).append(found.data())
         return
-    console.print(*render(found, recorded))
+    show_(found)
     if PASSPORT_ATTACHMENT in (each.name for each in found.attachments):
         console.print(repr(passport_of(read_log(file, []))))
-
-
-def _log_as_data(found: LogDescription, recorded: Mapping[str, frozenset[str]]) -> dict[str, Any]:
-    """What is in a log, in SI units; of each field whether it holds a value."""
-    start, end = found.position_span or (None, None)
-    topics = [
-        {
-            "name": each.name,
-            "message": each.message,
-            "encoding": each.encoding,
-            "messages": each.count,
-            "rate_Hz": each.rate,
-            "first": each.first,
-            "last": each.last,
-            "median_interval_s": each.median_interval,
-            "largest_gap_s": each.largest_gap,
-            "gaps": each.gaps,
-            "fields": [
-                {
-                    "name": name,
-                    "unit": unit,
-                    "axles": each.axles.get(name),
-                    "recorded": name in recorded.get(each.name, ()),
-                }
-                for name, unit in each.units.items()
-            ],
-        }
-        for each in found.topics
-    ]
-    return {
-        "file": found.path,
-        "kind": "log",
-        "first": found.first,
-        "last": found.last,
-        "position_start_m": start,
-        "position_end_m": end,
-        "messages": found.count,
-        "chunks": found.chunks,
-        "size_bytes": found.size,
-        "schema_version": found.schema_version,
-        "whole": found.complete,
-        "state": found.account.sentence,
-        "problem": found.problem,
-        "topics": topics,
-        "metadata": found.metadata,
-        "provenance": [json.dumps(plain(step), ensure_ascii=False) for step in found.provenance],
-        "attachments": [
-            {
-                "name": each.name,
-                "media_type": each.media_type,
-                "size_bytes": each.size,
-                "sha256": each.sha256,
-            }
-            for each in found.attachments
-        ],
-    }
 
 
 def _show_folder(folder: Path) -> bool:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from trainlog.cli.options import CatalogueOption, ZoneOption, destination, measured
+from trainlog.cli.options import CatalogueOption, TripsOption, ZoneOption, destination, measured
 from trainlog.cli.terminal import (
     as_json_text,
     console,
@@ -37,14 +37,6 @@ fleet_app = typer.Typer(
     no_args_is_help=True, help="The catalogue of a fleet, and what is computed of its trips."
 )
 
-TripsOption = Annotated[
-    str | None,
-    typer.Option(
-        "--trips",
-        metavar="WHERE",
-        help="Only trips that this chooses: \"line = 'X' and weather = 'wet'\".",
-    ),
-]
 AnalysesOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -122,21 +114,9 @@ def fleet_add(
         task("registering", unit="log") as step,
     ):
         added = opened.add(paths, report, jobs=jobs or os.cpu_count() or 1)
-    refused = added.of("refused")
-    content = {
-        "catalogue": opened.place,
-        "counts": added.counts,
-        "damaged": [
-            {"path": each.path, "damage": each.damage} for each in added.outcomes if each.damage
-        ],
-        "refused": [{"path": each.path, "reason": each.reason} for each in refused],
-    }
-    if not state(content):
-        for each in added.outcomes:
-            if each.damage:
-                console.print(f"damaged: {each.path}: {each.damage}", soft_wrap=True)
-        console.print(added.sentence, soft_wrap=True)
-    if refused:
+    state({"catalogue": opened.place})
+    show(added)
+    if refused := added.of("refused"):
         raise typer.Exit(2 if len(refused) == len(added.outcomes) else 1)
 
 
@@ -182,15 +162,11 @@ def fleet_show(
         shown = problems_table(opened) if problems else overview_table(opened, by)
         about = {"version": opened.version, "migrated": opened.migrated_from is not None}
         found = fleet_status(opened, analyses, where=trips)
-        as_json = state({"catalogue": opened.place, **about, "counts": counts, **found.data()})
-    if shown.rows or as_json or not problems:
-        console.print(shown)
-    else:
-        console.print("every file counts, and no log is damaged")
+        state({"catalogue": opened.place, **about, "counts": counts})
+    whole = problems and not shown.rows and not current().as_json
+    console.print("every file counts, and no log is damaged" if whole else shown)
     words = ", ".join(f"{count:,} {name}" for name, count in counts.items() if count)
     console.print(words or "no trips")
-    if as_json:
-        return
     show(found, also=["problems"] if problems else [])
 
 
@@ -245,74 +221,41 @@ def fleet_query(
     Example: trainlog fleet query "select train, avg(r0) from resistance join trips using (key)
     group by train"
     """
-    from trainlog.catalogue import open_catalogue
+    from analysis.catalogue_table import found_table, trips_table
+    from trainlog.catalogue import open_catalogue, write_trips
 
     limits: dict[str, Any] = {"train": train, "line": line, "start": since, "end": until}
-    if asked and re.match(r"(?i)\s*(select|with)\b|tables$", asked):
-        chosen = [name for name, value in {**limits, "zone": zone, "paths": paths or None}.items()
-                  if value is not None]  # fmt: skip
-        if chosen:
+    by_sql = asked is not None and re.match(r"(?i)\s*(select|with)\b|tables$", asked) is not None
+    for name, value in {**limits, "zone": zone, "paths": paths or None}.items():
+        if by_sql and value is not None:
             raise InputError(
-                f"--{chosen[0]} is for an expression, not for a whole statement of SQL",
+                f"--{name} is for an expression, not for a whole statement of SQL",
                 remedy="say it in the statement",
             )
-        _sql(asked, catalogue, most, output)
-        return
     with open_catalogue(catalogue, create=False) as opened:
         if paths:
             logs = opened.paths(asked, zone=zone, **limits)
             if not state({"paths": logs}):
-                for path in logs:
-                    console.print(str(path), soft_wrap=True)
+                console.print(*logs, sep="\n", soft_wrap=True)
             return
-        found = _chosen(opened, asked, zone, limits)
+        if asked is not None and by_sql:
+            found = opened.tables() if asked == "tables" else opened.sql(asked)
+        else:
+            found = _chosen(opened, asked, zone, limits)
+    state({"count": len(found)})
     if output is not None:
-        from trainlog.catalogue import write_trips
-
-        write_trips(found, output)
-        state({"trips": len(found)})
-        console.print(counted(len(found), "trip"))
+        if by_sql:
+            with atomic_write(destination(output, ".csv")) as temporary:
+                found.to_csv(temporary, index=False)
+        else:
+            write_trips(found, output)
+        console.print(counted(len(found), "row" if by_sql else "trip"))
         wrote(output)
         return
-    from analysis.catalogue_table import trips_as_data, trips_table
-
-    shown = _first(found, most)
-    if state({"trips": trips_as_data(shown), "count": len(found)}):
-        return
-    console.print(trips_table(shown, len(found)))
-    _more(shown, found)
-
-
-def _sql(statement: str, catalogue: str | None, most: int | None, output: Path | None) -> None:
-    """Ask by a statement of SQL."""
-    from analysis.catalogue_table import found_as_data, found_table
-    from trainlog.catalogue import open_catalogue
-
-    with open_catalogue(catalogue, create=False) as opened:
-        found = opened.tables() if statement == "tables" else opened.sql(statement)
-    if output is not None:
-        destination(output, ".csv")
-        with atomic_write(output) as temporary:
-            found.to_csv(temporary, index=False)
-        state({"count": len(found)})
-        console.print(counted(len(found), "row"))
-        wrote(output)
-        return
-    shown = found if statement == "tables" else _first(found, most)
-    if state({**found_as_data(shown), "count": len(found)}):
-        return
-    console.print(found_table(shown, len(found)))
-    _more(shown, found)
-
-
-def _first(found: pd.DataFrame, most: int | None) -> pd.DataFrame:
-    """The rows that are listed."""
-    most = most or (SHOWN if console.is_terminal and not current().as_json else None)
-    return found if most is None else found.iloc[:most]
-
-
-def _more(shown: pd.DataFrame, found: pd.DataFrame) -> None:
-    """State how many rows are not listed."""
+    if most is None and console.is_terminal and not current().as_json and asked != "tables":
+        most = SHOWN
+    shown = found.iloc[:most]
+    console.print((found_table if by_sql else trips_table)(shown, len(found)))
     if len(shown) < len(found):
         console.print(f"and {len(found) - len(shown):,} more (--most lists more of them)")
 
@@ -548,22 +491,9 @@ def fleet_refresh(
     with open_catalogue(catalogue, create=False) as opened:
         found = opened.refresh(folders or ())
     refused = [each for each in found.outcomes if each.state == "refused"]
-    content = {
-        "same": found.same,
-        "vanished": found.vanished,
-        "moved": found.moved,
-        "changed": found.changed,
-        "back": found.back,
-        "refused": [{"path": each.path, "reason": each.reason} for each in refused],
-    }
-    if not state(content):
-        listed = {"vanished": found.vanished, "moved": found.moved, "changed": found.changed}
-        for what, paths in listed.items():
-            for path in paths:
-                console.print(f"  {what}: {path}", soft_wrap=True)
-        for each in refused:
-            print_error(f"{each.path}: {each.reason}")
-        console.print(found.sentence, soft_wrap=True)
+    for each in refused:
+        print_error(f"{each.path}: {each.reason}")
+    show(found)
     if found.vanished or refused:
         raise typer.Exit(1)
 
@@ -594,5 +524,5 @@ def fleet_remove(
         )
     with open_catalogue(catalogue, create=False) as opened:
         removed = opened.remove(where, vanished=vanished)
-    if not state({"removed": removed}):
-        console.print(f"{counted(removed, 'trip')} removed")
+    state({"removed": removed})
+    console.print(f"{counted(removed, 'trip')} removed")

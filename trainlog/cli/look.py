@@ -12,11 +12,13 @@ import typer
 
 from trainlog.cli.options import (
     AtOption,
-    ChosenTrips,
+    CatalogueOption,
     FromOption,
     KilometreOption,
     Logs,
     ToOption,
+    TripsOption,
+    chosen_logs,
     destination,
     logs_in,
     measured,
@@ -359,21 +361,15 @@ def report(
     logs: Annotated[
         list[Path] | None,
         typer.Option(
-            "--logs", help="Logs that a fit was made of, or their folder: shows the residuals."
+            "--logs",
+            help="Logs that a fit was made of, or their folder: shows the residuals. Or --trips.",
         ),
-        ChosenTrips,
     ] = None,
     zone: Annotated[
         str, typer.Option(help="Zone of the timetable, in which times are stated: Europe/Zurich.")
     ] = "UTC",
-    where: Annotated[
-        str | None,
-        typer.Option(
-            "--where",
-            metavar="EXPRESSION",
-            help="Of a fleet: only trips that this chooses: \"line = 'X' and weather = 'wet'\".",
-        ),
-    ] = None,
+    trips: TripsOption = None,
+    catalogue: CatalogueOption = None,
     network: Annotated[
         Path | None,
         typer.Option(
@@ -408,7 +404,7 @@ def report(
 
     Example: trainlog report catalogue --network results/fleet/network.network.json -o fleet.html
     """
-    of_fleet = {"--where": where, "--network": network, "--maps": maps, "--at": at}
+    of_fleet = {"--network": network, "--maps": maps, "--at": at}
     if "://" in results or (Path(results) / "catalogue.sqlite").is_file():
         if output is None:
             raise InputError(
@@ -416,7 +412,7 @@ def report(
                 file=results,
                 remedy="name it: -o fleet.html; 'trainlog fleet show' states what it holds",
             )
-        _fleet_report(results, output, where, network, maps, moment(at, zone))
+        _fleet_report(results, output, trips, network, maps, moment(at, zone))
         return
     for option, given in of_fleet.items():
         if given is not None:
@@ -425,7 +421,8 @@ def report(
             )
     if output is not None and not Path(results).exists():
         raise InputError("does not exist", file=results, remedy="check the path")
-    _report(Path(results), output, line, logs or [], zone)
+    chosen = [] if trips is None else chosen_logs(trips, catalogue)
+    _report(Path(results), output, line, [*(logs or ()), *chosen], zone)
 
 
 def _report(

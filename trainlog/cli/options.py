@@ -74,6 +74,14 @@ CatalogueOption = Annotated[
         help="Folder or URL of the catalogue; default: as set, else the folder catalogue.",
     ),
 ]
+TripsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--trips",
+        metavar="WHERE",
+        help="Only trips that this chooses: \"line = 'X' and weather = 'wet'\".",
+    ),
+]
 CategoryOption = Annotated[
     str | None,
     typer.Option(

@@ -97,7 +97,6 @@ DOCUMENTS = frozenset(
         ".svg",
         ".toml",
         ".webp",
-        ".xlsx",
         ".yaml",
         ".yml",
     ]
@@ -440,7 +439,7 @@ def no_recording(file: Path) -> str:
     try:
         head = head_of(file)
     except InputError as error:
-        return "" if suffix in RECORDED else error.problem
+        return "" if suffix in RECORDED else f"{error.problem}; {error.remedy}"
     name = next((item.name for item in formats().values() if item.recognises(head)), "")
     if name == "mcap" and _is_ours(file):
         return "a log of trainlog"

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from trainlog.mcap.reader import attachments_of, bare_trip, metadata_of, read_lo
 from trainlog.mcap.records import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD, Source, in_file
 from trainlog.mcap.scan import contents_used
 from trainlog.mcap.selection import position_span
-from trainlog.presentation import WordTable, new_table
+from trainlog.presentation import Presented, WordTable, new_table
 from trainlog.railway.kilometres import in_km
 from trainlog.railway.line import Line
 from trainlog.topics import EVENTS, TOPICS, TRAIN_STATE, Bounds, Field, Topic
@@ -92,8 +93,12 @@ class AttachmentDescription:
     sha256: str
 
 
-@dataclass(frozen=True, repr=False)
-class LogDescription:
+_SUFFIXES = {"rate": "_Hz", "median_interval": "_s", "largest_gap": "_s", "size": "_bytes"}
+"""Units with which keys end where numbers are data."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LogDescription(Presented):
     """What is in a log.
 
     Attributes
@@ -123,6 +128,8 @@ class LogDescription:
         Length of the messages as stored and when decompressed [bytes].
     line : Line or None
         That the log carries, as travelled: its kilometres are shown.
+    recorded : dict of str to frozenset of str, optional
+        `recorded_fields` of the log: with them the fields without any value are set apart.
     """
 
     path: Path
@@ -140,16 +147,77 @@ class LogDescription:
     stored_size: int
     content_size: int
     line: Line | None = None
+    recorded: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
-    def __repr__(self) -> str:
-        lines = [str(self.path)]
+    @property
+    def title(self) -> str:
+        """The file."""
+        return str(self.path)
+
+    def summary(self) -> dict[str, str]:
+        """Time and position, number of messages, and whether it is whole."""
+        found = {}
         if self.first is not None and self.last is not None:
-            lines.append(f"  time      {self.first:{_TIME}} to {self.last:{_TIME}} UTC")
+            found["time"] = f"{self.first:{_TIME}} to {self.last:{_TIME}} UTC"
         if self.position_span is not None:
-            lines.append(f"  position  {_stretch(*self.position_span, self.line)}")
-        lines.append(f"  messages  {self.count:,} of {counted(len(self.topics), 'topic')}")
-        lines.append(f"  state     {self.account.sentence}")
-        return "\n".join(lines)
+            found["position"] = _stretch(*self.position_span, self.line)
+        found["messages"] = f"{self.count:,} of {counted(len(self.topics), 'topic')}"
+        return found | {"state": self.account.sentence}
+
+    def facts(self) -> dict[str, Any]:
+        """All of it; of each field whether it holds a value."""
+        start, end = self.position_span or (None, None)
+        return {
+            "file": self.path,
+            "kind": "log",
+            "first": self.first,
+            "last": self.last,
+            "position_start_m": start,
+            "position_end_m": end,
+            "messages": self.count,
+            "chunks": self.chunks,
+            "size_bytes": self.size,
+            "schema_version": self.schema_version,
+            "whole": self.complete,
+            "state": self.account.sentence,
+            "problem": self.problem,
+            "topics": [
+                _data_of(each, "units", "axles", "count")
+                | {"messages": each.count, "fields": self._fields_of(each)}
+                for each in self.topics
+            ],
+            "metadata": self.metadata,
+            "provenance": [
+                json.dumps(step, ensure_ascii=False, default=str) for step in self.provenance
+            ],
+            "attachments": [_data_of(each) for each in self.attachments],
+        }
+
+    def _fields_of(self, topic: TopicDescription) -> list[dict[str, Any]]:
+        known = self.recorded.get(topic.name, ())
+        return [
+            {"name": name, "unit": unit, "axles": topic.axles.get(name), "recorded": name in known}
+            for name, unit in topic.units.items()
+        ]
+
+    def tables(self) -> list[WordTable]:
+        """The file, its topics and their fields, metadata, provenance, attachments."""
+        steps = {
+            f"{number} {step.get('step', '')}".strip(): ", ".join(
+                f"{key} {_in_words(value)}"
+                for key, value in step.items()
+                if key != "step" and _said(value)
+            )
+            for number, step in enumerate(self.provenance, start=1)
+        }
+        return [
+            _overview(self),
+            _topics(self),
+            _fields(self),
+            _pairs("metadata", self.metadata),
+            _pairs("provenance", steps),
+            _attachments(self),
+        ]
 
     @property
     def complete(self) -> bool:
@@ -170,6 +238,15 @@ class LogDescription:
     def last(self) -> pd.Timestamp | None:
         """Time of the last message of all topics."""
         return max((topic.last for topic in self.topics if topic.last), default=None)
+
+
+def _data_of(described: TopicDescription | AttachmentDescription, *without: str) -> dict[str, Any]:
+    """What is stated of a topic or an attachment, by keys that end in units."""
+    return {
+        f"{key}{_SUFFIXES.get(key, '')}": value
+        for key, value in asdict(described).items()
+        if key not in without
+    }
 
 
 def describe(path: str | Path) -> LogDescription:
@@ -497,37 +574,6 @@ _LONGEST = 400
 """Metadata values are cut to this many characters."""
 
 
-def render(
-    description: LogDescription, recorded: Mapping[str, frozenset[str]] | None = None
-) -> list[WordTable]:
-    """What is in a log, as tables.
-
-    Parameters
-    ----------
-    description : LogDescription
-    recorded : mapping of str to frozenset of str, optional
-        `recorded_fields` of the log: with them the fields without any value are set apart.
-    """
-    parts = [_overview(description), _topics(description)]
-    if any(topic.units for topic in description.topics):
-        parts.append(_fields(description, recorded or {}))
-    if description.metadata:
-        parts.append(_pairs("metadata", description.metadata))
-    if description.provenance:
-        steps = {
-            f"{number} {step.get('step', '')}".strip(): ", ".join(
-                f"{key} {_in_words(value)}"
-                for key, value in step.items()
-                if key != "step" and _said(value)
-            )
-            for number, step in enumerate(description.provenance, start=1)
-        }
-        parts.append(_pairs("provenance", steps))
-    if description.attachments:
-        parts.append(_attachments(description))
-    return parts
-
-
 def _stretch(start: float, end: float, line: Line | None = None) -> str:
     first, last = (round(float(in_km(line, each)), 3) + 0.0 for each in (start, end))  # no -0.000
     return f"km {first:.3f} to km {last:.3f}"
@@ -591,13 +637,13 @@ def _topics(description: LogDescription) -> WordTable:
     return table
 
 
-def _fields(description: LogDescription, recorded: Mapping[str, frozenset[str]]) -> WordTable:
+def _fields(description: LogDescription) -> WordTable:
     table = new_table("", "topic", "fields and units", name="fields")
     for topic in description.topics:
         if topic.units:
             # Fields of no axle hold nothing.
             held = [name for name in topic.units if topic.axles.get(name) != 0]
-            known = recorded.get(topic.name, frozenset(held))
+            known = description.recorded.get(topic.name, frozenset(held))
             fields = ", ".join(_field(topic, name) for name in held if name in known)
             empty = ", ".join(name for name in held if name not in known)
             table.add_row(_plain(topic.name), _plain(fields))
