@@ -19,7 +19,6 @@ from rich.console import Console
 
 import trainlog
 from analysis.network.export import export_network
-from analysis.network.table import network_tables
 from trainlog.errors import InputError
 from trainlog.formats.imports import import_file, networks_in
 from trainlog.formats.line import read_line
@@ -213,7 +212,7 @@ def test_what_a_network_does_not_hold_of_osrd_is_counted() -> None:
     (gradients,) = [each for each in found.assumed if each.startswith(level)]
     # The same number of kilometres as the network shows.
     on = gradients.removeprefix(f"{level}, ")
-    shown = [x for x in network_tables(found.networks[0]) if isinstance(x, str)]
+    shown = found.networks[0].notes
     assert any(each.startswith(f"gradients assumed {on}") for each in shown)
     assert any("(E32C, HLP, MA100): 3" in each for each in found.assumed)
     assert not {each.partition(":")[0] for each in found.assumed} & {
@@ -472,12 +471,11 @@ def test_a_route_of_railml_2_has_its_gradients_curves_limits_and_kilometres(
 
 def test_what_a_network_does_not_hold_of_railml_2_is_counted(tmp_path: Path) -> None:
     (network,), left_out, assumed = railml(RAILML_2, tmp_path)
-    sentences = [each for each in network_tables(network) if isinstance(each, str)]
     assert any(
         each.startswith(
             "gradients assumed on all or a part of 1 edge, 2.050 km long together: loop"
         )
-        for each in sentences
+        for each in network.notes
     )
     assert "signals: 2" in left_out
     assert "levelCrossings: 1" in left_out
@@ -665,7 +663,7 @@ def test_lines_that_do_not_meet_are_refused() -> None:
 def test_no_name_is_folded_in_the_tables_of_a_network(name: str, width: int) -> None:
     network = imported(name)
     console = Console(width=width, file=io.StringIO(), markup=False)
-    console.print(*network_tables(network))
+    console.print(*network.shown())
     printed = console.file.getvalue()  # type: ignore[attr-defined]
     rows = printed.partition("Nodes")[0].splitlines()
     assert max(map(len, rows)) <= width

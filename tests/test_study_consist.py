@@ -10,7 +10,6 @@ import pytest
 from simulated_line import level_line, steps
 
 from analysis.charts import draw_charts
-from analysis.consist_table import consist_tables
 from analysis.studies.in_train_forces import simulation as study
 from analysis.studies.in_train_forces.plot import run_charts
 from analysis.studies.in_train_forces.run import consist_trip
@@ -107,7 +106,7 @@ def test_the_report_and_the_picture_are_made(run: study.ConsistRun, tmp_path: Pa
     draw_charts(run_charts(run), tmp_path / "run.png")
     assert (tmp_path / "run.png").stat().st_size > 20_000
     with console.capture() as captured:
-        console.print(*forces_tables(run), *consist_tables(run.consist))
+        console.print(*forces_tables(run), *run.consist.shown())
     assert "largest draft" in captured.get()
     assert "2 to 3" in captured.get()
 

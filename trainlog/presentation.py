@@ -784,7 +784,7 @@ class Presented(Plotted):
         """
         import pandas as pd
 
-        frames = [each.to_frame() for each in self._named(name)]
+        frames = [each.to_frame() for each in self._tables_named(name)]
         if len(frames) == 1:
             return frames[0]
         found = pd.concat(frames, ignore_index=True)
@@ -793,12 +793,12 @@ class Presented(Plotted):
 
     def to_csv(self, path: str | Path | None = None, name: str = "") -> str:
         """One of the tables as CSV, as `to_frame` chooses it; written if a path is given."""
-        text = self._named(name)[0].to_csv()
+        text = self._tables_named(name)[0].to_csv()
         if path is not None:
             Path(path).write_text(text, encoding="utf-8")
         return text
 
-    def _named(self, name: str) -> list[WordTable]:
+    def _tables_named(self, name: str) -> list[WordTable]:
         tables = self.tables()
         numbers = [each for each in tables if not each.plain] or tables
         found = [each for each in tables if name == each.name] if name else numbers

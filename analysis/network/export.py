@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from analysis.adhesion.export import course_of, point_of, write_features
-from analysis.network.table import climbs
 from trainlog.errors import InputError
 from trainlog.railway import Line
-from trainlog.railway.network import Edge, Network, Node
+from trainlog.railway.network import Edge, Network, Node, climbs
 from trainlog.units import KMH
 from trainlog.version import __version__
 

@@ -257,14 +257,13 @@ def _join(lines: list[Path], output: Path, name: str | None) -> None:
 
 def _write_route(given: list[Path], output: Path, name: str | None) -> None:
     """Write the line of the shortest route through places of a network."""
-    from analysis.network.table import route_tables
     from trainlog.formats.line import write_line
 
     destination(output, ".json")
     if len(given) > 1:
         raise InputError("several routes are given", remedy="give --from once")
     route = _route(given[0])
-    console.print(*route_tables(route))
+    console.print(*route.shown())
     write_line(replace(route.line, name=name) if name else route.line, output)
     wrote(output)
 
@@ -396,23 +395,15 @@ def _check(logs: list[Path]) -> None:
 def _show(file: Path, every: bool) -> bool:
     """State what a file holds; whether it is a log that is damaged."""
     if "#" in file.name and not file.exists():
-        from analysis.network.table import route_tables
-
-        console.print(*route_tables(_route(file)))
+        console.print(*_route(file).shown())
         return False
     from analysis.contents import contents_of
 
     found = contents_of(file)
     if found.kind == "log":
         _show_log(file, found.value)
-    elif found.kind == "consist":
-        from analysis.consist_table import consist_tables
-
-        console.print(*consist_tables(found.value))
-    elif found.kind == "network":
-        from analysis.network.table import network_tables
-
-        console.print(*network_tables(found.value))
+    elif found.kind in ("consist", "network"):
+        console.print(*found.value.shown())
     elif found.kind == "track-condition map":
         console.print(_map_contents(file))
         if every:

@@ -9,11 +9,12 @@ are quadratic in speed, so that each is a `RunningResistance` with coefficients 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import reduce
+from itertools import groupby
 from operator import add
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,6 +33,15 @@ from trainlog.declaration import (
     check,
 )
 from trainlog.errors import InputError
+from trainlog.presentation import (
+    FORCE,
+    MASS,
+    POWER,
+    Column,
+    Quantity as Shown,
+    WordTable,
+    new_table,
+)
 from trainlog.railway.effort import EffortCurve
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Brake
@@ -201,6 +211,51 @@ class ConsistBrake(Brake):
     propagation: Annotated[float, Quantity("m/s", "m/s", must=POSITIVE)] = np.inf
 
 
+Thing = TypeVar("Thing", Vehicle, Coupler)
+
+LENGTH = Shown("m", "m")
+STIFFNESS = Shown("N_m", "MN/m", 1e-6)
+DAMPING = Shown("N_s_m", "kN s/m", 1e-3)
+SLACK = Shown("m", "mm", 1e3)
+
+
+def _runs(things: Iterable[Thing]) -> list[tuple[str, Thing]]:
+    """Each thing that differs from the one before, with the numbers of its equals."""
+    found, first = [], 1
+    for thing, group in groupby(things):
+        last = first + len(list(group)) - 1
+        found.append((f"{first}" if first == last else f"{first} to {last}", thing))
+        first = last + 1
+    return found
+
+
+VEHICLES = (
+    Column("number", of=lambda row: row[0]),
+    Column("vehicle", of=lambda row: row[1].name),
+    Column("mass", MASS, of=lambda row: row[1].mass),
+    Column("length", LENGTH, of=lambda row: row[1].length),
+    Column("traction", FORCE, of=lambda row: row[1].max_tractive_effort or None),
+    Column(
+        "power",
+        POWER,
+        of=lambda row: row[1].max_traction_power if row[1].max_tractive_effort else None,
+    ),
+    Column("braking", FORCE, of=lambda row: row[1].max_braking_effort or None),
+)
+"""Of the table of vehicles, by their numbers."""
+
+COUPLERS = (
+    Column("number", of=lambda row: row[0]),
+    Column("draft", STIFFNESS, of=lambda row: row[1].draft[0]),
+    Column("1/m²", key="draft_progressive_per_m2", of=lambda row: row[1].draft[1]),
+    Column("buff", STIFFNESS, of=lambda row: row[1].buff[0]),
+    Column("1/m²", key="buff_progressive_per_m2", of=lambda row: row[1].buff[1]),
+    Column("damping", DAMPING, of=lambda row: row[1].damping),
+    Column("slack", SLACK, of=lambda row: row[1].slack),
+)
+"""Of the table of couplers."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Consist(Declared):
     """Vehicles from the front to the rear, and the couplers between them.
@@ -250,12 +305,30 @@ class Consist(Declared):
     def summary(self) -> dict[str, str]:
         """Vehicles, and what they have together."""
         counts = Counter(vehicle.name for vehicle in self.vehicles)
+        vehicles = ", ".join(f"{count} x {name}" for name, count in counts.items())
+        rotating = sum(vehicle.rotating_mass for vehicle in self.vehicles)
+        brake, at = self.brake, self.resistance(np.array([50.0, 100.0]) / KMH) / 1e3
         return {
-            "vehicles": ", ".join(f"{count} x {name}" for name, count in counts.items()),
-            "mass": f"{self.mass / 1e3:.1f} t on {self.length:.1f} m",
+            "vehicles": f"{vehicles}; {self.length:.1f} m over couplers",
+            "mass": f"{self.mass / 1e3:.1f} t, rotating part {rotating / 1e3:.1f} t",
             "efforts": f"{self.max_tractive_effort / 1e3:.0f} kN tractive,"
             f" {self.max_braking_effort / 1e3:.0f} kN braking",
+            "brake": f"dead time {brake.dead_time:g} s at the front and"
+            f" {self.dead_times.max():.3g} s at the rear, lag {brake.lag:g} s",
+            "resistance": f"{at[0]:.1f} kN at 50 km/h, {at[1]:.1f} kN at 100 km/h",
         }
+
+    def tables(self) -> list[WordTable]:
+        """What it is, its vehicles and its couplers; equal ones together."""
+        vehicles = new_table("Vehicles", *VEHICLES, name="vehicles").add_rows(_runs(self.vehicles))
+        couplers = new_table("Couplers", *COUPLERS, name="couplers").add_rows(_runs(self.couplers))
+        return [*super().tables(), vehicles, couplers]
+
+    @property
+    def notes(self) -> list[str]:
+        """Source, and what is assumed."""
+        source = [f"source: {self.source}"] if self.source else []
+        return [*source, *(f"assumed: {each}" for each in self.assumed)]
 
     @property
     def mass(self) -> float:

@@ -16,13 +16,24 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 import numpy as np
 
 from trainlog.declaration import Declared, Quantity, Table, Text
-from trainlog.display import as_text, counted
+from trainlog.display import counted, span
 from trainlog.errors import InputError, similar
 from trainlog.extras import require
+from trainlog.presentation import (
+    POSITION,
+    SPEED,
+    Column,
+    Presented,
+    Quantity as Shown,
+    Said,
+    WordTable,
+    new_table,
+)
 from trainlog.railway.composition import composed
 from trainlog.railway.kilometres import position_of
 from trainlog.railway.line import Leg as Leg, Line, Station, route_words
 from trainlog.railway.line_parts import TINY
+from trainlog.units import KMH
 
 if TYPE_CHECKING:
     from networkx import DiGraph
@@ -109,6 +120,60 @@ class Place:
     edge: str = ""
     position: float = 0.0
     station: bool = True
+
+
+def climbs(line: Line) -> tuple[float, float]:
+    """How far a line rises and falls altogether [m], both positive.
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> rise, fall = climbs(read_line("sample_logs/CH_StGallen_Wil.line.json"))
+    >>> round(rise, 1), round(fall, 1)
+    (40.2, 144.5)
+    """
+    edges = np.append(line.gradients.positions, line.length)
+    steps = line.gradients.values * np.diff(edges)
+    return float(steps[steps > 0.0].sum()), float(np.abs(steps[steps < 0.0]).sum())
+
+
+def _limits(line: Line) -> Said:
+    """The lowest limit of both directions, shown with the highest."""
+    values = np.concatenate([line.speed_limits.values, line.limits_against.values])
+    low, high = float(values.min()), float(values.max())
+    one = f"{low * KMH:.0f}"
+    return Said(low, one if low == high else f"{one} to {high * KMH:.0f}")
+
+
+def _least_radius(line: Line) -> float:
+    if line.curvatures is None:
+        return np.nan
+    sharpest = float(max(np.abs(line.curvatures.start).max(), np.abs(line.curvatures.end).max()))
+    return 1.0 / sharpest if sharpest > 0.0 else np.nan
+
+
+def _names(edges: list[Edge]) -> str:
+    return ", ".join(edge.name for edge in edges)
+
+
+HEIGHT = Shown("m", "m")
+
+EDGES = (
+    Column("edge", of="name"),
+    Column("from", of="start"),
+    Column("to", of="end"),
+    Column("length", POSITION, of=lambda edge: edge.line.length),
+    Column("rise", HEIGHT, of=lambda edge: climbs(edge.line)[0]),
+    Column("fall", HEIGHT, of=lambda edge: climbs(edge.line)[1]),
+    Column("limits", SPEED, key="lowest_limit", of=lambda edge: _limits(edge.line)),
+    Column(
+        "radius",
+        Shown("m", "m", 1.0, 0),
+        key="least_radius",
+        of=lambda edge: _least_radius(edge.line),
+    ),
+)
+"""Of the table of a network's edges."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -278,7 +343,13 @@ class Network(Declared):
                 remedy="join them by an edge, or make a network of their own",
             )
 
-    def __repr__(self) -> str:
+    @property
+    def title(self) -> str:
+        """Its name and length."""
+        return f"Network '{self.name}', {self.length / 1e3:.1f} km"
+
+    def summary(self) -> dict[str, str]:
+        """Stations, nodes, edges and turns."""
         stations = sum(any(each.station for each in points) for points in self.places.values())
         junctions = sum(node.kind == "junction" for node in self.nodes)
         rows = {
@@ -289,7 +360,52 @@ class Network(Declared):
         }
         if self.turns:
             rows["turns"] = f"restricted at {counted(len(self.turns), 'node')}"
-        return as_text(f"Network '{self.name}', {self.length / 1e3:.1f} km", rows)
+        return rows
+
+    def tables(self) -> list[WordTable]:
+        """Edges, stations and nodes."""
+        stations = [(each, edge) for edge in self.edges for each in edge.line.stations]
+        return [
+            new_table(
+                f"Edges of {self.name}: {len(self.edges)}, {self.length / 1e3:.3f} km",
+                *EDGES,
+                name="edges",
+            ).add_rows(self.edges),
+            new_table(
+                "Stations",
+                Column("station", of=lambda row: row[0].name),
+                Column("edge", of=lambda row: row[1].name),
+                Column("at", POSITION, of=lambda row: row[0].position),
+                name="stations",
+            ).add_rows(stations),
+            new_table(
+                "Nodes",
+                Column("node", of="name"),
+                Column("kind"),
+                Column("edges", of=lambda node: _names(self._at(node))),
+                Column("turns", of=self._turns_words),
+                name="nodes",
+            ).add_rows(self.nodes),
+        ]
+
+    def _at(self, node: Node) -> list[Edge]:
+        return [edge for edge in self.edges if node.name in (edge.start, edge.end)]
+
+    def _turns_words(self, node: Node) -> str:
+        turns = self.turns.get(node.name)
+        if turns is None:
+            return "all" if len(self._at(node)) > 1 else ""
+        return ", ".join(f"{a} and {b}" for a, b in turns)
+
+    @property
+    def notes(self) -> list[str]:
+        """Source, what is assumed, and edges without coordinates."""
+        found = [self.source] if self.source else []
+        for name, edges in self.assumed.items():
+            which = "all edges" if len(edges) == len(self.edges) else _names(edges)
+            found.append(f"{name.replace('_', ' ')} assumed {assumed_on(edges)}: {which}")
+        drawn = [edge for edge in self.edges if edge.line.geometry is None]
+        return [*found, f"without coordinates: {_names(drawn)}"] if drawn else found
 
     @property
     def length(self) -> float:
@@ -510,8 +626,18 @@ class Network(Declared):
         return node or (near[0] if near else f"{name}@{km:.3f}")
 
 
-@dataclass(frozen=True, repr=False)
-class Route:
+LEGS = (
+    Column("edge"),
+    Column("from", POSITION, key="position"),
+    Column("length", POSITION),
+    Column("on the edge from", POSITION, key="edge_start"),
+    Column("to", POSITION, key="edge_end"),
+    Column("direction", of=lambda leg: "along its chainage" if leg.forward else "against it"),
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Route(Presented):
     """A way of a train through a network.
 
     Attributes
@@ -546,9 +672,38 @@ class Route:
         """[m]."""
         return self.legs[-1].end
 
-    def __repr__(self) -> str:
-        title = f"Route '{self.name}', {self.length / 1e3:.3f} km"
-        return as_text(title, {"edges": route_words(self.legs)})
+    @property
+    def title(self) -> str:
+        """Its name and length."""
+        return f"Route '{self.name}', {self.length / 1e3:.3f} km"
+
+    def summary(self) -> dict[str, str]:
+        """Its edges."""
+        return {"edges": route_words(self.legs)}
+
+    def tables(self) -> list[WordTable]:
+        """Legs and stations."""
+        at = (Column("station", of="name"), Column("at", POSITION, of="position"))
+        return [
+            new_table(f"Legs of {self.name}", *LEGS, name="legs").add_rows(self.legs),
+            new_table("Stations", *at, name="stations").add_rows(self.line.stations),
+        ]
+
+    @property
+    def sentence(self) -> str:
+        """Its length, climbs and limits."""
+        line, (rise, fall) = self.line, climbs(self.line)
+        return (
+            f"{line.length / 1e3:.3f} km over {counted(len(self.legs), 'edge')}, rising"
+            f" {rise:.1f} m and falling {fall:.1f} m, limits {span(line.speed_limits.values, KMH)}"
+            " km/h"
+        )
+
+    @property
+    def notes(self) -> list[str]:
+        """What of its line is assumed."""
+        assumed = ", ".join(name.replace("_", " ") for name in self.line.assumed)
+        return [f"assumed on a part of it: {assumed}"] if assumed else []
 
     def reversed(self) -> Route:
         """The same way travelled from its end to its start."""
