@@ -126,11 +126,11 @@ class Band:
 
 @dataclass(frozen=True)
 class Ends:
-    """A number with the ends of its 95 % band, all in SI units."""
+    """A number with the ends of its 95 % band, all in SI units; NaN where there is no band."""
 
     value: float
-    low: float
-    high: float
+    low: float = math.nan
+    high: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -227,7 +227,7 @@ class Column:
             value, low, high = (
                 self.quantity.words(each, unit=False) for each in (cell.value, cell.low, cell.high)
             )
-            return f"{value} ({low} to {high}){unit}"
+            return f"{value}{unit}" if math.isnan(cell.low) else f"{value} ({low} to {high}){unit}"
         return self.quantity.words(cell, unit=self.each) if math.isfinite(cell) else "-"
 
     def data(self, cell: Cell) -> dict[str, Any]:

@@ -16,6 +16,9 @@ from analysis.verification.forecasts import map_forecast, reach, rolling_forecas
 from analysis.verification.passages import NOON, Demand, Passages, passages_of, time_of
 from analysis.verification.verify import (
     FEWEST_DAYS,
+    FIGURES,
+    FORECASTS,
+    USUAL_ALARM,
     Forecaster,
     History,
     Verification,
@@ -26,7 +29,7 @@ from trainlog.errors import MOST_LISTED, InputError, TrainlogError
 from trainlog.formats.files import sha256_of
 from trainlog.identity import Known, same_drives
 from trainlog.mcap import read_log
-from trainlog.presentation import Presented, WordTable
+from trainlog.presentation import Presented, WordTable, new_table
 from trainlog.railway.condition import AdhesionEstimate, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence, day_of
 from trainlog.railway.forecast import AdhesionForecast
@@ -63,6 +66,16 @@ def _named(trips: Sequence[str]) -> str:
     more = f" and {len(trips) - MOST_NAMED} more" if len(trips) > MOST_NAMED else ""
     first = ", ".join(f"'{each}'" for each in trips[:MOST_NAMED])
     return f"{counted(len(trips), 'trip')} ({first}{more})"
+
+
+OF_EDGES = (
+    "onsets",
+    *(f"log_score_onsets_gain_over_{each}" for each in FORECASTS[1:]),
+    "crps_forecast",
+    "maxima_in_band",
+    "onsets_in_band",
+)
+"""Figures that are stated of each edge."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -109,9 +122,20 @@ class Score(Presented):
 
     def tables(self) -> list[WordTable]:
         """Scores by rail condition with their 95 % bands, reliability, alarms, and edges."""
-        from analysis.verification.table import score_tables
-
-        return score_tables(self)
+        names = [name for name in self.layers if name != "all"]
+        shown = names if len(names) == 1 else [*names, "all"]
+        title = f"Score of {self.name} on {self.line} (95 % band by day)"
+        table = new_table(title, f"alarm at {USUAL_ALARM:.0%}", *shown, name="score")
+        for row in FIGURES:
+            table.add_row(row.heading, *(row.words(row.cell(self.layers[each])) for each in shown))
+        found = [table, *self.layers["all"].tables()]
+        if self.edges:
+            columns = (each for each in FIGURES if each.key in OF_EDGES)
+            edges = new_table("By edge (95 % band by day)", "edge", *columns, name="edges")
+            for name, each in self.edges.items():
+                edges.add_cells(name, *(column.cell(each) for column in edges.forms[1:]))
+            found.append(edges)
+        return found
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -132,10 +156,15 @@ class Score(Presented):
 
     def facts(self) -> dict[str, Any]:
         """All figures."""
+        every = {
+            layer: {table.name: table.data for table in each.tables()}
+            for layer, each in self.layers.items()
+        }
         return {
             "line": self.line,
             "scored": self.name,
             "layers": {name: each.details() for name, each in self.layers.items()},
+            **{name: {each: rows[name] for each, rows in every.items()} for name in every["all"]},
             "edges": [{"edge": name} | each.details() for name, each in self.edges.items()],
             "left_out": [f"trip '{each.trip}': {each.reason}" for each in self.left_out],
             "refused": list(self.refused),

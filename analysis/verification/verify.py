@@ -6,8 +6,8 @@ Every figure is made of sums by day, so that a bootstrap by day needs no second 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,6 +30,17 @@ from analysis.verification.scores import (
 )
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
+from trainlog.presentation import (
+    ADHESION,
+    NUMBER,
+    PLAIN,
+    SHARE,
+    Column,
+    Ends,
+    Quantity,
+    WordTable,
+    new_table,
+)
 from trainlog.railway.condition import AdhesionEstimate, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 
@@ -61,33 +72,24 @@ BAND = (0.025, 0.975)
 _KNOWN, _UNKNOWN = 0, 1
 
 
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """A figure with its 95 % band from the bootstrap by day; NaN where it cannot be stated."""
-
-    value: float
-    low: float = float("nan")
-    high: float = float("nan")
-
-
 class Alarm(NamedTuple):
     """What alarms bring that are given wherever slip is at least so probable.
 
     Attributes
     ----------
     probability : float
-    foreseen : Figure
+    foreseen : Ends
         Share of all slips; those where the forecast is unknown count as not foreseen.
-    foreseen_known : Figure
+    foreseen_known : Ends
         Share of the slips where the forecast is known.
-    false_alarms : Figure
+    false_alarms : Ends
         Per train-km on which the forecast is known, and with it the probability of slip.
     """
 
     probability: float
-    foreseen: Figure
-    foreseen_known: Figure
-    false_alarms: Figure
+    foreseen: Ends
+    foreseen_known: Ends
+    false_alarms: Ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,13 +165,13 @@ class Verification:
     def _sum(self, by_day: FloatArray) -> FloatArray:
         return np.asarray(np.tensordot(self._weights, by_day, axes=1))
 
-    def _figure(self, drawn: FloatArray) -> Figure:
+    def _figure(self, drawn: FloatArray) -> Ends:
         value = float(drawn[0])
         others = drawn[1:][np.isfinite(drawn[1:])]
         if others.size < 0.9 * DRAWS or not np.isfinite(value):
-            return Figure(value)
+            return Ends(value)
         low, high = np.quantile(others, BAND)
-        return Figure(value, float(low), float(high))
+        return Ends(value, float(low), float(high))
 
     @property
     def onsets(self) -> int:
@@ -211,7 +213,7 @@ class Verification:
         """Of these, where the probability of slip was scored: an alarm could have been given."""
         return float(self.brier["forecast"][:, 0].sum()) * self.bin_length / 1e3
 
-    def log_score(self, what: str = "onsets", over: str | None = None) -> Figure:
+    def log_score(self, what: str = "onsets", over: str | None = None) -> Ends:
         """Mean log score [nat]: of onsets, of used adhesion, or of all; or its gain over another.
 
         Parameters
@@ -226,19 +228,19 @@ class Verification:
         total = self._sum(sum(one[:, each] for each in columns))  # type: ignore[arg-type]
         return self._figure(_ratio(total, self._sum(_columns(self.counts[:, _KNOWN], columns))))
 
-    def crps(self, name: str = "forecast") -> Figure:
+    def crps(self, name: str = "forecast") -> Ends:
         """Mean CRPS of the onsets, in log adhesion."""
         return self._figure(
             _ratio(self._sum(self.scores[name][:, 2]), self._sum(self.counts[:, _KNOWN, 0]))
         )
 
     @property
-    def onsets_in_band(self) -> Figure:
+    def onsets_in_band(self) -> Ends:
         """Share of measured onsets in the 95 % band of their forecasts."""
         return self._figure(_ratio(self._sum(self.inside), self._sum(self.counts[:, _KNOWN, 0])))
 
     @property
-    def coverage(self) -> Figure:
+    def coverage(self) -> Ends:
         """Share of maxima in the 95 % band: that of onsets, allowing for trips that asked for less.
 
         NaN where no trip asked for enough to know the upper end.
@@ -252,7 +254,7 @@ class Verification:
 
     def reliability(
         self, quantiles: Sequence[float] = (0.025, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.975)
-    ) -> list[tuple[float, Figure, int]]:
+    ) -> list[tuple[float, Ends, int]]:
         """Of each quantile forecast: share of maxima below, and trips that asked for as much."""
         _, trips = observed_shares(self.pit.sum(axis=0))
         return [
@@ -264,11 +266,11 @@ class Verification:
         """Of the probability of slip; arrays: all days first, then the draws of the bootstrap."""
         return brier_score(self._sum(self.brier[name]))
 
-    def brier_figure(self, part: str, name: str = "forecast") -> Figure:
+    def brier_figure(self, part: str, name: str = "forecast") -> Ends:
         """One part of `brier_score`, or ``"skill"``."""
         return self._figure(np.asarray(getattr(self.brier_score(name), part)))
 
-    def brier_gain(self, over: str) -> Figure:
+    def brier_gain(self, over: str) -> Ends:
         """Skill of the Brier score over another forecast's: 1 at best, 0: no better."""
         own, other = self.brier_score().score, self.brier_score(over).score
         return self._figure(1.0 - _ratio(own, other))
@@ -302,60 +304,111 @@ class Verification:
         return next(each for each in self.alarm_curve() if each.probability == level)
 
     def details(self) -> dict[str, Any]:
-        """All figures, as JSON has them; None where one cannot be stated."""
-        brier = {
-            part: _plain(self.brier_figure(part))
-            for part in ("score", "reliability", "resolution", "uncertainty", "within", "skill")
-        }
-        return {
-            "days": int(self.days.size),
-            "days_known": self.known_days,
-            "train_km": self.train_km,
-            "train_km_known": self.known_train_km,
-            "train_km_of_alarms": self.alarm_train_km,
-            "onsets": {"known": self.onsets, "unknown": self.unknown_onsets},
-            "used": {"known": self.used, "unknown": self.unknown_used},
-            "no_demand": int(self.no_demand.sum()),
-            "log_score": {
-                what: {
-                    "score": _plain(self.log_score(what)),
-                    **{
-                        f"gain_over_{other}": _plain(self.log_score(what, over=other))
-                        for other in FORECASTS[1:]
-                    },
-                }
-                for what in ("onsets", "used", "all")
-            },
-            "crps": {name: _plain(self.crps(name)) for name in FORECASTS},
-            "coverage_of_95_percent": {
-                "maxima": _plain(self.coverage),
-                "onsets": _plain(self.onsets_in_band),
-            },
-            "reliability": [
-                {"quantile": each, "observed": _plain(share), "trips": trips}
-                for each, share, trips in self.reliability()
-            ],
-            "brier": brier
-            | {f"skill_over_{other}": _plain(self.brier_gain(other)) for other in FORECASTS[1:]},
-            "slip_classes": [
-                {"forecast": forecast, "observed": share, "passages": trips, "slips": slips}
-                for forecast, share, trips, slips in self.classes()
-            ],
-            "alarms": [
-                {
-                    "probability": each.probability,
-                    "slips_foreseen": _plain(each.foreseen),
-                    "slips_foreseen_where_known": _plain(each.foreseen_known),
-                    "false_alarms_per_known_train_km": _plain(each.false_alarms),
-                }
-                for each in self.alarm_curve()
-            ],
-        }
+        """All figures, as JSON has them, by the keys of `FIGURES`."""
+        return {key: value for each in FIGURES for key, value in each.data(each.cell(self)).items()}
+
+    def tables(self) -> list[WordTable]:
+        """Reliability, alarms by their threshold, and slips by the classes of their forecasts."""
+        below = "Reliability: share of maxima below a quantile of their forecast"
+        least = "Alarm where the probability of slip is at least"
+        return [
+            new_table(below, *RELIABILITY, name="reliability").add_rows(self.reliability()),
+            new_table(least, *ALARM, name="alarms").add_rows(self.alarm_curve()),
+            new_table(
+                "Slips by class of forecast", *SLIP_CLASSES, name="slip_classes", usual=False
+            ).add_rows(self.classes()),
+        ]
 
 
-def _plain(figure: Figure) -> dict[str, float | None]:
-    parts = {"value": figure.value, "low": figure.low, "high": figure.high}
-    return {name: float(each) if np.isfinite(each) else None for name, each in parts.items()}
+def _log_scores(what: str) -> list[Column]:
+    key = f"log_score_{what}"
+    return [
+        Column(f"log score, {what}", NAT, key, of=partial(Verification.log_score, what=what)),
+        *(
+            Column(
+                f"  gain over {over}",
+                NAT,
+                f"{key}_gain_over_{over}",
+                of=partial(Verification.log_score, what=what, over=over),
+            )
+            for over in FORECASTS[1:]
+        ),
+    ]
+
+
+def _of_alarm(found: Verification, name: str) -> Ends:
+    of: Ends = getattr(found.alarm(), name)
+    return of
+
+
+NAT = Quantity("", "nat", 1.0, 3)
+FINE = Quantity("", "", 1.0, 4)
+
+ALARM = (
+    Column("probability", ADHESION),
+    Column("slips foreseen", SHARE, "foreseen"),
+    Column("  of those where known", SHARE, "foreseen_known"),
+    Column("false alarms per known train-km", ADHESION, "false_alarms"),
+)
+
+FIGURES = (
+    Column("days", NUMBER, of=lambda v: v.days.size),
+    Column("  on which the forecast is known", NUMBER, "days_known", of="known_days"),
+    Column("train-km", NUMBER, "train_km"),
+    Column("  where the forecast is known", PLAIN, "train_km_known", of="known_train_km"),
+    Column("  where alarms are possible", PLAIN, "train_km_of_alarms", of="alarm_train_km"),
+    Column("onsets of slip scored", NUMBER, "onsets"),
+    Column("  where the forecast is unknown", NUMBER, "unknown_onsets"),
+    Column("passages without slip scored", NUMBER, "used"),
+    Column("  where the forecast is unknown", NUMBER, "unknown_used"),
+    Column("  whose demand is unknown", NUMBER, "no_demand", of=lambda v: int(v.no_demand.sum())),
+    *_log_scores("onsets"),
+    *_log_scores("used"),
+    *_log_scores("all"),
+    *(
+        Column(
+            f"CRPS of {each}, log adhesion",
+            ADHESION,
+            f"crps_{each}",
+            of=partial(Verification.crps, name=each),
+        )
+        for each in FORECASTS
+    ),
+    Column("maxima in the 95 % band", SHARE, "maxima_in_band", of="coverage"),
+    Column("measured onsets in it", SHARE, "onsets_in_band"),
+    *(
+        Column(
+            f"Brier score: {each}",
+            FINE,
+            f"brier_{each}",
+            of=partial(Verification.brier_figure, part=each),
+        )
+        for each in ("score", "reliability", "resolution", "uncertainty", "within", "skill")
+    ),
+    *(
+        Column(
+            f"  skill over {each}",
+            FINE,
+            f"brier_skill_over_{each}",
+            of=partial(Verification.brier_gain, over=each),
+        )
+        for each in FORECASTS[1:]
+    ),
+    *(replace(each, of=partial(_of_alarm, name=each.name)) for each in ALARM[1:]),
+)
+"""Of a forecast: what is stated in tables and in JSON."""
+
+RELIABILITY = (
+    Column("quantile", SHARE, of=lambda row: row[0]),
+    Column("observed", SHARE, of=lambda row: row[1]),
+    Column("trips", NUMBER, of=lambda row: row[2]),
+)
+SLIP_CLASSES = (
+    Column("forecast", SHARE, of=lambda row: row[0]),
+    Column("observed", SHARE, of=lambda row: row[1]),
+    Column("passages", NUMBER, of=lambda row: row[2]),
+    Column("slips", NUMBER, of=lambda row: row[3]),
+)
 
 
 def _columns(values: FloatArray, columns: Iterable[int]) -> FloatArray:

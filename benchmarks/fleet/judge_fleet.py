@@ -49,8 +49,7 @@ from analysis.verification.forecasts import rolling_forecast
 from analysis.verification.passages import time_of
 from analysis.verification.references import climatology, persistence, place_alone
 from analysis.verification.scores import crps, day_weights
-from analysis.verification.table import ROWS
-from analysis.verification.verify import BAND, DRAWS, FORECASTS, Forecaster
+from analysis.verification.verify import BAND, DRAWS, FIGURES, FORECASTS, Forecaster
 from trainlog.catalogue import Catalogue, open_catalogue
 from trainlog.cli.terminal import console
 from trainlog.formats.summaries import covariances_of, parameters_of
@@ -65,7 +64,7 @@ from trainlog.units import DAY, KMH
 
 SPEEDS = np.array([20.0, 60.0, 100.0, 140.0]) / KMH
 MOST_REASONS = 4
-SHOWN = tuple(number for number, (title, _) in enumerate(ROWS) if "Brier" not in title)
+SHOWN = tuple(each for each in FIGURES if "brier" not in each.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -511,8 +510,8 @@ def judge_forecast(given: Judged) -> None:
         f" {time.process_time() - begun:.0f} s of processor time)",
         ("", *names, "all"),
         [
-            (ROWS[n][0], *(ROWS[n][1](whole.layers[name]) for name in (*names, "all")))
-            for n in SHOWN
+            (row.heading, *(row.words(row.cell(whole.layers[name])) for name in (*names, "all")))
+            for row in SHOWN
         ],
     )
     gains = [

@@ -30,8 +30,7 @@ from analysis.charts import draw
 from analysis.verification.forecasts import before
 from analysis.verification.passages import Demand, passages_of
 from analysis.verification.scoring import Score
-from analysis.verification.table import ROWS
-from analysis.verification.verify import Forecaster, Verification, verify
+from analysis.verification.verify import FIGURES, Forecaster, Verification, verify
 from trainlog.cli.terminal import console
 from trainlog.presentation import new_table
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, TrackConditionMap
@@ -126,8 +125,8 @@ def report(month: Month, every: int, picture: Path | None) -> None:
     found = scored(track, every)
     title = f"{month.line.name}: {len(month.drives)} trips in {month.rail.days} days"
     table = new_table(title, "", *found)
-    for words, figure in ROWS:
-        table.add_row(words, *(figure(each) for each in found.values()))
+    for row in FIGURES:
+        table.add_row(row.heading, *(row.words(row.cell(each)) for each in found.values()))
     console.print(table)
     whole = found["the map, all it knows"]
     share = whole.unknown_onsets / max(whole.onsets + whole.unknown_onsets, 1)
