@@ -18,7 +18,6 @@ from command import run
 
 from analysis.fleet.analyses import ANALYSES
 from analysis.fleet.diff import FleetDiff, Results, compared
-from analysis.fleet.diff_table import details, sentence, tables
 from analysis.fleet.maps import evidence_of_row
 from analysis.fleet.trips import fleet_trips
 from analysis.fleet.versions import Version, parameters_of
@@ -75,7 +74,7 @@ def test_where_nothing_changed_everything_is_the_same_to_the_byte() -> None:
     assert found.same
     assert not found.beyond
     assert found.trip_counts["same"].tolist() == [200]
-    assert sentence(found) == "every result of 200 trips is the same to the byte"
+    assert found.sentence == "every result of 200 trips is the same to the byte."
 
 
 @pytest.mark.parametrize(
@@ -117,7 +116,7 @@ def test_a_shift_too_small_for_any_trip_is_found_in_the_mean_of_its_train_alone(
     assert shift == pytest.approx(
         float(0.7 * (weight * own["mass_std"]).sum() / weight.sum()), abs=4 * std
     )
-    assert "unit-3" in [row["name"] for row in details(found)["means"]]
+    assert "unit-3" in [row["name"] for row in found.facts()["means"]]
 
 
 def test_differences_that_scatter_around_zero_are_rarely_called_systematic() -> None:
@@ -191,7 +190,7 @@ def test_a_place_of_the_map_that_moved_is_named(adhesion: pd.DataFrame) -> None:
     assert places["to_km"].max() < 22.0
     assert (places["second"] > 1.2 * places["first"]).all()
     assert "Places of the track-condition map" in " ".join(
-        str(each.title) for each in tables(found)
+        str(each.title) for each in found.tables()
     )
 
 
@@ -213,7 +212,7 @@ def test_a_count_moves_beyond_its_band_by_more_than_its_chance() -> None:
     assert sorted(moved.index) == ["trip-1", "trip-3", "trip-5"]
     assert moved.loc["trip-5", "bands"] == pytest.approx(20 / (1.96 * 10))
     assert not moved["banded"].any()
-    assert "figures without a band" in sentence(found)
+    assert "figures without a band" in found.sentence
 
 
 def test_a_correlation_of_residuals_moves_by_more_than_its_chance() -> None:
@@ -252,7 +251,7 @@ def test_what_parameters_change_by_definition_is_not_compared() -> None:
     found = difference(one, finer, "adhesion")
     assert found.by_definition == ("number of bins",)
     assert not found.beyond
-    assert "not compared, as the parameters change it: number of bins" in sentence(found)
+    assert "not compared, as the parameters change it: number of bins" in found.sentence
     # Of the same bins their number is compared, and so is the adhesion of the onsets.
     assert (
         difference(one, finer.assign(bin_length=25.0), "adhesion")

@@ -8,8 +8,10 @@ together, against the scatter of the differences (is it systematic?).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,20 +33,110 @@ from analysis.fleet.diff_judgement import (
     CLASSES,
     MEANS,
     MOVED,
+    RATE,
+    REACH,
+    WITHOUT_BAND,
     classes_of,
     judged,
     mean_shifts,
     moved_rows,
 )
 from analysis.fleet.diff_map import PLACES, moved_places
+from analysis.fleet.update import EVIDENCE
 from analysis.fleet.versions import Version, ensure_results, opened_version
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError
-from trainlog.presentation import Presented, WordTable
+from trainlog.presentation import (
+    NUMBER,
+    Column,
+    Presented,
+    Quantity,
+    WordTable,
+    new_table,
+    with_band,
+)
+from trainlog.units import JOULES_PER_KWH
 
 if TYPE_CHECKING:
     from trainlog.catalogue import Catalogue
+
+
+MOST = 20
+"""Rows of a table that lists single trips."""
+
+JUDGED = (
+    f"What states no band of its own has one in its place: a count of n that of chance, {REACH}"
+    f" times the root of n (at least of 1); another figure {WITHOUT_BAND:.0%} of its value, or of"
+    " its root mean square over all trips where that is more."
+)
+"""What stands in place of a band."""
+
+
+_BANDS = Quantity("", "", 1.0, 2)
+
+COUNTS = tuple(
+    Column(heading, NUMBER, key)
+    for key, heading in zip(
+        CLASSES,
+        ("same to the bit", "within rounding", "within the band", "beyond the band"),
+        strict=True,
+    )
+)
+_ANALYSIS, _ESTIMATE, _TRIP = Column("analysis"), Column("estimate"), Column("trip")
+_TRAIN = Column("train", of=lambda row: row["train"] or "")
+_APART = Column(
+    "difference over its band",
+    _BANDS,
+    "bands",
+    of=lambda row: row["bands"] if math.isfinite(row["bands"]) else "one side alone",
+)
+
+
+def _sides(words: Callable[..., str]) -> list[Column]:
+    return [Column(f"{n} side", of=partial(words, name=n)) for n in ("first", "second")]
+
+
+ESTIMATE_COLUMNS = (
+    _ANALYSIS, _ESTIMATE, Column("values", NUMBER, of="rows"), *COUNTS,
+    Column("bands, second over first", _BANDS, "band_ratio"),
+)  # fmt: skip
+MEAN_COLUMNS = (
+    Column("of", of=lambda row: f"{row['of']} {row['name']}".removesuffix(" all")),
+    _ANALYSIS, _ESTIMATE, Column("trips", NUMBER),
+    Column("first side", of=lambda row: _number(row, "value", row["value_std"])),
+    Column("shift on the same trips", of=lambda row: _number(row, "shift", row["shift_std"], "+")),
+    Column("shift over its band", _BANDS, "bands", of=lambda row: min(row["bands"], 1e6)),
+    Column("beyond the band", of=lambda row: "yes" if row["beyond"] else "no"),
+)  # fmt: skip
+MOVED_COLUMNS = (
+    _TRIP, _TRAIN, Column("place", of=lambda row: row["place"] or ""), _ANALYSIS, _ESTIMATE,
+    *_sides(lambda row, name: _number(row, name, row["std"])), _APART,
+)  # fmt: skip
+VERDICT_COLUMNS = (_TRIP, _TRAIN, _ANALYSIS, *_sides(lambda row, name: row[name] or ""))
+PLACE_COLUMNS = (
+    Column("line or edge", of="place"), Column("rail", of="layer"),
+    Column("from, km", of=lambda row: f"{row['from_km']:.3f}"),
+    Column("to, km", of=lambda row: f"{row['to_km']:.3f}"),
+    *_sides(lambda row, name: "not observed" if math.isnan(row[name]) else f"{row[name]:.3f}"),
+    _APART,
+)  # fmt: skip
+WORD_COLUMNS = (
+    _TRIP, _ANALYSIS, Column("text", of="estimate"), *_sides(lambda row, name: str(row[name])),
+)  # fmt: skip
+
+
+def _number(row: Mapping[str, Any], name: str, std: float, plus: str = "") -> str:
+    """A number with its band where it has one; large and small ones in six digits."""
+    value, unit = row[name], f" {row['unit']}" if row["unit"] else ""
+    if math.isnan(value):
+        return "-"
+    if unit == " J":
+        value, std, unit = value / JOULES_PER_KWH, std / JOULES_PER_KWH, " kWh"
+    plus = plus if value > 0.0 else ""
+    if not math.isfinite(std) or std <= 0.0 or abs(value) > 1e9:
+        return f"{plus}{value:.6g}{unit}"
+    return plus + with_band(value, std, unit)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -120,22 +212,103 @@ class FleetDiff(Presented):
 
     def facts(self) -> dict[str, Any]:
         """All of it; of single trips as many as the tables list."""
-        from analysis.fleet.diff_table import details
+        return {
+            "first": str(self.first),
+            "second": str(self.second),
+            "trips": self.trips,
+            "same": self.same,
+            "beyond": self.beyond,
+            "analyses": self.trip_counts.to_dict("records"),
+            "estimates": self.estimates.to_dict("records"),
+            "means": self.systematic.to_dict("records"),
+            "moved": self.moved.head(MOST).to_dict("records"),
+            "moved_in_all": len(self.moved),
+            "verdicts": self.verdicts.head(MOST).to_dict("records"),
+            "verdicts_in_all": len(self.verdicts),
+            "places": self.places.to_dict("records"),
+            "words": len(self.words),
+            "by_definition": self.by_definition,
+        }
 
-        return details(self)
+    @property
+    def systematic(self) -> pd.DataFrame:
+        """Means that moved systematically, the farthest first."""
+        return self.means[self.means["systematic"]] if len(self.means) else self.means
 
-    def tables(self) -> list[WordTable]:
-        """Counts, means, verdicts, places, single estimates and texts."""
-        from analysis.fleet.diff_table import tables
+    def tables(self, most: int = MOST, *, changed: bool = True) -> list[WordTable]:
+        """Counts, means, verdicts, places, single estimates and texts.
 
-        return tables(self)
+        Parameters
+        ----------
+        most : int
+            Rows of those that list single trips, means or places.
+        changed : bool
+            Only estimates that moved beyond rounding.
+        """
+
+        def listed(
+            name: str, title: str, rows: pd.DataFrame, columns: Sequence[Column], caption: str = ""
+        ) -> WordTable:
+            more = len(rows) - most
+            words = f"{more:,} more are in the folder given by -o." if more > 0 else ""
+            caption = " ".join(filter(None, (caption, words)))
+            table = new_table(title, *columns, name=name, caption=caption or None)
+            return table.add_rows(rows.head(most).to_dict("records"))
+
+        counts = new_table(
+            f"Trips of {self.second} against {self.first}",
+            Column("analysis"), Column("trips", NUMBER), *COUNTS, name="analyses",
+            caption="Beyond the band: an estimate at least, or one side alone has a result.",
+        )  # fmt: skip
+        estimates = self.estimates
+        if changed and len(estimates):
+            estimates = estimates[estimates["within"] + estimates["beyond"] > 0]
+        places = self.places
+        if len(places):
+            places = places.sort_values("bands", ascending=False)
+        return [
+            counts.add_rows(self.trip_counts.to_dict("records")),
+            listed("means", "Means that moved", self.systematic, MEAN_COLUMNS,
+                   f"False discovery rate {RATE:.0%} among {len(self.means):,} means."),
+            listed("verdicts", "Given by one side alone", self.verdicts, VERDICT_COLUMNS),
+            listed("places", "Places of the track-condition map that moved", places,
+                   PLACE_COLUMNS),
+            listed("moved", "Estimates that moved beyond their band", self.moved, MOVED_COLUMNS),
+            new_table("Estimates of single trips", *ESTIMATE_COLUMNS, name="estimates",
+                      caption=JUDGED).add_rows(estimates.to_dict("records")),
+            listed("words", "Texts that differ", self.words, WORD_COLUMNS),
+        ]  # fmt: skip
 
     @property
     def sentence(self) -> str:
         """The difference in one sentence."""
-        from analysis.fleet.diff_table import sentence
-
-        return f"{sentence(self)}."
+        trips = counted(self.trips, "trip")
+        if self.same:
+            return f"every result of {trips} is the same to the byte."
+        left_out = (
+            f"; not compared, as the parameters change it: {', '.join(self.by_definition)}"
+            if self.by_definition else ""
+        )  # fmt: skip
+        if not self.beyond:
+            return f"nothing moved beyond its band on {trips}{left_out}."
+        means = int(self.means["beyond"].sum()) if len(self.means) else 0
+        banded = int(self.moved["banded"].sum()) if len(self.moved) else 0
+        others = len(self.moved) - banded
+        parts = [
+            f"{counted(banded, 'estimate')} of single trips" if banded else "",
+            f"{counted(others, 'figure')} without a band of single trips" if others else "",
+            counted(means, "mean") if means else "",
+            f"{counted(len(self.places), 'place')} of the map" if len(self.places) else "",
+        ]  # fmt: skip
+        words = ", ".join(filter(None, parts))
+        said = [f"{words} moved beyond their band" if words else ""]
+        said += [
+            f"{counted(len(self.verdicts), 'result')} given by one side alone"
+            if len(self.verdicts) else "",
+            "no place of the map of all trips moved beyond its band"
+            if EVIDENCE in self.trip_counts["analysis"].tolist() and not len(self.places) else "",
+        ]  # fmt: skip
+        return f"{'; '.join(filter(None, said))}, on {trips}{left_out}."
 
 
 def fleet_diff(

@@ -8,24 +8,22 @@ import numpy as np
 import pandas as pd
 
 from analysis.charts import BLUE, GREY, RED, Chart, Curve, Panel, Rule, Span
-from analysis.fleet.diff import FleetDiff
-from analysis.fleet.diff_table import (
-    JUDGED,
-    counts_table,
-    estimates_table,
-    means_table,
-    moved_table,
-    places_table,
-    sentence,
-    verdicts_table,
-    words_table,
-)
+from analysis.fleet.diff import JUDGED, FleetDiff
 from analysis.reports.charts import as_part
 from analysis.reports.page import Page, Part, Section, Warned
 from trainlog.formats.files import made_folder, write_bytes
 
 PAGE, TABLES = "diff.html", ("moved", "means", "estimates", "verdicts", "places", "words")
 """What `write_diff` writes into a folder: the page, and these tables as CSV."""
+
+SECTIONS = {
+    "verdicts": "Given by one side alone",
+    "places": "Track-condition map",
+    "moved": "Single trips",
+    "estimates": "Every estimate",
+    "words": "Texts",
+}
+"""Of the page, by the table that each shows."""
 
 MOST_DRAWN = 24
 """Means of one picture."""
@@ -52,20 +50,15 @@ def write_diff(found: FleetDiff, folder: str | Path) -> list[Path]:
 
 def diff_page(found: FleetDiff) -> Page:
     """The page of a difference."""
-    said = f"Of {found.second} against {found.first}: {sentence(found)}."
-    first: list[Part] = [Warned(said) if found.beyond else said, counts_table(found)]
+    said = f"Of {found.second} against {found.first}: {found.sentence}"
+    tables = {each.name: each for each in found.tables(100, changed=False)}
+    first: list[Part] = [Warned(said) if found.beyond else said, tables["analyses"]]
     sections = [Section("What changed", first)]
-    if len(found.means) and found.means["systematic"].any():
-        sections.append(Section("Means over trips", [_shifts(found), means_table(found, 60)]))
-    if len(found.verdicts):
-        sections.append(Section("Given by one side alone", [verdicts_table(found, 200)]))
-    if len(found.places):
-        sections.append(Section("Track-condition map", [places_table(found, 100)]))
-    if len(found.moved):
-        sections.append(Section("Single trips", [moved_table(found, 100)]))
-    sections.append(Section("Every estimate", [estimates_table(found, changed=False)]))
-    if len(found.words):
-        sections.append(Section("Texts", [words_table(found, 100)]))
+    if len(found.systematic):
+        sections.append(Section("Means over trips", [_shifts(found), tables["means"]]))
+    for name, title in SECTIONS.items():
+        if tables[name].rows or name == "estimates":
+            sections.append(Section(title, [tables[name]]))
     sections.append(Section("How differences are judged", list(_JUDGED)))
     return Page(f"Fleet: {found.second} against {found.first}", "", sections)
 
@@ -85,8 +78,7 @@ _JUDGED = (
 
 def _shifts(found: FleetDiff) -> Part:
     """Shifts of means in units of their bands."""
-    rows = found.means[found.means["systematic"] & np.isfinite(found.means["bands"])]
-    rows = rows.head(MOST_DRAWN)
+    rows = found.systematic[np.isfinite(found.systematic["bands"])].head(MOST_DRAWN)
     names = [
         f"{row.estimate}, {'all trips' if row.of == 'all trips' else row.name}"
         for row in rows.itertuples(index=False)
