@@ -243,7 +243,8 @@ def main() -> None:
     from analysis.fleet.update import UpdateOptions, update_fleet
 
     catalogue, kills, undisturbed = sys.argv[1], int(sys.argv[2]), Path(sys.argv[3])
-    work.begin_worker(watched=False)
+    work.one_thread()
+    work.load_analyses()
     remember()
     known = work._of_trip
 

@@ -308,7 +308,8 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with open_catalogue(where, results=kept if "://" in where else None) as catalogue:
         catalogue.add(logs)
-    work.begin_worker(watched=False)
+    work.one_thread()
+    work.load_analyses()
     remember()
     updated(where, "", 1)  # what is imported and compiled is loaded once, for all that follow
     print(json.dumps(run(folder, where, *map(int, numbers))))

@@ -26,7 +26,7 @@ from analysis.fleet.work import (
     THREADS,
     Batch,
     BatchResult,
-    begin_worker,
+    begin_analyses,
     computed,
     computed_elsewhere,
     died,
@@ -166,7 +166,7 @@ class Processes(Engine):
         self._single: ProcessPoolExecutor | None = None
 
     def _started(self, workers: int) -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(workers, self._context, initializer=begin_worker)
+        return ProcessPoolExecutor(workers, self._context, initializer=begin_analyses)
 
     def submit(self, batch: Batch) -> futures.Future[BatchResult]:
         """Have a batch computed."""

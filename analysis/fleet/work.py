@@ -7,9 +7,7 @@ data, so that it can be sent to another process or computer.
 from __future__ import annotations
 
 import os
-import signal
 import socket
-import threading
 import time
 import traceback
 from collections.abc import Sequence
@@ -23,6 +21,7 @@ import pyarrow as pa
 from analysis.fleet.analyses import FleetAnalysis
 from trainlog.errors import TrainlogError
 from trainlog.formats.files import sha256_of
+from trainlog.processes import begin_worker
 from trainlog.threads import LINEAR_ALGEBRA
 from trainlog.version import code_version
 
@@ -123,18 +122,9 @@ class BatchResult:
     ended: float = 0.0
 
 
-def begin_worker(*, watched: bool = True) -> None:
-    """Prepare a process that does nothing else: one thread, and no longer than its parent.
-
-    Ctrl-C is the parent's, which ends its workers; one that is killed leaves none behind.
-    """
-    if watched:
-        import multiprocessing
-
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        parent = multiprocessing.parent_process()
-        if parent is not None:
-            threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+def begin_analyses() -> None:
+    """Prepare a process that computes batches for another."""
+    begin_worker()
     one_thread()
     load_analyses()
 
@@ -148,11 +138,6 @@ def one_thread() -> None:
 def load_analyses() -> None:
     """Load all that the registered analyses run through, before a first trip asks for it."""
     import analysis.fleet.worker  # noqa: F401
-
-
-def _end_with(parent: object) -> None:
-    parent.join()  # type: ignore[attr-defined]
-    os._exit(1)
 
 
 def computed(batch: Batch) -> BatchResult:

@@ -120,8 +120,9 @@ class Processes:
 PURE = """
 import json, sys, time
 from analysis.fleet.analyses import analyses_named
-from analysis.fleet.work import Batch, Job, begin_worker, computed
-begin_worker(watched=False)
+from analysis.fleet.work import Batch, Job, computed, load_analyses, one_thread
+one_thread()
+load_analyses()
 analyses, spent = analyses_named(), {}
 jobs = [Job(*each, tuple(range(len(analyses)))) for each in json.load(sys.stdin)]
 for number, job in enumerate(jobs[:WARM] + jobs):

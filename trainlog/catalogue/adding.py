@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 import os
-import signal
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -30,6 +25,7 @@ from trainlog.catalogue.schema import files, trips
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.presentation import Column, Presented, WordTable, new_table
+from trainlog.processes import in_processes
 from trainlog.progress import track
 
 if TYPE_CHECKING:
@@ -40,6 +36,9 @@ BATCH = 200
 
 _SECONDS = 2.0
 """After which what was read is registered [s]: what is interrupted loses no more."""
+
+_AT_ONCE = 8
+"""Files that a process is given at once."""
 
 _WORTH_PROCESSES = 200
 """Files from which on starting processes is worth it."""
@@ -103,30 +102,17 @@ class Refreshed(Presented):
 
 def read_files(paths: Sequence[str], jobs: int = 1) -> Iterator[FileEntry]:
     """Files as the catalogue registers them, read by several processes where there are many."""
+    jobs = jobs if len(paths) >= _WORTH_PROCESSES else 1
+    size = _AT_ONCE if jobs > 1 else 1
+    given = [paths[at : at + size] for at in range(0, len(paths), size)]
+    for entries in in_processes(_read_all, None, given, jobs):
+        yield from entries
+
+
+def _read_all(_: None, paths: Sequence[str]) -> list[FileEntry]:
     from trainlog.catalogue.reading import read_file
 
-    if jobs < 2 or len(paths) < _WORTH_PROCESSES:
-        yield from map(read_file, paths)
-        return
-    done = 0
-    with suppress(BrokenProcessPool):
-        context = get_context("spawn")
-        with ProcessPoolExecutor(jobs, context, _leave_interruption) as executor:
-            try:
-                for part in parts(paths):
-                    for entry in executor.map(read_file, part, chunksize=8):
-                        yield entry
-                        done += 1
-            except (GeneratorExit, KeyboardInterrupt):
-                executor.shutdown(wait=False, cancel_futures=True)
-                raise
-    # A process that was killed, for want of memory perhaps, leaves the rest to this one.
-    yield from map(read_file, paths[done:])
-
-
-def _leave_interruption() -> None:
-    """Leave Ctrl-C to the process that registers."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return [read_file(path) for path in paths]
 
 
 def batches(entries: Iterable[FileEntry]) -> Iterator[list[FileEntry]]:

@@ -4,14 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-import threading
 import time
-from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, field
-from multiprocessing import get_context, parent_process
-from multiprocessing.connection import wait as wait_for
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +15,7 @@ from trainlog.formats.network import write_network
 from trainlog.formats.train import write_train
 from trainlog.formats.weather import write_weather
 from trainlog.mcap import write_log
+from trainlog.processes import in_processes
 from trainlog.progress import task
 from trainlog.simulation.fleet import Fleet, as_recorded
 from trainlog.simulation.recording import drive, recorded
@@ -33,9 +28,6 @@ NETWORK_FILE = "network.network.json"
 
 BATCH = 10
 """Trips that a process is given at once."""
-
-AHEAD = 3
-"""Batches for each process that are given out at most."""
 
 
 class Made(NamedTuple):
@@ -163,14 +155,14 @@ def write_fleet(fleet: Fleet, folder: str | Path, jobs: int | None = None) -> Fl
         else:
             missing.append(number)
     found.codes = tuple(earlier) if not missing else _state_code(target, earlier)
-    jobs = min(jobs, -(-len(missing) // BATCH)) or 1
+    batches = [missing[at : at + BATCH] for at in range(0, len(missing), BATCH)]
+    done = 0
     with task("driving", total=len(missing), unit="trip") as step:
-        made = (
-            _in_turn(fleet, missing, target) if jobs == 1 else _spread(fleet, missing, target, jobs)
-        )
-        for done, each in enumerate(made, start=1):
-            found.add(each)
-            step(done, note=each.name)
+        for made in in_processes(_write_trips, (fleet, target), batches, jobs):
+            for each in made:
+                found.add(each)
+                done += 1
+                step(done, note=each.name)
     found.elapsed = time.perf_counter() - begun
     return found
 
@@ -235,59 +227,6 @@ def _state_code(folder: Path, earlier: list[str]) -> tuple[str, ...]:
     return tuple(earlier)
 
 
-def _in_turn(fleet: Fleet, numbers: list[int], folder: Path) -> Iterator[Made]:
-    """Trips one after the other in this process."""
-    return (write_trip(fleet, number, folder) for number in numbers)
-
-
-def _spread(fleet: Fleet, numbers: list[int], folder: Path, jobs: int) -> Iterator[Made]:
-    """Trips in several processes, few batches at a time; in the order in which they are ready."""
-    batches = (numbers[k : k + BATCH] for k in range(0, len(numbers), BATCH))
-    pool = ProcessPoolExecutor(
-        jobs, mp_context=get_context("spawn"), initializer=_begin, initargs=(fleet, str(folder))
-    )
-    waiting: set[Future[list[Made]]] = set()
-    try:
-        for batch in batches:
-            waiting.add(pool.submit(_batch, batch))
-            if len(waiting) >= AHEAD * jobs:
-                ready, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in ready:
-                    yield from future.result()
-        while waiting:
-            ready, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in ready:
-                yield from future.result()
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-_work: tuple[Fleet, str] | None = None
-"""What a process of the pool works on."""
-
-
-def _begin(fleet: Fleet, folder: str) -> None:
-    """Prepare a process: an interruption is the business of the first one alone.
-
-    When the first one is killed this one ends as well: nobody would give it work or ask for it.
-    """
-    global _work
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    _work = fleet, folder
-
-
-def _end_with_parent() -> None:
-    """Wait for the end of the process that began this one, and end."""
-    parent = parent_process()
-    if parent is not None:
-        wait_for([parent.sentinel])
-        os._exit(1)
-
-
-def _batch(numbers: list[int]) -> list[Made]:
-    """Trips in a process of the pool."""
-    if _work is None:
-        raise RuntimeError("the process was not prepared")
-    fleet, folder = _work
+def _write_trips(given: tuple[Fleet, Path], numbers: list[int]) -> list[Made]:
+    fleet, folder = given
     return [write_trip(fleet, number, folder) for number in numbers]
