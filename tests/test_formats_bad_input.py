@@ -291,7 +291,7 @@ OTHER_CASES = [
         "f.json: trajectory: speeds has shape (1, 3), needs",
     ),
     ("trajectory", "speeds.values.0.1", -3, "f.json, speeds.values: must not be negative"),
-    ("trajectory", "times.values", [[0, 1, 2], [0]], "f.json, times: rows differ in length"),
+    ("trajectory", "times.values", [[0, 1, 2], [0]], "f.json, times.values: rows differ in length"),
     ("trajectory", "configurations", [], "f.json, configurations: has too few entries; give at le"),
 ]
 

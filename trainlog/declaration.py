@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import inspect
 import json
-import math
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -431,32 +430,25 @@ class Column(Form):
     table: str = ""
     from_start: bool = False
 
-    def problems(self, cells: Sequence[Any]) -> Iterator[tuple[int, InputError]]:
-        """What is wrong with cells, each with the number of its row."""
-        kinds = set(map(type, cells))
-        if not self.unit:
-            if kinds - {str}:
-                for row, cell in enumerate(cells):
-                    if type(cell) is not str:
-                        yield row, InputError("must be a valid string")
-            return
+    def check(self, cell: Any) -> None:
+        """Refuse a cell that does not belong into the column."""
         word = self.instead[0] if self.instead else 0
-        numbers = cells if kinds <= {float, int} else [c for c in cells if type(c) in (float, int)]
-        known = len(numbers) + (cells.count(word) if self.instead else 0) == len(cells)
-        if known and _finite(numbers):
-            return
-        for row, cell in enumerate(cells):
-            if self.instead and cell == word and type(cell) is type(word):
-                continue
+        if not self.unit:
+            _valid(cell, (str,), "string")
+        elif not (self.instead and cell == word and type(cell) is type(word)):
             try:
                 _number(cell)
             except InputError as error:
-                yield (
-                    row,
-                    error
-                    if not isinstance(word, str)
-                    else InputError(f"must be a finite number or '{word}'"),
-                )
+                if isinstance(word, str):
+                    raise InputError(f"must be a finite number or '{word}'") from error
+                raise
+
+    def sound(self, cells: Sequence[Any]) -> bool:
+        """Whether all cells are plain numbers or, in a column of text, texts."""
+        kinds = set(map(type, cells))
+        if not self.unit:
+            return kinds <= {str}
+        return kinds <= {float, int} and all(-LARGEST <= cell <= LARGEST for cell in cells)
 
     def read_cells(self, cells: Sequence[Any], unit: str) -> Any:
         """The column in SI units."""
@@ -492,14 +484,6 @@ class Column(Form):
         return [w if f else word for w, f in zip(written, np.isfinite(numbers), strict=True)]
 
 
-def _finite(numbers: Sequence[float]) -> bool:
-    """Whether all numbers are finite doubles."""
-    try:
-        return all(map(math.isfinite, numbers))
-    except OverflowError:
-        return False
-
-
 @dataclass(frozen=True)
 class Table(Form):
     """Rows with declared units: ``{"units": {"position": "m", ...}, "values": [[...], ...]}``.
@@ -530,10 +514,13 @@ class Table(Form):
             if column.instead is NOT_SET:
                 cells[number] = [None if np.isnan(each) else each for each in cells[number]]
         rows = zip(*cells, strict=True)
-        row = _row_of(kind)
+        row: Any = _row_of(kind)
         if not is_dataclass(row):
             return tuple(rows)
-        return tuple(each_of(row, enumerate(rows), "values"))
+        try:
+            return tuple(_items(list(rows), lambda each: row(*each)))  # type: ignore[operator]
+        except InputError as error:
+            raise InputError.listing(placed(error, "values")) from error
 
     def read_columns(self, found: Any, columns: tuple[Column, ...]) -> tuple[Any, ...]:
         """Each column in SI."""
@@ -600,29 +587,28 @@ def _row_of(kind: Any) -> Any:
 
 def _check_rows(rows: list[Any], columns: tuple[Column, ...]) -> None:
     """Refuse rows of a table that are no rows, or have wrong cells."""
-    problems: list[tuple[int, int, InputError]] = []
     size = len(columns)
-    ragged = [i for i, row in enumerate(rows) if type(row) is not list or len(row) != size]
-    for i in ragged:
-        row = rows[i]
-        if type(row) is not list:
-            problems.append((i, 0, InputError("must be a valid list", place=f"[{i}]")))
-        elif len(row) > len(columns):
-            words = f"must have at most {counted(len(columns), 'item')}, not {len(row)}"
-            problems.append((i, 0, InputError(words, place=f"[{i}]")))
-        else:
-            for j in range(len(row), len(columns)):
-                lacking = InputError(f"'{j}' is missing", place=f"[{i}][{j}]", remedy="add it")
-                problems.append((i, j, lacking))
-    for j, column in enumerate(columns):
-        whole: Sequence[int] = range(len(rows))
-        if ragged:
-            whole = [i for i, row in enumerate(rows) if type(row) is list and len(row) > j]
-        for at, error in column.problems([rows[i][j] for i in whole]):
-            problems.append((whole[at], j, placed(error, f"[{whole[at]}][{j}]")[0]))
-    if problems:
-        problems.sort(key=lambda each: each[:2])
-        raise InputError.listing([error for _, _, error in problems])
+
+    def check_row(row: Any) -> None:
+        _valid(row, (list,), "list")
+        if len(row) > size:
+            raise InputError(f"must have at most {counted(size, 'item')}, not {len(row)}")
+        problems = []
+        for number, (column, cell) in enumerate(zip(columns, row, strict=False)):
+            try:
+                column.check(cell)
+            except InputError as error:
+                problems += placed(error, f"[{number}]")
+        for number in range(len(row), size):
+            problems.append(
+                InputError(f"'{number}' is missing", place=f"[{number}]", remedy="add it")
+            )
+        raised(problems)
+
+    whole = all(type(row) is list and len(row) == size for row in rows)
+    cells = zip(*rows, strict=True) if whole else ()
+    if not whole or not all(c.sound(each) for c, each in zip(columns, cells, strict=bool(rows))):
+        _items(rows, check_row)
 
 
 def check_from_start(positions: FloatArray) -> None:
@@ -665,30 +651,32 @@ class Array(Form):
 
     def read(self, found: Any, kind: Any) -> FloatArray:  # noqa: ARG002
         """The array in SI."""
-        unit, rows = _keys(found, unit=Text(), values=lambda each: self._rows(each, 1))
-        if self.dimensions == 2 and len({len(row) for row in rows}) > 1:
-            raise InputError("rows differ in length", remedy="give as many numbers in each")
-        numbers = np.array(rows, dtype=np.float64)
+        number = Number(gaps=self.gaps)
+        unit, numbers = _keys(
+            found,
+            unit=Text(),
+            values=lambda each: _numbers(each, number, self.dimensions),
+        )
         missing = np.isnan(numbers)
         converted = in_si(np.where(missing, 0.0, numbers), unit, self.si)
         return np.where(missing, np.nan, converted)
 
-    def _rows(self, found: Any, depth: int) -> list[Any]:
-        """Finite numbers in lists of lists."""
-        if depth < self.dimensions:
-            return _items(found, lambda each: self._rows(each, depth + 1))
-        return _items(found, lambda each: Number(gaps=self.gaps).read(each, None))
-
     def write(self, value: Any, in_si: bool = False) -> Any:  # noqa: ARG002
         """The numbers with their unit."""
-        values = shortest(np.asarray(value, dtype=np.float64).tolist())
-        return {"unit": self.si, "values": _with_gaps(values) if self.gaps else values}
+        values = np.asarray(value, dtype=np.float64)
+        if self.gaps:
+            values = np.where(np.isnan(values), None, values.astype(object))  # type: ignore[call-overload]
+        return {"unit": self.si, "values": shortest(values.tolist())}
 
 
-def _with_gaps(values: Any) -> Any:
-    if isinstance(values, list):
-        return [_with_gaps(value) for value in values]
-    return None if np.isnan(values) else values
+def _numbers(found: Any, form: Number, dimensions: int = 2) -> FloatArray:
+    """Finite numbers in a list, or in rows that are as long as each other."""
+    if dimensions == 1:
+        return np.array(_items(found, lambda each: form.read(each, None)), dtype=np.float64)
+    rows = _items(found, lambda row: _numbers(row, form, 1))
+    if len({len(row) for row in rows}) > 1:
+        raise InputError("rows differ in length", remedy="give as many numbers in each")
+    return np.array(rows, dtype=np.float64).reshape(len(rows), -1 if rows else 0)
 
 
 def _items(found: Any, read: Callable[[Any], Any], least: int = 0) -> list[Any]:
@@ -760,10 +748,7 @@ class Matrix(Form):
 
     def read(self, found: Any, kind: Any) -> FloatArray:  # noqa: ARG002
         """The matrix."""
-        rows = _items(found, lambda row: _items(row, _number))
-        if len({len(row) for row in rows}) > 1:
-            raise InputError("rows differ in length", remedy="give as many numbers in each")
-        return np.array(rows, dtype=np.float64).reshape(len(rows), -1 if rows else 0)
+        return _numbers(found, Number())
 
     def write(self, value: Any, in_si: bool = False) -> Any:  # noqa: ARG002
         """Its rows."""
@@ -864,7 +849,7 @@ class Many(Form):
 
     def read(self, found: Any, kind: Any) -> Any:
         """The things, in the type that holds them."""
-        inner, form = self._inner(kind)
+        form, inner = form_of(get_args(kind)[0]), without_none(get_args(kind)[0])
         if not self.runs:
             values = _items(found, lambda each: form.read(each, inner), self.least)
             if get_origin(kind) is tuple and get_args(kind)[-1] is not Ellipsis:
@@ -906,10 +891,6 @@ class Many(Form):
         """What of the things cannot be meant."""
         for number, each in enumerate(value):
             yield from form_of(type(each)).implausible(each, f"{place}[{number}]")
-
-    def _inner(self, kind: Any) -> tuple[Any, Form]:
-        inner = get_args(kind)[0]
-        return without_none(inner), form_of(inner)
 
 
 def _run_length(entry: dict[str, Any]) -> int:
@@ -1109,18 +1090,6 @@ def raised(problems: Sequence[InputError]) -> None:
     """Raise one InputError that lists all problems, if there are any."""
     if problems:
         raise InputError.listing(problems)
-
-
-def each_of(kind: Any, rows: Iterator[tuple[int, Any]], place: str) -> list[Any]:
-    """The things that rows of values describe; errors name the row."""
-    made, problems = [], []
-    for number, row in rows:
-        try:
-            made.append(kind(*row))
-        except InputError as error:
-            problems += placed(error, f"{place}[{number}]")
-    raised(problems)
-    return made
 
 
 # ------------------------------------------------------------------ both directions
