@@ -7,8 +7,10 @@ import os
 import secrets
 import sqlite3
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import reduce
+from operator import xor
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -16,7 +18,7 @@ import numpy as np
 
 from trainlog.errors import InputError
 from trainlog.formats.files import mistaken_map, plain, sha256, writing_error
-from trainlog.formats.recordings import COLUMNS, Row, changed_row, packed_evidence, sealed, total_of
+from trainlog.formats.recordings import Row, packed_evidence, sealed
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 
@@ -54,8 +56,8 @@ CREATE TABLE IF NOT EXISTS refused (
 
 HAS_REFUSED = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'refused'"
 
-SELECT = f"SELECT {', '.join((*COLUMNS, 'digest'))} FROM trips"
-INSERT = f"INSERT INTO trips VALUES ({', '.join('?' * (len(COLUMNS) + 1))})"
+SELECT = f"SELECT {', '.join((*Row._fields, 'digest'))} FROM trips"
+INSERT = f"INSERT INTO trips VALUES ({', '.join('?' * (len(Row._fields) + 1))})"
 
 
 # ----------------------------------------------------------------------------------- rows
@@ -63,7 +65,7 @@ INSERT = f"INSERT INTO trips VALUES ({', '.join('?' * (len(COLUMNS) + 1))})"
 
 def replace_row(database: sqlite3.Connection, row: Row, **changes: Any) -> Row:
     """Change a row; the new one."""
-    new = changed_row(row, **changes)
+    new = row._replace(**changes)
     database.execute(
         "UPDATE trips SET evidence = ?, counted = ?, digest = ? WHERE key = ?",
         (new.evidence, new.counted, new.full[-1], new.key),
@@ -74,7 +76,7 @@ def replace_row(database: sqlite3.Connection, row: Row, **changes: Any) -> Row:
 def add_to_total(database: sqlite3.Connection, rows: Sequence[Row]) -> None:
     """Add rows to the number that stands for all, or take away those that are part of it."""
     (known,) = database.execute("SELECT value FROM header WHERE key = 'total'").fetchone()
-    total = f"{int(known, 16) ^ total_of(row.full[-1] for row in rows):016x}"
+    total = f"{int(known, 16) ^ _joined_digests(row.full[-1] for row in rows):016x}"
     database.execute("UPDATE header SET value = ? WHERE key = 'total'", (total,))
 
 
@@ -87,7 +89,12 @@ def set_total(database: sqlite3.Connection) -> None:
 def total_in(database: sqlite3.Connection) -> int:
     """The number that stands for all rows, of their digests."""
     digests = database.execute("SELECT digest FROM trips UNION ALL SELECT digest FROM sums")
-    return total_of(digest for (digest,) in digests)
+    return _joined_digests(digest for (digest,) in digests)
+
+
+def _joined_digests(digests: Iterable[str]) -> int:
+    """A number for all rows, whatever their order, to which more can be added or taken away."""
+    return reduce(xor, (int(digest[:16], 16) for digest in digests), 0)
 
 
 def insert_sums(database: sqlite3.Connection, layer: str, evidence: DailyEvidence) -> None:
@@ -95,16 +102,6 @@ def insert_sums(database: sqlite3.Connection, layer: str, evidence: DailyEvidenc
     raw = packed_evidence(evidence)
     values = (layer, sha256(layer.encode() + raw), zlib.compress(raw))
     database.execute("INSERT OR REPLACE INTO sums VALUES (?, ?, ?)", values)
-
-
-def insert_estimates(
-    database: sqlite3.Connection, estimates: Mapping[str, tuple[str, bytes]]
-) -> None:
-    """Put estimates, by layer with what they were made from, in the place of earlier ones."""
-    for layer in sorted(estimates):
-        made_from, data = estimates[layer]
-        values = (layer, made_from, zlib.compress(data))
-        database.execute("INSERT OR REPLACE INTO estimates VALUES (?, ?, ?)", values)
 
 
 def amount_in(database: sqlite3.Connection) -> tuple[int, int]:

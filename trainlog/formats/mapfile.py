@@ -38,7 +38,6 @@ from trainlog.formats.mapdatabase import (
     check_start,
     damaged,
     header_of,
-    insert_estimates,
     insert_sums,
     new_database,
     refusing,
@@ -53,7 +52,6 @@ from trainlog.formats.recordings import (
     Recording,
     Refusal,
     Row,
-    changed_row,
     packed_evidence,
     place_of,
     row_of,
@@ -155,14 +153,18 @@ class MapFile:
                 if self._database.in_transaction:
                     self._database.execute("ROLLBACK")
 
+    def _asked(self, command: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
+        """The rows that a command of SQL gives."""
+        with refusing(self.path):
+            return self._database.execute(command, tuple(values)).fetchall()
+
     def rows(self, where: str = "", values: Sequence[Any] = ()) -> list[Row]:
         """Rows of the trips; each is verified."""
         found = []
-        with refusing(self.path):
-            for row in self._database.execute(f"{SELECT} {where}", tuple(values)):
-                if sealed(row[:-1]) != row[-1]:
-                    raise damaged(self.path, f"trip {str(row[0])[:16]}", "its entry was changed")
-                found.append(Row(*row[:-1]))
+        for row in self._asked(f"{SELECT} {where}", values):
+            if sealed(row[:-1]) != row[-1]:
+                raise damaged(self.path, f"trip {str(row[0])[:16]}", "its entry was changed")
+            found.append(Row(*row[:-1]))
         return found
 
     def held(self, key: str) -> Row | None:
@@ -171,25 +173,16 @@ class MapFile:
 
     def evidence(self, digest: str) -> DailyEvidence:
         """The evidence of a digest."""
-        return self._unpacked(self._data(digest), digest)
-
-    def _data(self, digest: str) -> bytes:
-        """The evidence of a digest, compressed; empty if there is none."""
-        with refusing(self.path):
-            found = self._database.execute("SELECT data FROM evidence WHERE digest = ?", (digest,))
-            row = found.fetchone()
-        return row[0] if row else b""
+        return self._joined(self._raws([digest]), digest)
 
     def blobs(self) -> dict[str, bytes]:
         """All evidence of single trips, compressed, by digest."""
-        with refusing(self.path):
-            return dict(self._database.execute("SELECT digest, data FROM evidence"))
+        return dict(self._asked("SELECT digest, data FROM evidence"))
 
     def sums(self) -> dict[str, DailyEvidence]:
         """The evidence that was added up, by layer."""
-        with refusing(self.path):
-            rows = self._database.execute("SELECT layer, digest, data FROM sums").fetchall()
-            return {layer: self._unpacked(data, digest, layer) for layer, digest, data in rows}
+        rows = self._asked("SELECT layer, digest, data FROM sums")
+        return {layer: self._unpacked(data, digest, layer) for layer, digest, data in rows}
 
     def _unpacked(self, data: bytes, digest: str, layer: str = "") -> DailyEvidence:
         return self._joined([self._raw(data, digest, layer)], digest)
@@ -206,10 +199,9 @@ class MapFile:
 
     def _raws(self, digests: Sequence[str]) -> list[bytes]:
         """Evidence of each digest, decompressed and verified."""
-        with refusing(self.path):
-            every = ",".join("?" * len(digests))
-            command = f"SELECT digest, data FROM evidence WHERE digest IN ({every})"
-            known = dict(self._database.execute(command, tuple(digests)).fetchall())
+        every = ",".join("?" * len(digests))
+        command = f"SELECT digest, data FROM evidence WHERE digest IN ({every})"
+        known = dict(self._asked(command, digests))
         return [self._raw(known.get(each, b""), each) for each in digests]
 
     def _joined(self, raw: Sequence[bytes], digest: str) -> DailyEvidence:
@@ -225,19 +217,16 @@ class MapFile:
     def trips(self) -> list[Row]:
         """All recordings; that none is missing is verified."""
         found = self.rows("ORDER BY layer, first_day, key")
+        known = self._asked("SELECT value FROM header WHERE key = 'total'")
         with refusing(self.path):
-            total = self._database.execute("SELECT value FROM header WHERE key = 'total'")
-            known = total.fetchone()
-            if known is None or int(known[0], 16) != total_in(self._database):
+            if not known or int(known[0][0], 16) != total_in(self._database):
                 raise damaged(self.path, "table of trips", "entries are missing")
         return found
 
     def layers(self, trips: Sequence[Row]) -> dict[str, tuple[DailyEvidence, str]]:
         """Evidence of the trips by layer, added up, and a digest of what it was added up from."""
-        with refusing(self.path):
-            sums = self._database.execute("SELECT layer, digest, data FROM sums").fetchall()
-            known = {layer: self._unpacked(data, digest, layer) for layer, digest, data in sums}
-            digests = {layer: digest for layer, digest, _ in sums}
+        known = self.sums()
+        digests = dict(self._asked("SELECT layer, digest FROM sums"))
         pieces = _pieces_of(trips)
         found = {}
         for layer in sorted({*known, *pieces}):
@@ -290,18 +279,15 @@ class MapFile:
         (0, -1): there is none.
         """
         asked = "SELECT key, coalesce(first_day, 0), coalesce(last_day, -1) FROM trips"
-        with refusing(self.path):
-            rows = self._database.execute(f"{asked} WHERE counted").fetchall()
+        rows = self._asked(f"{asked} WHERE counted")
         return {key: (first, last) for key, first, last in rows}
 
     def estimate(self, layer: str, made_from: str) -> bytes | None:
         """The estimate of a layer that was kept, if it was made from this; else None."""
-        with refusing(self.path):
-            found = self._database.execute(
-                "SELECT data FROM estimates WHERE layer = ? AND made_from = ?", (layer, made_from)
-            ).fetchone()
+        asked = "SELECT data FROM estimates WHERE layer = ? AND made_from = ?"
+        found = self._asked(asked, (layer, made_from))
         with suppress(zlib.error, TypeError):
-            return None if found is None else zlib.decompress(found[0])
+            return zlib.decompress(found[0][0]) if found else None
         return None
 
     # ------------------------------------------------------------------------------ writing
@@ -442,26 +428,24 @@ class MapFile:
             self._database.execute("PRAGMA busy_timeout = 200")
             with self._writing() as database:
                 if database.execute(live).fetchone():
-                    insert_estimates(database, estimates)
+                    for layer, (made_from, data) in sorted(estimates.items()):
+                        database.execute(
+                            "INSERT OR REPLACE INTO estimates VALUES (?, ?, ?)",
+                            (layer, made_from, zlib.compress(data)),
+                        )
 
     def digest_of(self, path: Path, state: os.stat_result) -> str:
         """SHA-256 of a log that has not changed since it was read; empty if that is not known."""
-        with refusing(self.path):
-            found = self._database.execute(
-                "SELECT sha256 FROM files WHERE path = ? AND size = ? AND changed = ?",
-                (str(path.resolve()), state.st_size, state.st_mtime_ns),
-            ).fetchone()
-        return str(found[0]) if found else ""
+        found = self._asked(
+            "SELECT sha256 FROM files WHERE path = ? AND size = ? AND changed = ?",
+            (str(path.resolve()), state.st_size, state.st_mtime_ns),
+        )
+        return str(found[0][0]) if found else ""
 
     def unchanged_logs(self) -> Iterator[Path]:
         """The logs that trips were added from and that are still where they were, unchanged."""
-        with refusing(self.path):
-            known = self._database.execute(
-                "SELECT path, size, changed FROM files WHERE sha256 IN (SELECT key FROM trips)"
-                " ORDER BY path"
-            )
-            rows = known.fetchall()
-        for path, size, changed in rows:
+        asked = "SELECT path, size, changed FROM files WHERE sha256 IN (SELECT key FROM trips)"
+        for path, size, changed in self._asked(f"{asked} ORDER BY path"):
             with suppress(OSError):
                 state = Path(path).stat()
                 if (state.st_size, state.st_mtime_ns) == (size, changed):
@@ -477,13 +461,11 @@ class MapFile:
 
     def refusal(self, digest: str) -> Refusal | None:
         """How a log with this SHA-256 was refused when it was given last; None if it was not."""
-        with refusing(self.path):
-            if not self._database.execute(HAS_REFUSED).fetchone():
-                return None
-            found = self._database.execute(
-                "SELECT path, reason, tried FROM refused WHERE sha256 = ?", (digest,)
-            ).fetchone()
-        return Refusal(digest, *map(str, found)) if found else None
+        if not self._asked(HAS_REFUSED):
+            return None
+        asked = "SELECT path, reason, tried FROM refused WHERE sha256 = ?"
+        found = self._asked(asked, (digest,))
+        return Refusal(digest, *map(str, found[0])) if found else None
 
     def remember_refusals(self, refusals: Iterable[Refusal]) -> None:
         """Keep that logs were refused, in place of what is known of them."""
@@ -532,7 +514,7 @@ def whole_file(track: TrackConditionMap) -> bytes:
             identity = identity_from_text(str(known.get("identity") or ""))
             row = row_of(Recording(str(known.get("layer", "")), known, identity), None)
             if row.key in used:
-                row = changed_row(row, key=f"{row.key} {number}")
+                row = row._replace(key=f"{row.key} {number}")
             used.add(row.key)
             database.execute(INSERT, row.full)
         for layer in sorted(track.layers):

@@ -12,7 +12,7 @@ from trainlog.errors import InputError
 from trainlog.formats.files import write_bytes
 from trainlog.formats.mapdatabase import INSERT, amount_in, insert_sums, new_database, serialized
 from trainlog.formats.mapfile import MapFile, reasons_of
-from trainlog.formats.recordings import Row, changed_row
+from trainlog.formats.recordings import Row
 from trainlog.identity import overlapping, same_drives
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
@@ -117,7 +117,7 @@ def _decided(rows: Sequence[Row]) -> list[Row]:
     for row in rows:
         counts = row.key in alone or row.key not in reasons
         changes = row.evidence is not None and bool(row.counted) != counts
-        found.append(changed_row(row, counted=int(counts)) if changes else row)
+        found.append(row._replace(counted=int(counts)) if changes else row)
     return found
 
 

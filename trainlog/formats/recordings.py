@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from operator import attrgetter
 from typing import Any, NamedTuple
 
 from trainlog.formats.files import plain, sha256
@@ -13,14 +12,9 @@ from trainlog.formats.packed import pack
 from trainlog.identity import Known, TripIdentity, identity_from_text
 from trainlog.railway.evidence import DailyEvidence
 
-COLUMNS = (
-    "key", "layer", "start", "end", "first_day", "last_day", "steps", "entry", "identity",
-    "evidence", "counted",
-)  # fmt: skip
 _EVIDENCE = tuple(
     each.name for each in fields(DailyEvidence) if each.name not in ("bins", "levels")
 )
-_COLUMNS_OF = attrgetter(*COLUMNS)
 _SORTED_BY = ("layer", "trip", "sha256", "identity")
 
 
@@ -124,8 +118,7 @@ class Refusal(NamedTuple):
         return self.reason.replace(self.path, "") == other.reason.replace(other.path, "")
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
+class Row(NamedTuple):
     """A row of the table of trips, as it stands in the file."""
 
     key: str
@@ -141,15 +134,9 @@ class Row:
     counted: int
 
     @property
-    def values(self) -> tuple[Any, ...]:
-        """The columns."""
-        found: tuple[Any, ...] = _COLUMNS_OF(self)
-        return found
-
-    @property
     def full(self) -> tuple[Any, ...]:
         """The columns and their digest."""
-        return (*self.values, sealed(self.values))
+        return (*self, sealed(self))
 
     @property
     def days(self) -> tuple[int, int]:
@@ -220,16 +207,3 @@ def compact_json(value: Mapping[str, Any]) -> str:
 def place_of(entry: Mapping[str, Any]) -> tuple[str, ...]:
     """By what the trips of a map are sorted."""
     return (*(str(entry.get(name, "")) for name in _SORTED_BY), repr(sorted(entry.items())))
-
-
-def changed_row(row: Row, **changes: Any) -> Row:
-    """The row with some of its columns changed."""
-    return Row(*(changes.get(name, getattr(row, name)) for name in COLUMNS))
-
-
-def total_of(digests: Iterable[str]) -> int:
-    """A number for all rows, whatever their order, to which more can be added or taken away."""
-    total = 0
-    for digest in digests:
-        total ^= int(digest[:16], 16)
-    return total
