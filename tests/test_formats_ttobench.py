@@ -273,7 +273,7 @@ def test_lines_survive_but_for_names_and_coordinates(line: Line) -> None:
         reference=None,
         speed_limits_reverse=None,
     )
-    assert_same(TrackLayout.of(plain).line(), plain, 5e-14)
+    assert_same(TrackLayout.of(plain).thing(), plain, 5e-14)
 
 
 @quick
@@ -290,7 +290,7 @@ def test_trains_survive_but_for_what_the_layout_has_not(train: Train) -> None:
         traction_curve=None,
         dynamic_braking_curve=None,
     )
-    found = TrainLayout.of(plain).train()
+    found = TrainLayout.of(plain).thing()
     kept = {name: getattr(found, name) for name in unknown}
     assert_same(found, replace(plain, **kept), 5e-14)
 
@@ -299,7 +299,7 @@ def test_trains_survive_but_for_what_the_layout_has_not(train: Train) -> None:
 @given(journeys())
 def test_journeys_survive(journey: Journey) -> None:
     plain = replace(journey, source="")
-    assert_same(JourneyLayout.of(plain).journey(), plain, 5e-14)
+    assert_same(JourneyLayout.of(plain).thing(), plain, 5e-14)
 
 
 @pytest.mark.parametrize(

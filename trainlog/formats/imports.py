@@ -5,27 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from trainlog.declaration import check_plausible
 from trainlog.errors import InputError
-from trainlog.formats import (
-    line as line_format,
-    osrd,
-    railml,
-    railtoolkit,
-    train as train_format,
-    ttobench,
-)
-from trainlog.formats.declared import built, write_thing
+from trainlog.formats import osrd, railml, railtoolkit, ttobench
+from trainlog.formats.declared import built, thing_from_bytes, write_thing
 from trainlog.formats.files import parse_json, read_bytes
 from trainlog.formats.track_data import Infrastructure, LimitChoice
 from trainlog.railway import EffortCurve, Journey, Line, Train
 from trainlog.railway.network import Network
 from trainlog.railway.resistance import CurveFormula
 from trainlog.railway.train import AccelerationLimits, MassModel
-
-_SUFFIXES = {Line: "line", Train: "train", Journey: "journey", Network: "network"}
 
 Thing = Line | Train | Journey | Network
 """What a file of another project can become."""
@@ -94,24 +85,22 @@ class ImportOptions:
         InputError
             If an option is for the other of the two.
         """
-        of_line = [] if self.curve_resistance is None else ["curve_resistance"]
-        stray = [*([] if isinstance(thing, Train) else self.of_train)]
-        stray += [] if isinstance(thing, Line) else of_line
-        if stray:
-            what = "train" if stray[0] in self.of_train else "line"
-            raise InputError(
-                f"is not a {what}: {stray[0].replace('_', ' ')} cannot go into it",
-                file=path,
-                remedy=f"give it with a {what} alone",
-            )
-        if isinstance(thing, Train) and self.of_train:
-            changes = {
-                name: value for name, value in self.of_train.items() if not name.endswith("curve")
-            }
-            return replace(with_curves(thing, self.traction_curve, self.braking_curve), **changes)
-        if isinstance(thing, Line) and self.curve_resistance is not None:
-            return replace(thing, curve_resistance=self.curve_resistance)
-        return thing
+        of_line = (
+            {} if self.curve_resistance is None else {"curve_resistance": self.curve_resistance}
+        )
+        stated: tuple[tuple[type, dict[str, Any]], ...] = (Train, self.of_train), (Line, of_line)
+        for kind, changes in stated:
+            if changes and not isinstance(thing, kind):
+                what = kind.__name__.lower()
+                raise InputError(
+                    f"is not a {what}: {next(iter(changes)).replace('_', ' ')} cannot go into it",
+                    file=path,
+                    remedy=f"give it with a {what} alone",
+                )
+        if isinstance(thing, Train):
+            chosen = {n: each for n, each in self.of_train.items() if not n.endswith("curve")}
+            return replace(with_curves(thing, self.traction_curve, self.braking_curve), **chosen)
+        return replace(thing, **of_line) if isinstance(thing, Line) else thing
 
 
 def with_curves(
@@ -129,18 +118,17 @@ def with_curves(
     [180000.0, 150000.0]
     """
     changes: dict[str, Any] = {}
-    if traction is not None:
-        changes |= {
-            "traction_curve": traction,
-            "max_tractive_effort": float(traction.efforts.max()),
-            "max_traction_power": traction.peak_power,
-        }
-    if braking is not None:
-        changes |= {
-            "dynamic_braking_curve": braking,
-            "max_dynamic_braking_effort": float(braking.efforts.max()),
-            "max_dynamic_braking_power": braking.peak_power,
-        }
+    for curve, held, way in (
+        (traction, "traction_curve", ("max_tractive_effort", "max_traction_power")),
+        (
+            braking,
+            "dynamic_braking_curve",
+            ("max_dynamic_braking_effort", "max_dynamic_braking_power"),
+        ),
+    ):
+        if curve is not None:
+            most = float(curve.efforts.max()), curve.peak_power
+            changes |= {held: curve} | dict(zip(way, most, strict=True))
     assumed = tuple(name for name in train.assumed if name not in changes)
     return replace(train, assumed=assumed, **changes)
 
@@ -179,7 +167,7 @@ def import_file(
     written = []
     for name, thing, dropped, assumed in found:
         thing = built(lambda thing=thing: options.applied(thing, path), path)  # type: ignore[misc]
-        kind = next(word for each, word in _SUFFIXES.items() if isinstance(thing, each))
+        kind = type(thing).__name__.lower()
         target = Path(folder) / f"{stem if len(found) == 1 else name}.{kind}.json"
         built(lambda thing=thing, target=target: _write(thing, target), path)  # type: ignore[misc]
         written.append(Imported(target, dropped, assumed))
@@ -238,55 +226,62 @@ def import_formation(
     return Imported(target, ["names of its vehicles"])
 
 
-class _Found(NamedTuple):
-    """A thing of a file, with a name, what of the file it does not hold, and what is assumed."""
+_ONLY = {
+    "loaded": ("is no formation of railtoolkit", "leave the load out; add it to a plan"),
+    "electrification": (
+        "has no efforts by electrification",
+        "leave the electrification out; it is for rolling stock of OSRD",
+    ),
+    "category": (
+        "has no speed limits by category of train",
+        "leave the category out; it is for infrastructure of OSRD and railML",
+    ),
+}
+"""Options that fit some files alone: what the others are, and the remedy."""
 
-    name: str
-    thing: Thing
-    dropped: list[str]
-    assumed: list[str] = []  # noqa: RUF012
+
+def _refuse(path: str | Path, options: ImportOptions, *names: str) -> None:
+    """Refuse options that do not fit a file."""
+    for name in names:
+        if getattr(options, name) is not None:
+            problem, remedy = _ONLY[name]
+            raise InputError(problem, file=path, remedy=remedy)
 
 
-def _things(path: str | Path, options: ImportOptions) -> list[_Found]:
-    """Everything in the file."""
+def _things(
+    path: str | Path, options: ImportOptions
+) -> list[tuple[str, Thing, list[str], list[str]]]:
+    """Everything in the file: a name, the thing, what it does not hold, and what is assumed."""
     if Path(path).suffix.lower() in (".yaml", ".yml"):
-        _refuse_electrification(path, options)
-        _refuse_category(path, options)
-        return [_Found(*each) for each in railtoolkit.read_any(path, options.loaded)]
-    if options.loaded is not None:
-        raise InputError(
-            "is no formation of railtoolkit",
-            file=path,
-            remedy="leave the load out; add it to a plan",
-        )
+        _refuse(path, options, "electrification", "category")
+        return [(*each, []) for each in railtoolkit.read_any(path, options.loaded)]
+    _refuse(path, options, "loaded")
     data = read_bytes(path)
     if (infra := networks_in(path, data, options.limit, options.category)) is not None:
-        _refuse_electrification(path, options)
-        stem = Path(path).stem
+        _refuse(path, options, "electrification")
         # The file's account stands with its first network.
+        accounts = [(infra.left_out, infra.assumed), *([([], [])] * (len(infra.networks) - 1))]
         return [
-            _Found(
-                f"{stem}-{number}",
-                each,
-                *((infra.left_out, infra.assumed) if number == 1 else ([], [])),
+            (f"{Path(path).stem}-{number}", each, *account)
+            for number, (each, account) in enumerate(
+                zip(infra.networks, accounts, strict=True), start=1
             )
-            for number, each in enumerate(infra.networks, start=1)
         ]
-    _refuse_category(path, options)
+    _refuse(path, options, "category")
     content = parse_json(data, file=path)
     if osrd.is_rolling_stock(content):
         train, dropped = osrd.read_train(path, options.electrification)
-        return [_Found(train.name, train, dropped)]
-    _refuse_electrification(path, options)
+        return [(train.name, train, dropped, [])]
+    _refuse(path, options, "electrification")
     own = content.get("format") if isinstance(content, dict) else None
     thing: Thing
-    if own == "trainlog/train" and options.of_train:
-        thing = train_format.train_from_bytes(data, file=path)
-    elif own == "trainlog/line" and options.curve_resistance is not None:
-        thing = line_format.line_from_bytes(data, file=path)
+    if own == Train.FORMAT and options.of_train:
+        thing = thing_from_bytes(Train, data, path)
+    elif own == Line.FORMAT and options.curve_resistance is not None:
+        thing = thing_from_bytes(Line, data, path)
     else:
         thing = ttobench.import_file(path)
-    return [_Found(thing.name, thing, [])]
+    return [(thing.name, thing, [], [])]
 
 
 def networks_in(
@@ -321,24 +316,6 @@ def networks_in(
     if osrd.is_infrastructure(parse_json(data, file=path)):
         return osrd.read_infrastructure(path, limits)
     return None
-
-
-def _refuse_electrification(path: str | Path, options: ImportOptions) -> None:
-    if options.electrification is not None:
-        raise InputError(
-            "has no efforts by electrification",
-            file=path,
-            remedy="leave the electrification out; it is for rolling stock of OSRD",
-        )
-
-
-def _refuse_category(path: str | Path, options: ImportOptions) -> None:
-    if options.category is not None:
-        raise InputError(
-            "has no speed limits by category of train",
-            file=path,
-            remedy="leave the category out; it is for infrastructure of OSRD and railML",
-        )
 
 
 def _write(thing: Thing, target: Path) -> None:

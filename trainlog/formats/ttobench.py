@@ -12,7 +12,7 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -149,7 +149,7 @@ class TrackLayout(Layout):
         Named({"M_NVAVADH": Quantity("-", "1"), "Kt_int": Quantity("-", "1")}, key=_ETCS),
     ] = None
 
-    def line(self) -> Line:
+    def thing(self) -> Line:
         """The line that the track is."""
         _check_stops(self.stops)
         return Line(
@@ -269,7 +269,7 @@ class TrainLayout(Layout):
     tunnel_resistance: Annotated[_Pairs, Table(_TUNNEL_RESISTANCE)] = ()
     etcs: Annotated[Etcs | None, Part(key=_ETCS)] = None
 
-    def train(self) -> Train:
+    def thing(self) -> Train:
         """The train that the file describes."""
         if self.rho is not None and self.rho >= 1.0:
             raise InputError(
@@ -400,7 +400,7 @@ class JourneyLayout(Layout):
     metadata: Metadata
     timing_points: Annotated[tuple[TimingPoint, ...], Table(_TIMING_POINTS)]
 
-    def journey(self) -> Journey:
+    def thing(self) -> Journey:
         """The journey that the file describes."""
         if self.metadata.associated_track is None:
             raise InputError(
@@ -453,10 +453,8 @@ def import_file(path: str | Path) -> Line | Train | Journey:
     Traceback (most recent call last):
     trainlog.errors.InputError: absent.json: does not exist; check the path
     """
-    kind = detect(path)
-    if kind == "track":
-        return read_track(path)
-    return read_train(path) if kind == "train" else read_journey(path)
+    found: Line | Train | Journey = _read(path)
+    return found
 
 
 def read_track(path: str | Path) -> Line:
@@ -474,7 +472,8 @@ def read_track(path: str | Path) -> Line:
     Traceback (most recent call last):
     trainlog.errors.InputError: absent.json: does not exist; check the path
     """
-    return built(_read(TrackLayout, "track", path).line, path)
+    line: Line = _read(path, "track")
+    return line
 
 
 def read_train(path: str | Path) -> Train:
@@ -493,7 +492,8 @@ def read_train(path: str | Path) -> Train:
     Traceback (most recent call last):
     trainlog.errors.InputError: absent.json: does not exist; check the path
     """
-    return built(_read(TrainLayout, "train", path).train, path)
+    train: Train = _read(path, "train")
+    return train
 
 
 def read_journey(path: str | Path) -> Journey:
@@ -505,7 +505,8 @@ def read_journey(path: str | Path) -> Journey:
     Traceback (most recent call last):
     trainlog.errors.InputError: absent.json: does not exist; check the path
     """
-    return built(_read(JourneyLayout, "journey", path).journey, path)
+    journey: Journey = _read(path, "journey")
+    return journey
 
 
 def write_track(line: Line, path: str | Path) -> list[str]:
@@ -600,17 +601,17 @@ def write_journey(journey: Journey, path: str | Path) -> None:
     _write(JourneyLayout.of(journey), path)
 
 
-_Layout = TypeVar("_Layout", bound=Layout)
+_LAYOUTS = {"track": TrackLayout, "train": TrainLayout, "journey": JourneyLayout}
 
 
-def _read(model: type[_Layout], kind: Kind, path: str | Path) -> _Layout:
+def _read(path: str | Path, wanted: Kind | None = None) -> Any:
     content = read_json(path)
     found = _detect(content, path)
-    if found != kind:
+    if wanted is not None and found != wanted:
         raise InputError(
-            f"is a TTOBench {found}, expected a {kind}", file=path, remedy=f"give a {kind}"
+            f"is a TTOBench {found}, expected a {wanted}", file=path, remedy=f"give a {wanted}"
         )
-    return built(lambda: from_content(model, content), path)
+    return built(lambda: from_content(_LAYOUTS[found], content).thing(), path)
 
 
 def _write(layout: Layout, path: str | Path) -> None:
