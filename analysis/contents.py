@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -151,13 +152,14 @@ def _trip_of_folder(path: Path) -> Contents:
 def _of_format(path: Path, stated: str) -> Contents:
     """What a file of trainlog's own formats holds."""
     from trainlog.formats.characteristic import read_characteristic
+    from trainlog.formats.declared import read_thing
     from trainlog.formats.line import read_journey, read_line
     from trainlog.formats.network import read_network
     from trainlog.formats.parameters import read_coast_down, read_parameters
-    from trainlog.formats.passport import passport_from_bytes
     from trainlog.formats.train import read_consist, read_train
     from trainlog.formats.trajectory import read_trajectory
     from trainlog.ingest.profile import PROFILE_FORMAT, read_profile
+    from trainlog.railway.passport import Passport
 
     readers: dict[str, tuple[str, Callable[[Path], Any]]] = {
         "trainlog/line": ("line", read_line),
@@ -169,7 +171,10 @@ def _of_format(path: Path, stated: str) -> Contents:
         "trainlog/coast-down": ("coast-down", read_coast_down),
         "trainlog/trajectory": ("trajectory", read_trajectory),
         "trainlog/characteristic": ("adhesion characteristic", read_characteristic),
-        "trainlog/passport": ("passport", lambda each: passport_from_bytes(each.read_bytes())),
+        "trainlog/passport": (
+            "passport",
+            partial(read_thing, Passport),
+        ),
         PROFILE_FORMAT: ("profile", read_profile),
     }
     if stated not in readers:

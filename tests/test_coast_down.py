@@ -29,11 +29,8 @@ from tests.coasting_trips import (
 from trainlog.cli.main import run
 from trainlog.errors import InputError, LogError, NotIdentifiableError
 from trainlog.formats.attached import train_of
-from trainlog.formats.parameters import (
-    coast_down_from_bytes,
-    coast_down_to_bytes,
-    read_coast_down,
-)
+from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
+from trainlog.formats.parameters import CoastDownResult, read_coast_down
 from trainlog.formats.samples import sample
 from trainlog.ingest import ingest_each
 from trainlog.mcap import read_log, write_log
@@ -285,9 +282,9 @@ def test_logs_give_a_file_that_says_what_it_was_made_from(tmp_path: Path) -> Non
     log = tmp_path / "a.mcap"
     write_log(satellites_only(sample_trip("nonstop.mcap")), log)
     found = coast_down([log])
-    data = coast_down_to_bytes(found.result)
-    assert coast_down_to_bytes(coast_down_from_bytes(data)) == data
-    assert coast_down_to_bytes(coast_down(log).result) == data
+    data = thing_to_bytes(found.result)
+    assert thing_to_bytes(thing_from_bytes(CoastDownResult, data)) == data
+    assert thing_to_bytes(coast_down(log).result) == data
     result = found.result
     assert result["c0"].value == found.curve.theta[1]
     assert result["mass_ratio"].reason in (None, "expected: train file")
@@ -296,7 +293,9 @@ def test_logs_give_a_file_that_says_what_it_was_made_from(tmp_path: Path) -> Non
     with pytest.raises(KeyError):
         result["r0"]
     with pytest.raises(InputError, match="covariance: rows differ in length"):
-        coast_down_from_bytes(data.replace(b'"covariance": [\n    [', b'"covariance": [\n    [0, '))
+        thing_from_bytes(
+            CoastDownResult, data.replace(b'"covariance": [\n    [', b'"covariance": [\n    [0, ')
+        )
 
 
 def test_the_command_writes_result_and_picture(
@@ -380,7 +379,7 @@ def test_one_way_over_unknown_gradients_tells_how_resistance_grows_and_no_more()
     ends = np.array([piece["position"] for piece in result.pieces])
     true_sums = CURVE[0] + RATIO * 9.81 * HILLY.gradients.mean(ends[:, 0], ends[:, 1])
     assert np.all(np.abs(sums - true_sums) < 4.0 * stds)
-    assert coast_down_from_bytes(coast_down_to_bytes(result))["c0"] == result["c0"]
+    assert thing_from_bytes(CoastDownResult, thing_to_bytes(result))["c0"] == result["c0"]
 
 
 def test_both_ways_over_unknown_gradients_tell_all_of_it() -> None:

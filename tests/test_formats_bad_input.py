@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +15,11 @@ from test_formats_roundtrip import simple_line, simple_train
 
 from trainlog.declaration import check_plausible
 from trainlog.errors import InputError
+from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
 from trainlog.formats.files import read_bytes
-from trainlog.formats.line import (
-    journey_from_bytes,
-    journey_to_bytes,
-    line_from_bytes,
-    line_to_bytes,
-    read_line,
-    write_line,
-)
-from trainlog.formats.parameters import parameters_from_bytes, parameters_to_bytes
+from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line, write_line
 from trainlog.formats.samples import sample
-from trainlog.formats.train import consist_from_bytes, read_train, train_from_bytes, train_to_bytes
-from trainlog.formats.trajectory import trajectory_from_bytes, trajectory_to_bytes
+from trainlog.formats.train import read_train, train_from_bytes, train_to_bytes
 from trainlog.railway import (
     BrakingCurves,
     Configuration,
@@ -35,25 +28,29 @@ from trainlog.railway import (
     StepProfile,
     Trajectory,
 )
+from trainlog.railway.consist import Consist
 from trainlog.railway.journey import Journey, TimingPoint
 
 CONFIGURATION = Configuration("a", 1e5, 1e4, RunningResistance(1.0, 2.0, 3.0), 1e6)
 GOOD: dict[str, tuple[bytes, Callable[..., Any]]] = {
     "line": (line_to_bytes(simple_line()), line_from_bytes),
     "train": (train_to_bytes(simple_train()), train_from_bytes),
-    "consist": (read_bytes(sample("amirhosseini_2024_8_wagons.consist.json")), consist_from_bytes),
+    "consist": (
+        read_bytes(sample("amirhosseini_2024_8_wagons.consist.json")),
+        partial(thing_from_bytes, Consist),
+    ),
     "journey": (
-        journey_to_bytes(Journey("J", "L", (TimingPoint(0.0, 0.0), TimingPoint(9.0, 5.0, 6.0)))),
-        journey_from_bytes,
+        thing_to_bytes(Journey("J", "L", (TimingPoint(0.0, 0.0), TimingPoint(9.0, 5.0, 6.0)))),
+        partial(thing_from_bytes, Journey),
     ),
     "parameters": (
-        parameters_to_bytes(
+        thing_to_bytes(
             ParameterSet("T", (CONFIGURATION,), common_covariance=np.eye(3), provenance={"a": 1})
         ),
-        parameters_from_bytes,
+        partial(thing_from_bytes, ParameterSet),
     ),
     "trajectory": (
-        trajectory_to_bytes(
+        thing_to_bytes(
             Trajectory(
                 "L",
                 "T",
@@ -66,7 +63,7 @@ GOOD: dict[str, tuple[bytes, Callable[..., Any]]] = {
                 9.0,
             )
         ),
-        trajectory_from_bytes,
+        partial(thing_from_bytes, Trajectory),
     ),
 }
 

@@ -23,10 +23,9 @@ from hypothesis import HealthCheck, given, settings
 from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.condition import read_map, write_map
+from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
 from trainlog.formats.files import plain, read_json
 from trainlog.formats.line import (
-    journey_from_bytes,
-    journey_to_bytes,
     line_from_bytes,
     line_to_bytes,
     read_journey,
@@ -36,27 +35,10 @@ from trainlog.formats.line import (
 )
 from trainlog.formats.mapfile import MapFile, whole_file
 from trainlog.formats.network import read_network, write_network
-from trainlog.formats.parameters import (
-    parameters_from_bytes,
-    parameters_to_bytes,
-    read_parameters,
-    write_parameters,
-)
+from trainlog.formats.parameters import read_parameters, write_parameters
 from trainlog.formats.samples import sample
-from trainlog.formats.train import (
-    consist_from_bytes,
-    consist_to_bytes,
-    read_train,
-    train_from_bytes,
-    train_to_bytes,
-    write_train,
-)
-from trainlog.formats.trajectory import (
-    read_trajectory,
-    trajectory_from_bytes,
-    trajectory_to_bytes,
-    write_trajectory,
-)
+from trainlog.formats.train import read_train, train_from_bytes, train_to_bytes, write_train
+from trainlog.formats.trajectory import read_trajectory, write_trajectory
 from trainlog.railway import (
     Configuration,
     Line,
@@ -91,10 +73,10 @@ def test_lines_survive(line: Line) -> None:
 @quick
 @given(CONSISTS)
 def test_consists_survive(consist: Consist) -> None:
-    data = consist_to_bytes(consist)
-    found = consist_from_bytes(data)
+    data = thing_to_bytes(consist)
+    found = thing_from_bytes(Consist, data)
     assert_same(found, consist, ROUNDING)
-    assert consist_to_bytes(found) == data
+    assert thing_to_bytes(found) == data
 
 
 @quick
@@ -109,28 +91,28 @@ def test_trains_survive(train: Train) -> None:
 @quick
 @given(journeys())
 def test_journeys_survive(journey: Journey) -> None:
-    data = journey_to_bytes(journey)
-    found = journey_from_bytes(data)
+    data = thing_to_bytes(journey)
+    found = thing_from_bytes(Journey, data)
     assert_same(found, journey, ROUNDING)
-    assert journey_to_bytes(found) == data
+    assert thing_to_bytes(found) == data
 
 
 @quick
 @given(PARAMETER_SETS)
 def test_parameter_sets_survive_to_the_last_bit(parameters: ParameterSet) -> None:
-    data = parameters_to_bytes(parameters)
-    found = parameters_from_bytes(data)
+    data = thing_to_bytes(parameters)
+    found = thing_from_bytes(ParameterSet, data)
     assert_same(found, parameters)
-    assert parameters_to_bytes(found) == data
+    assert thing_to_bytes(found) == data
 
 
 @quick
 @given(trajectories())
 def test_trajectories_survive_to_the_last_bit(trajectory: Trajectory) -> None:
-    data = trajectory_to_bytes(trajectory)
-    found = trajectory_from_bytes(data)
+    data = thing_to_bytes(trajectory)
+    found = thing_from_bytes(Trajectory, data)
     assert_same(found, trajectory)
-    assert trajectory_to_bytes(found) == data
+    assert thing_to_bytes(found) == data
 
 
 @quick
@@ -246,14 +228,14 @@ def test_files_and_bytes_agree(tmp_path: Path) -> None:
 
 def test_what_json_cannot_say_is_refused_when_written() -> None:
     with pytest.raises(InputError, match=r"provenance\.gap: inf cannot be written"):
-        parameters_to_bytes(ParameterSet("T", (), provenance={"gap": np.inf}))
+        thing_to_bytes(ParameterSet("T", (), provenance={"gap": np.inf}))
     with pytest.raises(InputError, match=r"details\[0\]\.a: a object cannot be written"):
-        parameters_to_bytes(ParameterSet("T", (), details=[{"a": object()}]))
+        thing_to_bytes(ParameterSet("T", (), details=[{"a": object()}]))
 
 
 def test_numpy_numbers_in_details_are_written_as_numbers() -> None:
     details = [{"a": np.float64(0.1), "b": np.int64(3), "c": np.array([[1.5]]), "d": (True, None)}]
-    found = parameters_from_bytes(parameters_to_bytes(ParameterSet("T", (), details=details)))
+    found = thing_from_bytes(ParameterSet, thing_to_bytes(ParameterSet("T", (), details=details)))
     assert found.details == [{"a": 0.1, "b": 3, "c": [[1.5]], "d": [True, None]}]
 
 

@@ -12,7 +12,8 @@ from analysis.resistance import combine, parameter_set, summarised
 from analysis.resistance.observed import choose
 from tests.test_resistance_together import drawn
 from trainlog.arrays import FloatArray
-from trainlog.formats.parameters import parameters_from_bytes, parameters_to_bytes
+from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
+from trainlog.railway.train import ParameterSet
 
 DIRECTIONS = np.random.default_rng(99).standard_normal((400, 4))
 
@@ -106,12 +107,12 @@ def test_the_set_says_where_each_configuration_comes_from() -> None:
         assert detail["sha256"] == digests[configuration.name]
         assert detail["std"]["r2"] > 0.0
         assert np.shape(detail["fitted_correlation"]) == (4, 4)
-    data = parameters_to_bytes(found)
-    assert parameters_from_bytes(data).cover == found.cover
-    assert parameters_to_bytes(parameter_set(summaries.iloc[::-1])) == data
+    data = thing_to_bytes(found)
+    assert thing_from_bytes(ParameterSet, data).cover == found.cover
+    assert thing_to_bytes(parameter_set(summaries.iloc[::-1])) == data
     older = json.loads(data)
     del older["cover"]
-    assert parameters_from_bytes(json.dumps(older).encode()).cover == {}
+    assert thing_from_bytes(ParameterSet, json.dumps(older).encode()).cover == {}
 
 
 def test_trips_of_one_name_become_configurations_of_two_names() -> None:

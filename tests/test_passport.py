@@ -20,7 +20,7 @@ from analysis.passports import (
 )
 from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import passport_of, recorded_load, with_passport
-from trainlog.formats.passport import passport_from_bytes, passport_to_bytes
+from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.railway import Passport, Quantity
 from trainlog.railway.adhesion import AdhesionCharacteristic, CreepCurve, polach_curve
@@ -75,7 +75,7 @@ def test_creep_of_unrecorded_wheels_is_in_the_band_of_the_delay(
     assert found.creep_lead.value > 0.0
     assert 0.0 < shared_delay_std(found) < found.creep_lead.std < found.effort_delay.std < 0.06
     assert found.motion_delay.value < seen.motion_delay.value  # what the motion shows is early
-    assert passport_from_bytes(passport_to_bytes(found)).creep_lead == found.creep_lead
+    assert thing_from_bytes(Passport, thing_to_bytes(found)).creep_lead == found.creep_lead
 
 
 def test_without_a_recorded_load_gain_and_load_share_their_uncertainty(stopping: Trip) -> None:
@@ -158,7 +158,7 @@ def test_a_trip_with_nothing_but_fixes_has_a_passport() -> None:
     assert found.trip == "ride"
     assert found.speed_noise["/gnss/motion.speed"].value == pytest.approx(0.08, rel=0.2)
     assert not found.mass.known
-    assert passport_to_bytes(passport_from_bytes(passport_to_bytes(found))) == passport_to_bytes(
+    assert thing_to_bytes(thing_from_bytes(Passport, thing_to_bytes(found))) == thing_to_bytes(
         found
     )
 
@@ -174,7 +174,7 @@ def test_a_stored_passport_is_the_one_that_is_used(stopping: Trip, tmp_path: obj
 
 
 def test_the_estimate_is_the_same_each_time(stopping: Trip) -> None:
-    once, again = (passport_to_bytes(estimated_passport(stopping)) for _ in range(2))
+    once, again = (thing_to_bytes(estimated_passport(stopping)) for _ in range(2))
     assert once == again
 
 

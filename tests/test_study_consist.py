@@ -17,9 +17,10 @@ from analysis.studies.in_train_forces.table import forces_tables
 from trainlog.cli.main import run as command
 from trainlog.cli.terminal import console
 from trainlog.errors import InfeasibleError, InputError
+from trainlog.formats.declared import thing_from_bytes
 from trainlog.formats.line import write_line
 from trainlog.formats.samples import names, sample
-from trainlog.formats.train import consist_from_bytes, read_consist, write_consist
+from trainlog.formats.train import read_consist, write_consist
 from trainlog.mcap import read_log, write_log
 from trainlog.railway.consist import Consist
 from trainlog.simulation.consist import ConsistPlant
@@ -98,7 +99,10 @@ def test_a_run_becomes_a_log(run: study.ConsistRun, tmp_path: Path) -> None:
     again = read_log(tmp_path / "run.mcap")
     np.testing.assert_array_equal(again["/train/couplers"]["force_2"], run.forces[:, 1])
     np.testing.assert_array_equal(again["/train/vehicles"]["speed_3"], run.speeds[:, 2])
-    assert consist_from_bytes(again.attachments["consist.json"]).couplers == run.consist.couplers
+    assert (
+        thing_from_bytes(Consist, again.attachments["consist.json"]).couplers
+        == run.consist.couplers
+    )
     assert "emergency braking" in set(again["/events"]["message"])
 
 

@@ -17,7 +17,7 @@ from analysis.resistance.logs import fit
 from tests.test_resistance_together import drawn
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
-from trainlog.formats.parameters import parameters_to_bytes
+from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.summaries import (
     COLUMNS,
     covariances_of,
@@ -131,10 +131,10 @@ def test_known_logs_are_not_read_again_and_nothing_changes(tmp_path: Path) -> No
     assert again.known == 3
     assert not again.trips
     assert not again.refused
-    assert parameters_to_bytes(again.parameters) == parameters_to_bytes(whole.parameters)
+    assert thing_to_bytes(again.parameters) == thing_to_bytes(whole.parameters)
     pd.testing.assert_frame_equal(again.summaries, whole.summaries, check_exact=True)
     alone = fit(summaries)
-    assert parameters_to_bytes(alone.parameters) == parameters_to_bytes(whole.parameters)
+    assert thing_to_bytes(alone.parameters) == thing_to_bytes(whole.parameters)
     assert whole.parameters.cover["refused"] == {"condition": 1}
 
 

@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from trainlog.declaration import entries, example, meanings
 from trainlog.errors import InputError
 from trainlog.formats import templates
+from trainlog.formats.declared import thing_from_bytes
 from trainlog.formats.line import (
-    journey_from_bytes,
     line_from_bytes,
     line_to_bytes,
     read_journey,
@@ -143,7 +143,7 @@ def test_trains_in_toml(tmp_path: Path, train: Train) -> None:
 def test_journeys_in_toml(tmp_path: Path, journey: Journey) -> None:
     """What has no bound is nan."""
     write_journey(journey, tmp_path / "a.toml")
-    found = journey_from_bytes((tmp_path / "a.toml").read_bytes(), file="a.toml")
+    found = thing_from_bytes(Journey, (tmp_path / "a.toml").read_bytes(), file="a.toml")
     assert_same(found, journey, ROUNDING)
 
 

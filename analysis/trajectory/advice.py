@@ -27,8 +27,8 @@ from trainlog import __version__
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.attached import line_of_plan
+from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.files import atomic_write, sha256
-from trainlog.formats.trajectory import trajectory_to_bytes
 from trainlog.presentation import WordTable, new_table
 from trainlog.railway import Line, StepProfile, Trajectory
 from trainlog.railway.kilometres import in_km
@@ -508,5 +508,5 @@ def with_advice(trip: Trip, trajectory: Trajectory, row: int | None = None) -> T
         "advise",
         software=f"trainlog {__version__}",
         configuration=trajectory.configurations[chosen].name,
-        inputs={"trajectory": sha256(trajectory_to_bytes(trajectory))},
+        inputs={"trajectory": sha256(thing_to_bytes(trajectory))},
     )

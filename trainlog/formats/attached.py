@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from trainlog.errors import LogError
+from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
 from trainlog.formats.files import sha256, to_bytes
 from trainlog.formats.line import line_from_bytes, line_to_bytes
-from trainlog.formats.passport import passport_from_bytes, passport_to_bytes
 from trainlog.formats.train import train_from_bytes
 from trainlog.railway.line import Line
 from trainlog.railway.passport import Passport, Quantity
@@ -125,7 +125,7 @@ def passport_of(trip: Trip) -> Passport | None:
     data = trip.attachments.get(PASSPORT_ATTACHMENT)
     if data is None:
         return None
-    return passport_from_bytes(data, file=_called(trip, PASSPORT_ATTACHMENT))
+    return thing_from_bytes(Passport, data, file=_called(trip, PASSPORT_ATTACHMENT))
 
 
 def with_passport(trip: Trip, passport: Passport) -> Trip:
@@ -139,7 +139,7 @@ def with_passport(trip: Trip, passport: Passport) -> Trip:
     >>> passport_of(with_passport(trip, passport(trip))).trip
     'trip-01'
     """
-    data = passport_to_bytes(passport)
+    data = thing_to_bytes(passport)
     carried = replace(trip, attachments={**trip.attachments, PASSPORT_ATTACHMENT: data})
     return carried.with_step(
         "passport", software=f"trainlog {__version__}", outputs={PASSPORT_ATTACHMENT: sha256(data)}

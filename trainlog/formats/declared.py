@@ -21,7 +21,7 @@ Result = TypeVar("Result")
 
 
 def thing_from_bytes(
-    kind: type[Thing], data: bytes, file: str | Path, *, judged: bool = False
+    kind: type[Thing], data: bytes, file: str | Path | None = None, *, judged: bool = False
 ) -> Thing:
     """The thing in the bytes of its file; `file` is what errors call it.
 
@@ -29,7 +29,8 @@ def thing_from_bytes(
     ----------
     kind : type
     data : bytes
-    file : path
+    file : path, optional
+        Default: the kind of thing, as in ``train.json``.
     judged : bool
         Whether values that cannot be meant are refused, too: a train of 122 kg.
 
@@ -45,7 +46,8 @@ def thing_from_bytes(
     Traceback (most recent call last):
     trainlog.errors.InputError: train.json: is not a trainlog/train file: it has no key 'format'...
     """
-    return built(lambda: from_content(kind, body_of(kind, data, file), judged), file)
+    named = file or f"{kind.FORMAT.partition('/')[2]}.json"
+    return built(lambda: from_content(kind, body_of(kind, data, named), judged), named)
 
 
 def body_of(kind: type[Declared], data: bytes, file: str | Path) -> dict[str, Any]:

@@ -85,22 +85,21 @@ class ImportOptions:
         InputError
             If an option is for the other of the two.
         """
-        of_line = (
-            {} if self.curve_resistance is None else {"curve_resistance": self.curve_resistance}
-        )
-        stated: tuple[tuple[type, dict[str, Any]], ...] = (Train, self.of_train), (Line, of_line)
-        for kind, changes in stated:
+        curved = [] if self.curve_resistance is None else ["curve_resistance"]
+        for kind, changes in ((Train, [*self.of_train]), (Line, curved)):
             if changes and not isinstance(thing, kind):
                 what = kind.__name__.lower()
                 raise InputError(
-                    f"is not a {what}: {next(iter(changes)).replace('_', ' ')} cannot go into it",
+                    f"is not a {what}: {changes[0].replace('_', ' ')} cannot go into it",
                     file=path,
                     remedy=f"give it with a {what} alone",
                 )
         if isinstance(thing, Train):
             chosen = {n: each for n, each in self.of_train.items() if not n.endswith("curve")}
             return replace(with_curves(thing, self.traction_curve, self.braking_curve), **chosen)
-        return replace(thing, **of_line) if isinstance(thing, Line) else thing
+        if isinstance(thing, Line) and self.curve_resistance is not None:
+            return replace(thing, curve_resistance=self.curve_resistance)
+        return thing
 
 
 def with_curves(

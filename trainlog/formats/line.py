@@ -63,16 +63,6 @@ def write_line(line: Line, path: str | Path) -> None:
     write_thing(line, path, Line)
 
 
-def journey_from_bytes(data: bytes, *, file: str | Path = "journey.json") -> Journey:
-    """The journey in the bytes of a journey file; `file` is what errors call it."""
-    return thing_from_bytes(Journey, data, file)
-
-
-def journey_to_bytes(journey: Journey) -> bytes:
-    """The bytes of the journey's file: the same journey gives the same bytes."""
-    return thing_to_bytes(journey)
-
-
 def read_journey(path: str | Path) -> Journey:
     """Read a journey file, JSON or TOML; errors as `read_thing`.
 

@@ -14,47 +14,14 @@ from trainlog.arrays import FloatArray
 from trainlog.declaration import Array, Declared, Json, Many, Matrix
 from trainlog.display import counted, span
 from trainlog.errors import InputError
-from trainlog.formats.declared import read_thing, thing_from_bytes, thing_to_bytes, write_thing
+from trainlog.formats.declared import read_thing, write_thing
 from trainlog.presentation import PLAIN, Band, Column, Said, WordTable, new_table
 from trainlog.railway.train import ParameterSet
 from trainlog.units import KMH
 
 
-def parameters_from_bytes(data: bytes, *, file: str | Path = "parameters.json") -> ParameterSet:
-    """The parameter set in the bytes of a parameters file.
-
-    Raises
-    ------
-    InputError
-        If they are not a parameters file, naming the place and the remedy.
-
-    Examples
-    --------
-    >>> data = b'{"format": "trainlog/parameters", "version": 2}'
-    >>> parameters_from_bytes(data)  # doctest: +ELLIPSIS
-    Traceback (most recent call last):
-    trainlog.errors.InputError: parameters.json, version: version 2 is newer than...
-    """
-    return thing_from_bytes(ParameterSet, data, file)
-
-
-def parameters_to_bytes(parameters: ParameterSet) -> bytes:
-    """The bytes of the set's file: doubles exact, the same set gives the same bytes.
-
-    Examples
-    --------
-    >>> from trainlog import Configuration, RunningResistance
-    >>> resistance = RunningResistance(2000.0, 50.0, 8.0)
-    >>> empty = Configuration("empty", 122e3, 9e3, resistance, 2.6e6)
-    >>> found = ParameterSet("FLIRT", (empty,), speed_range=(5.0, 40.0))
-    >>> parameters_from_bytes(parameters_to_bytes(found)).train
-    'FLIRT'
-    """
-    return thing_to_bytes(parameters)
-
-
 def read_parameters(path: str | Path) -> ParameterSet:
-    """Read a parameters file; errors as `parameters_from_bytes`, and if it cannot be read.
+    """Read a parameters file; errors as `read_thing`.
 
     Examples
     --------
@@ -233,39 +200,8 @@ def _in_words(quantity: Identified) -> str:
     return f"{quantity.value:.5g} {quantity.unit}{std}"
 
 
-def coast_down_from_bytes(data: bytes, *, file: str | Path = "coast-down.json") -> CoastDownResult:
-    """The result in the bytes of a coast-down file; `file` is what errors call it.
-
-    Raises
-    ------
-    InputError
-        If they are not a coast-down file, naming the place and the remedy.
-
-    Examples
-    --------
-    >>> coast_down_from_bytes(b"")
-    Traceback (most recent call last):
-    trainlog.errors.InputError: coast-down.json: is empty; expected JSON
-    """
-    return thing_from_bytes(CoastDownResult, data, file)
-
-
-def coast_down_to_bytes(result: CoastDownResult) -> bytes:
-    """The bytes of the file: doubles exact, the same result gives the same bytes.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> mass = Identified("mass", "kg", None, None, "coasting gives resistance by mass only")
-    >>> result = CoastDownResult("FLIRT", "line", (mass,), np.zeros((0, 0)))
-    >>> coast_down_from_bytes(coast_down_to_bytes(result))["mass"].reason
-    'coasting gives resistance by mass only'
-    """
-    return thing_to_bytes(result)
-
-
 def read_coast_down(path: str | Path) -> CoastDownResult:
-    """Read a coast-down file; errors as `coast_down_from_bytes`, and if it cannot be read.
+    """Read a coast-down file; errors as `read_thing`.
 
     Examples
     --------

@@ -56,16 +56,6 @@ def write_train(train: Train, path: str | Path) -> None:
     write_thing(train, path, Train)
 
 
-def consist_from_bytes(data: bytes, *, file: str | Path = "consist.json") -> Consist:
-    """The consist in the bytes of a consist file; `file` is what errors call it."""
-    return thing_from_bytes(Consist, data, file)
-
-
-def consist_to_bytes(consist: Consist) -> bytes:
-    """The bytes of the consist's file: the same consist gives the same bytes."""
-    return thing_to_bytes(consist)
-
-
 def read_consist(path: str | Path) -> Consist:
     """Read a consist file, JSON or TOML; errors as `read_thing`.
 

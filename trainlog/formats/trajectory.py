@@ -4,18 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from trainlog.formats.declared import read_thing, thing_from_bytes, thing_to_bytes, write_thing
+from trainlog.formats.declared import read_thing, write_thing
 from trainlog.railway.trajectory import Trajectory
-
-
-def trajectory_from_bytes(data: bytes, *, file: str | Path = "trajectory.json") -> Trajectory:
-    """The trajectory in the bytes of a trajectory file; `file` is what errors call it."""
-    return thing_from_bytes(Trajectory, data, file)
-
-
-def trajectory_to_bytes(trajectory: Trajectory) -> bytes:
-    """The bytes of the file: doubles exact, the same trajectory gives the same bytes."""
-    return thing_to_bytes(trajectory)
 
 
 def read_trajectory(path: str | Path) -> Trajectory:

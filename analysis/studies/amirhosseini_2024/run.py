@@ -14,7 +14,7 @@ from analysis.studies.amirhosseini_2024.table import (
     errors_table,
 )
 from analysis.studies.report import START, StudyReport, study_trip
-from trainlog.formats.train import consist_to_bytes
+from trainlog.formats.declared import thing_to_bytes
 from trainlog.topics import (
     ENVIRONMENT,
     ESTIMATED_RESISTANCE,
@@ -134,7 +134,7 @@ def trip_of(run: Run, seed: int) -> Trip:
                 "slope_shift": run.shift,
             },
         ),
-        attachments={"consist.json": consist_to_bytes(run.train)},
+        attachments={"consist.json": thing_to_bytes(run.train)},
         metadata={"seed": str(seed), "study": "Amirhosseini et al. (2024), section 5"},
     )
 

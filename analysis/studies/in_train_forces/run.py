@@ -11,9 +11,10 @@ from analysis.studies.in_train_forces.plot import run_charts
 from analysis.studies.in_train_forces.simulation import STEP, ConsistRun, crest_and_sag, run
 from analysis.studies.in_train_forces.table import forces_tables
 from analysis.studies.report import START, StudyReport, study_trip
+from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import sample
-from trainlog.formats.train import consist_to_bytes, read_consist
+from trainlog.formats.train import read_consist
 from trainlog.mcap import write_log
 from trainlog.topics import (
     ENVIRONMENT,
@@ -117,5 +118,5 @@ def consist_trip(run: ConsistRun) -> Trip:
         line,
         frames,
         ("study consist", {"speed": run.speed_to_keep, "integration_step": STEP}),
-        attachments={CONSIST_ATTACHMENT: consist_to_bytes(consist)},
+        attachments={CONSIST_ATTACHMENT: thing_to_bytes(consist)},
     )
