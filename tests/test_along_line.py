@@ -77,6 +77,18 @@ def test_thirty_seconds_more_at_a_station_are_lost_there_and_kept() -> None:
     assert behind.time[grid > place + 1.0] == pytest.approx(30.0, abs=1e-6)
 
 
+def test_stops_a_few_metres_apart_make_no_spike_of_lateness() -> None:
+    seconds = np.arange(241.0)
+    one, other = (
+        curve(seconds, np.interp(seconds, [0.0, 100.0, 140.0, 240.0], [0.0, stop, stop, 2_000.0]))
+        for stop in (1_003.0, 988.0)
+    )
+    grid = grid_over([one, other])
+    for trip, reference in ((one, other), (other, one)):
+        behind = difference(on_grid(trip, grid), on_grid(reference, grid))
+        assert np.abs(behind.time).max() < 3.0
+
+
 def test_partial_trips_are_compared_where_both_were() -> None:
     whole = curve(np.linspace(0.0, 100.0, 101), np.linspace(0.0, 2000.0, 101))
     part = curve(np.linspace(0.0, 50.0, 51), np.linspace(1000.0, 1500.0, 51))

@@ -312,6 +312,13 @@ def on_grid(
     return OnGrid(grid, time, np.asarray(speed))
 
 
+STANDING_PACE = 1.0
+"""Mean speed between two nodes below which a train stood there [m/s]."""
+
+STOPS_APART = 60.0
+"""Two trains that stand within such a distance stand at the same place [m]."""
+
+
 def difference(trip: OnGrid, reference: OnGrid) -> OnGrid:
     """How far a trip is behind a reference, and how much faster, at each node of their grid.
 
@@ -333,7 +340,16 @@ def difference(trip: OnGrid, reference: OnGrid) -> OnGrid:
     """
     if not np.array_equal(trip.position, reference.position):
         raise InputError("trip and reference are on different grids", remedy="take one for both")
-    lost = trip.time - reference.time
+    lost, place = trip.time - reference.time, trip.position
+    # Of a stop that both make a few metres apart one has stood already, and the other has not.
+    own, other = (
+        np.flatnonzero(np.diff(each.time) > np.diff(place) / STANDING_PACE)
+        for each in (trip, reference)
+    )
+    for begin, end in np.sort([(one, two) for one in own for two in other if one != two]):
+        if place[end] - place[begin] <= STOPS_APART:
+            ends, inner = [begin, end + 1], slice(begin + 1, end + 1)
+            lost[inner] = np.interp(place[inner], place[ends], lost[ends])
     both = np.flatnonzero(np.isfinite(lost))
     since = lost[both[0]] if both.size else 0.0
     return OnGrid(trip.position, lost - since, trip.speed - reference.speed)
