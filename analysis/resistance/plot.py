@@ -261,20 +261,18 @@ def refused_chart(trip: str, refusal: TripRefusedError) -> Chart:
 
 def timeline_chart(timeline: Timeline, title: str) -> Chart:
     """Speed over time, and below it what was masked, a bar for each reason."""
-    minutes, speed = timeline.time / 60.0, KMH * timeline.speed
-    top = max(float(np.max(speed, initial=1.0)), 1.0)
-    curves = [Curve("", minutes, speed, BLUE, width=1.0)]
-    height = 0.08 * top
-    for number, (reason, mask) in enumerate(timeline.masks.items(), start=1):
-        low = -(number + 0.4) * height
-        level = np.where(mask, low + 0.8 * height, np.nan)
-        curves.append(
-            Curve(f"{reason} {float(mask.mean()):.0%}", minutes, level, MASKS.get(reason, GREY),
-                  "area", np.full(level.size, low))
-        )  # fmt: skip
-    limits = (-(len(timeline.masks) + 1) * height, 1.08 * top)
+    minutes = timeline.time / 60.0
+    panels = [Panel(SPEED, [Curve("", minutes, KMH * timeline.speed, width=1.0)], from_zero=True)]
+    if timeline.masks:
+        bars = [
+            Curve("", minutes, np.where(mask, row + 0.4, np.nan), MASKS.get(reason, GREY), "area",
+                  np.full(mask.size, row - 0.4))
+            for row, (reason, mask) in enumerate(timeline.masks.items())
+        ]  # fmt: skip
+        names = [f"{reason} {float(mask.mean()):.0%}" for reason, mask in timeline.masks.items()]
+        panels.append(Panel("", bars, 0.1 + 0.1 * len(bars), rows=names))
     alt = "Speed over time, with what was masked below it."
-    return Chart("time [min]", [Panel(SPEED, curves, 1.0, limits=limits)], alt, title=title)
+    return Chart("time [min]", panels, alt, title=title)
 
 
 def _data(fit: TripFit) -> Chart:
