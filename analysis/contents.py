@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import LOOKED_AT, is_map, mistaken_json, refuse_workbook
+from trainlog.formats.network import read_network, route_of_path
+from trainlog.presentation import WordTable, facts_table, new_table
 
 if TYPE_CHECKING:
     from trainlog.mcap.description import LogDescription
@@ -61,6 +66,32 @@ class Contents:
         """Whether it is a log of which something is lost."""
         return self.kind == "log" and not self.value.complete
 
+    def described(self) -> LogDescription:
+        """Of a log what is in it, and which of its fields hold a value."""
+        from trainlog.mcap.description import recorded_fields
+
+        found: LogDescription = self.value
+        return replace(found, recorded=recorded_fields(found))
+
+    def parts(self, *, every: bool = False) -> Sequence[WordTable | str]:
+        """What is shown of it; if `every`, of a map the trips by name, too."""
+        if self.kind == "log":
+            return [*self.described().shown(), *self._passport()]
+        if self.kind in ("consist", "network", "route"):
+            shown: Sequence[WordTable | str] = self.value.shown()
+            return shown
+        if self.kind == "track-condition map":
+            return _map_tables(self.path)[: 1 + every]
+        return [f"{self.path}: {self.kind}", self.text]
+
+    def _passport(self) -> list[str]:
+        from trainlog.formats.attached import passport_of
+        from trainlog.mcap import read_log
+        from trainlog.trip import PASSPORT_ATTACHMENT
+
+        attached = PASSPORT_ATTACHMENT in (each.name for each in self.value.attachments)
+        return [repr(passport_of(read_log(self.path, [])))] if attached else []
+
 
 @dataclass(frozen=True)
 class FolderEntry:
@@ -87,7 +118,7 @@ def contents_of(path: str | Path) -> Contents:
     path : path
         A log or an MCAP file of another program, a line, network, train, consist, journey, profile,
         parameter set, coast-down, trajectory, passport, characteristic, forecast, track-condition
-        map, a recorder's file, a trip as Parquet or CSV.
+        map, a recorder's file, a trip as Parquet or CSV; or a route, ``NET#A,B,C``.
 
     Raises
     ------
@@ -104,6 +135,9 @@ def contents_of(path: str | Path) -> Contents:
     from trainlog.ingest.registry import head_of
 
     path = Path(path)
+    if (named := route_of_path(path)) is not None:
+        file, places = named
+        return Contents(path, "route", read_network(file).route(*places))
     if path.is_dir():
         return _trip_of_folder(path)
     head = head_of(path)
@@ -141,6 +175,42 @@ def _map_summary(path: Path) -> str:
     )
 
 
+def _map_tables(path: Path) -> list[WordTable]:
+    """What a map's file holds, and its recordings by the names that `map remove` takes."""
+    from trainlog.condition import day_of_trip
+    from trainlog.formats.mapfile import MapFile
+
+    with MapFile(path) as file, file.unchanging():
+        track, layers, trips = file.empty, file.contents(), file.trips()
+    length = f"{track.length / 1e3:.1f} km, {track.bins} bins of {track.bin_length:g} m"
+    counts = sum(number for number, _ in layers.values())
+    more = len(trips) - counts
+    beside = f"; {counted(more, 'recording')} more of drives that count" if more else ""
+    every = sorted({day for _, days in layers.values() for day in days})
+    facts = {
+        "line": f"{track.line}, {length}",
+        "trips": f"{counted(counts, 'trip')}, {_period(every)}{beside}",
+    }
+    for layer, (number, days) in layers.items():
+        facts[f"layer {layer}"] = f"{counted(number, 'trip')}, {_period(days)}"
+    table = new_table("", "trip", "rail\ncondition", "days", "counts")
+    for row in trips:
+        days = [day for day in row.days if row.first_day is not None]
+        if not days:  # compacted, or without evidence: the day on which it ran
+            ran = day_of_trip(json.loads(row.entry))
+            days = [] if ran is None else [ran]
+        words = " to ".join(dict.fromkeys(str(np.datetime64(day, "D")) for day in days))
+        counts_too = "yes" if row.counted else "no"
+        table.add_row(row.known.name, row.layer, words or "not known", counts_too)
+    return [facts_table(path.name, facts, "map"), table]
+
+
+def _period(days: list[int]) -> str:
+    """Days since 1970-01-01: how many, the first and the last."""
+    ends = dict.fromkeys(str(np.datetime64(day, "D")) for day in (*days[:1], *days[-1:]))
+    return f"{counted(len(days), 'day')}, {' to '.join(ends)}" if days else "no evidence"
+
+
 def _trip_of_folder(path: Path) -> Contents:
     from trainlog.formats.trip_tables import read_parquet, trip_index
 
@@ -154,7 +224,6 @@ def _of_format(path: Path, stated: str) -> Contents:
     from trainlog.formats.characteristic import read_characteristic
     from trainlog.formats.declared import read_thing
     from trainlog.formats.line import read_journey, read_line
-    from trainlog.formats.network import read_network
     from trainlog.formats.parameters import read_coast_down, read_parameters
     from trainlog.formats.train import read_consist, read_train
     from trainlog.formats.trajectory import read_trajectory

@@ -20,13 +20,15 @@ def test_its_commands_are_public_and_two_trains_have_faults() -> None:
         context = typer.Context(command, info_name=name)
         options = {each for one in command.get_params(context) for each in one.opts}
         assert {word for word in words if word.startswith("--")} <= options, words
-    assert len({fault.partition(",")[0] for fault in demo.FAULTS}) == 2
+    words = demo.fleet_commands(Path("out"))[0]
+    faults = {word.partition(",")[0] for word in words if word.startswith("train=")}
+    assert len(faults) == 2
 
 
 @pytest.mark.long
 def test_the_commands_run_one_after_the_other(tmp_path: Path) -> None:
     results = tmp_path / "results"
     steps = demo.fleet_commands(results, trips=24)
-    demo.run_demo(results, Console(quiet=True), cli.run, steps, demo.fleet_following(results))
+    demo.run_demo(results, Console(quiet=True), cli.run, steps, demo.FLEET_THEN)
     for name in ("trajectory.json", "fleet.html", "trains/trains.json"):
         assert (results / name).is_file()

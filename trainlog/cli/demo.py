@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import shutil
 from collections.abc import Callable, Sequence
@@ -50,52 +51,85 @@ def demo(
     if count is not None and not fleet:
         raise InputError("--count is that of the fleet's trips", remedy="give --fleet, too")
     folder = output or Path(read_settings().results).expanduser()
-    if not fleet:
-        run_demo(folder, terminal, lambda words: run(words))
-        return
-    steps = fleet_commands(folder, count or TRIPS)
-    run_demo(folder, terminal, lambda words: run(words), steps, fleet_following(folder))
+    steps = fleet_commands(folder, count or 100) if fleet else commands(folder)
+    run_demo(folder, terminal, lambda words: run(words), steps, FLEET_THEN if fleet else THEN)
 
 
 MARKER = ".trainlog-demo"
 """File by which the demo recognises a folder of its own results."""
 
 
+CHAIN = """
+new samples -o OUT/sample_logs
+simulate drive KNOWN --count 12 --seed 1 -o OUT/trips
+ingest OUT/sample_logs/recorder.csv --profile OUT/sample_logs/recorder.profile.toml KNOWN
+    --set weather=dry --set load=24000 -o OUT/recorded
+ingest OUT/sample_logs/gnss.csv KNOWN -o OUT/recorded
+show OUT/recorded/recorder.mcap
+fit OUT/recorded/recorder.mcap -o OUT/recorded/parameters.json
+map update OUT/recorded/recorder.mcap --map OUT/recorded/wil.map
+replay OUT/recorded -o OUT/recorded/replay.rrd
+fit OUT/trips -o OUT/parameters.json
+map update OUT/trips --map OUT/wil.map
+map show OUT/wil.map --picture OUT/wil.png
+plan OUT/parameters.json KNOWN --map OUT/wil.map --layer wet --running-time OUT/trips
+    -o OUT/trajectory.json
+simulate follow OUT/trajectory.json KNOWN --map OUT/wil.map --configurations all --weather wet
+    -o OUT/driven
+simulate follow OUT/trajectory.json KNOWN --configurations all --weather wet -o OUT/driven-blind
+compare OUT/trips --with OUT/driven --with OUT/driven-blind
+estimate OUT/trips/trip-03.mcap -o OUT/estimated
+replay OUT/estimated OUT/driven --trajectory OUT/trajectory.json --map OUT/wil.map
+    -o OUT/replay.rrd
+report OUT
+"""
+"""The commands of the demo; results go to OUT, and KNOWN are the line and the train."""
+
+THEN = """
+replay OUT/trips -o OUT/all.rrd
+plan OUT/parameters.json --line sample --train sample --reserve 5 -o OUT/faster.json
+ingest YOUR.csv --profile OUT/sample_logs/recorder.profile.toml -o OUT/recorded
+"""
+"""Commands to go on with."""
+
+FLEET = """
+simulate fleet drawn:4 --trains 9 --days 10 --count COUNT --seed 1
+    --fault train=flirt-02,dragging-brake=6kN,from=2026-10-05
+    --fault train=kiss-01,wheel-diameter=1%,from=2026-10-06 -o OUT/fleet
+fleet add OUT/fleet --catalogue OUT/catalogue
+show OUT/fleet/network.network.json
+fleet update --catalogue OUT/catalogue
+fleet query "train = 'flirt-01' and weather = 'wet'" --catalogue OUT/catalogue
+fleet trains --catalogue OUT/catalogue -o OUT/trains
+fit --trips "train = 'flirt-01'" --catalogue OUT/catalogue -o OUT/flirt-01.json
+plan OUT/flirt-01.json --line OUT/fleet/network.network.json#Holzegg,Lindburg
+    --train OUT/fleet/trains/flirt-01.train.json -o OUT/trajectory.json
+report OUT/catalogue --network OUT/fleet/network.network.json -o OUT/fleet.html
+"""
+"""The same of a fleet; the faults are so large that five trips show them."""
+
+FLEET_THEN = """
+fleet diff now resistance.largest_std=0.2 --catalogue OUT/catalogue
+fleet show --catalogue OUT/catalogue --problems
+fleet add YOUR_LOGS --catalogue OUT/catalogue
+"""
+
+
 def commands(output: Path) -> list[list[str]]:
     """The commands of the demo, without the leading ``trainlog``; results go to `output`."""
-    samples, trips, recorded = output / "sample_logs", output / "trips", output / "recorded"
-    driven, blind = output / "driven", output / "driven-blind"
-    parameters, condition = output / "parameters.json", output / "wil.map"
-    trajectory = output / "trajectory.json"
-    known: list[str | Path] = ["--line", samples / DEFAULT_LINE, "--train", samples / DEFAULT_TRAIN]
-    facts = ["--set", "weather=dry", "--set", "load=24000"]
-    profile: list[str | Path] = ["--profile", samples / "recorder.profile.toml"]
-    rail: list[str | Path] = ["--map", condition, "--layer", "wet"]
-    every = ["--configurations", "all"]
-    known_rail: list[str | Path] = ["--map", condition]
-    plan: list[str | Path] = ["--trajectory", trajectory]
-    wet = ["--weather", "wet"]
-    steps: list[list[str | Path]] = [
-        ["new", "samples", "-o", samples],
-        ["simulate", "drive", *known, "--count", "12", "--seed", "1", "-o", trips],
-        ["ingest", samples / "recorder.csv", *profile, *known, *facts, "-o", recorded],
-        ["ingest", samples / "gnss.csv", *known, "-o", recorded],
-        ["show", recorded / "recorder.mcap"],
-        ["fit", recorded / "recorder.mcap", "-o", recorded / "parameters.json"],
-        ["map", "update", recorded / "recorder.mcap", "--map", recorded / "wil.map"],
-        ["replay", recorded, "-o", recorded / "replay.rrd"],
-        ["fit", trips, "-o", parameters],
-        ["map", "update", trips, "--map", condition],
-        ["map", "show", condition, "--picture", output / "wil.png"],
-        ["plan", parameters, *known, *rail, "--running-time", trips, "-o", trajectory],
-        ["simulate", "follow", trajectory, *known, *known_rail, *every, *wet, "-o", driven],
-        ["simulate", "follow", trajectory, *known, *every, *wet, "-o", blind],
-        ["compare", trips, "--with", driven, "--with", blind],
-        ["estimate", trips / "trip-03.mcap", "-o", output / "estimated"],
-        ["replay", output / "estimated", driven, *plan, *known_rail, "-o", output / "replay.rrd"],
-        ["report", output],
-    ]
-    return [[str(word) for word in step] for step in steps]
+    known = f"--line OUT/sample_logs/{DEFAULT_LINE} --train OUT/sample_logs/{DEFAULT_TRAIN}"
+    return _steps(CHAIN.replace("KNOWN", known), output)
+
+
+def fleet_commands(output: Path, trips: int = 100) -> list[list[str]]:
+    """The commands of the demo of a fleet, likewise."""
+    return _steps(FLEET.replace("COUNT", str(trips)), output)
+
+
+def _steps(text: str, output: Path) -> list[list[str]]:
+    """Commands as lists of words; a line that begins with spaces goes on with the one before."""
+    lines = re.sub(r"\n +", " ", text).strip().splitlines()
+    return [[word.replace("OUT", str(output)) for word in shlex.split(line)] for line in lines]
 
 
 def _clear(output: Path) -> None:
@@ -115,73 +149,12 @@ def _clear(output: Path) -> None:
     marker.write_text("Results of 'trainlog demo'; the next demo replaces this folder.\n", "utf-8")
 
 
-def following(output: Path) -> list[str]:
-    """Commands to go on with."""
-    return [
-        f"trainlog replay {output / 'trips'} -o {output / 'all.rrd'}",
-        f"trainlog plan {output / 'parameters.json'} --line sample --train sample --reserve 5"
-        f" -o {output / 'faster.json'}",
-        f"trainlog ingest YOUR.csv --profile {output / 'sample_logs' / 'recorder.profile.toml'}"
-        f" -o {output / 'recorded'}",
-    ]
-
-
-TRIPS = 100
-
-TRAIN = "flirt-01"
-"""Whose observed set is planned for."""
-
-FAULTS = (
-    "train=flirt-02,dragging-brake=6kN,from=2026-10-05",
-    "train=kiss-01,wheel-diameter=1%,from=2026-10-06",
-)
-"""So large that five trips show them; smaller ones need more trips than the demo has."""
-
-
-def fleet_commands(output: Path, trips: int = TRIPS, places: str | None = None) -> list[list[str]]:
-    """The commands of the demo of a fleet, likewise."""
-    fleet, catalogue = output / "fleet", ["--catalogue", output / "catalogue"]
-    network = fleet / "network.network.json"
-    parameters, trajectory = output / f"{TRAIN}.json", output / "trajectory.json"
-    faults = [word for fault in FAULTS for word in ("--fault", fault)]
-    size = ["--trains", 9, "--days", 10, "--count", trips]
-    train = fleet / "trains" / f"{TRAIN}.train.json"
-    route = f"{network}#{places or ROUTE}"
-    where = ["--trips", f"train = '{TRAIN}'"]
-    steps: list[list[object]] = [
-        ["simulate", "fleet", "drawn:4", *size, "--seed", 1, *faults, "-o", fleet],
-        ["fleet", "add", fleet, *catalogue],
-        ["show", network],
-        ["fleet", "update", *catalogue],
-        ["fleet", "query", f"train = '{TRAIN}' and weather = 'wet'", *catalogue],
-        ["fleet", "trains", *catalogue, "-o", output / "trains"],
-        ["fit", *where, *catalogue, "-o", parameters],
-        ["plan", parameters, "--line", route, "--train", train, "-o", trajectory],
-        ["report", output / "catalogue", "--network", network, "-o", output / "fleet.html"],
-    ]
-    return [[str(word) for word in step] for step in steps]
-
-
-ROUTE = "Holzegg,Lindburg"
-"""Places of the drawn network between which the trajectory is planned."""
-
-
-def fleet_following(output: Path) -> list[str]:
-    """Commands to go on with."""
-    catalogue = f"--catalogue {output / 'catalogue'}"
-    return [
-        f"trainlog fleet diff now resistance.largest_std=0.2 {catalogue}",
-        f"trainlog fleet show {catalogue} --problems",
-        f"trainlog fleet add YOUR_LOGS {catalogue}",
-    ]
-
-
 def run_demo(
     output: Path,
     console: Console,
     run: Callable[[list[str]], int],
     steps: Sequence[list[str]] | None = None,
-    then: Sequence[str] | None = None,
+    then: str = THEN,
 ) -> None:
     """Run the whole chain and say where the results are.
 
@@ -215,5 +188,5 @@ def run_demo(
             raise typer.Exit(status)
     console.rule(Text(f"done in {perf_counter() - begin:.0f} s", style="dim"), align="left")
     console.print(f"Everything is in {output}. Next, try:")
-    for command in following(output) if then is None else then:
-        console.print(f"  {command}", soft_wrap=True)
+    for command in then.strip().splitlines():
+        console.print(f"  trainlog {command.replace('OUT', str(output))}", soft_wrap=True)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
-from datetime import date, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -35,7 +33,6 @@ from trainlog.cli.terminal import (
     print_account,
     print_error,
     print_problems,
-    show as show_,
     state,
     wrote,
 )
@@ -45,10 +42,8 @@ from trainlog.progress import task, track
 from trainlog.units import KMH, PERCENT, SPEED
 
 if TYPE_CHECKING:
+    from trainlog.mcap import Account
     from trainlog.mcap.convert import Converted
-    from trainlog.mcap.description import LogDescription
-    from trainlog.presentation import WordTable
-    from trainlog.railway.network import Network, Route
 
 
 def import_(
@@ -149,13 +144,6 @@ def import_(
                     console.print(f"  assumed: {'; '.join(each.assumed)}")
 
 
-def _sentence(network: Network) -> str:
-    return (
-        f"{network.name}: {counted(len(network.edges), 'edge')} of {network.length / 1e3:.3f} km,"
-        f" {counted(len(network.nodes), 'node')}"
-    )
-
-
 def new(
     kind: Annotated[
         Literal["line", "train", "journey", "profile", "network", "samples"],
@@ -211,6 +199,7 @@ def new(
 
     Example: trainlog new network --from A-B.line.json --from B-C.line.json -o my.network.json
     """
+    from trainlog.formats.network import route_of_path
     from trainlog.formats.templates import write_template
 
     made_from = source or []
@@ -220,7 +209,7 @@ def new(
         wrote(*copy_samples(output))
     elif kind == "network":
         _join(made_from, output, name)
-    elif kind == "line" and made_from and "#" in made_from[0].name:
+    elif kind == "line" and made_from and route_of_path(made_from[0]) is not None:
         _write_route(made_from, output, name)
     elif kind == "line" and any(each.is_dir() or each.suffix == ".mcap" for each in made_from):
         _line_of_fixes(made_from, output, name, picture)
@@ -251,29 +240,29 @@ def _join(lines: list[Path], output: Path, name: str | None) -> None:
     given = name or output.name.partition(".")[0]
     found = network_of_lines(given, [read_line(each) for each in lines])
     write_network(found.network, output)
-    console.print(_sentence(found.network), *found.notes, sep="\n")
+    network = found.network
+    console.print(
+        f"{network.name}: {counted(len(network.edges), 'edge')} of {network.length / 1e3:.3f} km,"
+        f" {counted(len(network.nodes), 'node')}",
+        *found.notes,
+        sep="\n",
+    )
     wrote(output)
 
 
 def _write_route(given: list[Path], output: Path, name: str | None) -> None:
     """Write the line of the shortest route through places of a network."""
+    from analysis.contents import contents_of
     from trainlog.formats.line import write_line
 
     destination(output, ".json")
     if len(given) > 1:
         raise InputError("several routes are given", remedy="give --from once")
-    route = _route(given[0])
-    console.print(*route.shown())
-    write_line(replace(route.line, name=name) if name else route.line, output)
+    found = contents_of(given[0])
+    console.print(*found.parts())
+    line = found.value.line
+    write_line(replace(line, name=name) if name else line, output)
     wrote(output)
-
-
-def _route(given: Path) -> Route:
-    """The route that ``NET#A,B,C`` names."""
-    from trainlog.formats.network import read_network
-
-    file, _, places = str(given).partition("#")
-    return read_network(file).route(*(each.strip() for each in places.split(",")))
 
 
 def _line_of_fixes(logs: list[Path], output: Path, name: str | None, picture: Path | None) -> None:
@@ -375,71 +364,58 @@ def _check(logs: list[Path]) -> None:
     """Read logs to the last byte, and state what is lost of them."""
     from trainlog.mcap import account_of
 
-    damaged, refused, accounts = 0, 0, list[dict[str, object]]()
-    for log in track(logs, "checking", "log"):
-        try:
-            account = account_of(log)
-        except LogError as error:  # one file that is no log says nothing of the others
-            print_error(str(error))
-            refused += 1
-            continue
-        accounts.append({"log": log, "whole": account.whole, **account.details()})
-        damaged += not account.whole
-        if not state({"logs": accounts}):
-            print_account(log, account)
-    end_in_part(refused, len(logs))
+    def checked(log: Path) -> tuple[Account, dict[str, Any]]:
+        account = account_of(log)
+        return account, {"log": log, "whole": account.whole}
+
+    damaged = _accounts(logs, "checking", checked)
     if damaged:
         raise typer.Exit(1)
 
 
+def _accounts(
+    logs: list[Path], what: str, made: Callable[[Path], tuple[Account, dict[str, Any]]]
+) -> int:
+    """State what is lost of each log; how many are damaged."""
+    damaged, refused, accounts = 0, 0, list[dict[str, Any]]()
+    for log in track(logs, what, "log"):
+        try:
+            account, about = made(log)
+        except LogError as error:  # one file that is no log says nothing of the others
+            print_error(str(error))
+            refused += 1
+            continue
+        accounts.append({**about, **account.details()})
+        damaged += not account.whole
+        if not state({"logs": accounts}):
+            print_account(log, account)
+        if rebuilt := about.get("rebuilt"):
+            wrote(rebuilt)
+    end_in_part(refused, len(logs))
+    return damaged
+
+
 def _show(file: Path, every: bool) -> bool:
     """State what a file holds; whether it is a log that is damaged."""
-    if "#" in file.name and not file.exists():
-        console.print(*_route(file).shown())
-        return False
     from analysis.contents import contents_of
 
     found = contents_of(file)
-    if found.kind == "log":
-        _show_log(file, found.value)
-    elif found.kind in ("consist", "network"):
-        console.print(*found.value.shown())
-    elif found.kind == "track-condition map":
-        console.print(_map_contents(file))
-        if every:
-            console.print(_map_trips(file))
+    if found.kind == "log" and state({}):
+        current().content.setdefault("logs", []).append(found.described().data())
     else:
-        console.print(f"{file}: {found.kind}", soft_wrap=True)
-        console.print(found.text, soft_wrap=True)
+        for part in found.parts(every=every):
+            console.print(part, soft_wrap=isinstance(part, str))
     return found.damaged
-
-
-def _show_log(file: Path, found: LogDescription) -> None:
-    """State what a log holds, and its passport."""
-    from trainlog.formats.attached import passport_of
-    from trainlog.mcap import read_log
-    from trainlog.mcap.description import recorded_fields
-    from trainlog.trip import PASSPORT_ATTACHMENT
-
-    found = replace(found, recorded=recorded_fields(found))
-    if state({}):
-        current().content.setdefault("logs", []).append(found.data())
-        return
-    show_(found)
-    if PASSPORT_ATTACHMENT in (each.name for each in found.attachments):
-        console.print(repr(passport_of(read_log(file, []))))
 
 
 def _show_folder(folder: Path) -> bool:
     """List what the files of a folder are; whether a log among them is damaged."""
     from analysis.contents import folder_contents
-    from trainlog.presentation import new_table
+    from trainlog.presentation import Column, new_table
 
-    table = new_table(str(folder), "file", "kind", "contents", name="file")
+    columns = Column("file", of="name"), Column("kind"), Column("contents", of="summary")
     rows = folder_contents(folder)
-    for row in rows:
-        table.add_row(row.name, row.kind, row.summary)
-    console.print(table)
+    console.print(new_table(str(folder), *columns, name="file").add_rows(rows))
     return any(row.damaged for row in rows)
 
 
@@ -455,53 +431,6 @@ def _open(file: Path) -> None:
     wrote(page)
     if not webbrowser.open(page.resolve().as_uri()):
         console.print("no browser here: open the page where there is one")
-
-
-def _map_contents(path: Path) -> WordTable:
-    """What the file of a track-condition map holds; `trainlog map show` makes estimates of it."""
-    from trainlog.formats.mapfile import MapFile
-    from trainlog.presentation import new_table
-
-    with MapFile(path) as file, file.unchanging():
-        track, layers, recordings = file.empty, file.contents(), len(file.trips())
-    table = new_table(path.name, "quantity", "value", name="map", show_header=False)
-    length = f"{track.length / 1e3:.1f} km, {track.bins} bins of {track.bin_length:g} m"
-    table.add_row("line", f"{track.line}, {length}")
-    every = sorted({day for _, days in layers.values() for day in days})
-    counts = sum(trips for trips, _ in layers.values())
-    more = recordings - counts
-    beside = f"; {counted(more, 'recording')} more of drives that count" if more else ""
-    table.add_row("trips", f"{counted(counts, 'trip')}, {_period(every)}{beside}")
-    for layer, (trips, days) in layers.items():
-        table.add_row(f"layer {layer}", f"{counted(trips, 'trip')}, {_period(days)}")
-    return table
-
-
-def _map_trips(path: Path) -> WordTable:
-    """The recordings that the file of a map holds, by the names that `map remove` takes."""
-    from trainlog.condition import day_of_trip
-    from trainlog.formats.mapfile import MapFile
-    from trainlog.presentation import new_table
-
-    with MapFile(path) as file:
-        rows = file.trips()
-    table = new_table("", "trip", "rail\ncondition", "days", "counts")
-    for row in rows:
-        first, last = (date(1970, 1, 1) + timedelta(days=each) for each in row.days)
-        days = " to ".join(dict.fromkeys((str(first), str(last))))
-        if row.first_day is None:  # compacted, or without evidence: the day on which it ran
-            ran = day_of_trip(json.loads(row.entry))
-            days = "not known" if ran is None else str(date(1970, 1, 1) + timedelta(days=ran))
-        table.add_row(row.known.name, row.layer, days, "yes" if row.counted else "no")
-    return table
-
-
-def _period(days: list[int]) -> str:
-    """Days since 1970-01-01: how many, the first and the last."""
-    if not days:
-        return "no evidence"
-    first, last = (date(1970, 1, 1) + timedelta(days=days[end]) for end in (0, -1))
-    return f"{counted(len(days), 'day')}, {first}" + (f" to {last}" if last > first else "")
 
 
 KINDS = (
@@ -637,24 +566,13 @@ def _rebuild(logs: list[Path], output: Path) -> None:
     several = len(logs) > 1 or output.suffix != ".mcap"
     if several:
         distinct([log.name for log in logs], logs)
-    refused, accounts = 0, list[dict[str, object]]()
+
+    def rebuilt(log: Path) -> tuple[Account, dict[str, Any]]:
+        target = output / log.name if several else destination(output, ".mcap")
+        return rebuild(log, target), {"log": log, "rebuilt": target}
+
     with output_folder(output) if several else nullcontext():
-        for log in track(logs, "recovering", "log"):
-            target = output / log.name if several else destination(output, ".mcap")
-            try:
-                account = rebuild(log, target)
-            except LogError as error:
-                # One file that is no log does not keep the others from being rebuilt.
-                if not several:
-                    raise
-                refused += 1
-                print_error(str(error))
-                continue
-            accounts.append({"log": log, "rebuilt": target, **account.details()})
-            if not state({"logs": accounts}):
-                print_account(log, account)
-            wrote(target)
-    end_in_part(refused, len(logs))
+        _accounts(logs, "recovering", rebuilt)
 
 
 def _write(source: Path, output: Path, **part: Any) -> None:
@@ -667,8 +585,8 @@ def _write(source: Path, output: Path, **part: Any) -> None:
 
 
 def _summary(output: Path, rows: Any, notes: Sequence[str]) -> None:
-    if not state({"rows": dict(rows), "notes": list(notes)}):
+    if not state({"rows": dict(rows)}):
         console.print(f"  {rows.total():,} rows in {counted(len(rows), 'topic')}")
-        for note in notes:
-            console.print(f"  {note}", soft_wrap=True)
+    for note in notes:
+        console.print(f"  {note}", soft_wrap=True)
     wrote(output)

@@ -13,7 +13,7 @@ import typer
 from trainlog.cli.terminal import console
 from trainlog.errors import InputError
 from trainlog.formats.files import logs_of
-from trainlog.units import DISTANCE, KILOMETRE, MASS, NANOSECONDS, NUMBER, SHARE, Measure
+from trainlog.units import DISTANCE, KILOMETRE, MASS, NANOSECONDS, NUMBER, SHARE, TIME, Measure
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -111,9 +111,9 @@ RunTimeOption = Annotated[
     str | None,
     typer.Option(
         "--at",
-        help="With --map: time of the run, for which it is read: 2026-11-22T06:00Z. Default: with"
-        " --risk right after its last evidence, else what lasts. Only evidence of days before"
-        " counts (UTC).",
+        help="With --map: time of the run, for which it is read: 2026-11-22T06:00Z. Default: where"
+        " a risk is given right after its last evidence, else what lasts. Only evidence of days"
+        " before counts (UTC).",
     ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")]
@@ -162,11 +162,7 @@ PictureOption = Annotated[
     Path | None, written("--picture", help="Draw it into this file (.png), too.")
 ]
 
-SECONDS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0}
-
-_RELATIVE = re.compile(
-    r"(?:(?P<edge>start|end)|(?P<sign>(?:start\+|end-)?)(?P<number>\d+(?:\.\d+)?)(?P<unit>ms|s|min|h))"
-)
+_RELATIVE = re.compile(r"(start|end)|(start\+|end-)?(\d+(?:\.\d+)?(?:ms|s|min|h))")
 
 
 def times(
@@ -249,9 +245,9 @@ def lasting_change(word: str, line: Line | None = None) -> Change:
         if not (equals and value) or key in given or key not in ("km", "date", "factor", "spots"):
             raise InputError(f"change '{word}': '{part}' is not understood", remedy=remedy)
         given[key] = value
-    for names in (("km",), ("date",), ("factor", "spots")):
-        if not given.keys() & set(names):
-            raise InputError(f"change '{word}' has no {' or '.join(names)}", remedy=remedy)
+    for names in ("km", "date", "factor or spots"):
+        if not given.keys() & set(names.split(" or ")):
+            raise InputError(f"change '{word}' has no {names}", remedy=remedy)
     km = stretch(re.sub(r"(?<=[0-9.])-", ":", given["km"], count=1), line)
     if km is None or km[0] is None or km[1] is None:
         raise InputError(f"change '{word}': km needs both ends", remedy=remedy)
@@ -286,11 +282,10 @@ def _moment(
     known = span()
     if known is None:
         raise InputError(f"'{word}' has no meaning: the log has no rows", remedy="leave it out")
-    edge = found["edge"] or ("end" if found["sign"] == "end-" else "start")
-    from_edge = float(found["number"] or 0.0) * SECONDS[found["unit"] or "s"]
+    edge, sign, given = found.groups()
     try:
-        distance = pd.Timedelta(round(from_edge * NANOSECONDS), "ns")
-        return known[1] - distance if edge == "end" else known[0] + distance
+        distance = pd.Timedelta(round(TIME.read(given or "0s") * NANOSECONDS), "ns")
+        return known[1] - distance if "end" in (edge, sign and sign[:3]) else known[0] + distance
     except (OverflowError, pd.errors.OutOfBoundsDatetime, pd.errors.OutOfBoundsTimedelta) as error:
         raise InputError(
             f"'{word}' is further than time stamps reach",
@@ -327,18 +322,11 @@ def moment(at: str | None, zone: str | None) -> pd.Timestamp | None:
 
 def zone_assumed(at: str | None, zone: str | None) -> str:
     """That a time is taken for UTC, where it states no zone and none is given; else empty."""
-    if at is None or zone is not None or not _zoneless(at):
-        return ""
-    return f"{at} states no zone: taken for UTC (--zone names another)"
-
-
-def _zoneless(at: str) -> bool:
     from trainlog.spans import stamp_of
 
-    try:
-        return stamp_of(at).tzinfo is None
-    except InputError:
-        return False
+    if at is None or zone is not None or stamp_of(at).tzinfo is not None:
+        return ""
+    return f"{at} states no zone: taken for UTC (--zone names another)"
 
 
 def map_of_run(
@@ -512,6 +500,7 @@ def line_or_network(
 
 def pairs(given: list[str]) -> dict[str, str]:
     """Metadata given as ``key=value``."""
+    from trainlog.railway.train import check_load
     from trainlog.railway.weather import given_condition
 
     found = {}
@@ -523,7 +512,11 @@ def pairs(given: list[str]) -> dict[str, str]:
             raise InputError(f"'{key}' is no known fact", remedy=f"known: {', '.join(FACTS)}")
         if key == "weather":
             value = given_condition(value)
-        found[key] = _load(value) if key == "load" else value
+        if key == "load":
+            load = MASS.between(0.0).read(value, "load")
+            check_load(load)
+            value = value if value[-1:].isdigit() else f"{load:.0f}"
+        found[key] = value
         if key == "start_position" and value != "stations":
             found[key] = f"{_START.read(value, key):g}"
     return found
@@ -532,21 +525,6 @@ def pairs(given: list[str]) -> dict[str, str]:
 _START = replace(
     DISTANCE, examples="200, 0.2km or stations (where the stops match those of the line)"
 )
-
-
-def load_of(word: str) -> float:
-    """A load [kg], from a number in kg or one with its unit, ``11.7t``."""
-    from trainlog.railway.train import check_load
-
-    load = MASS.between(0.0).read(word, "load")
-    check_load(load)
-    return load
-
-
-def _load(word: str) -> str:
-    """A load in kg as metadata holds it: a plain number as it is written."""
-    load = load_of(word)
-    return word if word[-1:].isdigit() else f"{load:.0f}"
 
 
 def destination(path: Path, suffix: str) -> Path:
