@@ -44,6 +44,10 @@ AnalysesOption = Annotated[
         help="Only this analysis; may be given several times. Default: all of them.",
     ),
 ]
+WorkersOption = Annotated[
+    int | None,
+    typer.Option(min=0, help="Processes; default: one a processor. 0: this process itself."),
+]
 TrainName = Annotated[
     str | None, typer.Option("--train", metavar="NAME", help="Only of this train.")
 ]
@@ -287,10 +291,7 @@ def fleet_update(
     catalogue: CatalogueOption = None,
     trips: TripsOption = None,
     analyses: AnalysesOption = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(min=0, help="Processes; default: one a processor. 0: this process itself."),
-    ] = None,
+    workers: WorkersOption = None,
     scheduler: Annotated[
         str | None,
         typer.Option(
@@ -438,10 +439,7 @@ def fleet_diff(
         Path | None,
         typer.Option("--output", "-o", help="Folder for the report and all tables as CSV."),
     ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(min=0, help="Processes; default: one a processor. 0: this process itself."),
-    ] = None,
+    workers: WorkersOption = None,
 ) -> None:
     """List every estimate that moved between two versions of the code or two sets of parameters.
 

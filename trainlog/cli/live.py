@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from trainlog.cli.options import destination, line_or_network, measured, pairs
+from trainlog.cli.options import line_or_network, measured, pairs, written
+from trainlog.cli.progress_bar import handled
 from trainlog.cli.terminal import console, current, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
@@ -28,7 +29,9 @@ PORT = "5005"
 
 
 def record(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Log to write; must not exist.")],
+    output: Annotated[
+        Path, written("--output", "-o", suffix=".mcap", help="Log to write; must not exist.")
+    ],
     origin: Annotated[
         Literal["udp", "stdin", "file"],
         typer.Option("--from", help="Datagrams, standard input, or a file that grows."),
@@ -98,7 +101,6 @@ def record(
     from trainlog.ingest.live import LiveIngest, LiveOptions
     from trainlog.ingest.pipeline import Given
 
-    destination(output, ".mcap")
     source = _source(origin, address)
     the_line, network = line_or_network(line)
     given = Given(
@@ -142,20 +144,8 @@ def _source(origin: str, address: str | None) -> Source:
 def ending() -> Iterator[Callable[[], bool]]:
     """Ctrl-C and SIGTERM end a recording in place of this program."""
     asked = threading.Event()
-
-    def ask(*_: object) -> None:
-        asked.set()
-
-    if threading.current_thread() is not threading.main_thread():
+    with handled(lambda *_: asked.set(), signal.SIGINT, signal.SIGTERM):
         yield asked.is_set
-        return
-    signals = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(each, ask) for each in signals]
-    try:
-        yield asked.is_set
-    finally:
-        for each, handler in zip(signals, before, strict=True):
-            signal.signal(each, handler)
 
 
 @contextmanager
@@ -232,22 +222,19 @@ def _summary(
         "log": output, "duration_s": seconds, "messages": account.written,
         "dropped": account.dropped, "lost": source.lost, **live.details(),
     }  # fmt: skip
-    if state(found):
-        wrote(output)
-        return
-    total = sum(account.written.values())
-    console.print(
-        f"  {counted(live.lines, 'line')} in {seconds:.1f} s: {total:,} messages of"
-        f" {counted(len(account.written), 'topic')}, {live.progress.distance / 1e3:.3f} km",
-    )
-    for topic, count in account.written.items():
-        console.print(f"    {topic}  {count:,}")
-    sentences = live.sentences()
-    if source.lost:
-        what = "datagrams" if source.whole else "blocks"
-        sentences.append(f"{source.lost:,} {what} lost before they could be read")
-    sentences += [f"{count:,} of {name} dropped" for name, count in account.dropped.items()]
-    sentences += [] if drawing is None else drawing.sentences()
-    for sentence in sentences:
-        console.print(f"    {sentence}", soft_wrap=True)
+    total, what = sum(account.written.values()), "datagrams" if source.whole else "blocks"
+    sentences = [
+        *(f"{topic}  {count:,}" for topic, count in account.written.items()),
+        *live.sentences(),
+        *[f"{source.lost:,} {what} lost before they could be read"] * bool(source.lost),
+        *(f"{count:,} of {name} dropped" for name, count in account.dropped.items()),
+        *([] if drawing is None else drawing.sentences()),
+    ]
+    if not state(found):
+        console.print(
+            f"  {counted(live.lines, 'line')} in {seconds:.1f} s: {total:,} messages of"
+            f" {counted(len(account.written), 'topic')}, {live.progress.distance / 1e3:.3f} km"
+        )
+        for sentence in sentences:
+            console.print(f"    {sentence}", soft_wrap=True)
     wrote(output)

@@ -192,7 +192,7 @@ def interruption() -> Iterator[Callable[[], None]]:
     """Ctrl-C in long work: what is yielded raises it again where a library's callback lost it."""
     pressed = False
 
-    def press(number: int, frame: object) -> None:  # noqa: ARG001
+    def press(*_: object) -> None:
         nonlocal pressed
         pressed = True
         raise KeyboardInterrupt
@@ -201,11 +201,18 @@ def interruption() -> Iterator[Callable[[], None]]:
         if pressed:
             raise KeyboardInterrupt
 
+    with handled(press, signal.SIGINT):
+        yield check
+
+
+@contextmanager
+def handled(handler: Callable[[int, Any], None], *signals: signal.Signals) -> Iterator[None]:
+    """Have signals handled by a function while the block runs, in the main thread."""
     if threading.current_thread() is not threading.main_thread():
-        yield check
-        return
-    before = signal.signal(signal.SIGINT, press)
+        signals = ()
+    before = [signal.signal(each, handler) for each in signals]
     try:
-        yield check
+        yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for each, former in zip(signals, before, strict=True):
+            signal.signal(each, former)

@@ -65,13 +65,12 @@ def _show(key: str | None, found: Settings) -> None:
     if key is not None and key not in MEANINGS:
         raise InputError(f"'{key}' is not a setting", remedy=f"known: {', '.join(MEANINGS)}")
     values = {name: getattr(found, name) for name in MEANINGS if key in (None, name)}
-    if state({"file": path, "settings": values}):
-        return
-    table = new_table("Settings", "key", "value", "sets the")
-    for name, value in values.items():
-        table.add_row(name, value, MEANINGS[name])
-    there = "" if path.exists() else " (not made yet: all are the defaults)"
-    console.print(table, f"in {path}{there}")
+    if not state({"file": path, "settings": values}):
+        table = new_table("Settings", "key", "value", "sets the")
+        for name, value in values.items():
+            table.add_row(name, value, MEANINGS[name])
+        there = "" if path.exists() else " (not made yet: all are the defaults)"
+        console.print(table, f"in {path}{there}")
 
 
 def _edit() -> None:
