@@ -155,7 +155,6 @@ def map_show(
     km: Annotated[
         str | None,
         typer.Option(
-            "--km",
             help="The operator's kilometres that the picture shows, 8:12; or one place, 12.3, of"
             " which the evidence over time is shown, and the estimate of each day.",
         ),
