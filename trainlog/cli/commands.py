@@ -11,7 +11,7 @@ from functools import cache
 from importlib import import_module
 from keyword import iskeyword
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, get_args
+from typing import Annotated, Any, get_args
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -27,8 +27,6 @@ from trainlog.cli.progress_bar import ProgressDisplay, progress_shown
 from trainlog.cli.terminal import Output, console, output_of, print_error
 from trainlog.display import counted
 from trainlog.errors import InputError
-from trainlog.formats.samples import SAMPLE
-from trainlog.formats.settings import read_settings
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C; typer returns it, too."""
@@ -44,92 +42,29 @@ STATUSES = {
 """Exit statuses of all commands, with what they mean."""
 
 
-class Word(NamedTuple):
-    """A word of the program.
-
-    Attributes
-    ----------
-    module : str
-        Of `trainlog.cli`, with a function of the word's name, or the word's commands as ``X_app``.
-    panel, help : str
-        Where the program's help lists it, and in which words.
-    """
-
-    module: str
-    panel: str
-    help: str
-
-
-START, FILES, LOOK, LEARN, PLAN = "Start here", "Record", "Look", "Learn", "Plan and drive"
-
-WORDS = {
-    "demo": Word(
-        "demo", START, "Run the whole chain on St.Gallen-Wil: record, fit, map, plan, replay."
-    ),
-    "docs": Word("settings", START, "Open the documentation in the browser; it needs no network."),
-    "settings": Word("settings", START, "Show or set units, time zone and files of your own."),
-    "import": Word(
-        "files",
-        FILES,
-        "Turn lines, trains, journeys and networks of other programs into trainlog's files.",
-    ),
-    "new": Word(
-        "files", FILES, "Begin a line, network, train, journey or profile, or copy the samples."
-    ),
-    "ingest": Word(
-        "ingest",
-        FILES,
-        "Turn recorded logs into trips; what was repaired is counted and kept in the log.",
-    ),
-    "record": Word(
-        "live",
-        FILES,
-        "Record what a recorder sends while the train runs: UDP, a pipe, or a file that grows.",
-    ),
-    "convert": Word(
-        "files", FILES, "Write logs anew: as Parquet, CSV or MDF, in part, joined, rebuilt."
-    ),
-    "show": Word(
-        "files", LOOK, "State what a file holds, whatever it is; it is recognised by its content."
-    ),
-    "compare": Word(
-        "look",
-        LOOK,
-        "Compare trips over a line by position: times, where time was"
-        " lost and why, energy, driving.",
-    ),
-    "replay": Word(
-        "look", LOOK, "Show trips in the Rerun viewer, by time and by position; or a part of them."
-    ),
-    "report": Word(
-        "look",
-        LOOK,
-        "Write a report as one HTML page that needs no network: to send, to read, to print.",
-    ),
-    "fit": Word("learn", LEARN, "Fit running resistance to trips, or adhesion to measured points."),
-    "estimate": Word(
-        "learn",
-        LEARN,
-        "Add estimates to logs: smoothed motion, running resistance, adhesion, slip.",
-    ),
-    "map": Word("map", LEARN, "The track-condition map: maximum adhesion."),
-    "fleet": Word("fleet", LEARN, "The catalogue of a fleet, and what is computed of its trips."),
-    "plan": Word(
-        "plan",
-        PLAN,
-        "Find the trajectory of least energy that every observed configuration can follow.",
-    ),
-    "advice": Word(
-        "plan", PLAN, "Write the driver's advice for a whole journey, or add it to a recorded trip."
-    ),
-    "simulate": Word(
-        "simulate", PLAN, "Simulate drivers, trips along a trajectory, days, a fleet."
-    ),
-    "study": Word(
-        "study", PLAN, "Run a published system beside its paper, or the dynamics inside a train."
-    ),
+PANELS = {
+    "Start here": {"demo": "demo", "docs": "settings", "settings": "settings"},
+    "Record": {
+        "import": "files",
+        "new": "files",
+        "ingest": "ingest",
+        "record": "live",
+        "convert": "files",
+    },
+    "Look": {"show": "files", "compare": "look", "replay": "look", "report": "look"},
+    "Learn": {"fit": "learn", "estimate": "learn", "map": "map", "fleet": "fleet"},
+    "Plan and drive": {
+        "plan": "plan",
+        "advice": "plan",
+        "simulate": "simulate",
+        "study": "study",
+    },
 }
-"""The words of the program, in the order of its help."""
+"""The words of the program by the panels of its help, in their order: for each the module of
+`trainlog.cli` with a function of the word's name, or the word's commands as ``X_app``."""
+
+WORDS = {word: (panel, module) for panel, words in PANELS.items() for word, module in words.items()}
+"""Panel and module of each word."""
 
 FORMER = {
     "samples": "new samples",
@@ -220,6 +155,8 @@ def _check_exists(given: Any) -> None:
     paths = given if isinstance(given, tuple) else [given]
     if len(paths) != 1 or not isinstance(paths[0], Path):
         return
+    from trainlog.formats.samples import SAMPLE
+
     (path,) = paths
     if not path.exists() and "#" not in path.name and str(path) != SAMPLE:
         raise InputError("does not exist", file=path, remedy="check the path")
@@ -317,6 +254,8 @@ class Command(_Described, TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
+        from trainlog.formats.settings import read_settings
+
         given = ctx.params
         words = ctx.command_path.partition(" ")[2]
         shown = {"as_json": given.pop("as_json"), "quiet": given.pop("quiet")}
@@ -389,19 +328,12 @@ class Words(Group):
             self.commands[cmd_name] = _command(cmd_name)
         return self.commands.get(cmd_name)
 
-    def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Print the help; no module of a command is imported for it."""
-        self.commands = {
-            word: TyperCommand(word, help=each.help, rich_help_panel=each.panel)
-            for word, each in WORDS.items()
-        }
-        super().format_help(ctx, formatter)
-
 
 @cache
 def _command(word: str) -> Any:
     """A command, or the commands under one word, from its module."""
-    module = import_module(f"trainlog.cli.{WORDS[word].module}")
+    panel, name = WORDS[word]
+    module = import_module(f"trainlog.cli.{name}")
     found = getattr(module, f"{word}_app", None)
     if found is None:
         found = typer.Typer(add_completion=False)
@@ -412,4 +344,5 @@ def _command(word: str) -> Any:
         each.cls = Command
     made = typer.main.get_command(found)
     made.name = word
+    made.rich_help_panel = panel  # type: ignore[attr-defined]
     return made

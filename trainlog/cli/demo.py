@@ -16,7 +16,6 @@ from rich.text import Text
 
 from trainlog.cli.terminal import console as terminal, current
 from trainlog.errors import InputError
-from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN
 
 
 def demo(
@@ -117,6 +116,8 @@ fleet add YOUR_LOGS --catalogue OUT/catalogue
 
 def commands(output: Path) -> list[list[str]]:
     """The commands of the demo, without the leading ``trainlog``; results go to `output`."""
+    from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN
+
     known = f"--line OUT/sample_logs/{DEFAULT_LINE} --train OUT/sample_logs/{DEFAULT_TRAIN}"
     return _steps(CHAIN.replace("KNOWN", known), output)
 

@@ -23,7 +23,6 @@ from trainlog.cli.terminal import (
 )
 from trainlog.display import counted
 from trainlog.errors import InputError
-from trainlog.formats.files import atomic_write, output_folder
 from trainlog.progress import task
 from trainlog.units import PERCENT
 
@@ -227,6 +226,7 @@ def fleet_query(
     """
     from analysis.catalogue_table import found_table, trips_table
     from trainlog.catalogue import open_catalogue, write_trips
+    from trainlog.formats.files import atomic_write
 
     limits: dict[str, Any] = {"train": train, "line": line, "start": since, "end": until}
     by_sql = asked is not None and re.match(r"(?i)\s*(select|with)\b|tables$", asked) is not None
@@ -398,6 +398,7 @@ def fleet_trains(
     )
     from analysis.fleet.trains import trains_in
     from trainlog.catalogue import open_catalogue
+    from trainlog.formats.files import atomic_write, output_folder
 
     with open_catalogue(catalogue) as known:
         found = trains_in(

@@ -21,7 +21,6 @@ from trainlog.cli.options import (
 from trainlog.cli.terminal import console, print_error, show, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError
-from trainlog.formats.files import output_folder
 from trainlog.progress import track
 from trainlog.units import PERCENT, SPEED
 
@@ -150,6 +149,7 @@ def _fit_efforts(
     from analysis.charts import draw
     from analysis.resistance.logs import AllRefusedError, fit as fit_trips
     from analysis.resistance.plot import draw_each, draw_each_refused
+    from trainlog.formats.files import output_folder
     from trainlog.formats.parameters import write_parameters
     from trainlog.formats.summaries import SUFFIX, write_summaries
 
@@ -231,6 +231,7 @@ def estimate(
     Example: trainlog estimate results/trips/trip-01.mcap -o results/estimated
     """
     from analysis.estimates import estimate_log, write_slip_table
+    from trainlog.formats.files import output_folder
 
     found, refused, analysed = logs_in(logs), 0, list[Path]()
     estimated: list[dict[str, object]] = []

@@ -12,7 +12,6 @@ import typer
 
 from trainlog.cli.terminal import console
 from trainlog.errors import InputError
-from trainlog.formats.files import logs_of
 from trainlog.units import DISTANCE, KILOMETRE, MASS, NANOSECONDS, NUMBER, SHARE, TIME, Measure
 
 if TYPE_CHECKING:
@@ -432,6 +431,8 @@ def line_and_train(line: Path | None, train: Path | None) -> tuple[Line, Train]:
 
 def logs_in(paths: list[Path]) -> list[Path]:
     """The logs named, and those in the folders named, or else below them, in order of name."""
+    from trainlog.formats.files import logs_of
+
     return [log for path in paths for log in logs_of(path)]
 
 

@@ -22,7 +22,6 @@ from trainlog.cli.options import (
 )
 from trainlog.cli.terminal import about, console, print_error, state, wrote
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.formats.files import output_folder
 from trainlog.progress import track
 from trainlog.units import TIME
 
@@ -214,6 +213,7 @@ def _drive(
     Of days one train may be stopped for good by a slippery climb: it is added to `stuck`.
     """
     from trainlog.formats.characteristic import read_characteristic
+    from trainlog.formats.files import output_folder
     from trainlog.mcap import write_log
     from trainlog.simulation import drive, recorded
 
