@@ -50,7 +50,7 @@ from analysis.trajectory.rollout import LEAST_TIME_MARGIN, least_time_together
 from trainlog.arrays import FloatArray
 from trainlog.display import at_most, counted
 from trainlog.errors import InfeasibleError, InputError, TrainlogError
-from trainlog.formats.attached import line_kept
+from trainlog.formats.declared import file_content
 from trainlog.presentation import (
     DURATION,
     ENERGY,
@@ -185,7 +185,7 @@ def _optimised(asked: TrajectoryProblem, options: OptimiserOptions) -> Trajector
         provenance={
             "method": "cone relaxation and sequential quadratic programs, Cunillera et al. (2022)",
             "settings": _settings(asked, options),
-            "line": line_kept(problem.line),
+            "line": file_content(problem.line),
         },
     )
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from trainlog.errors import LogError
 from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
 from trainlog.formats.files import sha256, to_bytes
-from trainlog.formats.line import line_from_bytes, line_to_bytes
+from trainlog.formats.line import line_from_bytes
 from trainlog.formats.train import train_from_bytes
 from trainlog.railway.line import Line
 from trainlog.railway.passport import Passport, Quantity
@@ -54,12 +52,6 @@ def line_of(trip: Trip) -> Line:
             remedy="metadata 'direction' must be 'forward' or 'reverse'",
         )
     return line.reversed() if direction == "reverse" else line
-
-
-def line_kept(line: Line) -> dict[str, Any]:
-    """What a trajectory keeps of its line, as ``provenance["line"]``: the content of its file."""
-    content: dict[str, Any] = json.loads(line_to_bytes(line))
-    return content
 
 
 def line_of_plan(trajectory: Trajectory) -> Line | None:

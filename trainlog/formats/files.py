@@ -29,23 +29,10 @@ _REMEDIES = {
     errno.ENAMETOOLONG: "choose a shorter name",
 }
 
-_FILE_SUFFIXES = frozenset(
-    [
-        ".csv",
-        ".gpx",
-        ".html",
-        ".json",
-        ".map",
-        ".mcap",
-        ".mf4",
-        ".nmea",
-        ".parquet",
-        ".png",
-        ".rrd",
-        ".toml",
-        ".txt",
-    ]
-)
+_FILE_SUFFIXES = {
+    ".csv", ".gpx", ".html", ".json", ".map", ".mcap", ".mf4", ".nmea", ".parquet", ".png", ".rrd",
+    ".toml", ".txt",
+}  # fmt: skip
 """Suffixes of files that trainlog reads or writes: no folder is made that has one of them."""
 
 

@@ -34,6 +34,8 @@ FUNCTIONS_HELD = {
 }  # fmt: skip
 """Containers of the functional infrastructure that a network holds."""
 
+_LINEAR = ("linearPositioningSystems", "linearPositioningSystem")
+
 FINEST = ("micro", "meso", "macro")
 """Levels of description, the one that is taken first."""
 
@@ -304,7 +306,8 @@ class _File:
                 continue
             speed = section.speed("maxSpeed")
             profiles = [
-                self._profile_name(each.text("ref")) for each in section.all("validForSpeedProfile")
+                self._named(each.text("ref"), "functionalInfrastructure", "speeds", "speedProfile")
+                for each in section.all("validForSpeedProfile")
             ]
             for place in self._stretches(section):
                 # As seen along the net element: a location may run against it.
@@ -314,12 +317,10 @@ class _File:
                     for category in profiles or [""]
                 ]
 
-    def _profile_name(self, own: str) -> str:
-        """The name of a speed profile."""
-        for each in self.infra.all("functionalInfrastructure", "speeds", "speedProfile"):
-            if each.text("id") == own:
-                return _name_or_id(each)
-        return own
+    def _named(self, own: str, *path: str) -> str:
+        """The name of the element of an id, by the tags that lead to it."""
+        root = self.root if path[0] == "common" else self.infra
+        return next((_name_or_id(each) for each in root.all(*path) if each.text("id") == own), own)
 
     def _add_tunnels(self) -> None:
         """Crossings over the railway that are built as tunnels; the others are counted."""
@@ -379,20 +380,12 @@ class _File:
             if len(rows) > 1 and ends_known:
                 starts = [(at, km) for at, km in rows[:-1]]
                 return LineReference(
-                    self._system_name(system),
+                    self._named(system, "common", "positioning", *_LINEAR),
                     np.array([at for at, _ in starts]),
                     np.array([km for _, km in starts]),
                     np.array([km for _, km in rows[1:]]),
                 )
         return None
-
-    def _system_name(self, system: str) -> str:
-        for each in self.root.all(
-            "common", "positioning", "linearPositioningSystems", "linearPositioningSystem"
-        ):
-            if each.text("id") == system:
-                return _name_or_id(each)
-        return system
 
     def _account(self) -> None:
         """Count what stands in the file and not in the network."""

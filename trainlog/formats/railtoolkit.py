@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 import yaml
@@ -85,6 +85,9 @@ class _Path(Foreign):
     ]
 
 
+Identified = TypeVar("Identified", _Vehicle, _Path)
+
+
 class _Paths(Foreign):
     paths: Annotated[list[_Path], Field(min_length=1)]
 
@@ -117,14 +120,8 @@ def read_rolling_stock(path: str | Path) -> tuple[dict[str, RollingVehicle], dic
     stock = checked(_RollingStock, content, path)
     if stock.trains is None and stock.vehicles is None:
         raise InputError("holds neither trains nor vehicles", file=path, remedy="add 'vehicles'")
-    vehicles: dict[str, RollingVehicle] = {}
-    for number, each in enumerate(stock.vehicles or ()):
-        if each.id in vehicles:
-            raise InputError(
-                f"vehicle '{each.id}' comes twice", file=path, place=f"vehicles[{number}]",
-                remedy="remove one of them",
-            )  # fmt: skip
-        vehicles[each.id] = built(lambda each=each: _vehicle(each), path)  # type: ignore[misc]
+    named = _by_id(stock.vehicles or (), "vehicle", path)
+    vehicles = {own: built(partial(_vehicle, each), path) for own, each in named.items()}
     formations: dict[str, Formation] = {}
     for number, train in enumerate(stock.trains or ()):
         missing = [name for name in train.formation if name not in vehicles]
@@ -137,10 +134,7 @@ def read_rolling_stock(path: str | Path) -> tuple[dict[str, RollingVehicle], dic
             )
         if not missing:
             parts = tuple(vehicles[name] for name in train.formation)
-            formations[train.id] = built(
-                lambda train=train, parts=parts: Formation(train.name, parts, SCHEMA),  # type: ignore[misc]
-                path,
-            )
+            formations[train.id] = built(partial(Formation, train.name, parts, SCHEMA), path)
     return vehicles, formations
 
 
@@ -171,15 +165,26 @@ def read_running_paths(path: str | Path) -> dict[str, Line]:
     8000.0
     """
     content = _content(path, "running-path.json")
-    lines: dict[str, Line] = {}
-    for number, each in enumerate(checked(_Paths, content, path).paths):
-        place = f"paths[{number}]"
-        if each.id in lines:
+    named = _by_id(checked(_Paths, content, path).paths, "path", path)
+    return {
+        own: built(partial(_line, each, f"paths[{number}]"), path)
+        for number, (own, each) in enumerate(named.items())
+    }
+
+
+def _by_id(things: Sequence[Identified], what: str, path: str | Path) -> dict[str, Identified]:
+    """Things of a file by their id, which none may share."""
+    found: dict[str, Identified] = {}
+    for number, each in enumerate(things):
+        if each.id in found:
             raise InputError(
-                f"path '{each.id}' comes twice", file=path, place=place, remedy="remove one of them"
+                f"{what} '{each.id}' comes twice",
+                file=path,
+                place=f"{what}s[{number}]",
+                remedy="remove one of them",
             )
-        lines[each.id] = built(lambda each=each, place=place: _line(each, place), path)  # type: ignore[misc]
-    return lines
+        found[each.id] = each
+    return found
 
 
 def train_of(

@@ -35,54 +35,6 @@ from trainlog.railway.line import CurvatureProfile, Geometry, LineReference
 
 Kind = Literal["line", "train", "journey", "profile"]
 
-PROFILE = """\
-# A recorder's profile: how its files are written and what their columns mean.
-# docs/ingest.md describes every key. Try it: trainlog ingest FILE --profile THIS -o results
-format = "trainlog/recorder-profile"
-version = 1
-name = "Example recorder"
-
-[file]
-delimiter = ";"                  # "\\t" for tabulators
-decimal = ","                    # or "."
-encoding = "utf-8"               # "cp1252" for older programs of Windows
-# header = 1                     # line of the names of the columns; 0: there is none
-# skip_after_header = 1          # lines after it without data, such as one of units
-
-[time]
-column = "Time"                  # or columns = ["Date", "Time"], joined by a blank
-format = "%d.%m.%Y %H:%M:%S.%f"  # or "iso", "epoch", "elapsed" (with start = ...), "parts"
-timezone = "Europe/Zurich"       # of times without an offset; "UTC", "+02:00"
-
-# One entry a field: column, unit, and where needed scale, offset, sign, part. Remove what your
-# recorder lacks, or say optional = true where some files lack it.
-[columns]
-"/train/state.position" = { column = "Distance", unit = "km" }
-"/train/state.speed" = { column = "Speed", unit = "km/h" }
-# One signed column of effort: traction is positive, electric braking negative.
-"/train/controls.tractive_effort" = { column = "Effort", unit = "kN", part = "positive" }
-"/train/controls.dynamic_braking_effort" = { column = "Effort", unit = "kN", part = "negative" }
-"/train/axles.wheel_speed" = { columns = ["V1", "V2"], unit = "km/h", optional = true }
-"/gnss/fix.latitude" = { column = "Latitude", unit = "deg", optional = true }
-"/gnss/fix.longitude" = { column = "Longitude", unit = "deg", optional = true }
-"/gnss/motion.speed" = { column = "GPS speed", unit = "km/h", optional = true }
-
-# What the files do not state, and what holds for the whole trip.
-[trip]
-# weather = "dry"
-# load = { value = 8.5, unit = "t" }
-# direction = "reverse"          # the train runs against the line's chainage
-
-[metadata]
-operator = "Example Railways"
-
-# [detect]                       # with it, files of this layout are recognised
-# columns = ["Time", "Distance", "Speed"]
-
-# [limits]
-# not_before = 2015-01-01        # day before which this recorder did not exist
-"""
-
 
 def template(kind: Kind, *, line: Line | None = None) -> str:
     """The text of a new file: TOML with comments that is valid as it is.
@@ -99,7 +51,7 @@ def template(kind: Kind, *, line: Line | None = None) -> str:
     # A journey. Units can be replaced by any of the same kind:
     """
     if kind == "profile":
-        return PROFILE
+        return Path(__file__).with_name("profile.toml").read_text("utf-8")
     declared: dict[str, type[Declared]] = {"line": Line, "train": Train, "journey": Journey}
     return template_of(declared[kind], line)
 
