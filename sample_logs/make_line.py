@@ -18,7 +18,7 @@ from trainlog.formats.line import write_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN
 from trainlog.formats.train import write_train
 from trainlog.formats.ttobench import read_track, read_train
-from trainlog.railway.geometry import Anchor, Placement, nearest, place
+from trainlog.railway.geometry import Anchor, Placement, nearest_on, place, track_of
 from trainlog.railway.line import Line, Station
 from trainlog.railway.train import Axles, Train
 
@@ -96,8 +96,10 @@ def main() -> None:
     write_line(line, arguments.output / DEFAULT_LINE)
     write_train(sample_train(arguments.train), arguments.output / DEFAULT_TRAIN)
     print(f"heading {placed.heading:.2f} degrees, scale {placed.scale:.5f}")
+    track = track_of(placed.geometry)
     for station, residual in zip(STATIONS[1:], placed.residuals, strict=True):
-        position, distance = nearest(placed.geometry, *COORDINATES[station.name])
+        point = track.plane(*([each] for each in COORDINATES[station.name]))
+        position, distance = (each.item() for each in nearest_on(track, point))
         print(
             f"{station.name}: {residual:.0f} m off at km {station.position / 1e3:.3f},"
             f" nearest at km {position / 1e3:.3f}, {distance:.0f} m away"

@@ -13,11 +13,10 @@ from scipy.special import fresnel
 
 from trainlog.errors import InputError
 from trainlog.formats.ttobench import read_track
-from trainlog.railway import CurvatureProfile, Geometry, Line, Station, StepProfile
+from trainlog.railway import CurvatureProfile, Line, Station, StepProfile
 from trainlog.railway.geometry import (
     Anchor,
     from_plane,
-    nearest,
     place,
     plane_curve,
     similarity,
@@ -162,17 +161,6 @@ def test_a_placed_line_meets_anchors_that_agree_with_it() -> None:
     assert placed.heading == pytest.approx(230.0, abs=0.05)
     at = placed.geometry.at(positions)
     assert np.abs(to_plane(*at, origin) - turned).max() < 0.02
-    position, distance = nearest(placed.geometry, anchors[1].latitude, anchors[1].longitude)
-    assert position == pytest.approx(anchors[1].position, abs=0.1)
-    assert distance < 0.1
-
-
-def test_the_nearest_position_of_a_point_beside_the_line() -> None:
-    latitudes, longitudes = from_plane(np.array([0.0, 100.0j, 100.0 + 100.0j]), (47.4, 9.2))
-    geometry = Geometry(np.array([0.0, 100.0, 200.0]), latitudes, longitudes, "q")
-    beside, above = from_plane(np.array([-30.0 + 40.0j, 160.0 + 130.0j]), (47.4, 9.2))
-    assert nearest(geometry, beside[0], above[0]) == pytest.approx((40.0, 30.0), abs=0.01)
-    assert nearest(geometry, beside[1], above[1]) == pytest.approx((200.0, 67.08), abs=0.01)
 
 
 def test_a_line_without_curvature_or_anchors_cannot_be_placed() -> None:

@@ -319,9 +319,18 @@ def test_a_section_of_a_route_keeps_what_its_legs_are() -> None:
     refused(InputError, "is no stretch of it", line.section, 4_000.0, 6_000.0)
 
 
+def test_what_no_node_can_be() -> None:
+    with pytest.raises(InputError, match="no such kind 'halt'; it is one of station, junction"):
+        Node("Y", "halt")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="latitude: 95 deg is not between -90 and 90 deg"):
+        Node("Y", latitude=95.0, longitude=8.0)
+    with pytest.raises(InputError, match=r"node 'Y' lies at latitude 47\.0 and longitude None"):
+        Node("Y", latitude=47.0)
+
+
 def test_what_no_network_can_be_is_listed_at_once() -> None:
     with pytest.raises(InputError) as caught:
-        Network("bad", (Node("A"), Node("A"), Node("B"), Node("X"), Node("Y", "halt")), (  # type: ignore[arg-type]
+        Network("bad", (Node("A"), Node("A"), Node("B"), Node("X"), Node("Y")), (
             edge("1", "A", "B"), edge("1", "A", "Bb"),
         ), {"B": (("1", "2"),), "C": ()})  # fmt: skip
     words = str(caught.value)
@@ -329,7 +338,6 @@ def test_what_no_network_can_be_is_listed_at_once() -> None:
         "2 nodes have the name 'A'",
         "2 edges have the name '1'",
         "has the end 'Bb', which is no node; did you mean 'B'",
-        "kind 'halt'",
         "name the edge '2', which does not end there",
         "turns are given at 'C', which is no node",
     ):

@@ -153,6 +153,8 @@ def results(tmp_path_factory, fitted) -> dict[type, Presented]:  # type: ignore[
     two_days = analysis.adhesion_map([trip, replace(trip, topics=later)]).track
     write_parameters(fitted.parameters, folder / "parameters.json")
     (kind, *_) = fleet.resistance
+    start, end = trainlog.Node("St. Gallen"), trainlog.Node("Wil")
+    edge = trainlog.Edge("850", line, start.name, end.name)
     ingested = ingest_all(trainlog.sample("gnss.csv"), folder / "ingested")
     found: list[Presented] = [
         *(fitted, fitted.trips[0], fitted.common, fitted.parameters, coasted, coasted.result),
@@ -172,6 +174,7 @@ def results(tmp_path_factory, fitted) -> dict[type, Presented]:  # type: ignore[
         *(fleet, fleet.resistance, kind, kind.mean),
         *(ingested, next(each.report for each in ingested.outcomes if each.report)),
         analysis.report(folder),
+        trainlog.Network("one", (start, end), (edge,)).route("St. Gallen", "Wil"),
     ]
     return {type(each): each for each in found}
 

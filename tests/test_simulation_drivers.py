@@ -12,7 +12,7 @@ from simulated_line import flirt, hilly_line, level_line, steps, trajectory_of
 
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Station
-from trainlog.railway.motion import running_time
+from trainlog.railway.motion import timetable_run
 from trainlog.simulation import (
     Run,
     Scenario,
@@ -147,7 +147,7 @@ def test_running_time_of_a_level_run() -> None:
     line = level_line(length=10_000.0, limit=25.0)
     a, b = 100e3 / (train.mass + train.rotating_mass), 0.5
     expected = 25.0 / a + 25.0 / b + (10_000.0 - 25.0**2 / (2 * a) - 25.0**2 / (2 * b)) / 25.0
-    found = running_time(line, train, 0.0, 10_000.0, deceleration=b, lever=1.0)
+    found = timetable_run(line, train, 0.0, 10_000.0, deceleration=b, lever=1.0).running_time
     assert found == pytest.approx(expected, rel=2e-3)
 
 

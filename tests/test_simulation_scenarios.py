@@ -26,7 +26,7 @@ from trainlog.simulation import (
 from trainlog.simulation.rail import base_map
 from trainlog.simulation.recorders import OVERFLOW, write_recorder_csv, write_ublox_csv
 from trainlog.simulation.sensors import Sensors
-from trainlog.topics import TOPICS, units
+from trainlog.topics import TOPICS, column_field
 from trainlog.trip import Trip
 
 
@@ -106,7 +106,9 @@ def test_trips_hold_all_that_was_recorded() -> None:
             "/truth",
         }
         for name, frame in trip.topics.items():
-            assert frame.attrs["units"] == units(TOPICS[name], 4)
+            fields = {column: column_field(TOPICS[name], column) for column in frame}
+            assert frame.attrs["units"] == {key: field.unit for key, field in fields.items()}
+            assert set(fields.values()) == set(TOPICS[name].fields)
             assert frame.index.is_monotonic_increasing
             absent = [c for c in frame.columns if frame[c].isna().any()]
             assert absent == (["head_wind"] if name == "/environment" else [])

@@ -34,7 +34,7 @@ from trainlog.railway import (
     Train,
     Trajectory,
 )
-from trainlog.railway.motion import running_time
+from trainlog.railway.motion import timetable_run
 from trainlog.simulation import draw_scenarios, drive, recorded
 from trainlog.simulation.dynamics import held_back
 from trainlog.simulation.plant import Plant
@@ -156,7 +156,7 @@ def test_spikes_of_a_survey_are_averaged_or_refused_with_the_reason() -> None:
 def test_timetables_and_plans_count_on_the_strip() -> None:
     spike = line_of(StepProfile([0.0, 3e3, 3.05e3], [0.0, 0.05, 0.0]), 6e3)
     strip = replace(FREIGHT, mass_model="homogeneous_strip")
-    times = [running_time(spike, train, 0.0, 6e3) for train in (FREIGHT, strip)]
+    times = [timetable_run(spike, train, 0.0, 6e3).running_time for train in (FREIGHT, strip)]
     assert times[0] != times[1]
     assert TrajectoryProblem.nominal(spike, strip).track_acceleration(np.array([3_200.0]))[
         0

@@ -6,7 +6,7 @@ import pytest
 
 from trainlog.errors import LogError
 from trainlog.resampling import interpolated
-from trainlog.topics import TOPICS, TRAIN_AXLES, TRAIN_CONTROLS, TRAIN_STATE, column_field, columns
+from trainlog.topics import TOPICS, TRAIN_AXLES, TRAIN_CONTROLS, TRAIN_STATE, column_field
 from trainlog.trip import Trip, frame_of, seconds
 
 SECOND = 1_000_000_000
@@ -26,12 +26,13 @@ def test_every_number_has_a_unit_and_every_field_a_meaning() -> None:
 
 
 def test_columns_of_axles_are_numbered_from_one() -> None:
-    assert columns(TRAIN_AXLES, 2) == (
+    both = {"wheel_effort": np.ones((1, 2)), "wheel_speed": np.ones((1, 2))}
+    assert list(frame_of(TRAIN_AXLES, [0], both)) == [
         "wheel_speed_1",
         "wheel_speed_2",
         "wheel_effort_1",
         "wheel_effort_2",
-    )
+    ]
     assert column_field(TRAIN_AXLES, "wheel_speed_12").unit == "m/s"
     for wrong in ("wheel_speed", "wheel_speed_0", "wheel_speed_x", "speed"):
         with pytest.raises(KeyError):

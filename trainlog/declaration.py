@@ -35,7 +35,7 @@ from typing import (
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trainlog.arrays import FloatArray
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.presentation import Presented
@@ -1311,19 +1311,19 @@ def hold_arrays(thing: Any) -> None:
     InputError
         If it is not numbers.
     """
-    for name in _arrays_of(type(thing)):
+    for name, kind in _arrays_of(type(thing)):
         try:
-            values = np.ascontiguousarray(getattr(thing, name), dtype=np.float64)
+            values: Any = np.ascontiguousarray(getattr(thing, name), dtype=kind)
         except (TypeError, ValueError):
             raise InputError(f"{type(thing).__name__}: {name} must be numbers") from None
         object.__setattr__(thing, name, values)
 
 
 @_once
-def _arrays_of(kind: type) -> tuple[str, ...]:
-    """The fields that are arrays of numbers."""
-    hints = get_type_hints(kind)
-    return tuple(each.name for each in fields(kind) if hints[each.name] == FloatArray)
+def _arrays_of(kind: type) -> tuple[tuple[str, type], ...]:
+    """The fields that are arrays of numbers, each with the type of these."""
+    hints, known = get_type_hints(kind), {FloatArray: np.float64, IntArray: np.int64}
+    return tuple((e.name, known[hints[e.name]]) for e in fields(kind) if hints[e.name] in known)
 
 
 def _beyond(thing: Any) -> list[InputError]:

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trainlog.display import SPEED_UNITS, as_text, in_speed_unit, in_zone
 from trainlog.plotted import Plotted
@@ -30,8 +29,6 @@ from trainlog.values import same_values
 if TYPE_CHECKING:
     import pandas as pd
     from rich.console import Console, ConsoleOptions, RenderResult
-
-FloatArray = NDArray[np.float64]
 
 MOST_ROWS = 60
 """Of a table in a notebook."""
@@ -111,8 +108,6 @@ SECOND_WORTH = Quantity("W", "Wh", 1.0 / 3.6e3)
 NUMBER = Quantity("", "", 1.0, 0)
 KILOMETRE = Quantity("km", "", 1.0, 3)
 ADHESION = Quantity("", "", 1.0, 3)
-ACCELERATION = Quantity("m_s2", "mm/s²", 1e3)
-DEVIATION = Quantity("", "σ", 1.0, 2)
 PLAIN = Quantity("", "")
 
 

@@ -857,17 +857,6 @@ def attributes(topic: Topic, columns: Iterable[str]) -> dict[Any, Any]:
     return attrs
 
 
-def columns(topic: Topic, axles: int) -> tuple[str, ...]:
-    """Column names of the topic's frame for a train with `axles` powered axles."""
-    names: list[str] = []
-    for field in topic.fields:
-        if field.per_axle:
-            names += [f"{field.name}_{axle}" for axle in range(1, axles + 1)]
-        else:
-            names.append(field.name)
-    return tuple(names)
-
-
 def column_field(topic: Topic, column: str) -> Field:
     """The field that a frame's column belongs to (``wheel_speed_3`` → ``wheel_speed``).
 
@@ -883,8 +872,3 @@ def column_field(topic: Topic, column: str) -> Field:
         if field.per_axle and field.name == stem and axle.isdigit() and int(axle) > 0:
             return field
     raise KeyError(column)
-
-
-def units(topic: Topic, axles: int) -> dict[str, str]:
-    """SI unit of each column of the topic's frame."""
-    return {name: column_field(topic, name).unit for name in columns(topic, axles)}

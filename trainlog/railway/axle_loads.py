@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray
-from trainlog.declaration import NOT_NEGATIVE, POSITIVE, Must, Quantity, Whole, check
+from trainlog.declaration import NOT_NEGATIVE, POSITIVE, Declared, Must, Quantity, Whole
 from trainlog.errors import InputError
 
 LEAST_LOAD = 0.05
@@ -42,7 +42,7 @@ def _length(low: float, high: float, whose: str, must: Must = NOT_NEGATIVE) -> Q
 
 
 @dataclass(frozen=True, slots=True)
-class AxleGeometry:
+class AxleGeometry(Declared):
     """Where the powered axles of a train stand, and how high the forces act on their vehicles.
 
     The axles are counted from the front in the direction of travel. A vehicle of one powered bogie
@@ -80,9 +80,6 @@ class AxleGeometry:
     centre_height: Annotated[float, _length(0.5, 3, "vehicles have their mass at")]
     axles_per_bogie: Annotated[int, Whole(must=TWO_OR_MORE, stated="written")] = 2
     powered_bogies: Annotated[int, Whole(must=ONE_OR_TWO, stated="written")] = 2
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def vehicles(self, axles: int) -> int:
         """Number of powered vehicles that `axles` powered axles make.

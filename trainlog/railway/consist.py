@@ -30,7 +30,6 @@ from trainlog.declaration import (
     Part,
     Quantity,
     Text,
-    check,
 )
 from trainlog.errors import InputError
 from trainlog.presentation import (
@@ -60,7 +59,7 @@ _NONLINEAR = Quantity("1/m^2", "1/m^2", must=FINITE, stated="required")
 
 
 @dataclass(frozen=True, slots=True)
-class Coupler:
+class Coupler(Declared):
     """A nonlinear spring and damper between two vehicles; Amirhosseini et al. (2024), eqs. (2)-(4).
 
     Attributes
@@ -92,9 +91,6 @@ class Coupler:
     slack: Annotated[float, Quantity("mm", "m", must=NOT_NEGATIVE, stated="required")] = 0.0
     buffing_stiffness: Annotated[float | None, Quantity("MN/m", "N/m", must=POSITIVE_FINITE)] = None
     buffing_nonlinearity: Annotated[float | None, Quantity("1/m^2", "1/m^2", must=FINITE)] = None
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @property
     def draft(self) -> tuple[float, float]:
@@ -141,7 +137,7 @@ class Coupler:
 
 
 @dataclass(frozen=True, slots=True)
-class Vehicle:
+class Vehicle(Declared):
     """A locomotive, a wagon or a coach.
 
     Attributes
@@ -179,9 +175,6 @@ class Vehicle:
     max_tractive_effort: Annotated[float, Quantity("kN", "N", must=NOT_NEGATIVE)] = 0.0
     max_traction_power: Annotated[float, Quantity("kW", "W", must=POSITIVE)] = np.inf
     max_braking_effort: Annotated[float, Quantity("kN", "N", must=NOT_NEGATIVE)] = 0.0
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def __str__(self) -> str:
         return self.name

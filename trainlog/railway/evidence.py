@@ -8,7 +8,7 @@ any order and grouping to the same rows, byte for byte.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -18,6 +18,7 @@ from pandas import Timestamp
 
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
+from trainlog.values import same_values
 
 _KEYS = ("day", "bin")
 _USED_KEYS = ("used_day", "used_bin", "used_level")
@@ -82,12 +83,7 @@ class DailyEvidence:
     used_trips: FloatArray
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, DailyEvidence):
-            return NotImplemented
-        return all(
-            np.array_equal(getattr(self, each.name), getattr(other, each.name))
-            for each in fields(self)
-        )
+        return same_values(self, other) if isinstance(other, DailyEvidence) else NotImplemented
 
     __hash__ = None  # type: ignore[assignment]
 

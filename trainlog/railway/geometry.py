@@ -156,18 +156,6 @@ def similarity(sources: ComplexArray, targets: ComplexArray) -> tuple[complex, c
     return complex(factor), complex(targets.mean() - factor * sources.mean())
 
 
-def nearest(geometry: Geometry, latitude: float, longitude: float) -> tuple[float, float]:
-    """Position [m] where the line passes nearest to a point [deg], and its distance [m]."""
-    points = to_plane(geometry.latitudes, geometry.longitudes, (latitude, longitude))
-    chords = np.diff(points)
-    along = -(np.conj(chords) * points[:-1]).real / np.abs(chords) ** 2
-    share = np.clip(along, 0.0, 1.0)
-    distances = np.abs(points[:-1] + share * chords)
-    best = int(np.argmin(distances))
-    start, end = geometry.positions[best : best + 2]
-    return float(start + share[best] * (end - start)), float(distances[best])
-
-
 def thinned(positions: FloatArray, points: ComplexArray, tolerance: float) -> IntArray:
     """Indices of the points to keep so that interpolation in position stays within `tolerance`.
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray
-from trainlog.declaration import INFINITY, POSITIVE_FINITE, Column, Declared, Quantity, Text, check
+from trainlog.declaration import INFINITY, POSITIVE_FINITE, Column, Declared, Quantity, Text
 from trainlog.display import counted
 from trainlog.errors import InputError
 
@@ -245,7 +245,7 @@ Metres = Annotated[float, Quantity("m", "m")]
 
 
 @dataclass(frozen=True, slots=True)
-class Tunnel:
+class Tunnel(Declared):
     """A tunnel from `position` over `length` [m] with a `cross_section` [m²].
 
     Examples
@@ -258,9 +258,6 @@ class Tunnel:
     position: Metres
     length: Annotated[float, Quantity("m", "m", must=POSITIVE_FINITE)]
     cross_section: Annotated[float, Quantity("m^2", "m^2", must=POSITIVE_FINITE)]
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,7 +348,7 @@ class Geometry(Declared):
 
 
 @dataclass(frozen=True, slots=True)
-class Survey:
+class Survey(Declared):
     """How well the gradients of a line are known.
 
     Attributes
@@ -364,9 +361,6 @@ class Survey:
 
     gradient_std: Annotated[float, Quantity("permil", "1", must=POSITIVE_FINITE)]
     correlation_length: Annotated[float | None, Quantity("m", "m", must=POSITIVE_FINITE)] = None
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True, slots=True)

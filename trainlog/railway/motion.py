@@ -443,33 +443,6 @@ class FastestRun:
         return float(self.times[-1])
 
 
-def running_time(
-    line: Line,
-    train: Train,
-    start: float,
-    end: float,
-    *,
-    deceleration: float = 0.6,
-    lever: float = 0.8,
-    load: float = 0.0,
-) -> float:
-    """Shortest time [s] from standing at `start` to standing at `end` [m], for a timetable.
-
-    Parameters are those of `timetable_run`.
-
-    Examples
-    --------
-    >>> from trainlog.formats.line import read_line
-    >>> from trainlog.formats.train import read_train
-    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
-    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
-    >>> round(running_time(line, train, 0.0, line.length))
-    1009
-    """
-    run = timetable_run(line, train, start, end, deceleration=deceleration, lever=lever, load=load)
-    return run.running_time
-
-
 def timetable_run(
     line: Line,
     train: Train,
@@ -495,6 +468,15 @@ def timetable_run(
     lever : float
         Share of the tractive effort used.
     load : float [kg]
+
+    Examples
+    --------
+    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.train import read_train
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
+    >>> round(timetable_run(line, train, 0.0, line.length).running_time)
+    1009
     """
     positions = np.linspace(start, end, max(int((end - start) / TIMETABLE_STEP), 2) + 1)
     limits = np.minimum(line.limits_over(train.length)(positions), train.max_speed)

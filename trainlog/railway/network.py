@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 
-from trainlog.declaration import Declared, Quantity, Table, Text
+from trainlog.declaration import Declared, Must, Quantity, Table, Text
 from trainlog.display import counted, span
 from trainlog.errors import InputError, similar
 from trainlog.extras import require
@@ -46,8 +46,14 @@ AT_END = 1.0
 """Stations so near [m] to an end of an edge stand at its node."""
 
 
+def _angle(most: float) -> Quantity:
+    """A coordinate [deg] and how large it is at most."""
+    beyond = Must(f"is not between -{most:g} and {most:g} deg", "give degrees", -most, most)
+    return Quantity("deg", "deg", must=beyond)
+
+
 @dataclass(frozen=True, slots=True)
-class Node:
+class Node(Declared):
     """Where edges meet or end.
 
     Attributes
@@ -65,8 +71,17 @@ class Node:
 
     name: str
     kind: NodeKind = "station"
-    latitude: Annotated[float | None, Quantity("deg", "deg")] = None
-    longitude: Annotated[float | None, Quantity("deg", "deg")] = None
+    latitude: Annotated[float | None, _angle(90.0)] = None
+    longitude: Annotated[float | None, _angle(180.0)] = None
+
+    def problems(self) -> Iterator[InputError]:
+        """Half a place on the earth."""
+        if (self.latitude is None) != (self.longitude is None):
+            yield InputError(
+                f"node '{self.name}' lies at latitude {self.latitude} and longitude"
+                f" {self.longitude}",
+                remedy="give both in degrees, or none",
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,7 +263,6 @@ class Network(Declared):
         known = {each.name for each in self.nodes}
         lost = list(self._edge_problems(where, known))
         yield from lost
-        yield from self._node_problems(where)
         yield from self._turn_problems(where)
         if not lost:
             yield from self._unconnected(where)
@@ -277,26 +291,6 @@ class Network(Declared):
                     f" the stations of its line from '{named[0]}' to '{named[1]}'",
                     remedy="exchange its start and end, or reverse the line",
                 )
-
-    def _node_problems(self, where: str) -> Iterator[InputError]:
-        """Nodes of no kind, or that lie nowhere on the earth."""
-        for node in self.nodes:
-            if node.kind not in ("station", "junction"):
-                yield InputError(
-                    f"{where}: node '{node.name}' is of the kind '{node.kind}'",
-                    remedy="it is a station or a junction",
-                )
-            given = (node.latitude, node.longitude)
-            if given == (None, None):
-                continue
-            for value, most in zip(given, (90.0, 180.0), strict=True):
-                if value is None or not abs(value) <= most:
-                    yield InputError(
-                        f"{where}: node '{node.name}' lies at latitude {given[0]} and longitude"
-                        f" {given[1]}",
-                        remedy="give both in degrees, or none",
-                    )
-                    break
 
     def _turn_problems(self, where: str) -> Iterator[InputError]:
         """Turns between edges that do not meet."""

@@ -30,7 +30,6 @@ from trainlog.declaration import (
     Table,
     Text,
     Whole,
-    check,
     form_for,
 )
 from trainlog.display import span
@@ -80,7 +79,7 @@ _DELAY = Quantity("s", "s", (0, 120, "brakes answer after"), must=NOT_NEGATIVE, 
 
 
 @dataclass(frozen=True, slots=True)
-class Axles:
+class Axles(Declared):
     """The powered axles.
 
     Attributes
@@ -114,9 +113,6 @@ class Axles:
     ] = 2_000.0
     geometry: AxleGeometry | None = None
 
-    def __post_init__(self) -> None:
-        check(self)
-
     def __str__(self) -> str:
         return f"{self.count} powered axles"
 
@@ -133,7 +129,7 @@ _AXLE_LOAD = Quantity("t", "kg", (2, 40, "an axle carries"))
 
 
 @dataclass(frozen=True, slots=True)
-class Brake:
+class Brake(Declared):
     """How the friction brake follows its demand: dead time, then a first-order lag [s].
 
     Examples
@@ -144,9 +140,6 @@ class Brake:
 
     dead_time: Annotated[float, _DELAY] = 0.6
     lag: Annotated[float, _DELAY] = 0.4
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 BRAKING_PARAMETERS = {
@@ -588,7 +581,7 @@ def check_load(load: float, train: Train | None = None) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Configuration:
+class Configuration(Declared):
     """One observed parameter configuration alpha of a train; Cunillera et al. (2022).
 
     Attributes
@@ -619,13 +612,13 @@ class Configuration:
     resistance: Annotated[RunningResistance, Part(key="running_resistance", in_si=True)]
     max_power: Annotated[float, Quantity("W", "W", must=POSITIVE)]
 
-    def __post_init__(self) -> None:
-        check(self)
+    def problems(self) -> Iterator[InputError]:
+        """A running resistance that no train has."""
         speeds = np.linspace(0.0, 60.0, 61)
         drag = self.resistance(speeds)
         if np.any(drag < 0.0):
             at = speeds[int(np.argmax(drag < 0.0))]
-            raise InputError(
+            yield InputError(
                 f"configuration '{self.name}': running resistance is negative at"
                 f" {KMH * at:.0f} km/h",
                 remedy="a fit outside its supported speed range; fit again with more speeds",

@@ -221,8 +221,6 @@ class Weather:
     precipitation: FloatArray
 
     def __post_init__(self) -> None:
-        for name in ("starts", "ends"):
-            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.int64))
         hold_arrays(self)
         if len({len(getattr(self, name)) for name in self.__dataclass_fields__}) != 1:
             raise InputError("weather: its columns differ in length")

@@ -16,7 +16,7 @@ import numpy as np
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway import Line, Station, Train
-from trainlog.railway.motion import braking_curve, running_time
+from trainlog.railway.motion import braking_curve, timetable_run
 from trainlog.simulation.plant import HOLDING
 
 GRID = 5.0
@@ -117,7 +117,7 @@ def plan(
     """
     stops = [Stop(stations[0].name, stations[0].position, 0.0, first_departure)]
     for station in stations[1:]:
-        shortest = running_time(line, train, stops[-1].position, station.position)
+        shortest = timetable_run(line, train, stops[-1].position, station.position).running_time
         arrival = stops[-1].departure + 6.0 * math.ceil(shortest * (1.0 + reserve) / 6.0)
         stops.append(Stop(station.name, station.position, arrival, arrival + dwell))
     return tuple(stops)

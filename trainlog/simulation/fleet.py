@@ -22,7 +22,7 @@ from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
 from trainlog.railway import Line, Network, StepProfile
 from trainlog.railway.geometry import to_plane
-from trainlog.railway.motion import running_time
+from trainlog.railway.motion import timetable_run
 from trainlog.railway.weather import WEATHER_BY_EDGE
 from trainlog.simulation.drivers import Stop
 from trainlog.simulation.plant import Plant
@@ -440,7 +440,9 @@ class Fleet:
         for station in (*calls, line.stations[-1]):
             key = (vehicle.kind, stops[-1].position, station.position)
             if key not in route.shortest_times:
-                route.shortest_times[key] = running_time(line, vehicle.train, *key[1:])
+                route.shortest_times[key] = timetable_run(
+                    line, vehicle.train, *key[1:]
+                ).running_time
             shortest = route.shortest_times[key]
             arrival = stops[-1].departure + 6.0 * np.ceil(shortest * (1.0 + reserve) / 6.0)
             stops.append(
