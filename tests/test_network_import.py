@@ -23,7 +23,7 @@ from trainlog.errors import InputError
 from trainlog.formats.imports import import_file, networks_in
 from trainlog.formats.line import read_line
 from trainlog.formats.network import network_to_bytes, read_network, write_network
-from trainlog.formats.track_data import Infrastructure
+from trainlog.formats.tracks import Infrastructure
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.railway.line_network import network_of_lines
 from trainlog.railway.network import Network

@@ -117,9 +117,9 @@ def import_(
 
     trainlog import DB_V90.yaml Facs124.yaml --formation "DB_V90, 10 Facs124" -o railway
     """
-    from trainlog.formats.effort import read_effort_curve
     from trainlog.formats.files import output_folder
     from trainlog.formats.imports import ImportOptions, import_file, import_formation
+    from trainlog.formats.train import read_effort_curve
 
     traction, braking = (
         None if path is None else read_effort_curve(path)

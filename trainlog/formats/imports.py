@@ -12,7 +12,7 @@ from trainlog.errors import InputError
 from trainlog.formats import osrd, railml, railtoolkit, ttobench
 from trainlog.formats.declared import built, thing_from_bytes, write_thing
 from trainlog.formats.files import parse_json, read_bytes
-from trainlog.formats.track_data import Infrastructure, LimitChoice
+from trainlog.formats.tracks import Infrastructure, LimitChoice
 from trainlog.railway import EffortCurve, Journey, Line, Train
 from trainlog.railway.network import Network
 from trainlog.railway.resistance import CurveFormula

@@ -20,7 +20,7 @@ from trainlog.errors import InputError
 from trainlog.formats.declared import built
 from trainlog.formats.files import read_json
 from trainlog.formats.schema import Finite, Foreign, NotNegative, Positive, checked
-from trainlog.formats.track_data import (
+from trainlog.formats.tracks import (
     EVERY_LIMIT,
     Account,
     Infrastructure,
@@ -28,11 +28,12 @@ from trainlog.formats.track_data import (
     LimitChoice,
     Stretch,
     TrackData,
+    TrackEnd,
+    TrackGraph,
     curvature_of,
     distinct_names,
     not_in_file,
 )
-from trainlog.formats.track_graph import TrackEnd, TrackGraph
 from trainlog.formats.ttobench import assumed_axles
 from trainlog.railway import EffortCurve, RunningResistance, Station, Train
 from trainlog.railway.geometry import to_plane

@@ -7,7 +7,7 @@ from pathlib import Path
 from trainlog.errors import InputError
 from trainlog.formats import railml2, railml3
 from trainlog.formats.declared import built
-from trainlog.formats.track_data import EVERY_LIMIT, Infrastructure, LimitChoice
+from trainlog.formats.tracks import EVERY_LIMIT, Infrastructure, LimitChoice
 from trainlog.formats.xml_tree import Element, read_xml
 
 VERSIONS = {

@@ -12,7 +12,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from trainlog.formats.track_data import (
+from trainlog.formats.tracks import (
     NOT_WGS84,
     SAME_PLACE,
     Infrastructure,
@@ -20,10 +20,11 @@ from trainlog.formats.track_data import (
     LimitChoice,
     Stretch,
     TrackData,
+    TrackEnd,
+    TrackGraph,
     curvature_of,
     distinct_names,
 )
-from trainlog.formats.track_graph import TrackEnd, TrackGraph
 from trainlog.formats.xml_tree import Element, numbers_in
 from trainlog.railway import LineReference, Station
 
@@ -129,14 +130,11 @@ class _File:
         self.data = {track.name: self._whole(track) for track in self.tracks}
         self._connect()
         self._account()
-        limits = limits.among(self.data.values(), self.graph.account)
-        for track in self.tracks:
-            self.graph.add(
-                self.data[track.name],
-                limits,
-                {track.section(number): ends for number, ends in enumerate(pairwise(track.edges))},
-            )
-        return self.graph.account.of(self.graph.networks())
+        sections = {
+            track.name: {track.section(n): ends for n, ends in enumerate(pairwise(track.edges))}
+            for track in self.tracks
+        }
+        return self.graph.whole(self.data, limits, sections)
 
     # ---- tracks
 

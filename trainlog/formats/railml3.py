@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from trainlog.formats.track_data import (
+from trainlog.formats.tracks import (
     NOT_WGS84,
     SAME_PLACE,
     Infrastructure,
@@ -22,10 +22,11 @@ from trainlog.formats.track_data import (
     LimitChoice,
     Stretch,
     TrackData,
+    TrackEnd,
+    TrackGraph,
     curvature_of,
     distinct_names,
 )
-from trainlog.formats.track_graph import TrackEnd, TrackGraph
 from trainlog.formats.xml_tree import Element, numbers_in
 from trainlog.railway import LineReference, Station
 
@@ -108,10 +109,7 @@ class _File:
         self._add_stations()
         self._connect()
         self._account()
-        limits = limits.among(self.data.values(), self.graph.account)
-        for track in self.data.values():
-            self.graph.add(track, limits)
-        return self.graph.account.of(self.graph.networks())
+        return self.graph.whole(self.data, limits)
 
     # ---- topology
 

@@ -7,9 +7,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from trainlog.formats.declared import read_thing, thing_from_bytes, thing_to_bytes, write_thing
+from trainlog.declaration import Column
+from trainlog.formats.declared import (
+    built,
+    read_thing,
+    thing_from_bytes,
+    thing_to_bytes,
+    write_thing,
+)
+from trainlog.formats.headed import read_headed
 from trainlog.formats.samples import DEFAULT_TRAIN, file_or_sample
 from trainlog.railway.consist import Consist
+from trainlog.railway.effort import EffortCurve
 from trainlog.railway.train import Train
 
 
@@ -82,3 +91,34 @@ def write_consist(consist: Consist, path: str | Path) -> None:
     'freight train, 24 wagons'
     """
     write_thing(consist, path, Consist)
+
+
+_COLUMNS = Column("speed", "km/h", "m/s"), Column("effort", "kN", "N")
+_EXPECTED = "give a header such as 'speed [km/h];effort [kN]'"
+
+
+def read_effort_curve(path: str | Path) -> EffortCurve:
+    r"""The curve in a CSV file: speeds in the first column, efforts in the second.
+
+    Columns are separated by semicolons, tabs or commas; with the first two a decimal comma is read,
+    too. Empty lines and lines that begin with ``#`` are passed over.
+
+    Raises
+    ------
+    InputError
+        If the file is not such a table; with the line and the remedy.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "curve.csv"
+    ...     _ = path.write_text("speed [km/h];effort [kN]\n0;200\n50,4;150,5\n")
+    ...     read_effort_curve(path).efforts.tolist()
+    [200000.0, 150500.0]
+    """
+    table = read_headed(path, _EXPECTED)
+    table.identify_in_order(*(each.name for each in _COLUMNS))
+    values = [table.quantity(each, required=True) for each in _COLUMNS]
+    table.check()
+    return built(lambda: EffortCurve(*values), path)

@@ -13,7 +13,7 @@ import numpy as np
 
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
-from trainlog.formats.track_data import not_in_file
+from trainlog.formats.tracks import not_in_file
 from trainlog.units import KMH
 
 
