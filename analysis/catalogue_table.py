@@ -50,16 +50,10 @@ def trips_table(frame: pd.DataFrame, found: int) -> WordTable:
     return table
 
 
-_HEADINGS = {
-    "route": (Column("train"), Column("kind"), Column("line")),
-    "train": (Column("train"), Column("kind")),
-    "kind": (Column("kind"),),
-    "line": (Column("line"),),
-    "edge": (Column("edge"),),
-    "day": (Column("day, UTC", key="day"),),
-    "weather": (Column("weather"),),
-}
-_SUMS = (
+_COLUMNS = (
+    *map(Column, ("train", "kind", "line", "edge")),
+    Column("day, UTC", key="day"),
+    Column("weather"),
     Column("trips", NUMBER),
     Column("trains", NUMBER),
     Column("lines", NUMBER),
@@ -77,24 +71,15 @@ _NAMES = {"route": "trains", "weather": "weather"}
 
 def overview_table(catalogue: Catalogue, by: str = "route") -> WordTable:
     """How many trips there are by train and line, or by what is given."""
-    frame = catalogue.overview(by)
-    named = _HEADINGS[by]
-    sums = [each for each in _SUMS if (each.key or each.heading) in frame]
-    name = _NAMES.get(by, f"{by}s")
-    table = new_table(f"Catalogue {catalogue.place}", *named, *sums, name=name)
-    for row in frame.to_dict("records"):
-        table.add_cells(
-            *(_text(row[each.key or each.heading]) for each in named),
-            *(_sum(row[each.key or each.heading]) for each in sums),
-        )
-    return table
+    frame = catalogue.overview(by).map(_cell)
+    columns = [each for each in _COLUMNS if each.name in frame]
+    table = new_table(f"Catalogue {catalogue.place}", *columns, name=_NAMES.get(by, f"{by}s"))
+    return table.add_rows(frame.to_dict("records"))
 
 
-def _text(value: Any) -> Any:
-    return None if pd.isna(value) else value
-
-
-def _sum(value: Any) -> Any:
+def _cell(value: Any) -> Any:
+    if pd.isna(value):
+        return None
     return _time(value, "%Y-%m-%d") if isinstance(value, pd.Timestamp) else value
 
 
