@@ -23,7 +23,6 @@ from trainlog.cli.options import (
     line_of_log,
     logs_in,
     measured,
-    source_span,
     stretch,
     times,
 )
@@ -43,7 +42,6 @@ from trainlog.units import KMH, PERCENT, SPEED
 
 if TYPE_CHECKING:
     from trainlog.mcap import Account
-    from trainlog.mcap.convert import Converted
 
 
 def import_(
@@ -339,10 +337,7 @@ def show(
     damaged = refused = 0
     for file in files:
         try:
-            if file.is_dir() and not (file / "trip.json").exists():
-                damaged += _show_folder(file)
-            else:
-                damaged += _show(file, every)
+            damaged += _show(file, every) if _is_trip(file) else _show_folder(file)
         except TrainlogError as error:  # one file that cannot be shown says nothing of the others
             if len(files) == 1:
                 raise
@@ -490,43 +485,52 @@ def convert(
     kind = output.suffix.lower()
     if prefer is not None and (len(sources) < 2 or kind != ".mcap"):
         raise InputError("--prefer is one of several logs that are joined", remedy="leave it out")
-    if kind == ".geojson":
-        _refuse_part(asked, "a network is written as a whole")
-        _export_network(sources[0], output)
-        return
-    found = [log for each in sources for log in ([each] if _is_trip(each) else logs_in([each]))]
-    if not kind:
-        _refuse_part(asked, "logs are rebuilt as a whole")
-        _rebuild(found, output)
-    elif len(found) > 1 and kind == ".mcap":
-        _refuse_part(asked, "several logs are joined as a whole")
-        _merge(found, output, prefer)
-    elif len(found) > 1:
+    if kind != ".geojson":
+        sources = [
+            log for each in sources for log in ([each] if _is_trip(each) else logs_in([each]))
+        ]
+    several = len(sources) > 1
+    as_a_whole = {
+        ".geojson": "a network is written",
+        "": "logs are rebuilt",
+        ".mcap": "several logs are joined" if several else "",
+    }.get(kind)
+    if asked and as_a_whole:
         raise InputError(
-            f"there are {len(found)} logs for one {kind}",
+            f"{' and '.join(asked)} cannot be taken: {as_a_whole} as a whole",
+            remedy="leave them out",
+        )
+    if kind == ".geojson":
+        _export_network(sources[0], output)
+    elif not kind or (
+        not several and (sources[0].suffix, kind) == (".mcap", ".mcap") and not asked
+    ):
+        _rebuild(sources, output)
+    elif several and kind == ".mcap":
+        _merge(sources, output, prefer)
+    elif several:
+        raise InputError(
+            f"there are {len(sources)} logs for one {kind}",
             file=output,
             remedy="give one, or name a log (.mcap) in which they are joined",
         )
-    elif (found[0].suffix, kind) == (".mcap", ".mcap") and not asked:
-        _rebuild(found, output)
     else:
-        _write(
-            found[0],
-            output,
-            topics=topic or None,
-            time=times(start, end, source_span(found[0])),
-            position=None if km is None else stretch(km, line_of_log(found[0])),
-        )
+        from trainlog.mcap.convert import convert as write, span_of
+
+        time = times(start, end, lambda: span_of(sources[0]))
+        position = None if km is None else stretch(km, line_of_log(sources[0]))
+        output.parent.mkdir(parents=True, exist_ok=True)
+        with task("converting", unit="row") as step:
+            done = write(
+                sources[0], output, progress=step, topics=topic or None, time=time,
+                position=position,
+            )  # fmt: skip
+        _summary(output, done.rows, [f"not converted: {reason}" for reason in done.left_out])
 
 
 def _is_trip(source: Path) -> bool:
     """Whether it is one trip: a file, or a folder with a table for each topic."""
     return not source.is_dir() or (source / "trip.json").exists()
-
-
-def _refuse_part(asked: list[str], why: str) -> None:
-    if asked:
-        raise InputError(f"{' and '.join(asked)} cannot be taken: {why}", remedy="leave them out")
 
 
 def _export_network(file: Path, output: Path) -> None:
@@ -573,15 +577,6 @@ def _rebuild(logs: list[Path], output: Path) -> None:
 
     with output_folder(output) if several else nullcontext():
         _accounts(logs, "recovering", rebuilt)
-
-
-def _write(source: Path, output: Path, **part: Any) -> None:
-    from trainlog.mcap.convert import convert as write
-
-    output.parent.mkdir(parents=True, exist_ok=True)
-    with task("converting", unit="row") as step:
-        done: Converted = write(source, output, progress=step, **part)
-    _summary(output, done.rows, [f"not converted: {reason}" for reason in done.left_out])
 
 
 def _summary(output: Path, rows: Any, notes: Sequence[str]) -> None:

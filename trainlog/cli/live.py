@@ -14,9 +14,10 @@ import typer
 
 from trainlog.cli.options import line_or_network, measured, pairs, written
 from trainlog.cli.progress_bar import handled
-from trainlog.cli.terminal import console, current, state, wrote
+from trainlog.cli.terminal import console, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
+from trainlog.progress import task
 from trainlog.units import KMH, TIME
 
 if TYPE_CHECKING:
@@ -118,9 +119,13 @@ def record(
         stack.enter_context(recording)
         copy = None if raw is None else stack.enter_context(_raw(raw))
         drawing = _drawing(recording, stack) if replay else None
-        each = stack.enter_context(_status(live, source, began))
+        step = stack.enter_context(task("recording", unit="line"))
         stack.enter_context(source)
         console.print(f"recording {source.name}; Ctrl-C ends it")
+
+        def each() -> None:
+            step(live.lines, note=_noted(live, source))
+
         live.follow(source, stopped=stopped, idle=idle, each=each, raw=copy)
         live.close(time.time_ns())
     _summary(output, recording, live, source, time.monotonic() - began, drawing)
@@ -162,39 +167,11 @@ def _raw(path: Path) -> Iterator[Any]:
         yield file
 
 
-@contextmanager
-def _status(live: LiveIngest, source: Source, began: float) -> Iterator[Callable[[], None]]:
-    """The line that shows how far the recording is, twice a second."""
-    output = current()
-    if output.as_json or output.quiet or not console.is_terminal:
-        yield lambda: None
-        return
-    shown, lines, at = 0.0, 0, began
-    with console.status("waiting for the first line") as status:
-
-        def each() -> None:
-            nonlocal shown, lines, at
-            now = time.monotonic()
-            if now - shown < 0.5:
-                return
-            rate, shown = (live.lines - lines) / max(now - at, 1e-3), now
-            lines, at = live.lines, now
-            status.update(_line(live, source, now - began, rate))
-
-        yield each
-
-
-def _line(live: LiveIngest, source: Source, seconds: float, rate: float) -> str:
-    progress = live.progress
-    parts = [
-        f"{seconds // 60:.0f}:{seconds % 60:02.0f}",
-        f"{live.lines:,} lines, {rate:.0f} a second",
-    ]
-    if progress.time is not None:
-        parts.append(f"{progress.distance / 1e3:.3f} km")
-    if progress.speed is not None:
-        parts.append(f"{progress.speed * KMH:.1f} km/h")
-    malformed = sum(live.malformed.values())
+def _noted(live: LiveIngest, source: Source) -> str:
+    """Where the train is, how fast, and what is wrong with what came."""
+    progress, malformed = live.progress, sum(live.malformed.values())
+    parts = [f"{progress.distance / 1e3:.3f} km"] if progress.time is not None else []
+    parts += [f"{progress.speed * KMH:.1f} km/h"] if progress.speed is not None else []
     parts += [f"{malformed:,} malformed"] if malformed else []
     parts += [f"{source.lost:,} lost"] if source.lost else []
     return ", ".join(parts)

@@ -359,17 +359,6 @@ def map_of_run(
     return known_before(track, time), time
 
 
-def source_span(source: Path) -> Callable[[], tuple[pd.Timestamp, pd.Timestamp] | None]:
-    """What `times` asks for the times of a log's first and last row."""
-
-    def span() -> tuple[pd.Timestamp, pd.Timestamp] | None:
-        from trainlog.mcap.convert import span_of
-
-        return span_of(source)
-
-    return span
-
-
 def part_of(
     log: Path,
     start: str | None,
@@ -390,10 +379,11 @@ def part_of(
         If the log cannot be read, or nothing of it is in that part.
     """
     from trainlog.mcap import stream_log
+    from trainlog.mcap.convert import span_of
     from trainlog.mcap.records import nothing_of
 
     known = None if km is None else line_of_log(log, line)
-    time, position = times(start, end, source_span(log)), stretch(km, known)
+    time, position = times(start, end, lambda: span_of(log)), stretch(km, known)
     empty = True
     for piece in stream_log(log, topics, time=time, position=position, rows=rows):
         empty = empty and not any(map(len, piece.topics.values()))

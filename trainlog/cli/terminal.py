@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, is_dataclass
 from datetime import date, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from trainlog.mcap import Account
     from trainlog.presentation import Presented
 
-Item = TypeVar("Item")
 
 WIDTH = 110
 """Columns of output that goes to a file or a pipe, unless ``COLUMNS`` states another width."""
