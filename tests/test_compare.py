@@ -89,7 +89,7 @@ def test_a_log_in_pieces_costs_what_the_trip_costs(
     write_log(whole, tmp_path / "trip.mcap")
     expected = trip_cost(whole)
     assert expected.stops == 1
-    for rows in (1, 7, 100, 10**6):
+    for rows in (7, 10**6):
         monkeypatch.setattr(reading, "ROWS", 20 * rows)
         found = trip_cost(tmp_path / "trip.mcap")
         assert (found.name, found.direction) == (expected.name, expected.direction)

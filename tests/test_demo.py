@@ -30,16 +30,16 @@ from trainlog.mcap import describe
 
 pytestmark = pytest.mark.usefixtures("remembered_estimates")
 
-NONSTOP = "trip-01,trip-09"
-"""Configurations of two of the trips without a stop, to which the driven ones are compared."""
+NONSTOP = "trip-01"
+"""Configuration of a trip without a stop, to which the driven one is compared."""
 
-DRIVEN = {NONSTOP: 2, "all": 12}
+DRIVEN = {NONSTOP: 1, "all": 12}
 """Trips along the trajectory, by the configurations that drive it."""
 
 
 @pytest.fixture(scope="module", params=[NONSTOP, pytest.param("all", marks=pytest.mark.long)])
 def results(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of the demo's commands; of "all" configurations two drive it, unless long."""
+    """Results of the demo's commands; of "all" configurations one drives it, unless long."""
     output = tmp_path_factory.mktemp("demo") / "results"
 
     def run(step: list[str]) -> int:
@@ -76,9 +76,9 @@ def test_twelve_trips_two_recordings_and_the_driven_ones_are_logged(
 
 
 def test_every_log_opens_in_the_official_reader(results: Path) -> None:
-    """Every chunk passes its checksum; of one log a folder every message is met."""
+    """Every chunk passes its checksum; of the smallest log a folder every message is met."""
     met: set[Path] = set()
-    for log in logs(results):
+    for log in sorted(logs(results), key=lambda log: log.stat().st_size):
         with log.open("rb") as stream:
             summary = make_reader(stream, validate_crcs=True).get_summary()
             assert summary is not None
@@ -154,13 +154,15 @@ def test_the_trajectory_keeps_its_certificate(results: Path) -> None:
     assert audit["adhesion"] <= 1.0 + 1e-4
 
 
-def test_driving_it_saves_energy_against_the_drivers(results: Path) -> None:
+def test_driving_it_saves_energy_against_the_drivers(
+    results: Path, request: pytest.FixtureRequest
+) -> None:
     trips, driven = (
         [trainlog.read(log) for log in sorted((results / folder).glob("*.mcap"))]
         for folder in ("trips", "driven")
     )
     pairs = compare_groups(trips, driven).pairs
-    assert len(pairs) >= 2
+    assert len(pairs) >= min(2, DRIVEN[request.node.callspec.params["results"]])
     saved = sum(pair.traction for pair in pairs) / sum(pair.driver.traction for pair in pairs)
     assert 0.05 < saved < 0.4
     for trip in driven:
