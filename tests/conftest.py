@@ -146,6 +146,22 @@ def remembered_estimates(estimates: dict[bytes, ConditionLayer]) -> Iterator[Non
         yield
 
 
+@pytest.fixture(scope="module")
+def unpainted() -> Iterator[None]:
+    """Figures are made and written, but not painted, which takes half a second each.
+
+    For tests of commands that draw besides; pictures are painted in the tests of pictures.
+    """
+    from matplotlib.figure import Figure
+
+    def written(_: Figure, path: Path, **__: object) -> None:
+        path.write_bytes(b"\x89PNG\r\n\x1a\n")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", written)
+        yield
+
+
 @pytest.fixture(scope="session")
 def fleet_logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Logs of a few short trips, which tests of a fleet read and none changes."""

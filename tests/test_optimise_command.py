@@ -23,7 +23,7 @@ from trainlog.railway import Configuration, Trajectory
 from trainlog.railway.train import POWER_OF_FILE
 from trainlog.units import KMH
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates")
+pytestmark = pytest.mark.usefixtures("remembered_estimates", "unpainted")
 
 SAMPLES = ("--line", "sample", "--train", "sample")
 MAP = ("--map", sample("CH_StGallen_Wil.map"))
