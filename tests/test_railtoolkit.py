@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from refusals import refused
 
+import trainlog
 from trainlog.cli import main as cli
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.formats.railtoolkit import read_rolling_stock, read_running_paths
+from trainlog.formats.railtoolkit import read_any, read_rolling_stock, read_running_paths
 from trainlog.formats.train import read_train
 from trainlog.formats.trajectory import read_trajectory
-from trainlog.railway import EffortCurve
+from trainlog.railway import EffortCurve, Train
 from trainlog.railway.consist import Formation, RollingVehicle
 from trainlog.railway.motion import shortest_run
 from trainlog.units import GRAVITY
@@ -34,6 +36,13 @@ UNIT = RollingVehicle(
 )  # fmt: skip
 
 
+def train_of(file: str, loaded: float = 1.0) -> Train:
+    """The train of one of the files of TrainRuns, loaded to a share."""
+    ((_, train, _),) = read_any(DATA / "trainruns" / "trains" / f"{file}.yaml", loaded)
+    assert isinstance(train, Train)
+    return train
+
+
 def published(train: str, path: str) -> float:
     text = (DATA / "trainruns" / "snapshots" / f"{train}_{path}.csv").read_text()
     return float(text.split()[1])
@@ -42,27 +51,22 @@ def published(train: str, path: str) -> float:
 @SHARED
 @pytest.mark.parametrize(("train", "path"), CASES)
 def test_running_times_of_trainruns(train: str, path: str) -> None:
-    _, formations = read_rolling_stock(DATA / "trainruns" / "trains" / f"{train}.yaml")
-    lines = read_running_paths(DATA / "trainruns" / "paths" / f"{path}.yaml")
-    line, formation = lines[path], next(iter(formations.values()))
-    expected = published(train, path)
+    line = read_running_paths(DATA / "trainruns" / "paths" / f"{path}.yaml")[path]
+    expected, given = published(train, path), train_of(train)
     # With the step of 20 m that TrainRuns takes.
-    assert shortest_run(line, formation, step=20.0).running_time == pytest.approx(
-        expected, rel=2e-3
-    )
+    assert shortest_run(line, given, step=20.0).running_time == pytest.approx(expected, rel=2e-3)
     # Its steps begin with their acceleration and so gain a little: the limit lies higher.
-    assert 0.0 < shortest_run(line, formation, step=0.5).running_time / expected - 1.0 < 6e-3
+    assert 0.0 < shortest_run(line, given, step=0.5).running_time / expected - 1.0 < 6e-3
 
 
 @SHARED
 @pytest.mark.parametrize(("train", "path"), CASES)
 def test_what_a_step_gains_is_in_proportion_to_it(train: str, path: str) -> None:
     """Why converged times differ from the published ones: those have the error of a 20 m step."""
-    _, formations = read_rolling_stock(DATA / "trainruns" / "trains" / f"{train}.yaml")
     line = read_running_paths(DATA / "trainruns" / "paths" / f"{path}.yaml")[path]
-    formation = next(iter(formations.values()))
+    given = train_of(train)
     steps = (20.0, 5.0, 1.25, 0.3125)
-    times = [shortest_run(line, formation, step=step).running_time for step in steps]
+    times = [shortest_run(line, given, step=step).running_time for step in steps]
     converged = times[3] + (times[3] - times[2]) / 3.0
     gained = converged - np.array(times[:3])
     # A quarter of the step leaves a quarter of the error, here and there a node falls otherwise.
@@ -73,10 +77,9 @@ def test_what_a_step_gains_is_in_proportion_to_it(train: str, path: str) -> None
 
 @SHARED
 def test_a_step_that_is_too_coarse_is_refused() -> None:
-    _, formations = read_rolling_stock(DATA / "trainruns" / "trains" / "local.yaml")
     line = read_running_paths(DATA / "trainruns" / "paths" / "const.yaml")["const"]
     with pytest.raises(InputError, match=r"step of 500 m is too coarse.*use at most \d+ m"):
-        shortest_run(line, next(iter(formations.values())), step=500.0)
+        shortest_run(line, train_of("local"), step=500.0)
 
 
 @SHARED
@@ -198,10 +201,13 @@ def test_a_hill_that_is_too_steep_is_explained(tmp_path: Path) -> None:
         "      - {position: 2000, speed: 90}\n",
     )
     line = read_running_paths(file)["here"]
-    with pytest.raises(InfeasibleError, match=r"'one' comes to a stand at km [01]\.\d+"):
-        shortest_run(line, Formation("one", (UNIT,)))
-    refused(InputError, "a share of 1", shortest_run, line, Formation("one", (UNIT,)), loaded=1.5)
-    refused(InputError, "step of 0", shortest_run, line, Formation("one", (UNIT,)), step=0.0)
+    train = replace(
+        trainlog.read_train(trainlog.sample(trainlog.DEFAULT_TRAIN)), traction_curve=EFFORT
+    )
+    with pytest.raises(InfeasibleError, match=rf"'{train.name}' comes to a stand at km [01]\.\d+"):
+        shortest_run(line, train)
+    with pytest.raises(InputError, match="step of 0"):
+        shortest_run(line, train, step=0.0)
 
 
 @pytest.mark.parametrize(

@@ -31,10 +31,8 @@ from numba import njit
 
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.railway.consist import Formation
 from trainlog.railway.effort import NO_CURVE, EffortCurve, arrays_of
 from trainlog.railway.line import Line
-from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Train
 
 SUBSTEPS = 4
@@ -479,24 +477,12 @@ def timetable_run(
     1009
     """
     positions = np.linspace(start, end, max(int((end - start) / TIMETABLE_STEP), 2) + 1)
-    limits = np.minimum(line.limits_over(train.length)(positions), train.max_speed)
-    mass = train.mass + load
-    inertia = mass + train.rotating_mass
-    curve = train.traction_curve
-    traction = Traction.of(
-        np.full(positions.size - 1, lever * train.max_tractive_effort / inertia),
-        np.array([lever * train.max_traction_power / inertia]),
-        None if curve is None else curve.over(inertia / lever),
-    )
-    motion = _motion_of(line, positions, train.resistance, mass, inertia, train.strip_length)
-    run, _ = _run(positions, limits, deceleration, traction, motion, 0.5 * SLOWEST**2)
+    run, _ = _fastest(line, train, positions, deceleration, lever, load, 0.5 * SLOWEST**2)
     return run
 
 
-def shortest_run(
-    line: Line, formation: Formation, *, loaded: float = 1.0, step: float = 1.0
-) -> FastestRun:
-    """Run a formation from one end of the line to the other as fast as it can.
+def shortest_run(line: Line, train: Train, *, step: float = 1.0) -> FastestRun:
+    """Run a train from one end of the line to the other as fast as it can.
 
     Full effort, permitted speeds kept with the whole length of the train, constant deceleration
     in braking. In each step the acceleration is that of its beginning, as in TrainRuns.jl, whose
@@ -506,95 +492,76 @@ def shortest_run(
     ----------
     line : Line
         As travelled.
-    formation : Formation
-    loaded : float
-        Share of the heaviest load that is on board.
+    train : Train
     step : float [m]
         Longest step.
 
     Raises
     ------
     InputError
-        If the step is not positive, the share is not between 0 and 1, or the step is too coarse:
-        half of it would change the running time by more than `COARSEST`.
+        If the step is not positive, or too coarse: half of it would change the running time by
+        more than `COARSEST`.
     InfeasibleError
-        If the formation cannot start, or comes to a stand on the line.
+        If the train cannot start, or comes to a stand on the line.
     """
     if not (step > 0.0 and np.isfinite(step)):
         raise InputError(f"a step of {step} m is not positive", remedy="give metres above 0")
-    if not 0.0 <= loaded <= 1.0:
-        raise InputError(f"a share of {loaded} of the load is not between 0 and 1")
-    run, finer = (_run_with(line, formation, loaded, each) for each in (step, 0.5 * step))
-    change = abs(finer.running_time / run.running_time - 1.0)
+    runs = []
+    for each in (step, 0.5 * step):
+        positions = _grid(line, train.length, each)
+        run, stalled = _fastest(line, train, positions, train.max_deceleration)
+        if stalled >= 0:
+            raise InfeasibleError(
+                f"train '{train.name}' comes to a stand at km {positions[stalled] / 1e3:.3f}:"
+                " full effort does not overcome the line there",
+                remedy="less load, or another traction unit",
+            )
+        runs.append(run)
+    change = abs(runs[1].running_time / runs[0].running_time - 1.0)
     if change > COARSEST:
         raise InputError(
-            f"step of {step:g} m is too coarse for formation '{formation.name}': half of it changes"
+            f"step of {step:g} m is too coarse for train '{train.name}': half of it changes"
             f" the running time by {100.0 * change:.1f} %",
             remedy=f"use at most {step * COARSEST / change:.0f} m",
         )
-    return run
+    return runs[0]
 
 
-def _run_with(line: Line, formation: Formation, loaded: float, step: float) -> FastestRun:
-    """The run of a formation with one step."""
-    positions = _grid(line, formation.length, step)
-    limits = np.minimum(line.limits_over(formation.length)(positions), formation.max_speed)
-    inertia = formation.inertia(loaded)
-    knots = formation.effort_knots
-    traction = Traction.of(
-        np.full(positions.size - 1, np.inf),
-        np.array([np.inf]),
-        EffortCurve(knots, formation.tractive_effort(knots) / inertia),
-    )
-    motion = _motion_of(
-        line, positions, formation.resistance(loaded), formation.mass(loaded), inertia
-    )
-    run, stalled = _run(positions, limits, formation.deceleration, traction, motion)
-    if stalled >= 0:
-        raise InfeasibleError(
-            f"formation '{formation.name}' comes to a stand at km {positions[stalled] / 1e3:.3f}:"
-            " full effort does not overcome the line there",
-            remedy="less load, or another traction unit",
-        )
-    return run
-
-
-def _run(
+def _fastest(
+    line: Line,
+    train: Train,
     positions: FloatArray,
-    limits: FloatArray,
     deceleration: float,
-    traction: Traction,
-    motion: Motion,
+    lever: float = 1.0,
+    load: float = 0.0,
     least: float = 0.0,
 ) -> tuple[FastestRun, int]:
     """The fastest run of one train, of first order, and the cell in which it stalls or -1."""
+    limits = np.minimum(line.limits_over(train.length)(positions), train.max_speed)
     limits[-1] = 0.0
-    ceiling = 0.5 * braking_curve(positions, limits, deceleration)[None] ** 2
-    z, stalled = pull_forwards(ceiling, 0.0, traction, motion, 1, least)
-    speeds = np.sqrt(2.0 * z[0])
-    with np.errstate(divide="ignore"):
-        spent = np.cumsum(2.0 * np.diff(positions) / (speeds[1:] + speeds[:-1]))
-    return FastestRun(positions, speeds, np.concatenate(([0.0], spent))), int(stalled[0])
-
-
-def _motion_of(
-    line: Line,
-    positions: FloatArray,
-    resistance: RunningResistance,
-    mass: float,
-    inertia: float,
-    strip_length: float = 0.0,
-) -> Motion:
-    """One train on a line, with the track's force where each cell begins, per unit inertia."""
-    track = line.track_acceleration(positions[:-1], strip_length)
+    mass = train.mass + load
+    inertia = mass + train.rotating_mass
+    curve, resistance = train.traction_curve, train.resistance
+    traction = Traction.of(
+        np.full(positions.size - 1, lever * train.max_tractive_effort / inertia),
+        np.array([lever * train.max_traction_power / inertia]),
+        None if curve is None else curve.over(inertia / lever),
+    )
+    track = line.track_acceleration(positions[:-1], train.strip_length)
     drag0 = (resistance.r0 + mass * track) / inertia
-    return Motion(
+    motion = Motion(
         np.ones(1),
         np.repeat(drag0[None, :, None], SUBSTEPS + 1, axis=2),
         np.array([resistance.r1 / inertia]),
         np.full((1, drag0.size), resistance.r2 / inertia),
         np.diff(positions),
     )
+    ceiling = 0.5 * braking_curve(positions, limits, deceleration)[None] ** 2
+    z, stalled = pull_forwards(ceiling, 0.0, traction, motion, 1, least)
+    speeds = np.sqrt(2.0 * z[0])
+    with np.errstate(divide="ignore"):
+        spent = np.cumsum(2.0 * np.diff(positions) / (speeds[1:] + speeds[:-1]))
+    return FastestRun(positions, speeds, np.concatenate(([0.0], spent))), int(stalled[0])
 
 
 def _grid(line: Line, length: float, step: float) -> FloatArray:
