@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -252,12 +252,14 @@ class TrainLayout(Layout):
     num_coaches: _Count | None = None
     length: _Length | None = None
     mass: _Mass
-    rho: _Share | None = None
+    rotating_mass_factor: Annotated[float | None, Quantity("%", "1", key="rho")] = None
     max_traction_power: _Power
-    max_reg_braking_power: _Power
-    max_traction_force: _Force
-    max_reg_braking_force: _Force
-    max_pn_braking_force: _Force | None = None
+    max_dynamic_braking_power: Annotated[float, Quantity("kW", "W", key="max reg braking power")]
+    max_tractive_effort: Annotated[float, Quantity("kN", "N", key="max traction force")]
+    max_dynamic_braking_effort: Annotated[float, Quantity("kN", "N", key="max reg braking force")]
+    max_pneumatic_braking_effort: Annotated[
+        float | None, Quantity("kN", "N", key="max pn braking force")
+    ] = None
     max_acceleration: _Acceleration | None = None
     max_deceleration: _Acceleration | None = None
     max_speed: _Speed
@@ -265,47 +267,44 @@ class TrainLayout(Layout):
     rolling_resistance_r1: _Linear
     rolling_resistance_r2: _Quadratic
     efficiency_traction: _Share | None = None
-    efficiency_reg_brake: _Share | None = None
+    efficiency_regeneration: Annotated[
+        float | None, Quantity("%", "1", key="efficiency reg brake")
+    ] = None
     tunnel_resistance: Annotated[_Pairs, Table(_TUNNEL_RESISTANCE)] = ()
     etcs: Annotated[Etcs | None, Part(key=_ETCS)] = None
 
     def thing(self) -> Train:
         """The train that the file describes."""
-        if self.rho is not None and self.rho >= 1.0:
+        rotating = self.rotating_mass_factor or 0.0
+        if rotating >= 1.0:
             raise InputError(
-                f"the rotating parts would weigh {self.rho:.12g} times the train",
+                f"the rotating parts would weigh {rotating:.12g} times the train",
                 place="rho",
                 remedy="give the part above 1, for example 0.06 or 6 %",
             )
-        values = {ours: getattr(self, theirs) for theirs, ours in _TRAIN_FIELDS.items()}
-        given = {ours: value for ours, value in values.items() if value is not None}
+        given = {n: each for n in _SHARED if (each := getattr(self, n)) is not None}
+        # The accelerations that effort and mass allow, where nothing else limits them.
+        inertia = self.mass * (1.0 + rotating)
+        braking = self.max_dynamic_braking_effort + (self.max_pneumatic_braking_effort or 0.0)
+        unlimited = {
+            "max_acceleration": self.max_tractive_effort / inertia,
+            "max_deceleration": braking / inertia,
+        }
         return Train(
-            **{"rotating_mass_factor": 0.0} | self._unlimited() | given,
+            **{"rotating_mass_factor": 0.0} | unlimited | given,
             name=self.metadata.id,
             source=self.metadata.source,
             resistance=RunningResistance(
                 self.rolling_resistance_r0, self.rolling_resistance_r1, self.rolling_resistance_r2
             ),
-            tunnel_resistance=self.tunnel_resistance,
             braking_curves=None if self.etcs is None else self.etcs.curves(),
             seats=_whole("num seats", self.num_seats),
             coaches=_whole("num coaches", self.num_coaches),
             axles=assumed_axles(
-                self.mass,
-                max(self.max_traction_force, self.max_reg_braking_force),
-                self.rho or 0.0,
+                self.mass, max(self.max_tractive_effort, self.max_dynamic_braking_effort), rotating
             ),
-            assumed=(*(ours for ours in values if ours not in given), *_NOT_IN_TTOBENCH),
+            assumed=(*(name for name in _SHARED if name not in given), *_NOT_IN_TTOBENCH),
         )
-
-    def _unlimited(self) -> dict[str, float]:
-        """The accelerations that effort and mass allow, where nothing else limits them."""
-        inertia = self.mass * (1.0 + (self.rho or 0.0))
-        braking = self.max_reg_braking_force + (self.max_pn_braking_force or 0.0)
-        return {
-            "max_acceleration": self.max_traction_force / inertia,
-            "max_deceleration": braking / inertia,
-        }
 
     @staticmethod
     def of(train: Train) -> TrainLayout:
@@ -319,9 +318,9 @@ class TrainLayout(Layout):
                     remedy="write it without the curve if that is meant",
                 )
         known = {
-            theirs: getattr(train, ours)
-            for theirs, ours in _TRAIN_FIELDS.items()
-            if ours not in train.assumed and not (ours == "length" and train.length == 0.0)
+            name: getattr(train, name)
+            for name in _SHARED
+            if name not in train.assumed and not (name == "length" and train.length == 0.0)
         }
         return TrainLayout(
             metadata=Metadata.of(train.name, train.source),
@@ -330,28 +329,14 @@ class TrainLayout(Layout):
             rolling_resistance_r0=train.resistance.r0,
             rolling_resistance_r1=train.resistance.r1,
             rolling_resistance_r2=train.resistance.r2,
-            tunnel_resistance=train.tunnel_resistance,
             etcs=None if train.braking_curves is None else Etcs.of(train.braking_curves),
             **known,
         )
 
 
-_TRAIN_FIELDS = {
-    "length": "length",
-    "mass": "mass",
-    "rho": "rotating_mass_factor",
-    "max_traction_power": "max_traction_power",
-    "max_reg_braking_power": "max_dynamic_braking_power",
-    "max_traction_force": "max_tractive_effort",
-    "max_reg_braking_force": "max_dynamic_braking_effort",
-    "max_pn_braking_force": "max_pneumatic_braking_effort",
-    "max_acceleration": "max_acceleration",
-    "max_deceleration": "max_deceleration",
-    "max_speed": "max_speed",
-    "efficiency_traction": "efficiency_traction",
-    "efficiency_reg_brake": "efficiency_regeneration",
-}
-"""Names of a train's numbers in TTOBench and here."""
+_OWN = {each.name for each in fields(Train)}
+_SHARED = tuple(each.name for each in fields(TrainLayout) if each.name in _OWN)
+"""Fields of a train that stand in a file of TTOBench."""
 
 _NOT_IN_TTOBENCH = ("max_load", "axles", "brake")
 """Fields of a train that TTOBench does not know."""
