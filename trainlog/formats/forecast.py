@@ -6,12 +6,11 @@ import re
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from trainlog.declaration import Column, Must
 from trainlog.errors import InputError
 from trainlog.formats.files import check_written
-from trainlog.formats.headed import read_headed, write_headed
+from trainlog.formats.headed import read_headed, write_headed, written_time
 from trainlog.railway.forecast import AdhesionForecast
 from trainlog.railway.weather import check_condition
 from trainlog.spans import utc
@@ -190,7 +189,7 @@ def write_forecast(forecast: AdhesionForecast, path: str | Path) -> None:
         [forecast.line] * forecast.start.size,
         forecast.layer,
         *([f"{each / 1e3:.3f}" for each in ends] for ends in (forecast.start, forecast.end)),
-        *([_written(each) for each in known.tolist()] for known in times),
+        *([written_time(each) for each in known.tolist()] for known in times),
         *(
             ["" if np.isnan(each) else f"{each:.6g}" for each in stated]
             for stated in (*forecast.quantiles.T, *forecast.below.T)
@@ -201,7 +200,3 @@ def write_forecast(forecast: AdhesionForecast, path: str | Path) -> None:
         *(Column(f"below {level:g}") for level in forecast.thresholds),
     ]
     write_headed(path, (*_COLUMNS, *numbered), zip(*columns, strict=True))
-
-
-def _written(time: int) -> str:
-    return pd.Timestamp(time, tz="UTC").isoformat().replace("+00:00", "Z")

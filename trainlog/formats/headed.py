@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 import numpy as np
+import pandas as pd
 
 from trainlog.arrays import FloatArray
 from trainlog.declaration import Column
@@ -175,6 +176,11 @@ class HeadedTable:
         if not np.isfinite(value):
             raise InputError(f"'{cell}' is not a number", remedy="correct it or leave it empty")
         return value
+
+
+def written_time(time: int) -> str:
+    """A time [ns since 1970 UTC] as tables state it."""
+    return pd.Timestamp(time, tz="UTC").isoformat().replace("+00:00", "Z")
 
 
 def write_headed(

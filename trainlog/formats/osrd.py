@@ -34,22 +34,13 @@ from trainlog.formats.tracks import (
     distinct_names,
     not_in_file,
 )
-from trainlog.formats.ttobench import assumed_axles
+from trainlog.formats.ttobench import UNPUBLISHED, assumed_axles
 from trainlog.railway import EffortCurve, RunningResistance, Station, Train
 from trainlog.railway.geometry import to_plane
 
 # ------------------------------------------------------------------------------- rolling stock
 
-_ASSUMED = (
-    "max_dynamic_braking_effort",
-    "max_dynamic_braking_power",
-    "max_pneumatic_braking_effort",
-    "efficiency_traction",
-    "efficiency_regeneration",
-    "max_load",
-    "axles",
-    "brake",
-)
+_ASSUMED = (*UNPUBLISHED, "max_load", "axles", "brake")
 """Fields of a train that OSRD does not know."""
 
 

@@ -21,7 +21,7 @@ from trainlog.errors import InputError
 from trainlog.formats.declared import built
 from trainlog.formats.files import read_bytes
 from trainlog.formats.schema import Finite, Foreign, NotNegative, Positive, checked
-from trainlog.formats.ttobench import assumed_axles
+from trainlog.formats.ttobench import UNPUBLISHED, assumed_axles
 from trainlog.railway import EffortCurve, Line, Station, StepProfile, Train
 from trainlog.railway.consist import Formation, RollingVehicle
 from trainlog.units import KMH, PER_MILLE
@@ -312,16 +312,7 @@ def _train(formation: Formation, loaded: float) -> Train:
     )
 
 
-_ASSUMED = (
-    "max_acceleration",
-    "max_dynamic_braking_effort",
-    "max_dynamic_braking_power",
-    "max_pneumatic_braking_effort",
-    "efficiency_traction",
-    "efficiency_regeneration",
-    "axles",
-    "brake",
-)
+_ASSUMED = ("max_acceleration", *UNPUBLISHED, "axles", "brake")
 """Fields of a train that railtoolkit does not know."""
 
 

@@ -342,6 +342,15 @@ _NOT_IN_TTOBENCH = ("max_load", "axles", "brake")
 """Fields of a train that TTOBench does not know."""
 
 
+UNPUBLISHED = (
+    "max_dynamic_braking_effort",
+    "max_dynamic_braking_power",
+    "max_pneumatic_braking_effort",
+    "efficiency_traction",
+    "efficiency_regeneration",
+)
+"""Fields of a train that no project but TTOBench publishes."""
+
 _AXLE_LOAD = 18_000.0
 _ADHESION_IN_USE = 0.29
 """A powered axle carries so much [kg], and full effort uses so much adhesion at most, unless the

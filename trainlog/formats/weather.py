@@ -11,7 +11,7 @@ import numpy as np
 
 from trainlog.declaration import Column, Must
 from trainlog.errors import InputError
-from trainlog.formats.headed import HeadedTable, read_headed, write_headed
+from trainlog.formats.headed import HeadedTable, read_headed, write_headed, written_time
 from trainlog.railway.weather import (
     LONGEST_HOLD,
     MILLIMETRE_PER_HOUR,
@@ -101,7 +101,10 @@ def write_weather(weather: Weather, path: str | Path) -> None:
     """
     numbers = weather.temperature, weather.humidity, weather.precipitation / MILLIMETRE_PER_HOUR
     columns = (
-        *(map(_written, times.tolist()) for times in (weather.starts, weather.ends)),
+        *(
+            map(written_time, (times // 1000 * 1000).tolist())
+            for times in (weather.starts, weather.ends)
+        ),
         weather.conditions,
         *([f"{each:.15g}" if each == each else "" for each in known] for known in numbers),
     )
@@ -157,8 +160,3 @@ def _check_order(table: HeadedTable, times: list[int | None], ends: list[int | N
         if end is not None and end <= time:
             table.note(line, "ends before it begins", "correct 'time' or 'until'")
         before, until = time, -np.inf if end is None else end
-
-
-def _written(time: int) -> str:
-    """A time [ns since 1970 UTC] in words, to the microsecond."""
-    return (EPOCH + timedelta(microseconds=time // 1000)).isoformat().replace("+00:00", "Z")
