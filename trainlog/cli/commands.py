@@ -19,7 +19,6 @@ from typer.core import TyperCommand, TyperGroup
 from trainlog.cli.options import (
     CatalogueOption,
     ChosenTrips,
-    TakesSummaries,
     chosen_logs,
     chosen_summaries,
 )
@@ -236,20 +235,15 @@ class Command(_Described, TyperCommand):
     """
 
     def __init__(self, *, params: list[Any], callback: Any, **known: Any) -> None:
-        signature = inspect.signature(callback, eval_str=True)
-        notes = {
-            name: getattr(each.annotation, "__metadata__", ())
-            for name, each in signature.parameters.items()
-        }
+        known_types = inspect.signature(callback, eval_str=True).parameters
         of_logs, common = _common_options()
-        logs: Any = next((each for each in params if ChosenTrips in notes[each.name]), None)
-        if logs is not None and logs.required:
-            logs.help = f"{logs.help} Or --trips."
-        self._logs, self._needed = logs, logs is not None and logs.required
-        self._summed_up = logs is not None and TakesSummaries in notes[logs.name]
-        if logs is not None:
-            logs.required = False
-            params = [*params, *of_logs]
+        self._logs: Any = None
+        self._needed = False
+        for each in params:
+            if ChosenTrips in getattr(known_types[each.name].annotation, "__metadata__", ()):
+                self._logs, self._needed = each, each.required
+                each.help = f"{each.help}{' Or --trips.' * each.required}"
+                each.required, common = False, [*of_logs, *common]
         super().__init__(params=[*params, *common], callback=callback, **known)
 
     def invoke(self, ctx: Any) -> Any:
@@ -280,8 +274,7 @@ class Command(_Described, TyperCommand):
         name = self._logs.name
         if chosen_trips is not None:
             # Summaries of fits stand for the logs of other fits alone.
-            summed_up = self._summed_up and given["method"] == "efforts"
-            chosen = chosen_summaries if summed_up else chosen_logs
+            chosen = chosen_summaries if given.get("method") == "efforts" else chosen_logs
             given[name] = (*(given[name] or ()), *chosen(chosen_trips, catalogue))
         elif catalogue is not None:
             raise InputError(

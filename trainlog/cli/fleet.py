@@ -32,9 +32,7 @@ if TYPE_CHECKING:
     from analysis.fleet.update import Problem
     from trainlog.catalogue import Catalogue, FileOutcome
 
-fleet_app = typer.Typer(
-    no_args_is_help=True, help="The catalogue of a fleet, and what is computed of its trips."
-)
+fleet_app = typer.Typer(help="The catalogue of a fleet, and what is computed of its trips.")
 
 AnalysesOption = Annotated[
     list[str] | None,

@@ -12,7 +12,6 @@ from trainlog.cli.commands import end_in_part
 from trainlog.cli.options import (
     ChosenTrips,
     Logs,
-    TakesSummaries,
     destination,
     distinct,
     logs_in,
@@ -34,7 +33,6 @@ def fit(
             " in the header."
         ),
         ChosenTrips,
-        TakesSummaries,
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Parameter set, or other result (JSON).")

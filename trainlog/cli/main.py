@@ -21,7 +21,6 @@ from trainlog.errors import TrainlogError
 
 app = typer.Typer(
     cls=Words,
-    no_args_is_help=True,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},

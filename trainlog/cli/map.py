@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from analysis.adhesion.updating import LogOutcome, MapUpdate
     from analysis.verification.scoring import Score
 
-map_app = typer.Typer(no_args_is_help=True, help="The track-condition map: maximum adhesion.")
+map_app = typer.Typer(help="The track-condition map: maximum adhesion.")
 
 CourseOption = Annotated[
     Path | None,

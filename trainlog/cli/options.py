@@ -56,10 +56,6 @@ class ChosenTrips:
     """
 
 
-class TakesSummaries:
-    """Marks logs of a command that takes summaries of fits, too: stored ones stand for the logs."""
-
-
 Logs = Annotated[
     list[Path],
     typer.Argument(help="Logs (.mcap), or folders of logs; of one without, those below it."),

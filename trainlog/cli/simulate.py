@@ -30,10 +30,7 @@ if TYPE_CHECKING:
     from trainlog.simulation import Scenario, TractionLoop
     from trainlog.trip import Trip
 
-simulate_app = typer.Typer(
-    no_args_is_help=True,
-    help="Simulate drivers, trips along a trajectory, days, a fleet.",
-)
+simulate_app = typer.Typer(help="Simulate drivers, trips along a trajectory, days, a fleet.")
 
 LogFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder for the logs.")]
 CharacteristicOption = Annotated[

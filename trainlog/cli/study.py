@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from analysis.studies.report import StudyReport
 
 study_app = typer.Typer(
-    no_args_is_help=True,
-    help="Run a published system beside its paper, or the dynamics inside a train.",
+    help="Run a published system beside its paper, or the dynamics inside a train."
 )
 
 
