@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from analysis.adhesion.line_table import line_table
 from trainlog.arrays import BoolArray, FloatArray, IntArray
@@ -23,14 +23,11 @@ from trainlog.railway.condition import (
     PassingSpot,
     TrackConditionMap,
 )
-from trainlog.railway.kilometres import in_km
+from trainlog.railway.kilometres import in_km, near
 from trainlog.railway.line import Line
 
 BAND = (0.025, 0.975)
 """Shares below the ends of the 95 % band."""
-
-AT_STATION = 100.0
-"""What is nearer to a station lies at it [m]."""
 
 RESOLUTION = 0.01
 """Adhesion by which the bins of one section may differ."""
@@ -374,32 +371,6 @@ def _bins_of(track: TrackConditionMap, part: PassingSpot | ConditionChange) -> t
     """First and one-past-last bin of a part of the line."""
     first = int(track.bin_of(part.start))
     return first, max(int(np.ceil(part.end / track.bin_length)), first + 1)
-
-
-def near(line: Line | None, position: ArrayLike, within: float = AT_STATION) -> list[str]:
-    """Where each position [m] lies, by the nearest station; empty without a line.
-
-    At a station is what is less than `within` [m] away from it.
-
-    Examples
-    --------
-    >>> import trainlog
-    >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
-    >>> near(line, [20.0, 9_000.0])
-    ['at St.Gallen', '0.3 km before Gossau SG']
-    """
-    at = np.asarray(position, dtype=np.float64)
-    if line is None or not line.stations:
-        return [""] * at.size
-    places = np.array([each.position for each in line.stations])
-    nearest = np.argmin(np.abs(places - at[:, None]), axis=1)
-    beyond = at - places[nearest]
-    return [
-        f"at {line.stations[i].name}"
-        if abs(by) < within
-        else f"{abs(by) / 1e3:.1f} km {'after' if by > 0 else 'before'} {line.stations[i].name}"
-        for i, by in zip(nearest.tolist(), beyond.tolist(), strict=True)
-    ]
 
 
 def _estimates(layer: ConditionLayer, time: pd.Timestamp | None) -> dict[str, object]:

@@ -19,7 +19,6 @@ from analysis.adhesion.condition_table import (
     check_course,
     day_name,
     kilometres,
-    near,
     with_ends,
 )
 from trainlog.arrays import BoolArray, FloatArray
@@ -29,6 +28,7 @@ from trainlog.errors import InputError
 from trainlog.presentation import SHARE, Column, Presented, WordTable, frame_table, new_table
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
+from trainlog.railway.kilometres import near
 from trainlog.railway.line import Line
 
 RATE = 0.05

@@ -29,7 +29,7 @@ from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import line_of, passport_of, recorded_load, train_of
 from trainlog.mcap import read_log
 from trainlog.railway import Line, Train, Trajectory
-from trainlog.railway.kilometres import km_words
+from trainlog.railway.kilometres import STATION_REACH, km_words, station_at
 from trainlog.railway.passport import Quantity
 from trainlog.spans import runs_of
 from trainlog.topics import (
@@ -45,9 +45,6 @@ SHORTEST_STOP = 5.0
 
 STANDING_ESTIMATE = 0.3
 """Estimated speed [m/s] up to which a train stands: satellites' speeds waver at rest."""
-
-STATION_REACH = 200.0
-"""A train that stands so near to a station's chainage [m] has stopped there."""
 
 NOTED_SETBACK, LARGEST_SETBACK = 2.0, 200.0
 """Metres by which recorded chainage runs backwards that are stated, and that are refused."""
@@ -311,14 +308,6 @@ def planned_trip(trajectory: Trajectory, line: Line, train: Train | None = None)
         flags={} if train is None else {"coasting": idle},
         planned=True,
     )
-
-
-def station_at(line: Line, position: float, reach: float = STATION_REACH) -> str:
-    """Name of the nearest station within `reach` [m] of a position; empty if there is none."""
-    places = np.array([station.position for station in line.stations])
-    nearest = int(np.argmin(np.abs(places - position)))
-    near = abs(places[nearest] - position) <= reach
-    return line.stations[nearest].name if near else ""
 
 
 def _line_as_travelled(bare: Trip, line: Line | None) -> Line:

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.comparison.causes import CAUSES as CAUSES, GAINED
-from analysis.comparison.driven import STATION_REACH, DrivenTrip, Stand
+from analysis.comparison.driven import DrivenTrip, Stand
 from analysis.comparison.sections import (
     CommonRange,
     Sections,
@@ -35,6 +35,7 @@ from analysis.comparison.sections import (
     running_times,
 )
 from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.railway.kilometres import STATION_REACH
 from trainlog.spans import runs_of
 
 CELL = 10.0

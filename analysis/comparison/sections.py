@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from analysis.comparison.driven import STATION_REACH, UNKNOWN_TIME, DrivenTrip, Stand, station_at
+from analysis.comparison.driven import UNKNOWN_TIME, DrivenTrip, Stand
 from trainlog.arrays import FloatArray
 from trainlog.presentation import Quantity
 from trainlog.railway import Line
-from trainlog.railway.kilometres import km_words
+from trainlog.railway.kilometres import STATION_REACH, km_words, station_at
 from trainlog.units import KMH
 
 EXCESS = 1.0 / KMH

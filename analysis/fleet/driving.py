@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.comparison.driven import STATION_REACH, DrivenTrip, Stand
+from analysis.comparison.driven import DrivenTrip, Stand
 from analysis.comparison.losses import lost_time
 from analysis.comparison.sections import (
     STOPPING_REACH,
@@ -22,6 +22,7 @@ from analysis.network.edges import Stretch, edges_of
 from trainlog.arrays import FloatArray
 from trainlog.errors import LogError
 from trainlog.formats.attached import largest_load
+from trainlog.railway.kilometres import STATION_REACH
 from trainlog.railway.motion import timetable_run
 from trainlog.units import NANOSECONDS
 

@@ -28,7 +28,7 @@ from analysis.charts import (
     rows_to_draw,
     stations_of,
 )
-from analysis.comparison.driven import SHORTEST_STOP, station_at
+from analysis.comparison.driven import SHORTEST_STOP
 from analysis.comparison.groups import TripCost, trip_cost
 from analysis.fleet.trips import TOPICS
 from analysis.reports.answers import Verdict, slip_words, summary_section, verdict
@@ -42,7 +42,7 @@ from trainlog.ingest.report import report_of
 from trainlog.mcap import describe, read_log
 from trainlog.presentation import WordTable, kwh, new_table
 from trainlog.railway import Line
-from trainlog.railway.kilometres import in_km
+from trainlog.railway.kilometres import in_km, station_at
 from trainlog.resampling import interpolated
 from trainlog.spans import runs_of
 from trainlog.topics import REFERENCE, STANDSTILL, TRAIN_CONTROLS

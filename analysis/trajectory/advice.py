@@ -19,8 +19,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.adhesion.condition_table import near
-from analysis.comparison.driven import station_at
 from analysis.trajectory.instructions import Instruction, instructions
 from analysis.trajectory.phases import Phase
 from trainlog import __version__
@@ -31,7 +29,7 @@ from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.files import atomic_write, sha256
 from trainlog.presentation import WordTable, new_table
 from trainlog.railway import Line, StepProfile, Trajectory
-from trainlog.railway.kilometres import in_km
+from trainlog.railway.kilometres import in_km, near, station_at
 from trainlog.topics import REFERENCE, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 from trainlog.units import KMH

@@ -20,6 +20,12 @@ ROUNDING = 1.0
 """How far [m] behind the ends of its pieces a line still has a kilometre: those shown are rounded
 to a metre."""
 
+AT_STATION = 100.0
+"""What is nearer to a station lies at it [m]."""
+
+STATION_REACH = 200.0
+"""A train that stands so near to a station's chainage [m] has stopped there."""
+
 STEPS = (1.0, 2.0, 5.0)
 """Of ticks, times a power of ten."""
 
@@ -109,6 +115,40 @@ def section_of_km(
         return min(first, last), max(first, last)
     falling = line.reference.end[-1] < line.reference.start[0]
     return (last, first) if falling else (first, last)
+
+
+def near(line: Line | None, position: ArrayLike, within: float = AT_STATION) -> list[str]:
+    """Where each position [m] lies, by the nearest station; empty without a line.
+
+    At a station is what is less than `within` [m] away from it.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> near(line, [20.0, 9_000.0])
+    ['at St.Gallen', '0.3 km before Gossau SG']
+    """
+    at = np.asarray(position, dtype=np.float64)
+    if line is None or not line.stations:
+        return [""] * at.size
+    places = np.array([each.position for each in line.stations])
+    nearest = np.argmin(np.abs(places - at[:, None]), axis=1)
+    beyond = at - places[nearest]
+    return [
+        f"at {line.stations[i].name}"
+        if abs(by) < within
+        else f"{abs(by) / 1e3:.1f} km {'after' if by > 0 else 'before'} {line.stations[i].name}"
+        for i, by in zip(nearest.tolist(), beyond.tolist(), strict=True)
+    ]
+
+
+def station_at(line: Line, position: float, reach: float = STATION_REACH) -> str:
+    """Name of the nearest station within `reach` [m] of a position; empty if there is none."""
+    places = np.array([station.position for station in line.stations])
+    nearest = int(np.argmin(np.abs(places - position)))
+    near = abs(places[nearest] - position) <= reach
+    return line.stations[nearest].name if near else ""
 
 
 def km_ticks(
