@@ -751,3 +751,34 @@ def test_a_file_without_a_version_is_answered_with_it(tmp_path: Path) -> None:
     path.write_text('{"format": "trainlog/line"}', "utf-8")
     with pytest.raises(InputError, match="states no version of the format trainlog/line; add the"):
         read_line(path)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("fit LOG -o p.json --method coasting --cover 7", "--cover cannot be taken: the method is"),
+        ("fit LOG -o p.json --gradient unknown --speed 60", "--gradient cannot be taken"),
+        ("compare LOG --wind 5", "leave out --wind or give --calculated"),
+        ("compare LOG --with LOG --reference LOG --picture a.png", "--reference and --picture"),
+        ("compare LOG --calculated sample --time-of-day", "--time-of-day cannot be taken"),
+        ("report LOG -o a.html --maps maps --at 2026-01-01", "leave out --maps and --at"),
+        (
+            "simulate follow LOG --train sample -o trips --risk 0.1",
+            "leave out --risk or give a map",
+        ),
+        ("simulate fleet drawn -o trips --count 3 --trips-per-day 2", "leave out --trips-per-day"),
+    ],
+)
+def test_options_that_a_mode_ignores_are_refused(
+    words: str,
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    given = words.replace("LOG", str(sample("nonstop.mcap"))).split()
+    status, _, complaint = run(monkeypatch, capsys, *given)
+    assert status == 2
+    assert message in complaint
+    assert not list(tmp_path.iterdir())

@@ -311,7 +311,7 @@ def test_a_map_without_a_use_is_refused(tmp_path: Path) -> None:
     command += ["--line", "sample", "--train", "sample"]
     result = CliRunner().invoke(app, [*command, "--traction", "readhesion"])
     assert isinstance(result.exception, InputError)
-    assert "--map goes with --traction cooperative" in str(result.exception)
+    assert "only --traction cooperative knows a map" in str(result.exception)
     assert "trainlog simulate follow" in str(result.exception)
 
 

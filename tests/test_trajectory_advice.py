@@ -295,10 +295,10 @@ def test_commands_write_sections_a_front_and_advice(
     write_journey(Journey("one stop", "CH_StGallen_Wil", tuple(points)), journey)
     samples = ("--line", "sample", "--train", "sample")
     options = (*samples, "--set", "dwell=30", "--set", "cells=60", "--reserve", 15)
-    run("plan", parameters, "--stops", journey, *options, "-o", tmp_path / "a.json")
+    run("plan", parameters, "--stops", journey, *options, "-o", tmp_path / "a")
     for number in (1, 2):
-        for suffix in ("json", "png", "csv"):
-            assert (tmp_path / f"a-{number}.{suffix}").exists()
+        for suffix in ("json", "png"):
+            assert (tmp_path / "a" / f"section-{number}.{suffix}").exists()
     assert "Journey one stop" in capsys.readouterr().out
     expected = (*samples, "--reverse", "--set", "cells=60", "--set", "objective=expected")
     run("plan", parameters, *expected, "-o", tmp_path / "b.json")

@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 from pandas import Timestamp
 
+from analysis.trajectory.adhesion import read_words
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
@@ -304,7 +305,7 @@ def counted_on(
 
     Examples
     --------
-    >>> counted_on(None, "leaves")
+    >>> counted_on(None, "leaves").partition(";")[0]
     'adhesion: leaves rail without a map, low adhesion assumed: 0.05 in traction, 0.05 in braking'
     """
     if track is None:
@@ -312,16 +313,13 @@ def counted_on(
         what = "assumed" if layer in ASSUMED else "low adhesion assumed"
         return (
             f"adhesion: {layer} rail without a map, {what}: {pulling:g} in traction, {braking:g} in"
-            " braking"
+            " braking; slippery spots are not known"
         )
-    when = "right after the last evidence" if time is None else f"at {time.isoformat()}"
-    if risk is not None:
-        return f"adhesion: layer {layer}, at most a risk of {risk:g} a place, as expected {when}"
-    what = "the lasting condition" if time is None else f"what is expected {when}"
-    return (
-        f"adhesion: layer {layer}, {what} less {PULLING_SIGMAS:g} standard deviations in traction,"
-        f" {TrajectoryProblem.sigmas:g} in braking ({UNSEEN_SIGMAS:g} where not observed)"
+    less = (
+        f"less {PULLING_SIGMAS:g} standard deviations in traction, {TrajectoryProblem.sigmas:g} in"
+        f" braking ({UNSEEN_SIGMAS:g} where not observed)"
     )
+    return f"adhesion: layer {layer}, {read_words(risk, time, less)}"
 
 
 def _lowest_around(fine: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from pandas import Timestamp
 
 from analysis.adhesion.demonstrated import risk_of_run
 from analysis.trajectory.problem import TrajectoryProblem
@@ -17,13 +18,9 @@ def adhesion_demand(run: TrajectoryProblem, trajectory: Trajectory) -> FloatArra
 
     Traction of the powered axles, braking of all; 0 beyond the trajectory.
     """
-    track, train = run.condition_map, run.train
+    track = run.condition_map
     assert track is not None
-    masses = np.array([each.mass for each in trajectory.configurations])
-    adhesive = min(train.adhesive_weight(mass - train.mass) for mass in masses.tolist())
-    pull = trajectory.tractive_effort + 0.5 * np.abs(trajectory.tractive_effort_fall)
-    braking = (trajectory.braking_effort / (GRAVITY * masses[:, None])).max(axis=0)
-    asked = np.maximum(pull / adhesive, braking)
+    asked = np.maximum(*_asked(run, trajectory))
     places = trajectory.positions
     if run.direction == "reverse":
         places, asked = run.line.length - places[::-1], asked[::-1]
@@ -36,8 +33,34 @@ def adhesion_demand(run: TrajectoryProblem, trajectory: Trajectory) -> FloatArra
     return found
 
 
+def _asked(run: TrajectoryProblem, trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
+    """Most adhesion that any configuration asks for in traction and in braking; (n,) arrays."""
+    masses = np.array([each.mass for each in trajectory.configurations])
+    adhesive = min(run.train.adhesive_weight(mass - run.train.mass) for mass in masses.tolist())
+    pull = trajectory.tractive_effort + 0.5 * np.abs(trajectory.tractive_effort_fall)
+    braking = (trajectory.braking_effort / (GRAVITY * masses[:, None])).max(axis=0)
+    return pull / adhesive, braking
+
+
+def expected_when(time: Timestamp | None) -> str:
+    """For which time a map's expectation holds."""
+    return "right after the last evidence" if time is None else f"at {time.isoformat()}"
+
+
+def read_words(risk: float | None, time: Timestamp | None, less: str) -> str:
+    """How a map is read: with a risk, or what lasts or is expected `less` a margin."""
+    when = expected_when(time)
+    if risk is not None:
+        return f"at most a risk of {risk:g} a place, as expected {when}"
+    if time is None:
+        return f"the lasting condition {less}"
+    return f"what is expected {when}, with passing spots, {less}"
+
+
 def adhesion_words(run: TrajectoryProblem, trajectory: Trajectory) -> list[str]:
     """How the map was read, over how many kilometres it limits, and the risk of the run.
+
+    Without a map: the most adhesion that the run asks for, which nothing limits.
 
     Examples
     --------
@@ -57,16 +80,13 @@ def adhesion_words(run: TrajectoryProblem, trajectory: Trajectory) -> list[str]:
     """
     track, usable = run.condition_map, run.usable
     if track is None or usable is None:
-        return []
-    when = "right after the last evidence" if run.time is None else f"at {run.time.isoformat()}"
-    if run.risk is not None:
-        read = f"at most a risk of {run.risk:g} a place, as expected {when}"
-    elif run.time is None:
-        read = f"the lasting condition less {run.sigmas:g} standard deviations"
-    else:
-        read = (
-            f"what is expected {when}, with passing spots, less {run.sigmas:g} standard deviations"
-        )
+        pulling, braking = (each.max(initial=0.0) for each in _asked(run, trajectory))
+        return [
+            "adhesion: not limited, for want of a map; asks for up to"
+            f" {pulling:.3f} in traction, {braking:.3f} in braking"
+        ]
+    when = expected_when(run.time)
+    less = f"less {run.sigmas:g} standard deviations"
     ends = trajectory.positions[[0, -1]]
     start, end = run.line.length - ends[::-1] if run.direction == "reverse" else ends
     edges = track.bin_length * np.arange(track.bins + 1)
@@ -84,7 +104,7 @@ def adhesion_words(run: TrajectoryProblem, trajectory: Trajectory) -> list[str]:
     risk = risk_of_run(expected, demand, track.bin_length, setting(track, "correlation_length"))
     low, high = (f"{100.0 * each:.2g} %" for each in risk)
     return [
-        f"adhesion: layer {run.layer}, {read}",
+        f"adhesion: layer {run.layer}, {read_words(run.risk, run.time, less)}",
         f"of {km.sum():.1f} km: {shares}",
         f"risk that a run finds less than it asks for somewhere, as expected {when}: {low} to"
         f" {high}, from the {km[usable.seen].sum():.1f} km known from slip alone",

@@ -8,7 +8,6 @@ for where the train is, and how late it is.
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from analysis.trajectory.instructions import Instruction, instructions
@@ -26,8 +26,8 @@ from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.attached import line_of_plan
 from trainlog.formats.declared import thing_to_bytes
-from trainlog.formats.files import atomic_write, sha256
-from trainlog.presentation import WordTable, new_table
+from trainlog.formats.files import sha256, write_bytes
+from trainlog.presentation import Presented, WordTable, new_table
 from trainlog.railway import Line, StepProfile, Trajectory
 from trainlog.railway.kilometres import in_km, near, station_at
 from trainlog.topics import REFERENCE, TRAIN_STATE
@@ -119,9 +119,11 @@ class AdviceRow:
         return f"{self.words} from {where}"
 
 
-@dataclass(frozen=True, eq=False)
-class JourneyAdvice:
+@dataclass(frozen=True, eq=False, repr=False)
+class JourneyAdvice(Presented):
     """Advice for a journey, in the order of its kilometres.
+
+    Printing it states when it departs and arrives; `tables` have the advice as a driver reads it.
 
     Attributes
     ----------
@@ -168,7 +170,24 @@ class JourneyAdvice:
         hours, minutes = divmod(minutes, 60)
         return f"{hours:02d}:{minutes:02d}:{rest:02d}"
 
-    def details(self) -> dict[str, Any]:
+    @property
+    def title(self) -> str:
+        """Train and line."""
+        return f"Advice for {self.train} on {self.line}"
+
+    def summary(self) -> dict[str, str]:
+        """When it departs and arrives."""
+        ends = [each for each in self.rows if each.event in ("departs", "arrives")]
+        return {
+            each.event: f"{self.time(each.time)} {each.station}".rstrip()
+            for each in (ends[0], ends[-1])
+        }
+
+    def tables(self) -> list[WordTable]:
+        """The journey as a driver reads it."""
+        return [driver_table(self)]
+
+    def facts(self) -> dict[str, Any]:
         """The advice as data: numbers in SI units, the operator's kilometre beside the position."""
         rows = [
             {
@@ -375,34 +394,31 @@ def _row(
 
 def write_journey_advice(found: JourneyAdvice, path: str | Path) -> None:
     """Write the advice as CSV, whole or not at all; its columns are `HEADER`."""
-    with (
-        atomic_write(path) as temporary,
-        temporary.open("w", encoding="utf-8", newline="") as file,
-    ):
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(HEADER)
-        for row in found.rows:
-            permitted = "" if row.permitted is None else f"{KMH * row.permitted:.1f}"
-            ahead = ["", "", "", ""]
-            if row.instruction is not None:
-                lowest, highest = KMH * row.instruction.lowest, KMH * row.instruction.highest
-                ahead = [f"{KMH * row.instruction.target:.0f}", f"{row.to_km:.3f}", f"{lowest:.1f}",
-                         f"{highest:.1f}"]  # fmt: skip
-            table.writerow(
-                (
-                    row.event,
-                    f"{row.km:.3f}",
-                    row.station,
-                    row.place,
-                    found.time(row.time),
-                    f"{row.time:.1f}",
-                    found.time(row.timetable),
-                    f"{KMH * row.speed:.1f}",
-                    permitted,
-                    row.words,
-                    *ahead,
-                )
+    rows = []
+    for row in found.rows:
+        permitted = "" if row.permitted is None else f"{KMH * row.permitted:.1f}"
+        ahead = ["", "", "", ""]
+        if row.instruction is not None:
+            lowest, highest = KMH * row.instruction.lowest, KMH * row.instruction.highest
+            ahead = [f"{KMH * row.instruction.target:.0f}", f"{row.to_km:.3f}", f"{lowest:.1f}",
+                     f"{highest:.1f}"]  # fmt: skip
+        rows.append(
+            (
+                row.event,
+                f"{row.km:.3f}",
+                row.station,
+                row.place,
+                found.time(row.time),
+                f"{row.time:.1f}",
+                found.time(row.timetable),
+                f"{KMH * row.speed:.1f}",
+                permitted,
+                row.words,
+                *ahead,
             )
+        )
+    table = pd.DataFrame(rows, columns=HEADER)
+    write_bytes(path, table.to_csv(index=False, lineterminator="\n").encode())
 
 
 def stations_table(found: JourneyAdvice) -> WordTable:

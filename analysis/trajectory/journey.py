@@ -12,7 +12,7 @@ and each section's least expected energy can be found by itself. Every mixture g
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linprog
 
+from analysis.trajectory.advice import with_times
 from analysis.trajectory.certificate import GAP_TOLERANCE
 from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.feasibility import check_speeds, limiting_factors, place_of, seconds
@@ -28,6 +29,7 @@ from analysis.trajectory.problem import DEFAULT_OPTIONS, OptimiserOptions, Traje
 from trainlog.arrays import FloatArray
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.presentation import Presented, WordTable
+from trainlog.progress import task
 from trainlog.railway import Line, Trajectory
 from trainlog.railway.journey import Journey, TimingPoint
 from trainlog.units import JOULES_PER_KWH, clock
@@ -45,17 +47,20 @@ class Schedule:
 
     def __init__(self, least: FloatArray, low: FloatArray, high: FloatArray, dwell: float) -> None:
         self.least, self.low, self.high, self.dwell = least, low, high, dwell
-        m = least.size
-        self.rows: list[FloatArray] = []
-        self.right: list[float] = []
+        # departure of the next section not before this arrival and the dwell time
+        self.rows = [
+            self._row({2 * number + 1: 1.0, 2 * number + 2: -1.0})
+            for number in range(self.count - 1)
+        ]
+        self.right = [-dwell] * (self.count - 1)
         self.cuts: list[FloatArray] = []
         self.levels: list[float] = []
-        for number in range(m - 1):
-            # departure of the next section not before this arrival and the dwell time
-            row = np.zeros(3 * m + 1)
-            row[2 * number + 1], row[2 * number + 2] = 1.0, -1.0
-            self.rows.append(row)
-            self.right.append(-dwell)
+
+    def _row(self, entries: Mapping[int, float]) -> FloatArray:
+        """Coefficients of all unknowns: times, energies of the sections, their common reserve."""
+        row = np.zeros(3 * self.count + 1)
+        row[list(entries)] = list(entries.values())
+        return row
 
     @property
     def count(self) -> int:
@@ -69,37 +74,32 @@ class Schedule:
     def even(self) -> FloatArray:
         """Times that give every section the same reserve over its least time, (m, 2) [s]."""
         m = self.count
-        rows, right = list(self.rows), list(self.right)
-        for number in range(m):
-            row = np.zeros(3 * m + 1)
-            row[2 * number], row[2 * number + 1], row[-1] = 1.0, -1.0, self.least[number]
-            rows.append(row)
-            right.append(-float(self.least[number]))
-        cost = np.zeros(3 * m + 1)
-        cost[-1] = -1.0
+        least = self.least.tolist()
+        rows = [
+            self._row({2 * n: 1.0, 2 * n + 1: -1.0, 3 * m: each}) for n, each in enumerate(least)
+        ]
+        right = [-each for each in least]
+        cost = self._row({3 * m: -1.0})
         bounds = [*self._bounds(), *[(0.0, 0.0)] * m, (-0.5, 3.0)]
-        return self._solved(cost, rows, right, bounds)[0]
+        return self._solved(cost, [*self.rows, *rows], [*self.right, *right], bounds)[0]
 
     def cheapest(self) -> tuple[FloatArray, float]:
         """Times of the least energy that the cuts allow, (m, 2) [s], and that energy [J]."""
         m = self.count
-        rows, right = list(self.rows), list(self.right)
-        for number in range(m):
-            row = np.zeros(3 * m + 1)
-            row[2 * number], row[2 * number + 1] = 1.0, -1.0
-            rows.append(row)
-            right.append(-_LEAST_MARGIN * float(self.least[number]))
-        cost = np.zeros(3 * m + 1)
-        cost[2 * m : 3 * m] = 1.0
+        rows = [*self.rows, *(self._row({2 * n: 1.0, 2 * n + 1: -1.0}) for n in range(m))]
+        right = [*self.right, *(-_LEAST_MARGIN * self.least).tolist()]
+        cost = self._row(dict.fromkeys(range(2 * m, 3 * m), 1.0))
         bounds = [*self._bounds(), *[(0.0, None)] * m, (0.0, 0.0)]
         return self._solved(cost, [*rows, *self.cuts], [*right, *self.levels], bounds)
 
     def cut(self, number: int, times: FloatArray, energy: float, slopes: FloatArray) -> None:
         """Energy of a section is at least that at `times` and what the slopes add."""
-        row = np.zeros(3 * self.count + 1)
-        row[2 * number : 2 * number + 2] = slopes / 1e6
-        row[2 * self.count + number] = -1.0
-        self.cuts.append(row)
+        departing, arriving = (slopes / 1e6).tolist()
+        self.cuts.append(
+            self._row(
+                {2 * number: departing, 2 * number + 1: arriving, 2 * self.count + number: -1.0}
+            )
+        )
         self.levels.append(float(slopes @ times - energy) / 1e6)
 
     def _bounds(self) -> list[tuple[float, float | None]]:
@@ -279,6 +279,27 @@ class JourneyPlan(Presented):
         """The journey and its line."""
         return f"Plan of journey '{self.journey.name}' on {self.journey.line}"
 
+    @property
+    def line(self) -> str:
+        """Name of the line."""
+        return self.journey.line
+
+    @property
+    def train(self) -> str:
+        """Name of the train."""
+        return self.sections[0].train
+
+    @property
+    def running_time(self) -> float:
+        """From the first departure to the last arrival, with the standing times [s]."""
+        return float(self.arrivals[-1] - self.departures[0])
+
+    @property
+    def energy_label(self) -> str:
+        """The energy that the certificate states, in words."""
+        mixed = self.certificate["mixture"]
+        return "worst-case energy from the line" if mixed else self.sections[0].energy_label
+
     def tables(self) -> list[WordTable]:
         """Sections: when, how much, and what a second is worth in each."""
         from analysis.trajectory.table import journey_table
@@ -287,14 +308,10 @@ class JourneyPlan(Presented):
 
     def summary(self) -> dict[str, str]:
         """When the train runs in each section, and its energy."""
-        rows = {}
-        for each, departs, arrives in list(
-            zip(self.sections, self.departures, self.arrivals, strict=True)
-        )[:7]:
-            first, last = each.positions[[0, -1]] / 1e3
-            rows[f"km {first:.3f} to {last:.3f}"] = f"{departs:.1f} s to {arrives:.1f} s"
-        if len(self.sections) > 7:
-            rows["..."] = f"{len(self.sections)} sections in all"
+        rows = {
+            "sections": f"{len(self.sections)}",
+            "running time": f"{self.running_time:.1f} s ({clock(self.running_time)})",
+        }
         if "energy" in self.certificate:
             rows["energy"] = (
                 f"{self.certificate['energy'] / JOULES_PER_KWH:.2f} kWh,"
@@ -340,6 +357,7 @@ def sections_of(journey: Journey) -> tuple[Section, ...]:
     return tuple(sections)
 
 
+@task("optimising the sections")
 def optimise_journey(
     problem: TrajectoryProblem,
     journey: Journey,
@@ -397,6 +415,7 @@ def optimise_journey(
     energy = float(totals.max())
     if problem.objective == "expected":
         energy = sum(float(each.certificate["energy"]) for each in found)
+    running = times[:, 1] - times[:, 0]
     bound = sum(float(each.certificate["lower_bound"]) for each in found)
     of_all = sum(float(each.certificate["continuous_bound"]) for each in found)
     gap, total = ((energy - each) / max(abs(each), 1.0) for each in (bound, of_all))
@@ -417,9 +436,14 @@ def optimise_journey(
         },
         "other_times_might_save": saving,
         "least_running_times": least.tolist(),
+        "least_time": [float(least.sum())],
+        "reserve": float(running.sum() / least.sum() - 1.0),
+        "standing": float(times[-1, 1] - times[0, 0] - running.sum()),
+        "time_price": found[-1].certificate["time_price"],
         "certified": total <= GAP_TOLERANCE,
     }
-    return JourneyPlan(journey, found, times[:, 0], times[:, 1], certificate)
+    departing = with_times(found, times[:, 0], journey.name)
+    return JourneyPlan(journey, departing, times[:, 0], times[:, 1], certificate)
 
 
 @dataclass(frozen=True, eq=False)

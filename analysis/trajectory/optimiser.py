@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -65,6 +65,9 @@ from trainlog.presentation import (
 from trainlog.progress import note, task, track
 from trainlog.railway import Trajectory
 from trainlog.units import JOULES_PER_KWH
+
+if TYPE_CHECKING:
+    from analysis.trajectory.journey import JourneyPlan
 
 COARSE_CELLS = 120
 """Of the coarse grid on which the active configurations are found."""
@@ -135,15 +138,12 @@ def optimise(problem: TrajectoryProblem, options: OptimiserOptions = DEFAULT_OPT
     >>> round(trajectory.certificate["energy"] / 3.6e6, 1)  # kWh
     32.6
     """
+    count = counted(len(problem.configurations), "configuration")
     with (
-        task(f"optimising {_for(problem)}", options.time_limit, "s"),
+        task(f"optimising for {count}", options.time_limit, "s"),
         time_limit(options.time_limit),
     ):
         return _optimised(problem, options)
-
-
-def _for(problem: TrajectoryProblem) -> str:
-    return f"for {counted(len(problem.configurations), 'configuration')}"
 
 
 def _optimised(asked: TrajectoryProblem, options: OptimiserOptions) -> Trajectory:
@@ -370,7 +370,8 @@ def _audited(
     coarse = _mesh(run, through, fastest, COARSE_CELLS)
     found: Answer | None = None
     failures = list[TrainlogError]()
-    for count in [each for each in _counts(cells) if each <= MOST_CELLS]:
+    grids = (cells * 2**times for times in range(REFINEMENTS + 1))
+    for count in [each for each in grids if each <= MOST_CELLS]:
         positions = _mesh(run, run.breakpoints, fastest, count)
         problem, speeds = discretise(run, positions), fastest.at(positions)
         if found is None and coarse.size < 0.6 * positions.size:
@@ -389,11 +390,6 @@ def _audited(
         if problem.shape[0] > 1 and isinstance(failures[-1], InfeasibleError):
             break
     raise failures[0]
-
-
-def _counts(cells: int) -> list[int]:
-    """Cells of the grids that are tried, one after another."""
-    return [cells * 2**times for times in range(REFINEMENTS + 1)]
 
 
 def _paced(run: TrajectoryProblem, running_time: float, cells: int) -> _Audited | None:
@@ -478,28 +474,28 @@ class Front(Presented):
 
     Attributes
     ----------
-    trajectories : tuple of m Trajectory
+    runs : tuple of m Trajectory or JourneyPlan
         Each with its certificate, shortest running time first.
     least_time : float [s]
-        Of the slowest configuration by itself.
+        Of the slowest configuration by itself, in motion.
     """
 
     charts_by: ClassVar[str] = "analysis.trajectory.plot:front_charts"
 
-    trajectories: tuple[Trajectory, ...]
+    runs: tuple[Trajectory | JourneyPlan, ...]
     least_time: float
 
     @property
     def title(self) -> str:
         """Train, line and energy."""
-        first = self.trajectories[0]
+        first = self.runs[0]
         return f"Energy against time of {first.train} on {first.line}, {first.energy_label}"
 
     def tables(self) -> list[WordTable]:
         """Energy against running time, and what each extra second saves."""
-        first = self.trajectories[0]
+        first = self.runs[0]
         title = f"Running time on {first.line}, {first.train}, against {first.energy_label}"
-        points = zip(self.trajectories, self.prices, strict=True)
+        points = zip(self.runs, self.prices, strict=True)
         return [new_table(title, *FRONT_COLUMNS, name="front").add_rows(points)]
 
     def summary(self) -> dict[str, str]:
@@ -516,30 +512,31 @@ class Front(Presented):
     @property
     def times(self) -> FloatArray:
         """Running times, (m,) [s]."""
-        return np.array([each.running_time for each in self.trajectories])
+        return np.array([each.running_time for each in self.runs])
 
     @property
     def energies(self) -> FloatArray:
         """Worst-case (or expected) energies, (m,) [J]."""
-        return np.array([each.certificate["energy"] for each in self.trajectories])
+        return np.array([each.certificate["energy"] for each in self.runs])
 
     @property
     def bounds(self) -> FloatArray:
         """Lower bounds of the energies, (m,) [J]."""
-        return np.array([each.certificate["lower_bound"] for each in self.trajectories])
+        return np.array([each.certificate["lower_bound"] for each in self.runs])
 
     @property
     def prices(self) -> FloatArray:
         """What a second more saves, from the multipliers of the running time, (m,) [J/s]."""
-        return np.array(
-            [sum(each.certificate["time_price"].values()) for each in self.trajectories]
-        )
+        return np.array([sum(each.certificate["time_price"].values()) for each in self.runs])
 
 
 def energy_against_time(
     problem: TrajectoryProblem,
     reserves: Sequence[float] = RESERVES,
     options: OptimiserOptions = DEFAULT_OPTIONS,
+    *,
+    solve: Callable[..., Trajectory | JourneyPlan] = optimise,
+    known: Sequence[Trajectory | JourneyPlan] = (),
 ) -> Front:
     """Least energy for several reserves over the least time.
 
@@ -550,6 +547,11 @@ def energy_against_time(
     reserves : sequence of float
         Parts of the least time. Those that cannot be kept together are left out.
     options : OptimiserOptions
+    solve : callable
+        Plans the run of a problem under ``options``: `optimise`, or `optimise_journey` with its
+        journey.
+    known : sequence of Trajectory or JourneyPlan
+        Runs that are planned already.
 
     Raises
     ------
@@ -572,14 +574,16 @@ def energy_against_time(
     """
     if not len(reserves):
         raise InputError("front: no reserves are given", remedy="give parts of the least time")
-    found: list[Trajectory] = []
+    found: list[Trajectory | JourneyPlan] = []
     failure: InfeasibleError | None = None
     for reserve in track(sorted(set(reserves)), "optimising", "running time"):
         try:
-            found.append(optimise(replace(problem, running_time=None, reserve=reserve), options))
+            run = replace(problem, running_time=None, reserve=reserve)
+            found.append(solve(run, options=options))
         except InfeasibleError as error:
             failure = error
     if not found:
         assert failure is not None
         raise failure
-    return Front(tuple(found), max(found[0].certificate["least_time"]))
+    runs = sorted([*known, *found], key=lambda each: each.running_time)
+    return Front(tuple(runs), max(runs[0].certificate["least_time"]))

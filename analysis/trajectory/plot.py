@@ -1,4 +1,4 @@
-"""Charts: a trajectory over km, and a Pareto front of energy against running time."""
+"""Charts: a trajectory over km, and the least energy over the running time."""
 
 from __future__ import annotations
 
@@ -201,11 +201,12 @@ def front_charts(front: Front) -> list[Chart]:
     slopes = np.column_stack((energies + prices * reach, energies - prices * reach, gap)).ravel()
     hover = {
         "running time": [clock(each) for each in times.tolist()],
-        "reserve": [f"{100.0 * (each / front.least_time - 1.0):.1f} %" for each in times.tolist()],
+        "reserve": [f"{100.0 * each.certificate['reserve']:.1f} %" for each in front.runs],
         "least energy": [f"{each:.1f} kWh" for each in energies.tolist()],
     }
-    first = front.trajectories[0]
-    least = Rule(front.least_time, GREY, "least time of the slowest configuration", upright=True,
+    first = front.runs[0]
+    shortest = front.least_time + first.certificate.get("standing", 0.0)
+    least = Rule(shortest, GREY, "least time of the slowest configuration", upright=True,
                  dash="--")  # fmt: skip
     above = [
         Curve("its slope, from the multipliers", ends, slopes, ORANGE, width=1.4),
@@ -223,8 +224,12 @@ def front_charts(front: Front) -> list[Chart]:
                 Panel("Wh/s", below, 0.8, "What a second more saves", from_zero=True),
             ],
             f"Least energy over the running time of {first.train} on {first.line}.",
-            span=(min(front.least_time, times[0]) - reach, times[-1] + 1.2 * reach),
+            span=(min(shortest, times[0]) - reach, times[-1] + 1.2 * reach),
             title=f"{first.train} on {first.line}: {first.energy_label}",
-            second=("reserve [%]", 100.0 / front.least_time, -100.0),
+            second=(
+                "reserve [%]",
+                100.0 / front.least_time,
+                -100.0 * shortest / front.least_time,
+            ),
         )
     ]

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
+from analysis.trajectory.adhesion import adhesion_words
+from analysis.trajectory.advice import JourneyAdvice, driver_table, journey_advice
 from trainlog.display import at_most, counted, lateness
 from trainlog.presentation import (
     DURATION,
@@ -18,19 +22,22 @@ from trainlog.presentation import (
     SHARE,
     SPEED,
     Column,
+    Presented,
     Said,
     WordTable,
+    facts_table,
     kwh,
     new_table,
     overspeed,
 )
 from trainlog.railway import Line, Trajectory
 from trainlog.railway.kilometres import in_km
-from trainlog.units import clock
+from trainlog.units import JOULES_PER_KWH, KMH, clock
 
 if TYPE_CHECKING:
     # They bring the solvers, which a table of a trajectory's file does without.
     from analysis.trajectory.journey import JourneyPlan
+    from analysis.trajectory.problem import TrajectoryProblem
 
 FROM_START = replace(POSITION, unit="")
 """A position under a heading that says km."""
@@ -42,42 +49,115 @@ OPTIMAL = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 """Statuses of IPOPT with which it finds its answer to be optimal."""
 
 
-def trajectory_table(trajectory: Trajectory) -> list[WordTable | str]:
+@dataclass(frozen=True, eq=False, repr=False)
+class PlannedRun(Presented):
+    """A planned run from stop to stop: certificates of its sections, and the driver's advice.
+
+    Attributes
+    ----------
+    problem : TrajectoryProblem
+    run : Trajectory or JourneyPlan
+    """
+
+    problem: TrajectoryProblem
+    run: Trajectory | JourneyPlan
+
+    @property
+    def title(self) -> str:
+        """Train and line."""
+        return f"Plan for {self.run.train} on {self.run.line}"
+
+    @property
+    def sections(self) -> tuple[Trajectory, ...]:
+        """The trajectories from stop to stop."""
+        return (self.run,) if isinstance(self.run, Trajectory) else self.run.sections
+
+    @cached_property
+    def advice(self) -> JourneyAdvice:
+        """What the driver is to do where."""
+        return journey_advice(self.sections, self.problem.line)
+
+    def summary(self) -> Mapping[str, str]:
+        """The run in a few lines."""
+        return self.run.summary()
+
+    def facts(self) -> dict[str, Any]:
+        """What the sections keep by their certificates, and the advice."""
+        kept = [certified(each) for each in self.sections]
+        return {"trajectories": kept, "advice": self.advice.facts()["advice"]}
+
+    def tables(self) -> list[WordTable]:
+        """Certificate and configurations of each section, the advice, the sections of a journey."""
+        found = [table for each in self.sections for table in trajectory_table(each)]
+        found.append(driver_table(self.advice))
+        if not isinstance(self.run, Trajectory):
+            found.append(journey_table(self.run, self.problem.line))
+        return found
+
+    @property
+    def notes(self) -> list[str]:
+        """What adhesion each section counts on."""
+        found = [words for each in self.sections for words in adhesion_words(self.problem, each)]
+        return list(dict.fromkeys(found))
+
+    def profile(self) -> pd.DataFrame:
+        """Speed, efforts and energy over the kilometres, for the configuration that arrives last.
+
+        Kilometres are the operator's; time and energy at the wheels count from the departure. Each
+        row has the efforts behind its place.
+        """
+        parts, used = [], 0.0
+        for each, departs in zip(self.sections, self.advice.departures.tolist(), strict=True):
+            places, row = each.positions, each.latest
+            energy = used + np.append(0.0, np.cumsum(each.tractive_effort * np.diff(places)))
+            used = float(energy[-1])
+            km = in_km(self.problem.line, places)
+            found = {
+                "km": [f"{place:.3f}" for place in km.tolist()],
+                "time [s]": (departs + each.times[row]).round(2),
+                "speed [km/h]": (KMH * each.speeds[row]).round(2),
+                "tractive effort [kN]": (each.tractive_effort_at(places) / 1e3).round(3),
+                "braking effort [kN]": (each.braking_effort[row, each.cell_of(places)] / 1e3).round(
+                    3
+                ),
+                "energy at the wheels [kWh]": (energy / JOULES_PER_KWH).round(4),
+            }
+            parts.append(pd.DataFrame(found))
+        return pd.concat(parts, ignore_index=True)
+
+
+def trajectory_table(trajectory: Trajectory) -> list[WordTable]:
     """A trajectory and its certificate."""
     certificate = trajectory.certificate
     audit = certificate["audit"]
-    title = f"Robust trajectory on {trajectory.line}, {trajectory.train}"
-    facts = new_table(title, "quantity", "words", show_header=False, name="summary")
     least = max(certificate["least_time"])
     reserve = f"{certificate['reserve']:.1%} over {least:.1f} s ({clock(least)})"
     deciding = f"{len(trajectory.configurations)}, deciding: {_some(certificate['active'])}"
     bound = kwh(certificate.get("continuous_bound", certificate["lower_bound"]))
     agreed = certificate.get("agreement", {})
     shares = ", ".join(f"{name} {share:.2%}" for name, share in agreed.items())
-    rows = (
-        (
-            "timetable",
-            f"{trajectory.running_time:.1f} s ({clock(trajectory.running_time)}), {reserve}",
+    rows = {
+        "timetable": (
+            f"{trajectory.running_time:.1f} s ({clock(trajectory.running_time)}), {reserve}"
         ),
-        ("planned for", trajectory.planned_for or "not known"),
-        ("forces", trajectory.model or "not known"),
-        ("configurations", deciding),
-        (trajectory.energy_label, f"{kwh(certificate['energy'])}, at least {bound}"),
-        ("optimality gap", _gap(trajectory)),
-        ("latest arrival", lateness(audit["lateness"])),
-        ("speed over the limit", overspeed(audit["overspeed"])),
-        ("power", f"{audit['power']:.1%} of the limit at most"),
-        ("adhesion", _share(audit["adhesion"])),
-        ("controls as the maximum principle asks", shares or "not known"),
-    )
-    for row in rows:
-        facts.add_row(*row)
+        "planned for": trajectory.planned_for or "not known",
+        "forces": trajectory.model or "not known",
+        "configurations": deciding,
+        trajectory.energy_label: f"{kwh(certificate['energy'])}, at least {bound}",
+        "optimality gap": _gap(trajectory),
+        "latest arrival": lateness(audit["lateness"]),
+        "speed over the limit": overspeed(audit["overspeed"]),
+        "power": f"{audit['power']:.1%} of the limit at most",
+        "adhesion": _adhesion(trajectory),
+        "controls as the maximum principle asks": shares or "not known",
+    }
     if "referee" in certificate:
         referee = certificate["referee"]
         words = f"{kwh(referee['energy'])}, ours {referee['difference']:+.4%}"
         if referee["status"] not in OPTIMAL:
             words += f"; {referee['name']} stopped before it was optimal: its last point, no proof"
-        facts.add_row(f"second result by {referee['name']}", words)
+        rows[f"second result by {referee['name']}"] = words
+    facts = facts_table(f"Robust trajectory on {trajectory.line}, {trajectory.train}", rows)
     table = new_table(
         "Energy of each configuration",
         Column("configuration"),
@@ -88,6 +168,8 @@ def trajectory_table(trajectory: Trajectory) -> list[WordTable | str]:
         Column("from the line", ENERGY, each=True, key="line_energy"),
         name="configurations",
     )
+    rest = len(trajectory.configurations) - LISTED
+    table.caption = f"and {rest} more" if rest > 0 else None
     energies = certificate["wheel_energy"], certificate["line_energy"]
     order = np.argsort(-np.asarray(energies[trajectory.objective != "wheel"]), kind="stable")
     for row in order[:LISTED]:
@@ -99,8 +181,7 @@ def trajectory_table(trajectory: Trajectory) -> list[WordTable | str]:
             float(trajectory.speeds[row].max()),
             *(float(each[row]) for each in energies),
         )
-    rest = len(order) - LISTED
-    return [facts, table, *([f"and {rest} more"] if rest > 0 else [])]
+    return [facts, table]
 
 
 def certified(trajectory: Trajectory) -> dict[str, Any]:
@@ -111,6 +192,8 @@ def certified(trajectory: Trajectory) -> dict[str, Any]:
         "line": trajectory.line,
         "train": trajectory.train,
         "direction": trajectory.direction,
+        "planned_for": trajectory.planned_for,
+        "forces": trajectory.model,
         "running_time_s": trajectory.running_time,
         "least_time_s": max(certificate["least_time"]),
         "energy_J": certificate["energy"],
@@ -135,10 +218,6 @@ def _gap(trajectory: Trajectory) -> str:
     return words if certificate["certified"] else f"{words}; not certified"
 
 
-def _total_gap(certificate: dict[str, Any]) -> Said:
-    return Said(certificate["total_gap"], at_most(certificate["total_gap"]))
-
-
 def journey_table(plan: JourneyPlan, line: Line | None = None) -> WordTable:
     """Sections of a journey: when, how much, and what a second is worth in each.
 
@@ -147,8 +226,7 @@ def journey_table(plan: JourneyPlan, line: Line | None = None) -> WordTable:
     certificate, first = plan.certificate, plan.sections[0]
     costliest, mixed = certificate["costliest"], bool(certificate["mixture"])
     title = (
-        f"Journey {plan.journey.name} on {plan.journey.line}:"
-        f" {'worst-case energy from the line' if mixed else first.energy_label}"
+        f"Journey {plan.journey.name} on {plan.journey.line}: {plan.energy_label}"
         f" {kwh(certificate['energy'])}, at least {kwh(certificate['continuous_bound'])} at these"
         f" times; other times might save {certificate['other_times_might_save']:.2%}"
     )
@@ -175,7 +253,7 @@ def journey_table(plan: JourneyPlan, line: Line | None = None) -> WordTable:
             _km(line, each.positions[-1]),
             float(arrives),
             float(found["line_energy"][row] if mixed else found["energy"]),
-            _total_gap(found),
+            Said(found["total_gap"], at_most(found["total_gap"])),
             float(price),
         )
     return table
@@ -186,8 +264,13 @@ def _km(line: Line | None, position: float) -> Said:
     return Said(float(position), FROM_START.words(1e3 * float(in_km(line, position)), unit=False))
 
 
-def _share(adhesion: float) -> str:
-    return f"{adhesion:.1%} of the adhesion counted on at most" if adhesion else "no limit was met"
+def _adhesion(trajectory: Trajectory) -> str:
+    """How much of the adhesion that was counted on a trajectory asks for."""
+    share = trajectory.certificate["audit"]["adhesion"]
+    if share:
+        return f"{share:.1%} of the adhesion counted on at most"
+    by_map = trajectory.provenance.get("settings", {}).get("adhesion")
+    return "planned by a map that limits it nowhere" if by_map else "not limited, for want of a map"
 
 
 def _some(names: Sequence[str]) -> str:

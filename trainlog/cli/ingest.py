@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -91,7 +92,7 @@ def ingest(
     the_train = None if train is None else read_train(train)
     as_json = current().as_json
     the_line, routes = line_or_network(line, network, stations)
-    proposals = Proposals(output, the_train, format, accept=accept, quiet=as_json, line=the_line)
+    proposals = Proposals(output, the_train, format, the_line, accept, as_json)
     try:
         result = ingest_all(
             recordings,
@@ -152,10 +153,11 @@ def _print_ingested(result: Ingested, *, alone: bool) -> None:
         console.print(result.sentence, highlight=False)
 
 
+@dataclass
 class Proposals:
     """The profiles that are proposed while files are ingested, one for each layout.
 
-    Parameters
+    Attributes
     ----------
     output : Path
         Folder that they are written to.
@@ -163,33 +165,28 @@ class Proposals:
         Whose mass the efforts must accelerate.
     format : str, optional
         Name of the format that the user gives.
+    line : Line, optional
+        On whose stations the trips are put where their counter starts elsewhere.
     accept : bool
         Whether they are used without asking.
     quiet : bool
         Nothing is shown, nobody is asked.
-    line : Line, optional
-        On whose stations the trips are put where their counter starts elsewhere.
+    made : list of (Proposal, Path, bool)
+        Each with its file, and whether the user agreed.
     """
 
-    def __init__(
-        self,
-        output: Path,
-        train: Train | None,
-        format: str | None,
-        *,
-        accept: bool,
-        quiet: bool,
-        line: Line | None = None,
-    ) -> None:
-        self._line = line
-        self._output, self._train, self._format = output, train, format
-        self._accept, self._quiet = accept, quiet
-        self._made: list[tuple[Proposal, Path, bool]] = []
+    output: Path
+    train: Train | None
+    format: str | None
+    line: Line | None
+    accept: bool
+    quiet: bool
+    made: list[tuple[Proposal, Path, bool]] = field(default_factory=list)
 
     @property
     def waiting(self) -> bool:
         """Whether a proposal waits for the user's agreement."""
-        return any(not agreed for _, _, agreed in self._made)
+        return any(not agreed for _, _, agreed in self.made)
 
     def profile_for(self, file: Path) -> Path | None:
         """The profile to read a file with; None where it needs none.
@@ -201,15 +198,15 @@ class Proposals:
         """
         from trainlog.ingest import needs_profile, propose_profile
 
-        if not needs_profile(file, self._format):
+        if not needs_profile(file, self.format):
             return None
-        for proposal, path, agreed in self._made:
+        for proposal, path, agreed in self.made:
             if proposal.fits(file):
                 return self._used(file, path, agreed)
-        proposal = propose_profile(file, self._train, self._line)
+        proposal = propose_profile(file, self.train, self.line)
         path = self._written(proposal)
-        agreed = self._accept or self._asked(proposal, path)
-        self._made.append((proposal, path, agreed))
+        agreed = self.accept or self._asked(proposal, path)
+        self.made.append((proposal, path, agreed))
         return self._used(file, path, agreed)
 
     def _written(self, proposal: Proposal) -> Path:
@@ -217,13 +214,13 @@ class Proposals:
         from trainlog.formats.files import write_bytes
 
         stem, data = proposal.path.stem, proposal.text.encode()
-        path = self._output / f"{stem}.profile.toml"
+        path = self.output / f"{stem}.profile.toml"
         number = 2
         while path.exists() and path.read_bytes() != data:
-            path = self._output / f"{stem}-{number}.profile.toml"
+            path = self.output / f"{stem}-{number}.profile.toml"
             number += 1
         write_bytes(path, data)
-        if not self._quiet:
+        if not self.quiet:
             console.print(f"{proposal.path}: no profile fits, this one is proposed:")
             for line in proposal.lines():
                 console.print(f"  {line}", highlight=False, soft_wrap=True)
@@ -232,7 +229,7 @@ class Proposals:
 
     def _asked(self, proposal: Proposal, path: Path) -> bool:
         """Whether the user, at a terminal, agrees."""
-        if self._quiet or not _at_terminal():
+        if self.quiet or not _at_terminal():
             return False
         with paused():
             return typer.confirm(f"Ingest {proposal.path.name} with {path}?", default=False)
@@ -243,7 +240,7 @@ class Proposals:
         raise InputError(
             f"no profile fits; one is proposed in {path}",
             file=file,
-            remedy=f"check it, then: trainlog ingest {file} --profile {path} -o {self._output}",
+            remedy=f"check it, then: trainlog ingest {file} --profile {path} -o {self.output}",
         )
 
 

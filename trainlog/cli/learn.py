@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -16,12 +16,16 @@ from trainlog.cli.options import (
     distinct,
     logs_in,
     measured,
+    refuse_rivals,
 )
 from trainlog.cli.terminal import console, print_error, show, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError
 from trainlog.progress import track
 from trainlog.units import PERCENT, SPEED
+
+if TYPE_CHECKING:
+    from trainlog.presentation import Presented
 
 
 def fit(
@@ -115,105 +119,61 @@ def fit(
     destination(output, ".json")
     shown = destination(picture or output.with_suffix(".png"), ".png")
     own: dict[str, dict[str, object]] = {
-        "efforts": {"cover": cover, "configurations": configurations, "per-trip": per_trip},
-        "coasting": {"line": line, "gradient": gradient},
-        "adhesion": {"family": family, "speed": speed},
+        "efforts": {"--cover": cover, "--configurations": configurations, "--per-trip": per_trip},
+        "coasting": {"--line": line, "--gradient": gradient},
+        "adhesion": {"--family": family, "--speed": speed},
     }
     for of, options in own.items():
-        for name, value in options.items():
-            if of != method and value is not None:
-                raise InputError(
-                    f"--{name} is for --method {of}", remedy=f"leave out --{name}, or choose {of}"
-                )
+        if of != method:
+            refuse_rivals(f"the method is {method}", options, f"or choose --method {of}")
     if method == "efforts":
-        _fit_efforts(logs, output, shown, cover, configurations, per_trip)
-    elif method == "coasting":
-        _fit_coasting(logs, output, shown, line, gradient or "line")
+        from analysis.resistance.logs import AllRefusedError, fit as fit_trips
+        from analysis.resistance.plot import draw_each, draw_each_refused
+        from trainlog.formats.files import output_folder
+        from trainlog.formats.parameters import write_parameters
+        from trainlog.formats.summaries import SUFFIX, write_summaries
+
+        kept = destination(output.with_suffix(SUFFIX), SUFFIX)
+        with nullcontext() if per_trip is None else output_folder(per_trip) as drawn:
+            # Summaries first: the logs that they hold need not be read.
+            paths = sorted(logs_in(logs), key=lambda path: path.suffix != SUFFIX)
+            given = track(paths, "fitting", "log")
+            try:
+                fits = fit_trips(given, cover=0.95 if cover is None else cover, most=configurations)
+            except AllRefusedError as error:
+                if drawn is not None:
+                    wrote(*draw_each_refused(error.refused, drawn))
+                raise
+            write_parameters(fits.parameters, output)
+            write_summaries(fits.summaries, kept)
+            wrote(output, kept)
+            show(fits, picture=shown)
+            if drawn is not None:
+                wrote(*draw_each(fits, drawn))
+        return
+    found: Presented
+    if method == "coasting":
+        from analysis.resistance.coast_down import coast_down
+        from analysis.resistance.unknown_gradient import coast_down_without_gradient
+        from trainlog.formats.parameters import write_coast_down
+
+        every = track(logs_in(logs), "finding coasting", "log")
+        if gradient == "unknown":
+            found = result = coast_down_without_gradient(every, line)
+        else:
+            found = coasted = coast_down(every, line)
+            result = coasted.result
+        write_coast_down(result, output)
     else:
+        from analysis.adhesion.characteristic import fit_adhesion_characteristic
+        from trainlog.formats.characteristic import write_characteristic
+
         if len(logs) > 1:
             raise InputError("several tables are given", remedy="fit them one by one")
-        _fit_adhesion(logs[0], output, shown, family, speed)
-
-
-def _fit_efforts(
-    logs: list[Path],
-    output: Path,
-    shown: Path,
-    cover: float | None,
-    configurations: int | None,
-    per_trip: Path | None,
-) -> None:
-    """Fit running resistance from recorded efforts, per trip and together."""
-    from analysis.charts import draw
-    from analysis.resistance.logs import AllRefusedError, fit as fit_trips
-    from analysis.resistance.plot import draw_each, draw_each_refused
-    from trainlog.formats.files import output_folder
-    from trainlog.formats.parameters import write_parameters
-    from trainlog.formats.summaries import SUFFIX, write_summaries
-
-    kept = destination(output.with_suffix(SUFFIX), SUFFIX)
-    with nullcontext() if per_trip is None else output_folder(per_trip) as drawn:
-        # Summaries first: the logs that they hold need not be read.
-        paths = sorted(logs_in(logs), key=lambda path: path.suffix != SUFFIX)
-        given = track(paths, "fitting", "log")
-        try:
-            fits = fit_trips(given, cover=0.95 if cover is None else cover, most=configurations)
-        except AllRefusedError as error:
-            if drawn is not None:
-                wrote(*draw_each_refused(error.refused, drawn))
-            raise
-        write_parameters(fits.parameters, output)
-        write_summaries(fits.summaries, kept)
-        draw(fits, shown)
-        show(fits)
-        wrote(output, kept, shown)
-        if drawn is not None:
-            wrote(*draw_each(fits, drawn))
-
-
-def _fit_coasting(
-    logs: list[Path], output: Path, shown: Path, line: Path | None, gradient: str
-) -> None:
-    """Fit running resistance from where the train coasts."""
-    from analysis.charts import draw
-    from analysis.resistance import coast_down as coasting, unknown_gradient
-    from trainlog.formats.parameters import write_coast_down
-
-    every = track(logs_in(logs), "finding coasting", "log")
-    if gradient == "unknown":
-        result = unknown_gradient.coast_down_without_gradient(every, line)
-    else:
-        found = coasting.coast_down(every, line)
-        result = found.result
-    write_coast_down(result, output)
-    if gradient == "unknown":
-        draw(result, shown)
-        show(result)
-    else:
-        draw(found, shown)
-        show(found)
-    wrote(output, shown)
-
-
-def _fit_adhesion(
-    curve: Path,
-    output: Path,
-    shown: Path,
-    family: Literal["polach", "exponentials"] | None,
-    speed: float | None,
-) -> None:
-    """Fit an adhesion characteristic to measured points."""
-    from analysis.adhesion.characteristic import (
-        fit_adhesion_characteristic,
-    )
-    from analysis.charts import draw
-    from trainlog.formats.characteristic import write_characteristic
-
-    found = fit_adhesion_characteristic(curve, family, speed=speed)
-    write_characteristic(found.characteristic, output, found.provenance())
-    draw(found, shown)
-    show(found)
-    wrote(output, shown)
+        found = fitted = fit_adhesion_characteristic(logs[0], family, speed=speed)
+        write_characteristic(fitted.characteristic, output, fitted.provenance())
+    wrote(output)
+    show(found, picture=shown)
 
 
 def estimate(

@@ -24,6 +24,7 @@ from trainlog.cli.options import (
     measured,
     moment,
     part_of,
+    refuse_rivals,
 )
 from trainlog.cli.terminal import console, print_error, show, state, wrote
 from trainlog.display import counted
@@ -32,11 +33,7 @@ from trainlog.progress import task, track
 from trainlog.units import SPEED
 
 if TYPE_CHECKING:
-    import pandas as pd
-
-    from analysis.comparison.compare import Comparison
-    from trainlog.railway import ParameterSet, Train, Trajectory
-    from trainlog.replay import Replay
+    from trainlog.railway import ParameterSet, Train
 
 
 def compare(
@@ -98,59 +95,54 @@ def compare(
 
     Example: trainlog compare sample_logs --picture compared.png
     """
+    from analysis.charts import draw_charts
     from analysis.comparison.compare import compare as compare_trips
+    from analysis.comparison.groups import compare_groups
+    from analysis.comparison.plot import comparison_charts
     from trainlog.formats.line import read_line
     from trainlog.formats.parameters import read_parameters
+    from trainlog.formats.trajectory import read_trajectory
 
     if picture is not None:
         destination(picture, ".png")
     for path in [*logs, *(followed or ())]:
         if not path.exists():
             raise InputError("does not exist", file=path, remedy="check the path")
+    by_position: dict[str, object] = {
+        "--reference": reference,
+        "--line": line,
+        "--model": model,
+        "--time-of-day": time_of_day or None,
+    }
     if followed:
-        _groups(logs, followed)
+        others = {**by_position, "--calculated": calculated, "--picture": picture}
+        refuse_rivals("--with compares groups of trips", {**others, "--wind": wind})
+        for group in followed:
+            if len(followed) > 1:
+                console.print(f"with {group}")
+            show(compare_groups(logs_in(logs), logs_in([group])))
         return
     if calculated is not None:
+        refuse_rivals("--calculated predicts each trip by itself", by_position)
         _calculated(logs, calculated, wind, picture)
         return
+    refuse_rivals("it is of predictions", {"--wind": wind}, "or give --calculated")
+    planned = reference is not None and not (reference.suffix == ".mcap" or reference.is_dir())
     found = compare_trips(
         logs_in(logs),
-        None if reference is None else _reference(reference),
+        read_trajectory(reference) if planned and reference else reference,
         line=None if line is None else read_line(line),
         model=None if model is None else read_parameters(model),
         by_time_of_day=time_of_day,
     )
     show(found)
     if picture is not None:
-        _draw(found, picture)
-
-
-def _reference(path: Path) -> Path | Trajectory:
-    """A log stays a path; anything else is read as a trajectory."""
-    from trainlog.formats.trajectory import read_trajectory
-
-    return path if path.suffix == ".mcap" or path.is_dir() else read_trajectory(path)
-
-
-def _draw(found: Comparison, picture: Path) -> None:
-    from analysis.charts import draw_charts
-    from analysis.comparison.plot import comparison_charts
-
-    several = len(found.directions) > 1
-    for each in found.directions:
-        path = picture.with_stem(f"{picture.stem}-{each.direction}") if several else picture
-        with task(f"drawing {path.name}"):
-            draw_charts(comparison_charts(each), path)
-        wrote(path)
-
-
-def _groups(logs: list[Path], followed: list[Path]) -> None:
-    from analysis.comparison.groups import compare_groups
-
-    for each in followed:
-        if len(followed) > 1:
-            console.print(f"with {each}", highlight=False)
-        show(compare_groups(logs_in(logs), logs_in([each])))
+        for each in found.directions:
+            several = len(found.directions) > 1
+            path = picture.with_stem(f"{picture.stem}-{each.direction}") if several else picture
+            with task(f"drawing {path.name}"):
+                draw_charts(comparison_charts(each), path)
+            wrote(path)
 
 
 def _calculated(logs: list[Path], file: Path, wind: float | None, picture: Path | None) -> None:
@@ -280,16 +272,22 @@ def replay(
                 "two trajectories are given", remedy="leave out --reference or --trajectory"
             )
         trajectory, reference = reference, None
+    number = None
+    if reference is not None:
+        same = [each for each, log in enumerate(found) if log.resolve() == reference.resolve()]
+        found += [] if same else logs_in([reference])
+        number = same[0] if same else len(found) - 1
     whole = (start, end, km) == (None, None, None)
     options = ReplayOptions(
         view=view,
-        reference=None if reference is None else _number_of(reference, found),
+        reference=number,
         thinned=thin if whole or thin is not None else False,
         tiles=tiles,
         line=None if line is None else read_line(line),
     )
     part = partial(part_of, start=start, end=end, km=km, rows=PIECE, line=options.line)
     sources = [partial(part, log) for log in found]
+    say = partial(console.print, soft_wrap=True)
     with interruptible(), TemporaryDirectory(prefix="trainlog-") as folder:
         recording = Path(folder) / "replay.rrd" if saved is None else saved
         made = write_replay(
@@ -299,7 +297,14 @@ def replay(
             condition_map=None if condition is None else read_map(condition),
             options=options,
         )
-        _state_replay(made)
+        in_words = not state(asdict(made))
+        if in_words and made.references:
+            say(f"compared along the line with {', '.join(made.references)}")
+        if in_words and made.thinned:
+            say(
+                f"{counted(len(made.trips), 'trip')}, thinned: of each 10 m or 0.4 s the lowest and"
+                " the highest speed; every sample with --km, --from, --to, --full, or fewer trips"
+            )
         if saved is not None:
             wrote(saved)
         if picture is not None:
@@ -311,32 +316,8 @@ def replay(
                 recording,
                 web=web,
                 tiles=tiles,
-                state=partial(console.print, highlight=False, soft_wrap=True),
+                state=say,
             )
-
-
-def _number_of(reference: Path, logs: list[Path]) -> int:
-    """Which of the logs the reference is; it is added to them if it is none yet."""
-    for number, log in enumerate(logs):
-        if log.resolve() == reference.resolve():
-            return number
-    (log,) = logs_in([reference])
-    logs.append(log)
-    return len(logs) - 1
-
-
-def _state_replay(made: Replay) -> None:
-    """State with what trips are compared, and whether samples were left out."""
-    if state(asdict(made)):
-        return
-    say = partial(console.print, highlight=False, soft_wrap=True)
-    if made.references:
-        say(f"compared along the line with {', '.join(made.references)}")
-    if made.thinned:
-        say(
-            f"{counted(len(made.trips), 'trip')}, thinned: of each 10 m or 0.4 s the lowest and the"
-            " highest speed; every sample with --km, --from, --to, --full, or fewer trips"
-        )
 
 
 def report(
@@ -404,50 +385,50 @@ def report(
 
     Example: trainlog report catalogue --network results/fleet/network.network.json -o fleet.html
     """
-    of_fleet = {"--network": network, "--maps": maps, "--at": at}
     if "://" in results or (Path(results) / "catalogue.sqlite").is_file():
+        refuse_rivals("the report is of a fleet", {"--line": line, "--logs": logs})
         if output is None:
             raise InputError(
                 "is the catalogue of a fleet, whose report is a page",
                 file=results,
                 remedy="name it: -o fleet.html; 'trainlog fleet show' states what it holds",
             )
-        _fleet_report(results, output, trips, network, maps, moment(at, zone))
+        from analysis.reports.fleet import FleetReportOptions, write_fleet_report
+        from trainlog.catalogue import open_catalogue
+        from trainlog.formats.network import read_network
+
+        known = None if network is None else read_network(network)
+        options = FleetReportOptions(trips, known, maps, moment(at, zone))
+        destination(output, ".html")
+        with open_catalogue(results, create=False) as opened, task("report on the fleet"):
+            write_fleet_report(opened, output, options)
+        wrote(output)
         return
-    for option, given in of_fleet.items():
-        if given is not None:
-            raise InputError(
-                f"{option} is for the catalogue of a fleet", remedy=f"leave out {option}"
-            )
-    if output is not None and not Path(results).exists():
-        raise InputError("does not exist", file=results, remedy="check the path")
-    chosen = [] if trips is None else chosen_logs(trips, catalogue)
-    _report(Path(results), output, line, [*(logs or ()), *chosen], zone)
-
-
-def _report(
-    results: Path, output: Path | None, line: Path | None, logs: list[Path], zone: str
-) -> None:
-    """Write the report on a result, or print the summary of a folder."""
+    of_fleet = {"--network": network, "--maps": maps, "--at": at}
+    refuse_rivals("the report is not of a fleet", of_fleet)
+    folder = Path(results)
     if output is None:
         from analysis.reports.summary import report as summed_up
 
-        if results.is_file():
+        if folder.is_file():
             raise InputError(
                 "is a file; without -o a folder is summed up",
                 file=results,
                 remedy="name the page: -o report.html",
             )
-        show(summed_up(results))
+        show(summed_up(folder))
         return
+    if not folder.exists():
+        raise InputError("does not exist", file=results, remedy="check the path")
     destination(output, ".html")
 
     from analysis.reports.build import ReportOptions, write_report
     from analysis.reports.trip import known_zone
 
-    known = known_zone(zone)
-    with task(f"report on {results.name}"):
-        page = write_report(results, output, ReportOptions(line, tuple(logs), known))
+    in_zone = known_zone(zone)
+    given = [*(logs or ()), *([] if trips is None else chosen_logs(trips, catalogue))]
+    with task(f"report on {folder.name}"):
+        page = write_report(folder, output, ReportOptions(line, tuple(given), in_zone))
     titles = [each.title for each in page.sections]
     state({"title": page.title, "sections": titles, "problems": page.problems})
     wrote(output)
@@ -455,24 +436,3 @@ def _report(
         print_error(f"not shown: {words}")
     if page.problems:
         raise typer.Exit(1)
-
-
-def _fleet_report(
-    catalogue: str,
-    output: Path,
-    where: str | None,
-    network: Path | None,
-    maps: Path | None,
-    at: pd.Timestamp | None,
-) -> None:
-    """Write the report on a fleet."""
-    from analysis.reports.fleet import FleetReportOptions, write_fleet_report
-    from trainlog.catalogue import open_catalogue
-    from trainlog.formats.network import read_network
-
-    known = None if network is None else read_network(network)
-    options = FleetReportOptions(where, known, maps, at)
-    destination(output, ".html")
-    with open_catalogue(catalogue, create=False) as opened, task("report on the fleet"):
-        write_fleet_report(opened, output, options)
-    wrote(output)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -388,8 +388,12 @@ def part_of(
         raise nothing_of(log)
 
 
-def line_and_train(line: Path | None, train: Path | None) -> tuple[Line, Train]:
+def line_and_train(
+    line: Path | None, train: Path | None, kept: Line | None = None
+) -> tuple[Line, Train]:
     """Line and train from the files named, or those that the user has set.
+
+    Where no line is named, the one that is `kept` with something else goes before the user's.
 
     Raises
     ------
@@ -403,9 +407,12 @@ def line_and_train(line: Path | None, train: Path | None) -> tuple[Line, Train]:
     known = read_settings()
     own_line = line or (Path(known.line).expanduser() if known.line else None)
     own_train = train or (Path(known.train).expanduser() if known.train else None)
-    if own_line is not None and own_train is not None:
-        return read_line(own_line), read_train(own_train)
-    missing = [name for name, own in (("line", own_line), ("train", own_train)) if own is None]
+    found = kept
+    if own_line is not None and (line is not None or kept is None):
+        found = read_line(own_line)
+    if found is not None and own_train is not None:
+        return found, read_train(own_train)
+    missing = [name for name, own in (("line", found), ("train", own_train)) if own is None]
     files = " ".join(f"--{name} FILE" for name in missing)
     samples = " ".join(f"--{name} sample" for name in missing)
     raise InputError(
@@ -512,6 +519,22 @@ def pairs(given: list[str]) -> dict[str, str]:
 _START = replace(
     DISTANCE, examples="200, 0.2km or stations (where the stops match those of the line)"
 )
+
+
+def refuse_rivals(why: str, given: Mapping[str, object], remedy: str = "") -> None:
+    """Refuse options that contradict another one, or that its mode ignores; None is not given.
+
+    Raises
+    ------
+    InputError
+        With the names of those that are given.
+    """
+    named = " and ".join(name for name, value in given.items() if value is not None)
+    if named:
+        raise InputError(
+            f"{named} cannot be taken: {why}",
+            remedy=" ".join(filter(None, (f"leave out {named}", remedy))),
+        )
 
 
 def destination(path: Path, suffix: str) -> Path:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,124 +21,115 @@ from trainlog.cli.options import (
     logs_in,
     map_of_run,
     measured,
+    refuse_rivals,
     stretch,
 )
-from trainlog.cli.terminal import console, current, show, state, wrote
+from trainlog.cli.terminal import console, show, wrote
 from trainlog.errors import InputError, similar
 from trainlog.progress import task
 from trainlog.units import COUNT, MASS, NUMBER, PERCENT, SHARE, SPEED, TIME, Measure
 
 if TYPE_CHECKING:
-    from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
+    from analysis.trajectory.journey import JourneyPlan
     from trainlog.railway import Journey, Line, ParameterSet, Train, Trajectory
 
 
-def setting(of: Measure | tuple[str, ...], help: str) -> Any:
-    """A field of `PlanSettings`: how its value is read, and what it is."""
-    return field(default=None, metadata={"of": of, "help": help})
-
-
-@dataclass(frozen=True)
-class PlanSettings:
-    """What ``--set KEY=VALUE`` sets of a plan; None: the usual value."""
-
-    load: float | None = setting(
-        MASS.between(0.0), "without a parameter set: what the train carries; 0"
-    )
-    objective: str | None = setting(
+SETTINGS: dict[str, tuple[Measure | tuple[str, ...], str]] = {
+    "load": (MASS.between(0.0), "without a parameter set: what the train carries; 0"),
+    "objective": (
         ("wheel", "line", "expected"),
         "traction at the wheel rims; or energy from the line, with efficiencies and what the"
         " dynamic brake feeds back, at worst or as expected of the observed trips; wheel",
-    )
-    braking: str | None = setting(
-        ("recourse", "common"), "each configuration brakes for itself, or all alike; recourse"
-    )
-    protect: str | None = setting(
+    ),
+    "braking": (
+        ("recourse", "common"),
+        "each configuration brakes for itself, or all alike; recourse",
+    ),
+    "protect": (
         ("front", "train"),
         "speed limits hold for the train's front, or all of its length; front",
-    )
-    initial_speed: float | None = setting(SPEED, "speed where it begins; 0")
-    final_speed: float | None = setting(SPEED, "speed where it ends, at most; 0")
-    dwell: float | None = setting(
-        TIME.between(0.0), "with --stops: least standing time at a stop; 0"
-    )
-    risk: float | None = setting(
+    ),
+    "initial-speed": (SPEED, "speed where it begins; 0"),
+    "final-speed": (SPEED, "speed where it ends, at most; 0"),
+    "dwell": (TIME.between(0.0), "with --stops: least standing time at a stop; 0"),
+    "risk": (
         SHARE,
         "with --map: probability, for each place and trip, that there is less adhesion than is"
         " counted on, as the map expects it at the time of the run, such as 0.05",
-    )
-    sigmas: float | None = setting(
-        NUMBER, "with --map, in place of risk: standard deviations taken off its estimate; 2"
-    )
-    assumed_adhesion: float | None = setting(
-        NUMBER, "with --map: adhesion counted on where it has none; no limit there"
-    )
-    cells: float | None = setting(
+    ),
+    "sigmas": (
+        NUMBER,
+        "with --map, in place of risk: standard deviations taken off its estimate; 2",
+    ),
+    "assumed-adhesion": (
+        NUMBER,
+        "with --map: adhesion counted on where it has none; no limit there",
+    ),
+    "cells": (
         COUNT.between(20.0, 20_000.0),
         "cells of the grid, at least one for each step of the line; 500",
-    )
-    time_limit: float | None = setting(
+    ),
+    "time-limit": (
         TIME.between(0.1),
         "time after which the best that was found is taken, with its gap; what has begun is"
         " finished; of each section, with --stops",
-    )
-    referee: str | None = setting(
-        ("no", "yes"), "solve it again with CasADi and IPOPT, and compare; no"
-    )
-
-    @classmethod
-    def of(cls, words: Sequence[str]) -> PlanSettings:
-        """The settings of words ``KEY=VALUE``.
-
-        Raises
-        ------
-        InputError
-            If a key is unknown or given twice, or its value cannot be read.
-
-        Examples
-        --------
-        >>> PlanSettings.of(["load=12t", "final-speed=60"]).load
-        12000.0
-        """
-        known = {each.name.replace("_", "-"): each for each in fields(cls)}
-        found: dict[str, Any] = {}
-        for word in words:
-            key, equals, value = (each.strip() for each in word.partition("="))
-            if key not in known or not equals:
-                near = similar(key, known, 1)
-                meant = f"did you mean {near[0]}? " if near and near[0] != key else ""
-                raise InputError(
-                    f"--set '{word}' is not a setting of a plan",
-                    remedy=f"{meant}write KEY=VALUE with one of {', '.join(known)}",
-                )
-            if known[key].name in found:
-                raise InputError(f"--set {key} is given twice", remedy="give it once")
-            found[known[key].name] = _value(known[key].metadata["of"], key, value)
-        return cls(**found)
+    ),
+    "referee": (("no", "yes"), "solve it again with CasADi and IPOPT, and compare; no"),
+}
+"""What ``--set KEY=VALUE`` sets of a plan: how its value is read, and what it is."""
 
 
-def _value(of: Measure | tuple[str, ...], key: str, value: str) -> Any:
-    """The value of a setting."""
-    if not isinstance(of, tuple):
-        return of.read(value, f"--set {key}")
-    if value not in of:
-        raise InputError(
-            f"--set {key}: '{value}' is not one of {', '.join(of)}", remedy="give one of these"
-        )
-    return value
+def settings_of(words: Sequence[str]) -> dict[str, Any]:
+    """The settings of words ``KEY=VALUE``.
+
+    Raises
+    ------
+    InputError
+        If a key is unknown or given twice, or its value cannot be read.
+
+    Examples
+    --------
+    >>> settings_of(["load=12t", "final-speed=72"])
+    {'load': 12000.0, 'final-speed': 20.0}
+    """
+    found: dict[str, Any] = {}
+    for word in words:
+        key, equals, value = (each.strip() for each in word.partition("="))
+        if key not in SETTINGS or not equals:
+            near = similar(key, SETTINGS, 1)
+            meant = f"did you mean {near[0]}? " if near and near[0] != key else ""
+            raise InputError(
+                f"--set '{word}' is not a setting of a plan",
+                remedy=f"{meant}write KEY=VALUE with one of {', '.join(SETTINGS)}",
+            )
+        if key in found:
+            raise InputError(f"--set {key} is given twice", remedy="give it once")
+        of = SETTINGS[key][0]
+        if isinstance(of, tuple) and value not in of:
+            raise InputError(
+                f"--set {key}: '{value}' is not one of {', '.join(of)}",
+                remedy="give one of these",
+            )
+        found[key] = value if isinstance(of, tuple) else of.read(value, f"--set {key}")
+    return found
 
 
-SETTINGS = "; ".join(
-    each.name.replace("_", "-")
-    + (f"={'|'.join(of)}" if isinstance(of := each.metadata["of"], tuple) else "")
-    + f" ({each.metadata['help']})"
-    for each in fields(PlanSettings)
+_HELP = "; ".join(
+    f"{name}{f'={chr(124).join(of)}' if isinstance(of, tuple) else ''} ({help})"
+    for name, (of, help) in SETTINGS.items()
 )
-"""The settings, each with what it is and its usual value, for the help."""
 
 
 def plan(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Trajectory file (JSON).")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Trajectory with its picture (.json); a folder of those of several sections; or"
+            " speed, time, efforts and energy by kilometre, of all sections (.csv).",
+        ),
+    ],
     parameters: Annotated[
         Path | None,
         typer.Argument(help="Observed parameter set (JSON); default: the train's file alone."),
@@ -182,7 +175,8 @@ def plan(
         Path | None,
         typer.Option(
             "--map",
-            help="Track-condition map that limits the efforts, or a network's folder of maps.",
+            help="Track-condition map that limits the efforts, or a network's folder of maps."
+            " Default: no limit by adhesion.",
         ),
     ] = None,
     layer: Annotated[
@@ -194,7 +188,7 @@ def plan(
     at: RunTimeOption = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help=f"May be given several times: {SETTINGS}."),
+        typer.Option("--set", metavar="KEY=VALUE", help=f"May be given several times: {_HELP}."),
     ] = None,
 ) -> None:
     """Find the trajectory of least energy that every observed configuration can follow.
@@ -203,54 +197,96 @@ def plan(
     it; such a plan has no band: trips that differ from the file may be late.
 
     The answer carries its certificate: an independent fine rollout of every configuration and a
-    lower bound on the energy. Beside it stand a picture, and the driver's advice as CSV.
+    lower bound on the energy. The driver's advice is printed; 'trainlog advice' writes it.
 
     Example: trainlog plan fitted.json --line sample --train sample -o trajectory.json
 
-    Example: trainlog plan --train my.train.toml --line A-B.line.json --set load=12t -o plan.json
+    Example: trainlog plan --train my.train.toml --line A-B.line.json --set load=12t -o plan.csv
 
-    Example: trainlog plan fitted.json --line A-B.line.json --stops Aach,Berg,Chur -o plan.json
+    Example: trainlog plan fitted.json --line A-B.line.json --stops Aach,Berg,Chur -o sections
     """
-    destination(output, ".json")
-    chosen = PlanSettings.of(settings or [])
+    if output.suffix or stops is None:
+        destination(output, ".csv" if output.suffix == ".csv" else ".json")
+    chosen = settings_of(settings or [])
     reserves = [PERCENT.read(each, "--reserve") for each in reserve.split(",")] if reserve else []
-    _refuse_rivals(chosen, running_time, reserves, stops, km, condition, layer, at)
+    ends = {"--km": km} | {
+        f"--set {name}": chosen.get(name) for name in ("initial-speed", "final-speed")
+    }
+    if stops is not None:
+        refuse_rivals("--stops gives places and speeds itself", ends)
+    else:
+        refuse_rivals("there are no --stops", {"--set dwell": chosen.get("dwell")}, "or give them")
+    if running_time is not None:
+        refuse_rivals("--running-time gives the time", {"--reserve": reserve})
+        of_logs = running_time.endswith(".mcap") or Path(running_time).exists()
+        if of_logs:
+            refuse_rivals("the time of a trip is from end to end of the line", ends)
+    if condition is None:
+        of_map = {"--layer": layer, "--at": at} | {
+            f"--set {name}": chosen.get(name) for name in ("risk", "sigmas", "assumed-adhesion")
+        }
+        refuse_rivals("there is no --map to be read", of_map, "or give a map")
+    if "risk" in chosen:
+        cautious = {"--set sigmas": chosen.get("sigmas")}
+        refuse_rivals("risk says how cautiously the map is read", cautious)
 
-    from analysis.trajectory.optimiser import optimise as solve
+    from analysis.charts import draw
+    from analysis.trajectory.journey import optimise_journey, sections_of
+    from analysis.trajectory.optimiser import energy_against_time, optimise
     from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
+    from analysis.trajectory.table import PlannedRun
+    from trainlog.formats.files import output_folder, write_bytes
+    from trainlog.formats.trajectory import write_trajectory
 
-    the_line, the_train = line_and_train(line, train)
-    observed = _configurations(parameters, the_train, chosen.load)
-    if chosen.protect == "train" and not the_train.length:
+    own_line, the_train = line_and_train(line, train)
+    observed = _configurations(parameters, the_train, chosen.pop("load", None))
+    whole_train = chosen.pop("protect", "front") == "train"
+    if whole_train and not the_train.length:
         raise InputError(
             f"--set protect=train: the length of {the_train.name} is not known",
             remedy="state its length in the train's file",
         )
-    own_line = the_line
-    time_given = None if running_time is None else _running_time(running_time, own_line)
-    if reverse:
-        the_line = the_line.reversed()
+    time_given = None
+    if running_time is not None and of_logs:
+        from analysis.comparison.groups import fastest_nonstop
+
+        time_given = fastest_nonstop(logs_in([Path(running_time)]), own_line)
+    elif running_time is not None:
+        time_given = TIME.read(running_time, "--running-time")
+    the_line = own_line.reversed() if reverse else own_line
     start, end = stretch(km, the_line) or (None, None)
     track, time = (None, None) if condition is None else map_of_run(condition, at, own_line)
     if track is not None and layer is None:
-        console.print("  no --layer is given: wet", highlight=False)
-    given: dict[str, Any] = {
+        console.print("  no --layer is given: wet")
+    options = OptimiserOptions(
+        round(chosen.pop("cells", 500)),
+        chosen.pop("referee", "no") == "yes",
+        time_limit=chosen.pop("time-limit", None),
+    )
+    solve: Callable[..., Trajectory | JourneyPlan] = optimise
+    if stops is not None:
+        journey = _journey_of(stops, the_line, time_given)
+        if journey.points[-1].latest is not None:
+            refuse_rivals("the journey states when it ends", {"--reserve": reserve})
+        count = len(sections_of(journey))
+        if count > 1 and output.suffix == ".json":
+            raise InputError(
+                f"is one file, but {count} sections are planned",
+                file=output,
+                remedy="name a folder, or a table of all of them (.csv)",
+            )
+        solve = partial(optimise_journey, journey=journey, dwell=chosen.pop("dwell", 0.0))
+    given = {
         "running_time": None if stops else time_given,
         "reserve": reserves[0] if reserves else None,
         "start": start,
         "end": end,
-        "initial_speed": chosen.initial_speed,
-        "final_speed": chosen.final_speed,
-        "weights": observed.weights if chosen.objective == "expected" else None,
+        "weights": observed.weights if chosen.get("objective") == "expected" else None,
         "condition_map": track,
-        "sigmas": chosen.sigmas,
-        "risk": chosen.risk,
         "time": time,
-        "assumed_adhesion": chosen.assumed_adhesion,
-        "protected_length": the_train.length if chosen.protect == "train" else None,
+        "protected_length": the_train.length if whole_train else None,
         "direction": "reverse" if reverse else None,
-        "braking": chosen.braking,
-        "objective": chosen.objective,
+        **{name.replace("-", "_"): value for name, value in chosen.items()},
     }
     problem = TrajectoryProblem(
         the_line,
@@ -259,72 +295,25 @@ def plan(
         layer=layer or "wet",
         **{name: value for name, value in given.items() if value is not None},
     )
-    options = OptimiserOptions(
-        round(chosen.cells or 500), chosen.referee == "yes", time_limit=chosen.time_limit
-    )
-    if stops is not None:
-        journey = _journey_of(stops, the_line, time_given)
-        _journey(problem, options, journey, chosen.dwell or 0.0, output)
-        return
-    trajectory = solve(problem, options)
-    _write(trajectory, problem, output)
-    if len(reserves) > 1:
-        _front(problem, options, reserves, output)
-
-
-def _refuse_rivals(
-    chosen: PlanSettings,
-    running_time: str | None,
-    reserves: list[float],
-    stops: str | None,
-    km: str | None,
-    condition: Path | None,
-    layer: str | None,
-    at: str | None,
-) -> None:
-    """Refuse options that contradict each other, before anything is read."""
-    ends = {
-        "--km": km,
-        "--set initial-speed": chosen.initial_speed,
-        "--set final-speed": chosen.final_speed,
-    }
-    if stops is not None:
-        _refuse("--stops gives places and speeds itself", ends)
+    with nullcontext() if output.suffix else output_folder(output):
+        planned = PlannedRun(problem, solve(problem, options=options))
+        show(planned)
+        if output.suffix == ".csv":
+            write_bytes(output, planned.profile().to_csv(index=False, lineterminator="\n").encode())
+            wrote(output)
+        else:
+            for number, section in enumerate(planned.sections, 1):
+                file = output if output.suffix else output / f"section-{number}.json"
+                write_trajectory(section, file)
+                draw(section, file.with_suffix(".png"), line=the_line)
+                wrote(file, file.with_suffix(".png"))
         if len(reserves) > 1:
-            raise InputError(
-                "--reserve: several reserves are compared of one run without stops",
-                remedy="give one, or leave out --stops",
+            front = energy_against_time(
+                problem, reserves[1:], options, solve=solve, known=[planned.run]
             )
-    else:
-        _refuse("there are no --stops", {"--set dwell": chosen.dwell}, "or give them")
-    if running_time is not None:
-        _refuse("--running-time gives the time", {"--reserve": reserves or None})
-        if _is_log(running_time):
-            _refuse("the time of a trip is from end to end of the line", ends)
-    if condition is None:
-        of_map = {
-            "--layer": layer,
-            "--at": at,
-            "--set risk": chosen.risk,
-            "--set sigmas": chosen.sigmas,
-            "--set assumed-adhesion": chosen.assumed_adhesion,
-        }
-        _refuse("there is no --map to be read", of_map, "or give a map")
-    if chosen.risk is not None:
-        _refuse("risk says how cautiously the map is read", {"--set sigmas": chosen.sigmas})
-
-
-def _is_log(given: str) -> bool:
-    return given.endswith(".mcap") or Path(given).exists()
-
-
-def _running_time(given: str, line: Line) -> float:
-    """A running time [s] that is stated, or that of the fastest non-stop trip of logs."""
-    if not _is_log(given):
-        return TIME.read(given, "--running-time")
-    from analysis.comparison.groups import fastest_nonstop
-
-    return fastest_nonstop(logs_in([Path(given)]), line)
+            name = "energy-over-time.png"
+            beside = output.with_name(f"{output.stem}-{name}") if output.suffix else output / name
+            show(front, picture=beside)
 
 
 def _journey_of(stops: str, line: Line, running_time: float | None) -> Journey:
@@ -378,7 +367,7 @@ def _configurations(parameters: Path | None, train: Train, load: float | None) -
         carried = load or 0.0
         check_load(carried, train)
         return ParameterSet(train.name, (Configuration.of(train, carried),))
-    _refuse("the parameter set holds the masses", {"--set load": load})
+    refuse_rivals("the parameter set holds the masses", {"--set load": load})
     observed = read_parameters(parameters)
     observed.check_train(train.name)
     if not observed.configurations:
@@ -390,78 +379,6 @@ def _configurations(parameters: Path | None, train: Train, load: float | None) -
     if observed.assumed_power:
         console.print(f"  {parameters.name}: {observed.assumed_power}", highlight=False)
     return observed
-
-
-def _refuse(why: str, given: Mapping[str, object], remedy: str = "") -> None:
-    """Refuse options that contradict another one; None are those that were not given."""
-    named = [name for name, value in given.items() if value is not None]
-    if named:
-        raise InputError(
-            f"{' and '.join(named)} cannot be taken: {why}",
-            remedy=" ".join(filter(None, (f"leave out {' and '.join(named)}", remedy))),
-        )
-
-
-def _write(trajectory: Trajectory, problem: TrajectoryProblem, output: Path) -> None:
-    """Write a trajectory, its picture and its advice, and print what it is."""
-    from analysis.charts import draw
-    from analysis.trajectory.adhesion import adhesion_words
-    from analysis.trajectory.advice import driver_table, journey_advice, write_journey_advice
-    from analysis.trajectory.table import certified, trajectory_table
-    from trainlog.formats.trajectory import write_trajectory
-
-    advice = journey_advice([trajectory], problem.line)
-    write_trajectory(trajectory, output)
-    draw(trajectory, output.with_suffix(".png"), line=problem.line)
-    write_journey_advice(advice, output.with_suffix(".csv"))
-    content = current().content
-    content.setdefault("trajectories", []).append({"trajectory": output, **certified(trajectory)})
-    console.print(*trajectory_table(trajectory))
-    if current().as_json:
-        content.setdefault("advice", []).extend(advice.details()["advice"])
-    else:
-        console.print(driver_table(advice))
-    for words in adhesion_words(problem, trajectory):
-        console.print(f"  {words}", highlight=False, soft_wrap=True)
-    wrote(output, output.with_suffix(".png"), output.with_suffix(".csv"))
-
-
-def _journey(
-    problem: TrajectoryProblem,
-    options: OptimiserOptions,
-    journey: Journey,
-    dwell: float,
-    output: Path,
-) -> None:
-    """Optimise a journey; one file per section, numbered."""
-    from analysis.trajectory.advice import with_times
-    from analysis.trajectory.journey import optimise_journey
-    from analysis.trajectory.table import journey_table
-
-    with task("optimising the sections"):
-        plan = optimise_journey(problem, journey, options, dwell=dwell)
-    sections = with_times(plan.sections, plan.departures, plan.journey.name)
-    files = [output.with_name(f"{output.stem}-{n + 1}.json") for n in range(len(sections))]
-    for section, file in zip(sections, files, strict=True):
-        _write(section, problem, file)
-    console.print(journey_table(plan, problem.line))
-    names = " ".join(map(str, files))
-    words = f"Advice for all of it: trainlog advice {names} --departure 07:12 -o advice.html"
-    console.print(words, highlight=False, soft_wrap=True)
-
-
-def _front(
-    problem: TrajectoryProblem, options: OptimiserOptions, reserves: list[float], output: Path
-) -> None:
-    """Energy against running time, printed and drawn."""
-    from analysis.charts import draw
-    from analysis.trajectory.optimiser import energy_against_time
-
-    front = energy_against_time(problem, reserves, options)
-    picture = output.with_name(f"{output.stem}-pareto.png")
-    draw(front, picture)
-    show(front)
-    wrote(picture)
 
 
 def advice(
@@ -514,18 +431,28 @@ def advice(
     Example: trainlog advice results/trajectory.json --onto trip.mcap -o advised.mcap
     """
     if onto is not None:
-        _refuse(
+        refuse_rivals(
             "--onto adds the advice to a log",
             {"--departure": departure, "--line": line, "--dwell": dwell},
         )
+        from analysis.trajectory.advice import with_advice
+        from trainlog.formats.trajectory import read_trajectory
+        from trainlog.mcap import read_log, write_log
+
         if len(trajectories) > 1:
             raise InputError("several trajectories are given", remedy="with --onto name one")
-        _advise(onto, trajectories[0], output)
+        destination(output, ".mcap")
+        if output.resolve() == onto.resolve():
+            raise InputError(
+                "is the log itself", file=output, remedy="give the result another name"
+            )
+        write_log(with_advice(read_log(onto), read_trajectory(trajectories[0])), output)
+        wrote(output)
         return
     destination(output, ".html")
 
     from analysis.reports.advice import write_driver_advice
-    from analysis.trajectory.advice import driver_table, time_of_day
+    from analysis.trajectory.advice import time_of_day
 
     start = None if departure is None else time_of_day(departure)
     table = output.with_suffix(".csv")
@@ -533,19 +460,5 @@ def advice(
         found = write_driver_advice(
             trajectories, output, table, line=line, start=start, dwell=dwell or 0.0
         )
-    if not state(found.details()):
-        console.print(driver_table(found))
+    show(found)
     wrote(output, table)
-
-
-def _advise(log: Path, trajectory: Path, output: Path) -> None:
-    """Write a log with a trajectory's advice beside what was driven."""
-    from analysis.trajectory.advice import with_advice
-    from trainlog.formats.trajectory import read_trajectory
-    from trainlog.mcap import read_log, write_log
-
-    destination(output, ".mcap")
-    if output.resolve() == log.resolve():
-        raise InputError("is the log itself", file=output, remedy="give the result another name")
-    write_log(with_advice(read_log(log), read_trajectory(trajectory)), output)
-    wrote(output)

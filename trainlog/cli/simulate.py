@@ -19,6 +19,7 @@ from trainlog.cli.options import (
     line_and_train,
     map_of_run,
     measured,
+    refuse_rivals,
 )
 from trainlog.cli.terminal import about, console, print_error, state, wrote
 from trainlog.errors import InfeasibleError, InputError
@@ -27,7 +28,7 @@ from trainlog.units import TIME
 
 if TYPE_CHECKING:
     from trainlog.railway import Line, TrackConditionMap
-    from trainlog.simulation import Scenario, TractionLoop
+    from trainlog.simulation import Scenario
     from trainlog.trip import Trip
 
 simulate_app = typer.Typer(help="Simulate drivers, trips along a trajectory, days, a fleet.")
@@ -88,7 +89,10 @@ def drive(
 def follow(
     trajectory: Annotated[Path, typer.Argument(help="Trajectory file to follow.")],
     output: LogFolder,
-    line: LineOption = None,
+    line: Annotated[
+        Path | None,
+        typer.Option("--line", help="Line file; default: the line that the trajectory holds."),
+    ] = None,
     train: TrainOption = None,
     configurations: Annotated[
         str,
@@ -113,24 +117,27 @@ def follow(
 
     The train does not know its configuration; it measures its own position and speed.
 
-    Example: trainlog simulate follow plan.json --line sample --train sample -o results/driven
+    Example: trainlog simulate follow plan.json --train sample -o results/driven
     """
     from analysis.charts import draw_charts
     from analysis.control.follow import following_line, following_scenarios
     from analysis.control.plot import following_charts
     from analysis.control.route import counted_on
+    from trainlog.formats.attached import line_of_plan
     from trainlog.formats.trajectory import read_trajectory
 
-    if condition is None and (risk is not None or at is not None):
-        raise InputError(
-            "--risk and --at say how a map is read", remedy="give --map, or leave them out"
-        )
-    the_line, the_train = line_and_train(line, train)
+    if condition is None:
+        refuse_rivals("there is no --map to be read", {"--risk": risk, "--at": at}, "or give a map")
+    planned = read_trajectory(trajectory)
+    kept = line_of_plan(planned)
+    if kept is not None and planned.direction == "reverse":
+        kept = kept.reversed()
+    the_line, the_train = line_and_train(line, train, kept)
     the_map, time = (None, None) if condition is None else map_of_run(condition, at, the_line)
     words = counted_on(the_map, weather, risk, time)
     console.print(f"  {words}", highlight=False, soft_wrap=True)
     scenarios = following_scenarios(
-        read_trajectory(trajectory), the_line, the_train,
+        planned, the_line, the_train,
         configurations=configurations, weather=weather, late=late,
         condition_map=the_map, seed=seed, risk=risk, time=time,
     )  # fmt: skip
@@ -185,15 +192,13 @@ def days(
 
 def _known_map(condition: Path | None, traction: str, line: Line) -> TrackConditionMap | None:
     """The map that cooperative control knows."""
-    if condition is None:
-        return None
     if traction != "cooperative":
-        raise InputError(
-            "--map goes with --traction cooperative",
-            remedy="leave it out, or follow a trajectory that knows the map: trainlog simulate"
-            " follow",
+        refuse_rivals(
+            "only --traction cooperative knows a map",
+            {"--map": condition},
+            "or follow a trajectory that knows it: trainlog simulate follow",
         )
-    return map_of_run(condition, None, line)[0]
+    return None if condition is None else map_of_run(condition, None, line)[0]
 
 
 def _drive(
@@ -244,8 +249,12 @@ def _drive(
             if not state({"trips": trips}):
                 console.print(about(trip.metadata, trip.duration), highlight=False, markup=False)
             if run.traction is not None:
-                words = f"    traction control {traction_line(run.traction)}"
-                console.print(words, highlight=False)
+                loop = run.traction
+                console.print(
+                    f"    traction control {loop.control.name}: {len(loop.unsolved)} of"
+                    f" {loop.steps} decisions unsolved, {loop.late} late (over"
+                    f" {1e3 * loop.control.period:g} ms; longest {1e3 * loop.longest:.1f} ms)"
+                )
                 picture = output / f"{trip.name}.traction.png"
                 draw_charts(traction_charts(trip, known), picture)
                 wrote(picture)
@@ -297,11 +306,8 @@ def fleet(
     from trainlog.formats.network import read_network
     from trainlog.simulation import Fault, draw_fleet, draw_network, write_fleet
 
-    if count is not None and trips_per_day is not None:
-        raise InputError(
-            "--count and --trips-per-day both say how many trips there are",
-            remedy="give one of them",
-        )
+    if count is not None:
+        refuse_rivals("--count gives the trips in all", {"--trips-per-day": trips_per_day})
     drawn, _, lines = network.partition(":")
     if drawn == "drawn":
         if lines and not lines.isdigit():
@@ -350,11 +356,3 @@ def fleet(
             )
     if logs.stuck:
         raise typer.Exit(1)
-
-
-def traction_line(loop: TractionLoop) -> str:
-    """What became of the decisions of a traction control, in words."""
-    return (
-        f"{loop.control.name}: {len(loop.unsolved)} of {loop.steps} decisions unsolved, {loop.late}"
-        f" late (over {1e3 * loop.control.period:g} ms; longest {1e3 * loop.longest:.1f} ms)"
-    )
