@@ -123,7 +123,7 @@ class AdviceRow:
 class JourneyAdvice(Presented):
     """Advice for a journey, in the order of its kilometres.
 
-    Printing it states when it departs and arrives; `tables` have the advice as a driver reads it.
+    Its table is the advice as a driver reads it.
 
     Attributes
     ----------
@@ -174,14 +174,6 @@ class JourneyAdvice(Presented):
     def title(self) -> str:
         """Train and line."""
         return f"Advice for {self.train} on {self.line}"
-
-    def summary(self) -> dict[str, str]:
-        """When it departs and arrives."""
-        ends = [each for each in self.rows if each.event in ("departs", "arrives")]
-        return {
-            each.event: f"{self.time(each.time)} {each.station}".rstrip()
-            for each in (ends[0], ends[-1])
-        }
 
     def tables(self) -> list[WordTable]:
         """The journey as a driver reads it."""
