@@ -764,7 +764,7 @@ def test_a_file_without_a_version_is_answered_with_it(tmp_path: Path) -> None:
         ("report LOG -o a.html --maps maps --at 2026-01-01", "leave out --maps and --at"),
         (
             "simulate follow LOG --train sample -o trips --risk 0.1",
-            "leave out --risk or give a map",
+            "leave out --risk or give",
         ),
         ("simulate fleet drawn -o trips --count 3 --trips-per-day 2", "leave out --trips-per-day"),
     ],

@@ -366,7 +366,7 @@ def test_one_configuration_of_one_trip_is_stated_in_the_singular() -> None:
     fits = fit(sample("nonstop.mcap"))
     words = fits.shown()
     assert any("1 configuration stands for 1 trip: its worst" in str(each) for each in words)
-    assert "1 configuration, whose worst case bounds" in repr(fits)
+    assert "1 configuration, coverage" in repr(fits)
 
 
 def test_an_assumed_gain_of_the_efforts_does_not_average_out() -> None:

@@ -27,6 +27,7 @@ from analysis.network.maps import NetworkMap
 from analysis.reports.page import Page, Section
 from analysis.trajectory.journey import JourneyPlan
 from analysis.trajectory.optimiser import Front
+from analysis.trajectory.table import PlannedRun
 from trainlog.catalogue import open_catalogue
 from trainlog.cli.terminal import as_json_text
 from trainlog.declaration import Declared
@@ -168,7 +169,8 @@ def results(tmp_path_factory, fitted) -> dict[type, Presented]:  # type: ignore[
         analysis.compare_groups(
             trip, replace(trip, metadata={**trip.metadata, "configuration": trip.name})
         ),
-        *(plan, Front((plan,), plan.running_time)),
+        *(plan, Front((plan,), plan.running_time), PlannedRun(problem, plan)),
+        PlannedRun(problem, plan).advice,
         JourneyPlan(journey, (plan,), *times, {**energies, **bound, **about, **gap}),
         *(added, refreshed, updated, status, compared, trainlog.mcap.describe(LOG)),
         *(fleet, fleet.resistance, kind, kind.mean),

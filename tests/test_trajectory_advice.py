@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,7 +17,12 @@ from refusals import refused
 from trajectory_cases import FLIRT, drawn, hilly_line, observed, optimised, slippery
 
 from analysis.charts import draw
-from analysis.trajectory.advice import journey_advice, with_advice, write_journey_advice
+from analysis.trajectory.advice import (
+    driver_table,
+    journey_advice,
+    with_advice,
+    write_journey_advice,
+)
 from analysis.trajectory.instructions import instructions
 from analysis.trajectory.optimiser import energy_against_time, optimise
 from analysis.trajectory.phases import Phase, agreement
@@ -274,6 +280,17 @@ def test_agreement_counts_the_cells_that_do_otherwise() -> None:
     worth = np.array([0.5, -0.5, 0.0, 0.5, 0.5])
     assert agreement(efforts, most, worth) == pytest.approx(3 / 5)
     assert agreement(efforts, most, -worth) == pytest.approx(2 / 5)
+
+
+def test_speeds_of_advice_agree_as_printed(sampled: Trajectory) -> None:
+    reached, speeds = None, []
+    for *_, speed, _, words in driver_table(journey_advice([sampled])).words:
+        speeds.append(words)
+        if reached is not None and words.startswith("hold"):
+            assert speed == reached, words
+        found = re.match(r"(?:departs: )?(?:full traction to|hold) (\d+) km/h", words)
+        reached = found[1] if found else None
+    assert any(each.startswith("hold") for each in speeds)
 
 
 def test_commands_write_sections_a_front_and_advice(

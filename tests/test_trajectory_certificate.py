@@ -264,11 +264,11 @@ def test_a_file_keeps_what_cells_cost_and_one_without_it_is_read(tmp_path: Path)
     again = read_trajectory(tmp_path / "new.json")
     for name in ("continuous_bound", "cells_cost", "total_gap", "gap", "certified"):
         assert again.certificate[name] == found.certificate[name]
-    assert "above the least of all" in repr(again)
+    assert "above the theoretical minimum" in repr(again)
     new = ("continuous_bound", "cells_cost", "total_gap")
     kept = {name: value for name, value in found.certificate.items() if name not in new}
     write_trajectory(replace(found, certificate=kept), tmp_path / "old.json")
     old = read_trajectory(tmp_path / "old.json")
-    assert "above the least on these cells" in repr(old)
+    assert "above the minimum on these cells" in repr(old)
     assert "what the cells cost is not known" in shown(old)
     assert "for the cells" in shown(again)

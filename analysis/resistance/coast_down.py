@@ -498,10 +498,10 @@ def check_supported(curve: Curve, speeds: tuple[float, float] | None) -> None:
     if share[worst] <= LARGEST_STD:
         return
     at = worst if speeds is not None else best
-    known = f"{100.0 * share[at]:.0f} %" if np.isfinite(share[at]) else "the whole"
+    known = f"{100.0 * share[at]:.0f} %" if np.isfinite(share[at]) else "100 %"
     raise NotIdentifiableError(
-        f"at {KMH * speed[at]:.0f} km/h the curve is known to {known} of itself only (standard"
-        f" deviation, at most {100.0 * LARGEST_STD:.0f} %)",
+        f"at {KMH * speed[at]:.0f} km/h the running resistance is uncertain by {known} (standard"
+        f" deviation; at most {100.0 * LARGEST_STD:.0f} % is accepted)",
         remedy="give more trips, longer coasting, or a narrower range of speeds",
     )
 

@@ -712,8 +712,8 @@ def _check_curve(
         known += " or more" if share[worst] > 1.0 else ""
         raise TripRefusedError(
             "excitation",
-            f"trip '{name}': at {KMH * speed[worst]:.0f} km/h the curve is known to ±{known}"
-            f" of itself only (standard deviation, at most {100.0 * largest_std:.0f} %)",
+            f"trip '{name}': at {KMH * speed[worst]:.0f} km/h the running resistance is uncertain"
+            f" by {known} (standard deviation; at most {100.0 * largest_std:.0f} % is accepted)",
             timeline=timeline,
         )
 

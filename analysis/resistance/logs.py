@@ -137,8 +137,8 @@ class Fits(Presented):
             "together": curve_words(common),
             "mass": f"{span(mass, 1e-3, 1)} t",
             "supported": f"{span(common.speed_range, KMH)} km/h",
-            "observed set": f"{counted(len(found.configurations), 'configuration')}, whose worst"
-            f" case bounds {found.cover['level']:.1%} of trips like these",
+            "observed set": f"{counted(len(found.configurations), 'configuration')},"
+            f" coverage {found.cover['level']:.1%} of trips like these",
         }
         reasons = [f"{trip} ({error.reason})" for trip, error in self.refused.items()]
         if reasons:
@@ -416,11 +416,11 @@ def _observed_set(fits: Fits) -> list[str]:
     count = len(found.configurations)
     words = (
         f"{counted(count, 'configuration')} stand{'s' * (count == 1)} for"
-        f" {counted(found.cover['trips'], 'trip')}: {'its' if count == 1 else 'their'}"
-        f" worst case bounds {found.cover['level']:.1%} of trips like these"
+        f" {counted(found.cover['trips'], 'trip')}: coverage {found.cover['level']:.1%} of trips"
+        " like these"
     )
     if found.cover["level"] < found.cover["asked"]:
-        words += f", fewer than the {found.cover['asked']:.1%} asked for"
+        words += f"; {found.cover['asked']:.1%} needs more trips"
     if not fits.known:
         return [f"{words}."]
     were = (

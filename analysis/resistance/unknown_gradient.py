@@ -341,11 +341,11 @@ def _check_differences(
     std = float(np.sqrt(change @ covariance @ change))
     if high - low >= SHORTEST_RANGE and std <= LARGEST_STD * gained:
         return
-    share = f"{100.0 * std / gained:.0f} %" if gained > 0.0 else "the whole"
+    share = f"{100.0 * std / gained:.0f} %" if gained > 0.0 else "100 %"
     raise NotIdentifiableError(
         f"with the gradient unknown, the difference of resistance from {KMH * low:.0f} to"
-        f" {KMH * high:.0f} km/h is known to {share} of itself only (standard deviation, at most"
-        f" {100.0 * LARGEST_STD:.0f} %)",
+        f" {KMH * high:.0f} km/h is uncertain by {share} (standard deviation; at most"
+        f" {100.0 * LARGEST_STD:.0f} % is accepted)",
         remedy="give the line's gradients, or more trips that coast over the same track at"
         " different speeds",
     )

@@ -440,11 +440,19 @@ def driver_table(found: JourneyAdvice) -> WordTable:
     """The journey as a driver reads it: kilometre, place, time, what to do."""
     table = new_table("", "km", "where", "time", "speed\n[km/h]", "limit\n[km/h]", "advice")
     begins: AdviceRow | None = None
+    asked: Instruction | None = None
     for row in found.rows:
         if row.event == "departs":
-            begins = row
+            begins, asked = row, None
             continue
-        place, words, speed = row.station or row.place, row.words, f"{KMH * row.speed:.0f}"
+        place, words, shown = row.station or row.place, row.words, row.speed
+        # Speeds that follow one another are stated alike: those in words are rounded down.
+        if row.instruction is not None and asked is not None:
+            shown = asked.stated_until
+        elif asked is not None and asked.hold:
+            shown = asked.target
+        asked = row.instruction or asked
+        speed = f"{KMH * shown:.0f}"
         if begins is not None and row.position <= begins.position + JOINS:
             place, words, speed = begins.station or begins.place, f"departs: {words}", ""
         begins = None

@@ -138,6 +138,13 @@ class Instruction:
         words = f"{verb} to {to} {by}" if self.target > 0.0 else f"{verb} to a stand"
         return f"{words}{self._caps(line)}"
 
+    @property
+    def stated_until(self) -> float:
+        """Speed where it ends, as the words state it [m/s]."""
+        slows = self.phase is Phase.MAXIMUM_TRACTION and self.highest - self.until > NOTICED
+        free = self.phase is Phase.COASTING or slows or self.words().startswith("brake, if")
+        return self._capped(KMH * self.until) / KMH if free and not self.hold else self.target
+
     def _course(self) -> str:
         """How the speed falls and rises: ``": speed falls to 8 km/h"``."""
         turns = [

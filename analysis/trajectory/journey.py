@@ -315,7 +315,7 @@ class JourneyPlan(Presented):
         if "energy" in self.certificate:
             rows["energy"] = (
                 f"{self.certificate['energy'] / JOULES_PER_KWH:.2f} kWh,"
-                f" at most {self.certificate['total_gap']:.3%} above the least at these times"
+                f" at most {self.certificate['total_gap']:.3%} above the minimum for these times"
             )
         return rows
 
