@@ -261,7 +261,7 @@ def test_days_read_with_different_risk_are_tabled_and_drawn(days: Days) -> None:
 def test_a_risk_that_is_none_and_one_as_published_are_refused(tmp_path: Path) -> None:
     for words, message in (
         (("--risk", "5"), "a risk must be between 0 and 1"),
-        (("--risk", "0.05", "--as-published"), "leave one out"),
+        (("--risk", "0.05", "--as-published"), "leave out --risk or --as"),
     ):
         with pytest.raises(InputError, match=message):
             command(["study", "map-mpc", "-o", str(tmp_path), *words])

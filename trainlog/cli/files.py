@@ -23,6 +23,7 @@ from trainlog.cli.options import (
     line_of_log,
     logs_in,
     measured,
+    refuse_rivals,
     stretch,
     times,
 )
@@ -481,10 +482,9 @@ def convert(
     Example: trainlog convert damaged.mcap -o rebuilt/
     """
     part = {"--from": start, "--to": end, "--km": km, "--topic": topic or None}
-    asked = [name for name, value in part.items() if value is not None]
     kind = output.suffix.lower()
-    if prefer is not None and (len(sources) < 2 or kind != ".mcap"):
-        raise InputError("--prefer is one of several logs that are joined", remedy="leave it out")
+    if len(sources) < 2 or kind != ".mcap":
+        refuse_rivals("it is one of several logs that are joined", {"--prefer": prefer})
     if kind != ".geojson":
         sources = [
             log for each in sources for log in ([each] if _is_trip(each) else logs_in([each]))
@@ -495,15 +495,12 @@ def convert(
         "": "logs are rebuilt",
         ".mcap": "several logs are joined" if several else "",
     }.get(kind)
-    if asked and as_a_whole:
-        raise InputError(
-            f"{' and '.join(asked)} cannot be taken: {as_a_whole} as a whole",
-            remedy="leave them out",
-        )
+    if as_a_whole:
+        refuse_rivals(f"{as_a_whole} as a whole", part)
     if kind == ".geojson":
         _export_network(sources[0], output)
     elif not kind or (
-        not several and (sources[0].suffix, kind) == (".mcap", ".mcap") and not asked
+        not several and (sources[0].suffix, kind) == (".mcap", ".mcap") and not any(part.values())
     ):
         _rebuild(sources, output)
     elif several and kind == ".mcap":

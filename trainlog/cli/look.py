@@ -256,11 +256,8 @@ def replay(
         check_view(view)
     if picture is not None:
         destination(picture, ".png")
-        if tiles:
-            raise InputError(
-                "a picture is taken without the network, hence without map tiles",
-                remedy="leave out --tiles, or save the recording: -o replay.rrd",
-            )
+        without = {"--tiles": tiles or None}
+        refuse_rivals("a picture is taken without the network", without, "or save it: -o a.rrd")
     found = logs_in(logs)
     if opened and not web:
         for log in found:

@@ -21,6 +21,7 @@ from trainlog.cli.options import (
     logs_in,
     measured,
     moment,
+    refuse_rivals,
     stretch,
     written,
     zone_assumed,
@@ -188,11 +189,8 @@ def map_show(
     Example: trainlog map show results/wil.map --km 12.3 --layer wet --picture place.png
     """
     if km is not None and ":" not in km:
-        if at is not None or zone is not None or model:
-            raise InputError(
-                "--at, --zone and --model are for the whole map",
-                remedy="leave them out, or give a part of the line: --km 8:12",
-            )
+        of_all = {"--at": at, "--zone": zone, "--model": model or None}
+        refuse_rivals("--km is one place", of_all, "or give a part of the line: --km 8:12")
         _show_place(condition, km, layer, line, days, picture)
         return
     if days is not None:
@@ -201,11 +199,8 @@ def map_show(
         raise InputError("--km chooses what a picture shows", remedy="name it with --picture")
     when = moment(at, zone)
     if condition.is_dir():
-        if km is not None or line is not None or model:
-            raise InputError(
-                "--km, --line and --model are for the map of one line",
-                remedy="leave them out, or name the map of an edge",
-            )
+        of_line = {"--km": km, "--line": line, "--model": model or None}
+        refuse_rivals("the map is of a network", of_line, "or name the map of an edge")
         _show_network(condition, when, layer, picture)
         return
 
@@ -482,11 +477,8 @@ def _scored(
     from trainlog.formats.weather import read_weather
 
     foreign = forecast.suffix.lower() == ".csv"
-    if rolling and weather is not None:
-        raise InputError(
-            "--weather gives the rail condition of logs, of which --rolling takes none",
-            remedy="leave out --weather",
-        )
+    if rolling:
+        refuse_rivals("--rolling takes no logs", {"--weather": weather})
     if rolling and (logs or foreign):
         raise InputError(
             "--rolling scores a map on its own days",

@@ -481,14 +481,13 @@ def line_or_network(
     from trainlog.formats.network import read_network
     from trainlog.ingest.routes import NetworkRoutes, places_in
 
-    if line is not None and network is not None:
-        raise InputError("--line and --network are both given", remedy="leave one of them out")
+    if line is not None:
+        refuse_rivals("--line is given", {"--network": network})
     if line is not None and line.name.endswith(NETWORK_SUFFIX):
         line, network = None, line
     if network is not None:
         return None, NetworkRoutes(read_network(network), places_in(stations or ""))
-    if stations is not None:
-        raise InputError("--stations are those of a network", remedy="give --network")
+    refuse_rivals("they are those of a network", {"--stations": stations}, "or give --network")
     return None if line is None else read_line(line), None
 
 

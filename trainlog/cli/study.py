@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from trainlog.cli.options import Seed, measured
+from trainlog.cli.options import Seed, measured, refuse_rivals
 from trainlog.cli.terminal import console, wrote
 from trainlog.units import SHARE, SPEED
 
@@ -118,15 +118,11 @@ def map_mpc(
     Example: trainlog study map-mpc -o results/map-mpc
     """
     from analysis.studies.hauck_2023.run import MapOptions, main
-    from trainlog.errors import InputError
     from trainlog.railway.condition import check_risk
 
     risks = tuple(check_risk(each) for each in risk or ())
-    if risks and as_published:
-        raise InputError(
-            "--risk cannot be taken with --as-published: the paper has no map that is learnt",
-            remedy="leave one out",
-        )
+    if as_published:
+        refuse_rivals("the paper has no map that is learnt", {"--risk": risk}, "or --as-published")
     with _reported(output) as report:
         main(report, MapOptions(sections, days, seed, as_published, risks))
 
