@@ -18,10 +18,10 @@ from analysis.adhesion.characteristic import CharacteristicFit
 from trainlog.cli.main import run
 from trainlog.errors import InputError, NotIdentifiableError
 from trainlog.formats.characteristic import (
-    characteristic_from_bytes,
-    characteristic_to_bytes,
+    CharacteristicFile,
     read_adhesion_points,
 )
+from trainlog.formats.declared import file_content, thing_from_bytes, thing_to_bytes
 from trainlog.railway.adhesion import (
     DRY,
     AdhesionCharacteristic,
@@ -205,9 +205,9 @@ CURVES = st.one_of(
 @settings(deadline=None, max_examples=60)
 @given(CURVES)
 def test_files_give_back_what_was_written(curve: AdhesionCharacteristic) -> None:
-    data = characteristic_to_bytes(curve)
-    again = characteristic_from_bytes(data)
-    assert characteristic_to_bytes(again) == data
+    data = thing_to_bytes(CharacteristicFile.of(curve, {}))
+    again = thing_from_bytes(CharacteristicFile, data).characteristic
+    assert thing_to_bytes(CharacteristicFile.of(again, {})) == data
     assert type(again) is type(curve)
     slips = np.geomspace(1e-4, 0.9, 20)
     np.testing.assert_allclose(again(slips, 20.0), curve(slips, 20.0), rtol=1e-9)
@@ -225,10 +225,10 @@ def test_files_give_back_what_was_written(curve: AdhesionCharacteristic) -> None
 def test_files_that_are_no_characteristic_are_refused(
     change: dict[str, object], message: str
 ) -> None:
-    content = json.loads(characteristic_to_bytes(polach_curve("wet"))) | change
+    content = file_content(CharacteristicFile.of(polach_curve("wet"), {})) | change
     content = {key: value for key, value in content.items() if value is not None}
     with pytest.raises(InputError, match=message) as caught:
-        characteristic_from_bytes(json.dumps(content).encode(), file="wet.json")
+        thing_from_bytes(CharacteristicFile, json.dumps(content).encode(), "wet.json")
     assert "wet.json" in str(caught.value)
 
 

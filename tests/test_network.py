@@ -19,13 +19,9 @@ import trainlog
 from analysis.charts import draw_charts
 from trainlog.errors import InputError
 from trainlog.formats.attached import line_of
+from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line, write_line
-from trainlog.formats.network import (
-    network_from_bytes,
-    network_to_bytes,
-    read_network,
-    write_network,
-)
+from trainlog.formats.network import network_from_bytes, read_network, write_network
 from trainlog.formats.samples import sample
 from trainlog.railway import (
     CurvatureProfile,
@@ -186,9 +182,9 @@ def test_a_reversed_route_is_the_reversed_line(route: trainlog.Route) -> None:
 @given(networks())
 @CASES
 def test_a_network_reads_back_as_it_was_written(network: Network) -> None:
-    again = network_from_bytes(network_to_bytes(network))
+    again = network_from_bytes(thing_to_bytes(network))
     assert_same(again, network, 1e-13)
-    assert network_to_bytes(again) == network_to_bytes(network_from_bytes(network_to_bytes(again)))
+    assert thing_to_bytes(again) == thing_to_bytes(network_from_bytes(thing_to_bytes(again)))
 
 
 @given(routes())
@@ -369,7 +365,7 @@ def test_places_that_are_not_known_are_refused_with_those_that_are_like_them() -
 
 def test_mistakes_in_a_file_name_the_edge(tmp_path: Path) -> None:
     path = tmp_path / "y.network.json"
-    text = network_to_bytes(y_network()).decode()
+    text = thing_to_bytes(y_network()).decode()
     path.write_text(text.replace('"name": "to B",', '"name": "to B", "slope": 3,'))
     refused(InputError, r"y.network.json, edges\[1\].line.slope: unknown key", read_network, path)
     path.write_text(text.replace('"start": "J"', '"start": "I"'))

@@ -20,9 +20,10 @@ from rich.console import Console
 import trainlog
 from analysis.network.export import export_network
 from trainlog.errors import InputError
+from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.imports import import_file, networks_in
 from trainlog.formats.line import read_line
-from trainlog.formats.network import network_to_bytes, read_network, write_network
+from trainlog.formats.network import read_network, write_network
 from trainlog.formats.tracks import Infrastructure
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.railway.line_network import network_of_lines
@@ -152,8 +153,8 @@ def test_every_infrastructure_of_osrd_becomes_a_network_with_all_its_track(
     network = read_network(written.path)
     tracks = json.loads((OSRD / "infras" / f"{name}.json").read_text())["track_sections"]
     assert network.length == pytest.approx(sum(each["length"] for each in tracks))
-    assert written.path.read_bytes() == network_to_bytes(imported(name))
-    assert written.path.read_bytes() == network_to_bytes(network)
+    assert written.path.read_bytes() == thing_to_bytes(imported(name))
+    assert written.path.read_bytes() == thing_to_bytes(network)
     assert all(edge.name in repr(edge.line) for edge in network.edges)
 
 

@@ -23,6 +23,7 @@ from trainlog.condition import estimated, known_before
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError
 from trainlog.formats.condition import read_map
+from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.files import (
     logs_of,
     made_folder,
@@ -32,7 +33,7 @@ from trainlog.formats.files import (
     write_bytes,
 )
 from trainlog.formats.mapfile import MapFile
-from trainlog.formats.network import network_from_bytes, network_to_bytes
+from trainlog.formats.network import network_from_bytes
 from trainlog.presentation import Presented, WordTable
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
@@ -380,8 +381,8 @@ def _kept_network(folder: Path, network: Network | None) -> Network | None:
     if network is None:
         return before
     if before is None:
-        write_bytes(folder / NETWORK_FILE, network_to_bytes(network))
-    elif network_to_bytes(before) != network_to_bytes(network):
+        write_bytes(folder / NETWORK_FILE, thing_to_bytes(network))
+    elif thing_to_bytes(before) != thing_to_bytes(network):
         raise InputError(
             f"holds maps of network '{before.name}', which differs from the '{network.name}' given",
             file=folder,

@@ -11,14 +11,7 @@ import numpy as np
 
 from trainlog.declaration import Column, Declared, Json, Must, Quantity, Table
 from trainlog.errors import InputError
-from trainlog.formats.declared import (
-    built,
-    file_content,
-    thing_from_bytes,
-    thing_to_bytes,
-    write_thing,
-)
-from trainlog.formats.files import read_bytes
+from trainlog.formats.declared import built, file_content, read_thing, write_thing
 from trainlog.formats.headed import HeadedTable, read_headed
 from trainlog.railway.adhesion import (
     GREATEST_ADHESION,
@@ -151,39 +144,6 @@ _FAMILIES = tuple(each.name for each in fields(CharacteristicFile) if each.name 
 """Keys that describe a characteristic."""
 
 
-def characteristic_from_bytes(
-    data: bytes, *, file: str | Path = "characteristic.json"
-) -> AdhesionCharacteristic:
-    """The characteristic in the bytes of its file; `file` is what errors call it.
-
-    Raises
-    ------
-    InputError
-        If they are not such a file, naming the place and the remedy.
-
-    Examples
-    --------
-    >>> wet = polach_curve("wet")
-    >>> characteristic_from_bytes(characteristic_to_bytes(wet)) == wet
-    True
-    """
-    return thing_from_bytes(CharacteristicFile, data, file).characteristic
-
-
-def characteristic_to_bytes(
-    characteristic: AdhesionCharacteristic, provenance: dict[str, Any] | None = None
-) -> bytes:
-    """The bytes of the characteristic's file.
-
-    Examples
-    --------
-    >>> from trainlog.railway.adhesion import WET
-    >>> b"exponentials_over_slip_speed" in characteristic_to_bytes(WET)
-    True
-    """
-    return thing_to_bytes(CharacteristicFile.of(characteristic, provenance or {}))
-
-
 def characteristic_content(characteristic: AdhesionCharacteristic) -> dict[str, Any]:
     """What stands in a characteristic's file, to stand in another."""
     return file_content(CharacteristicFile.of(characteristic, {}))
@@ -218,7 +178,7 @@ def read_characteristic(path: str | Path) -> AdhesionCharacteristic:
             f"adhesion characteristic '{name}' is unknown",
             remedy=f"give a file, or one of {', '.join(PRESETS)}",
         )
-    return characteristic_from_bytes(read_bytes(path), file=path)
+    return read_thing(CharacteristicFile, path).characteristic
 
 
 def write_characteristic(

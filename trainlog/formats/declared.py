@@ -77,18 +77,29 @@ def body_of(kind: type[Declared], data: bytes, file: str | Path) -> dict[str, An
             place="version",
             remedy=f"add the version: {kind.VERSION} for a new file",
         )
-    if version not in range(1, kind.VERSION + 1) or isinstance(version, bool):
-        newer = isinstance(version, int) and version > kind.VERSION
-        raise InputError(
-            f"version {version} is {'newer than' if newer else 'not one that'} this trainlog"
-            f" {f'knows ({kind.VERSION})' if newer else 'reads'}",
-            file=file,
-            place="version",
-            remedy="update trainlog"
-            if newer
-            else "expected " + " or ".join(map(str, range(1, kind.VERSION + 1))),
-        )
+    check_version(version, kind.VERSION, file, "version")
     return {key: value for key, value in content.items() if key not in ("format", "version")}
+
+
+def check_version(version: object, newest: int, file: str | Path, place: str | None = None) -> None:
+    """Refuse a file of a version that is not known.
+
+    Raises
+    ------
+    InputError
+    """
+    if version in range(1, newest + 1) and not isinstance(version, bool):
+        return
+    newer = isinstance(version, int) and version > newest
+    raise InputError(
+        f"version {version} is {'newer than' if newer else 'not one that'} this trainlog"
+        f" {f'knows ({newest})' if newer else 'reads'}",
+        file=file,
+        place=place,
+        remedy="update trainlog"
+        if newer
+        else "expected " + " or ".join(map(str, range(1, newest + 1))),
+    )
 
 
 def file_content(thing: Declared) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from trainlog.declaration import from_content, gathered, placed
 from trainlog.errors import InputError
-from trainlog.formats.declared import body_of, built, read_thing, thing_to_bytes, write_thing
+from trainlog.formats.declared import body_of, built, read_thing, write_thing
 from trainlog.formats.files import read_bytes
 from trainlog.railway.line import Line
 from trainlog.railway.network import Network
@@ -70,11 +70,6 @@ def _edge(edge: Any, folder: Path) -> Any:
 
 def _name_of(line: Any) -> Any:
     return line.get("name") if isinstance(line, dict) else None
-
-
-def network_to_bytes(network: Network) -> bytes:
-    """The bytes of the network's file: the same network gives the same bytes."""
-    return thing_to_bytes(network)
 
 
 def read_network(path: str | Path) -> Network:

@@ -58,23 +58,10 @@ class _Track:
         """The name of a section."""
         return self.name if len(self.cuts) == 0 else f"{self.name}/{number + 1}"
 
-    def end_before(self, cut: float) -> TrackEnd:
-        """The end of the section that ends at a cut."""
-        return TrackEnd(self.section(self.cuts.index(cut)), at_end=True)
-
-    def begin_after(self, cut: float) -> TrackEnd:
-        """The beginning of the section that begins at a cut."""
-        return TrackEnd(self.section(self.cuts.index(cut) + 1), at_end=False)
-
-    @property
-    def first(self) -> TrackEnd:
-        """Its beginning."""
-        return TrackEnd(self.section(0), at_end=False)
-
-    @property
-    def last(self) -> TrackEnd:
-        """Its end."""
-        return TrackEnd(self.section(len(self.cuts)), at_end=True)
+    def around(self, cut: float) -> tuple[TrackEnd, TrackEnd]:
+        """The end of the section before a cut, and the beginning of the one behind it."""
+        number = self.cuts.index(cut)
+        return TrackEnd(self.section(number), True), TrackEnd(self.section(number + 1), False)
 
     def at(self, element: Element) -> float:
         """Position [m] of an element from the track's beginning."""
@@ -324,7 +311,8 @@ class _File:
         """Movements between tracks, by the connections that name each other."""
         macroscopic = dict[str, list[TrackEnd]]()
         for track in self.tracks:
-            for tag, end in (("trackBegin", track.first), ("trackEnd", track.last)):
+            begin, last = TrackEnd(track.section(0), False), track.section(len(track.cuts))
+            for tag, end in (("trackBegin", begin), ("trackEnd", TrackEnd(last, True))):
                 place = track.element.first("trackTopology", tag)
                 assert place is not None
                 for each in place.children:
@@ -337,7 +325,7 @@ class _File:
             for switch in _switches(track.element):
                 self._add_switch(track, switch)
             for cut in track.cuts:
-                self.graph.movements.append((track.end_before(cut), track.begin_after(cut)))
+                self.graph.movements.append(track.around(cut))
         for ends in macroscopic.values():
             self.graph.movements += combinations(ends, 2)
         self._meet()
@@ -354,7 +342,7 @@ class _File:
     def _add_switch(self, track: _Track, switch: Element) -> None:
         """The ends from which trains take the branches of a switch or crossing."""
         cut = track.at(switch)
-        before, after = track.end_before(cut), track.begin_after(cut)
+        before, after = track.around(cut)
         label = switch.text("name") or switch.text("id") or f"{track.name} at {cut:g} m"
         for end in (before, after):
             self.graph.labels.setdefault(end, label)

@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
+from trainlog.formats.declared import check_version
 from trainlog.formats.files import atomic_write, refuse_reading
 
 FORMAT, VERSION = "trainlog/summaries", 1
@@ -306,14 +307,7 @@ def _check_header(metadata: dict[bytes, bytes], path: str | Path) -> None:
             f"is not a {FORMAT} file", file=path, remedy="give logs, or what 'trainlog fit' wrote"
         )
     version = metadata.get(b"version", b"").decode("utf-8", "replace")
-    if version != str(VERSION):
-        newer = version.isdigit() and int(version) > VERSION
-        raise InputError(
-            f"version {version} is "
-            + (f"newer than this trainlog knows ({VERSION})" if newer else "not one it reads"),
-            file=path,
-            remedy="update trainlog" if newer else "fit the logs again",
-        )
+    check_version(int(version) if version.isdecimal() else version, VERSION, path)
 
 
 def _check(frame: pd.DataFrame, path: str | Path) -> None:

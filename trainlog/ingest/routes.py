@@ -16,8 +16,8 @@ from estimators.route_matching import EdgeGraph
 from trainlog.arrays import BoolArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
+from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.files import sha256
-from trainlog.formats.network import network_to_bytes
 from trainlog.ingest.chainage import distance_driven
 from trainlog.ingest.edge_candidates import EdgeTracks, edge_tracks
 from trainlog.ingest.estimates import fixes_of
@@ -67,7 +67,7 @@ class NetworkRoutes:
     @cached_property
     def sha256(self) -> str:
         """Of the network as a file."""
-        return sha256(network_to_bytes(self.network))
+        return sha256(thing_to_bytes(self.network))
 
     @cached_property
     def turns(self) -> IntArray:
