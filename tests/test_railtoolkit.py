@@ -83,6 +83,12 @@ def test_a_step_that_is_too_coarse_is_refused() -> None:
 
 
 @SHARED
+def test_a_share_of_the_load_beyond_all_of_it_is_refused() -> None:
+    with pytest.raises(InputError, match=r"a share of 1\.5 of the load is not between 0 and 1"):
+        train_of("local", 1.5)
+
+
+@SHARED
 @pytest.mark.parametrize(
     "file", sorted((DATA / "railtoolkit_schema" / "test").glob("*/invalid/*.yaml")), ids=str
 )
