@@ -12,11 +12,11 @@ from refusals import refused
 import trainlog
 from trainlog.cli import main as cli
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.formats.railtoolkit import read_any, read_rolling_stock, read_running_paths
+from trainlog.formats.railtoolkit import coupled, read_any, read_rolling_stock, read_running_paths
 from trainlog.formats.train import read_train
 from trainlog.formats.trajectory import read_trajectory
 from trainlog.railway import EffortCurve, Train
-from trainlog.railway.consist import Formation, RollingVehicle
+from trainlog.railway.consist import RollingVehicle
 from trainlog.railway.motion import shortest_run
 from trainlog.units import GRAVITY
 
@@ -126,7 +126,7 @@ def test_every_valid_case_is_read() -> None:
     for file in sorted((folder / "test" / "running-path" / "valid").glob("*.yaml")):
         assert read_running_paths(file)
     vehicles, formations = read_rolling_stock(folder / "rolling-stock.example.yaml")
-    assert formations["RB50-1"].mass(0.0) == 2 * 68e3
+    assert coupled(*formations["RB50-1"], 0.0).mass == 2 * 68e3
     assert vehicles["BR642"].deceleration == 0.4253
     line = read_running_paths(folder / "running-path.example.yaml")["example"]
     assert line.speed_limit(0.0) == pytest.approx(160 / 3.6)
@@ -165,15 +165,15 @@ def test_strahl_and_sauthoff_say_what_wende_prints() -> None:
 
 def test_a_formation_adds_its_vehicles_up() -> None:
     wagon = RollingVehicle("wagon", "freight", 19.0, 25e3, 59e3, max_speed=27.0)
-    formation = Formation("train", (UNIT, wagon, wagon))
-    assert formation.length == 78.0
-    assert formation.mass(0.0) == 110e3
-    assert formation.mass(0.5) == 169e3
-    assert formation.max_speed == 27.0
-    assert formation.inertia(0.0) == pytest.approx(60e3 * 1.1 + 50e3 * 1.06)
-    assert formation.tractive_effort(20.0) == pytest.approx(50e3)
-    assert formation.deceleration == 0.375
-    refused(InputError, "no vehicle has tractive effort", Formation, "wagons", (wagon,))
+    empty, half = (coupled("train", (UNIT, wagon, wagon), share) for share in (0.0, 0.5))
+    assert empty.length == 78.0
+    assert empty.mass == 110e3
+    assert half.mass == 169e3
+    assert empty.max_speed == 27.0
+    assert empty.mass + empty.rotating_mass == pytest.approx(60e3 * 1.1 + 50e3 * 1.06)
+    assert empty.tractive_effort_limit(20.0) == pytest.approx(50e3)
+    assert empty.max_deceleration == 0.375
+    refused(InputError, "no vehicle has tractive effort", coupled, "wagons", (wagon,))
 
 
 def path_file(folder: Path, sections: str) -> Path:

@@ -1,7 +1,7 @@
-"""Vehicles one behind the other: a consist joined by couplers, a formation as textbooks give it.
+"""Vehicles one behind the other: a consist joined by couplers, rolling stock as textbooks give it.
 
-A `Consist` has every vehicle as a particle with its own forces. A `Formation` has its vehicles in
-per mille of their weight: running resistance after Strahl (wagons) and Sauthoff (coaches), and that
+A `Consist` has every vehicle as a particle with its own forces. A `RollingVehicle` is given in
+per mille of its weight: running resistance after Strahl (wagons) and Sauthoff (coaches), and that
 of the traction unit, as in Wende, D. (2003), *Fahrdynamik des Schienenverkehrs*, pp. 151-153. All
 are quadratic in speed, so that each is a `RunningResistance` with coefficients in newtons.
 """
@@ -440,82 +440,6 @@ class RollingVehicle:
             return RunningResistance(basic, 0.0, air)
         rolling = self.rolling_resistance * weight / REFERENCE_SPEED  # Sauthoff
         return RunningResistance(basic, rolling, 0.0) + _air(self.air_resistance * weight)
-
-
-@dataclass(frozen=True)
-class Formation:
-    """Vehicles coupled to a train.
-
-    Attributes
-    ----------
-    name : str
-    vehicles : tuple of RollingVehicle
-        At least one pulls.
-    source : str
-    """
-
-    name: str
-    vehicles: tuple[RollingVehicle, ...]
-    source: str = ""
-
-    def __post_init__(self) -> None:
-        if not any(vehicle.powered and vehicle.effort for vehicle in self.vehicles):
-            raise InputError(
-                f"formation '{self.name}': no vehicle has tractive effort",
-                remedy="add a traction unit or a multiple unit with its tractive effort",
-            )
-
-    @property
-    def length(self) -> float:
-        """Of all vehicles [m]."""
-        return sum(vehicle.length for vehicle in self.vehicles)
-
-    @property
-    def max_speed(self) -> float:
-        """Of the slowest vehicle [m/s]."""
-        return min(vehicle.max_speed for vehicle in self.vehicles)
-
-    @property
-    def passenger(self) -> bool:
-        """Whether it carries passengers: it may brake harder."""
-        return any(vehicle.kind in ("passenger", "multiple unit") for vehicle in self.vehicles)
-
-    def mass(self, loaded: float = 1.0) -> float:
-        """Of all vehicles [kg] with that share of their heaviest load."""
-        return sum(vehicle.mass + loaded * vehicle.load for vehicle in self.vehicles)
-
-    def inertia(self, loaded: float = 1.0) -> float:
-        """Mass with the rotating part [kg]: the vehicles' factors, weighted by empty mass."""
-        empty = self.mass(0.0)
-        factor = sum(vehicle.inertia_factor * vehicle.mass for vehicle in self.vehicles) / empty
-        return factor * self.mass(loaded)
-
-    def resistance(self, loaded: float = 1.0) -> RunningResistance:
-        """Of all vehicles with that share of their heaviest load."""
-        return reduce(add, (vehicle.resistance(loaded * vehicle.load) for vehicle in self.vehicles))
-
-    def tractive_effort(self, speed: ArrayLike) -> FloatArray:
-        """Of all vehicles that pull [N] at each speed [m/s]."""
-        curves = [vehicle.effort for vehicle in self.vehicles if vehicle.powered and vehicle.effort]
-        return np.asarray(sum(curve(speed) for curve in curves))
-
-    @property
-    def effort_knots(self) -> FloatArray:
-        """Speeds [m/s] between which the tractive effort is linear, growing from 0."""
-        curves = [vehicle.effort for vehicle in self.vehicles if vehicle.powered and vehicle.effort]
-        return np.unique(np.concatenate([curve.speeds for curve in curves]))
-
-    @property
-    def deceleration(self) -> float:
-        """Of service braking [m/s²]: what the vehicles give, else 0.375 or, for freight, 0.225.
-
-        The defaults are those of Brünger and Dahlhaus (2014), in *Railway Timetabling &
-        Operations*, p. 74.
-        """
-        given = [each.deceleration for each in self.vehicles if each.deceleration is not None]
-        if given:
-            return min(given)
-        return 0.375 if self.passenger else 0.225
 
 
 def _air(force: float) -> RunningResistance:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray, IntArray
-from trainlog.declaration import Array, Choice, Declared, Json, Many, Quantity, check
+from trainlog.declaration import Array, Choice, Declared, Json, Many, Quantity
 from trainlog.display import at_most, lateness, span
 from trainlog.errors import InputError
 from trainlog.plotted import Plotted
@@ -103,9 +103,13 @@ class Trajectory(Declared, Plotted):
     provenance: Annotated[dict[str, Any], Json(stated="written")] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        q, n = len(self.configurations), self.positions.size - 1
         if self.tractive_effort_fall.size == 0:
-            object.__setattr__(self, "tractive_effort_fall", np.zeros(n))
+            object.__setattr__(self, "tractive_effort_fall", np.zeros(self.positions.size - 1))
+        super().__post_init__()
+
+    def problems(self) -> Iterator[InputError]:
+        """What no train can do."""
+        q, n = len(self.configurations), self.positions.size - 1
         expected = {
             "speeds": (q, n + 1),
             "times": (q, n + 1),
@@ -115,13 +119,10 @@ class Trajectory(Declared, Plotted):
         }
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
-                raise InputError(
+                yield InputError(
                     f"trajectory: {name} has shape {getattr(self, name).shape}, needs {shape}"
                 )
-        check(self)
-
-    def problems(self) -> Iterator[InputError]:
-        """What no train can do."""
+                return
         falling = np.flatnonzero(np.diff(self.positions) <= 0.0)
         if falling.size or self.positions.size < 2:
             row = int(falling[0]) + 1 if falling.size else 0

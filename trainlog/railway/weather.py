@@ -140,12 +140,9 @@ def given_condition(word: str, known: Iterable[str] = ()) -> str:
 frost, ice, snow, dew, oil, rust, sand; a new one is given as new:nass
     """
     label = word.removeprefix(NEW)
-    words = {label, *re.split("[_-]", label)}
-    if words & set(CONDITIONS):
-        return check_condition(label)
     every = list(dict.fromkeys((*known, *CONDITIONS)))
-    check_condition(label, every)
-    if label == word and not words & set(every):
+    check_condition(label, known)
+    if label == word and not {label, *re.split("[_-]", label)} & set(every):
         raise InputError(
             f"rail condition '{word}' is not known",
             remedy=f"known: {', '.join(every)}; a new one is given as {NEW}{word}",
