@@ -427,14 +427,21 @@ def test_details_fold_and_the_contents_lead_into_them(trip_page: str) -> None:
         assert re.search(r'<summary><h2>.*?</h2></summary>\s*<div id="section-\d"', folded)
 
 
-def test_the_overview_of_a_folder_names_its_files(tmp_path: Path) -> None:
+def test_the_report_of_a_folder_begins_with_answers_and_ends_with_its_files(tmp_path: Path) -> None:
     (tmp_path / "trips").mkdir()
     for name in ("a.mcap", "b.mcap"):
         shutil.copy(sample("nonstop.mcap"), tmp_path / "trips" / name)
     write_trajectory(planned(), tmp_path / "plan.json")
     page = write_report(tmp_path, tmp_path.parent / "page.html")
-    (files,) = [each for each in page.sections[0].parts if getattr(each, "title", "") == "Files"]
+    (answers,) = page.sections[0].parts
+    said = dict(answers.rows)
+    assert said["what was driven"].startswith("recorded: 2 trips")
+    assert said["is the recording good"] == "2 good"
+    assert "trajectory: " in said["what did it cost"]
+    files, made_of = page.sections[-1].parts[:2]
     assert [row[0] for row in files.rows] == ["plan.json", "trips/a.mcap", "trips/b.mcap"]
+    assert ["trips/a.mcap", "simulate"] in [list(row[:2]) for row in made_of.rows]
+    assert not any("{" in cell for row in made_of.rows for cell in row)
 
 
 def test_one_line_draws_a_trip() -> None:

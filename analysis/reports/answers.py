@@ -5,21 +5,22 @@ Of the recording there is one verdict, with its reasons: `verdict`.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from analysis.adhesion.map_plot import lowest_bins
 from analysis.adhesion.slip import SlipAnalysis
 from analysis.fleet.checks import checked
 from analysis.fleet.trips import FleetTrip
 from analysis.reports.page import Section
 from trainlog.display import counted
 from trainlog.errors import NotRecordedError
-from trainlog.presentation import WordTable, new_table
-from trainlog.railway.condition import TrackConditionMap
+from trainlog.presentation import facts_table
 from trainlog.railway.kilometres import km_words
 from trainlog.railway.line import Line
 from trainlog.trip import Trip
@@ -36,6 +37,8 @@ MANY_REPAIRS = 0.01
 
 LEAST_SPEED_OFF = 0.002
 """A recorded speed that is off by a smaller share is no doubt: wheels wear by as much."""
+
+SPEED_OFF = f"recorded speed off by more than its band and {100.0 * LEAST_SPEED_OFF:g} %"
 
 NEEDED = ("speed", "position")
 """Channels without which a recording is not reliable."""
@@ -90,46 +93,62 @@ def verdict(trip: Trip, damage: str = "") -> Verdict:
     0
     """
     row = checked(FleetTrip(trip, damage=damage))
-    found = sorted(_reasons(trip, row), key=lambda each: -each[0])
-    return Verdict(max((level for level, _ in found), default=0), tuple(said for _, said in found))
-
-
-def _reasons(trip: Trip, row: Mapping[str, Any]) -> Iterator[tuple[int, str]]:
-    """How much each doubt weighs, and its words."""
-    if row["damage"]:
-        yield 1, str(row["damage"]).rstrip(".")
-    gap = float(row.get("gap_time", 0.0))
-    if row.get("gaps"):
-        longest = float(row["longest_gap"])
-        words = f"{counted(int(row['gaps']), 'gap')}, {gap:.0f} s in all, {longest:.0f} s at most"
-        yield 2 if gap > LONG_GAP * float(row["duration"]) else 1, words
-    if row["frozen"]:
-        yield 1, f"repeats a value: {row['frozen']}"
-    missing = [each for each in str(row["missing"]).split(", ") if each]
-    if any(each in NEEDED for each in missing):
-        yield 2, f"not recorded: {', '.join(each for each in missing if each in NEEDED)}"
-    others = [each for each in missing if each not in NEEDED]
-    if others:
-        yield 0, f"not recorded: {', '.join(others)}"
-    if row.get("repairs"):
-        rows = max(sum(map(len, trip.topics.values())), 1)
-        many = int(row["repairs"]) > MANY_REPAIRS * rows
-        yield int(many), f"{counted(int(row['repairs']), 'repair')} by ingest ({row['repaired']})"
-    off = float(row.get("speed_scale", 1.0)) - 1.0
-    if abs(off) > max(1.96 * float(row.get("speed_scale_std", 0.0)), LEAST_SPEED_OFF):
-        yield 1, f"recorded speed is {off:+.1%} off, by {row['speed_scale_source']}"
+    samples = max(sum(map(len, trip.topics.values())), 1)
+    found = [each for each in doubts(row, samples) if each.words]
     if "assumed" in trip.metadata.get("clock", ""):
-        yield 1, f"clock: {trip.metadata['clock']}"
+        found.append(Doubt(1, (), f"clock: {trip.metadata['clock']}"))
+    found.sort(key=lambda each: -each.level)
+    level = max((each.level for each in found), default=0)
+    return Verdict(level, tuple(each.words for each in found))
 
 
-def answers(rows: Iterable[tuple[str, str | Sequence[str]]]) -> WordTable:
-    """The questions of a first page with their answers; those without one are left out."""
-    table = new_table("", "", "", show_header=False)
-    for question, said in rows:
-        words = [said] if isinstance(said, str) else list(said)
-        if any(words):
-            table.add_row(question, "\n".join(filter(None, words)))
-    return table
+class Doubt(NamedTuple):
+    """Something doubtful of a recording.
+
+    Attributes
+    ----------
+    level : int
+        Of `VERDICTS`, at best.
+    kinds : tuple of str
+        By which recordings are counted.
+    words : str
+        Empty where it is not stated of a single recording.
+    """
+
+    level: int
+    kinds: tuple[str, ...]
+    words: str = ""
+
+
+def doubts(row: Mapping[str, Any], samples: float = np.inf) -> Iterator[Doubt]:
+    """The doubts of a recording, by its checks (`analysis.fleet.checks`) and number of samples."""
+    known = {name: value for name, value in row.items() if value == value}
+    if known["damage"]:
+        yield Doubt(1, ("damaged log",), str(known["damage"]).rstrip("."))
+    if known.get("gaps"):
+        gap, longest = known["gap_time"], known["longest_gap"]
+        words = f"{counted(int(known['gaps']), 'gap')}, {gap:.0f} s in all, {longest:.0f} s at most"
+        level = 2 if gap > LONG_GAP * known["duration"] else 1
+        yield Doubt(level, ("gaps in the train's state",), words)
+    if known["frozen"]:
+        kinds = [f"repeats a value: {each}" for each in str(known["frozen"]).split(", ")]
+        yield Doubt(1, tuple(kinds), f"repeats a value: {known['frozen']}")
+    missing = [each for each in str(known["missing"]).split(", ") if each]
+    for level, needed in ((2, True), (0, False)):
+        names = [each for each in missing if (each in NEEDED) == needed]
+        if names:
+            kinds = [f"not recorded: {each}" for each in names]
+            yield Doubt(level, tuple(kinds), f"not recorded: {', '.join(names)}")
+    if known.get("repairs"):
+        many = known["repairs"] > MANY_REPAIRS * samples
+        words = f"{counted(int(known['repairs']), 'repair')} by ingest ({known['repaired']})"
+        yield Doubt(int(many), ("repaired by ingest",), words)
+    off = float(known.get("speed_scale", 1.0)) - 1.0
+    if abs(off) > max(1.96 * float(known.get("speed_scale_std", 0.0)), LEAST_SPEED_OFF):
+        words = f"recorded speed is {off:+.1%} off, by {known['speed_scale_source']}"
+        yield Doubt(1, (SPEED_OFF,), words)
+    if known["doubts"]:
+        yield Doubt(0, ("not all could be checked",))
 
 
 def summary_section(
@@ -139,21 +158,27 @@ def summary_section(
     cost: str | Sequence[str],
     steps: Sequence[str],
 ) -> Section:
-    """The first page of a report."""
-    return Section(
-        "Summary",
-        [
-            answers(
-                [
-                    ("what was driven", driven),
-                    ("is the recording good", recording),
-                    ("where is it slippery", slippery),
-                    ("what did it cost", cost),
-                    ("what to do", steps),
-                ]
-            )
-        ],
-    )
+    """The first page of a report; questions without an answer are left out."""
+    answers = {
+        "what was driven": driven,
+        "is the recording good": recording,
+        "where is it slippery": slippery,
+        "what did it cost": cost,
+        "what to do": steps,
+    }
+    rows = {
+        question: "\n".join(filter(None, [said] if isinstance(said, str) else said))
+        for question, said in answers.items()
+    }
+    known = {question: words for question, words in rows.items() if words}
+    return Section("Summary", [facts_table("", known)])
+
+
+def verdict_counts(levels: Iterable[int]) -> str:
+    """How many recordings have each verdict, in words."""
+    counts = Counter(levels)
+    words = [f"{counts[level]:,} {name}" for level, name in enumerate(VERDICTS) if counts[level]]
+    return ", ".join(words)
 
 
 def slip_words(found: SlipAnalysis | Exception, line: Line | None) -> list[str]:
@@ -180,19 +205,19 @@ def slip_words(found: SlipAnalysis | Exception, line: Line | None) -> list[str]:
     return words
 
 
-def map_words(track: TrackConditionMap, bins: pd.DataFrame, places: Sequence[float]) -> list[str]:
-    """The lowest places of a map with their bands, in words."""
-    if not places:
+def map_words(bins: pd.DataFrame) -> list[str]:
+    """The lowest places of rows of `bins_table` with their bands, in words."""
+    several = len(set(bins["line"])) > 1
+    words = [
+        f"{row['line']}, " * several + f"km {row['start_km']:.3f}{near}:"
+        f" {row['expected_low']:.3f} to {row['expected_high']:.3f} on {row['layer']} rail"
+        for row in lowest_bins(bins, SLIPPERY).to_dict("records")
+        for near in [f", {row['near']}" if row.get("near") else ""]
+    ]
+    if not words:
         return ["not known: nothing was observed"]
-    words = []
-    for place in places[:SLIPPERY]:
-        here = bins[(bins["start_m"] <= place) & (bins["end_m"] > place) & bins["observed"]]
-        row = here.sort_values("expected_low").to_dict("records")[0]
-        near = f", {row['near']}" if row["near"] else ""
-        band = f"{row['expected_low']:.3f} to {row['expected_high']:.3f}"
-        words.append(f"km {row['start_km']:.3f}{near}: {band} on {row['layer']} rail")
     seen = ", ".join(
-        f"{np.mean(layer.observed):.0%} of the line on {name} rail"
-        for name, layer in track.layers.items()
+        f"{share:.0%} of the {'lines' if several else 'line'} on {layer} rail"
+        for layer, share in bins.groupby("layer", sort=False)["observed"].mean().items()
     )
     return [*words, f"observed: {seen}; elsewhere it is not known"]

@@ -7,6 +7,7 @@ import re
 import shlex
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,6 +17,7 @@ import numpy as np
 
 from analysis.charts import BLUE, Chart, Curve, Panel, limit_curve, rows_to_draw, stations_of
 from analysis.comparison.groups import TripCost, compare_groups, trip_cost
+from analysis.reports.answers import VERDICTS, summary_section, verdict_counts
 from analysis.reports.charts import WITHOUT_BOKEH, as_part
 from analysis.reports.page import Commands, Page, Part, Section, Warned
 from analysis.reports.results import (
@@ -27,7 +29,7 @@ from analysis.reports.results import (
     trajectory_sections,
 )
 from analysis.reports.summary import report
-from analysis.reports.trip import Motion, Zone, trip_sections
+from analysis.reports.trip import Motion, Zone, recorded_trip, trip_sections
 from trainlog import __version__
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
@@ -49,14 +51,11 @@ from trainlog.presentation import WordTable, kwh, new_table
 from trainlog.progress import note
 from trainlog.railway import Line
 from trainlog.railway.kilometres import in_km
-from trainlog.trip import POSITION_TOPICS
+from trainlog.trip import Trip
 from trainlog.units import KMH, clock
 
 MOST_DETAILED = 4
 """Trips of a folder that are shown one by one; more are a table and one chart."""
-
-MOST_NAMED = 40
-"""Logs of a folder that the overview names; the others are counted."""
 
 MOST_DRAWN = 40
 """Trips whose speeds one chart shows."""
@@ -232,6 +231,7 @@ def _folder_page(folder: Path, options: ReportOptions) -> Page:
         return Page(f"Study: {folder.name}", "", [*sections, _origin(files, options, folder)])
     found = _Folder.of(folder)
     sections, problems, used = list[Section](), dict[str, str](), list[Path]()
+    levels = dict[str, int]()
     for kind, path in found.results:
         name = _name(path, folder)
         try:
@@ -244,7 +244,7 @@ def _folder_page(folder: Path, options: ReportOptions) -> Page:
         sections.append(Section(f"{_TITLES[kind]}: {name}", parts, whole_page=True))
     detailed = sum(map(len, found.logs.values())) <= MOST_DETAILED
     for group, logs in found.logs.items():
-        section = _trips(group, logs, folder, options, problems, detailed=detailed)
+        section = _trips(group, logs, folder, options, (problems, levels), detailed=detailed)
         if section is not None:
             used += [log for log in logs if _name(log, folder) not in problems]
             sections.append(section)
@@ -261,8 +261,9 @@ def _folder_page(folder: Path, options: ReportOptions) -> Page:
             remedy="logs (.mcap), parameter sets, maps, trajectories, coast-downs and studies are"
             " shown, in the folder and in those in it",
         )
-    first = [*_bad(problems), *_summed_up(folder), *_saved(found), _files_named(found, folder)]
-    every = [Section("Overview", first), *sections, _origin(used, options, folder)]
+    summary = _folder_summary(folder, levels)
+    first = replace(summary, parts=[*_bad(problems), *summary.parts, *_saved(found)])
+    every = [first, *sections, _origin(used, options, folder)]
     stated = tuple(f"{name}: {words}" for name, words in problems.items())
     return Page(f"Results: {folder.resolve().name}", "", every, stated)
 
@@ -326,32 +327,28 @@ def _bad(problems: Mapping[str, str]) -> Iterator[Part]:
     yield table
 
 
-def _files_named(found: _Folder, folder: Path) -> Part:
-    """The files that are shown, each by its name, and what it is."""
-    table = new_table("Files", "file", "what it is")
-    for kind, path in found.results:
-        table.add_row(_name(path, folder), _TITLES[kind].lower())
-    for logs in found.logs.values():
-        for log in logs[:MOST_NAMED]:
-            table.add_row(_name(log, folder), "trip")
-        if len(logs) > MOST_NAMED:
-            table.add_row(f"{counted(len(logs) - MOST_NAMED, 'more log')} beside them", "trips")
-    for study in found.studies:
-        table.add_row(_name(study, folder), "study")
-    return table
+ANSWERS = {
+    "recorded": "driven",
+    "line": "driven",
+    "track condition": "slippery",
+    "following": "driven",
+}
+"""Of which question of the first page each result of `report` answers one; others are the cost."""
 
 
-def _summed_up(folder: Path) -> list[Part]:
-    """The summary that the terminal shows, where the folder is laid out as for it."""
+def _folder_summary(folder: Path, levels: Mapping[str, int]) -> Section:
+    """The first page of a folder: its results, and the verdicts on its recordings, by name."""
     note("summary")
-    try:
-        rows = report(folder)
-    except TrainlogError:
-        return []
-    shown = new_table("Summary", "", "result")
-    for first, words, *_ in rows.tables()[0].words:
-        shown.add_row(first, words)
-    return [shown]
+    said: dict[str, list[str]] = {"driven": [], "slippery": [], "cost": []}
+    # Files that cannot be read are listed below.
+    with suppress(TrainlogError):
+        for subject, words, _ in report(folder).rows:
+            said[ANSWERS.get(subject, "cost")].append(f"{subject}: {words}")
+    bad = [name for name, level in levels.items() if level == len(VERDICTS) - 1]
+    more = f" and {len(bad) - _MOST_NAMED} more" if len(bad) > _MOST_NAMED else ""
+    steps = [f"record anew, or do not use: {', '.join(bad[:_MOST_NAMED])}{more}"] * bool(bad)
+    recording = verdict_counts(levels.values())
+    return summary_section(said["driven"], recording, said["slippery"], said["cost"], steps)
 
 
 def _saved(found: _Folder) -> list[Part]:
@@ -370,21 +367,16 @@ def _trips(
     logs: Sequence[Path],
     folder: Path,
     options: ReportOptions,
-    problems: dict[str, str],
+    found: tuple[dict[str, str], dict[str, int]],
     *,
     detailed: bool,
 ) -> Section | None:
-    """The logs of a folder: each by itself, or of many a table and one chart."""
-    if detailed:
-        shown = list[Part]()
-        for log in logs:
-            try:
-                own = _collected(log, "trip", options)
-            except TrainlogError as error:
-                problems[_name(log, folder)] = _reason(error, log)
-                continue
-            shown.append(Section(f"Trip: {log.stem}", own))
-        return Section(f"Trips: {group}", shown, whole_page=True) if shown else None
+    """The logs of a folder: each by itself, or of many a table and one chart.
+
+    By name, problems and levels of verdicts are added to those that are `found`.
+    """
+    problems, levels = found
+    shown = list[Part]()
     table = new_table(
         "", "trip", f"from ({options.zone.name})", "running time", "distance", "stops", "traction",
         "from the line", "slip protection", "off the trajectory",
@@ -393,30 +385,35 @@ def _trips(
     for log in logs:
         note(_name(log, folder))
         try:
-            curve = _add_trip(table, log, options.zone, lines, first=not curves)
+            _, trip, judged = recorded_trip(log)
+            if detailed:
+                shown.append(Section(f"Trip: {log.stem}", _collected(log, "trip", options)))
+            elif curve := _add_trip(table, trip, options.zone, lines):
+                curves.append(curve)
         except TrainlogError as error:
             problems[_name(log, folder)] = _reason(error, log)
             continue
-        if curve is not None and len(curves) < MOST_DRAWN:
-            curves.append(curve)
-    if not table.rows:
-        return None
-    parts: list[Part] = [_overlaid(group, curves, lines)] if curves else []
-    words = f"One of them in full: trainlog report {group}/{logs[0].name} -o trip.html"
-    return Section(f"Trips: {group}", [*parts, table, words], whole_page=True)
+        levels[_name(log, folder)] = judged.level
+    if curves:
+        shown.append(_overlaid(group, curves[:MOST_DRAWN], lines))
+    if table.rows:
+        words = f"One of them in full: trainlog report {group}/{logs[0].name} -o trip.html"
+        shown += [table, words]
+    return Section(f"Trips: {group}", shown, whole_page=True) if shown else None
 
 
-def _add_trip(
-    table: WordTable, log: Path, zone: Zone, lines: dict[str, Line], *, first: bool
-) -> Curve | None:
+def _add_trip(table: WordTable, trip: Trip, zone: Zone, lines: dict[str, Line]) -> Curve | None:
     """A row of a trip, and its speed over km."""
-    trip = read_log(log, {name: ["position", "speed"] for name in POSITION_TOPICS})
     motion = Motion.of(trip)
     try:
-        cost: TripCost | None = trip_cost(log)
+        cost: TripCost | None = trip_cost(trip)
     except TrainlogError:
         cost = None
     begins = zone.date(motion.time[0]) if motion.time.size else ""
+    line: Line | None = None
+    with suppress(TrainlogError):
+        line = line_of(trip)
+        lines.setdefault(f"{line.name} {trip.metadata.get('direction', 'forward')}", line)
     if cost is None:
         table.add_row(trip.name, begins, *["not known"] * 7)
     else:
@@ -428,12 +425,6 @@ def _add_trip(
         )  # fmt: skip
     if not motion.position.size:
         return None
-    line: Line | None = None
-    try:
-        line = line_of(trip)
-        lines.setdefault(f"{line.name} {trip.metadata.get('direction', 'forward')}", line)
-    except TrainlogError:
-        pass
     rows = rows_to_draw(motion.speed, most=300)
     x, y = motion.position[rows] / 1e3, KMH * motion.speed[rows]
     hover = {
@@ -441,7 +432,7 @@ def _add_trip(
         "km": [f"{each:.3f}" for each in in_km(line, motion.position[rows]).tolist()],
         "speed": [f"{each:.1f} km/h" for each in y.tolist()],
     }
-    return Curve("each trip" if first else "", x, y, BLUE, "line", hover=hover, width=0.8)
+    return Curve("each trip", x, y, BLUE, "line", hover=hover, width=0.8)
 
 
 def _overlaid(group: str, curves: Sequence[Curve], lines: Mapping[str, Line]) -> Part:
@@ -478,16 +469,19 @@ def origin(files: Sequence[Path], folder: Path, command: str) -> Section:
     """Files with their digests, what they were made of, and the commands, of which one is given."""
     note("provenance")
     table = new_table("Files shown", "file", "bytes", "SHA-256")
-    steps = new_table("What they were made of", "file", "step", "software", "inputs and settings")
+    heads = ("file", "step", "software", "input or setting", "value")
+    steps = new_table("What they were made of", *heads)
     made_by: dict[str, list[str]] = {}
     for number, path in enumerate(files):
         table.add_row(_name(path, folder), f"{path.stat().st_size}", sha256_of(path))
         for step in _steps(path):
             name = str(step.get("step", ""))
             made_by.setdefault(name, []).append(_name(path, folder))
-            if number < MOST_TRACED:
-                words = (name, str(step.get("software", "")), _settings(step))
-                steps.add_row(_name(path, folder), *words)
+            about = (_name(path, folder), name, str(step.get("software", "")))
+            settings = _settings({k: v for k, v in step.items() if k not in UNLISTED})
+            for setting in (settings or [("", "")]) if number < MOST_TRACED else ():
+                steps.add_row(*about, *setting)
+                about = ("", "", "")
     if len(files) > MOST_TRACED:
         steps.caption = f"{len(files) - MOST_TRACED} more files; 'trainlog show' states theirs"
     commands = [
@@ -543,24 +537,26 @@ def _some(names: Sequence[str]) -> str:
     return names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "")
 
 
-def _settings(step: Mapping[str, Any]) -> str:
-    """Inputs with the beginning of their digests, and settings, of a step in words."""
-    words = []
+UNLISTED = ("step", "software", "report")
+"""Of a step of provenance."""
+
+
+def _settings(step: Mapping[str, Any], of: str = "") -> list[tuple[str, str]]:
+    """Names and values of inputs and settings; of many in one the first, digests by their begin."""
+    rows = list[tuple[str, str]]()
     for name, value in step.items():
-        if name in ("step", "software", "report"):
-            continue
         if isinstance(value, Mapping):
-            items = [
-                f"{key} {_brief(each)}" for key, each in value.items() if each not in (None, {})
-            ]
+            inner = _settings(value, f"{of}{name}, ")
+            rows += inner[:_MOST_NAMED]
+            more = len(inner) - _MOST_NAMED
+            rows += [(f"{of}{name}", f"and {more} more")] * (more > 0)
         elif isinstance(value, list | tuple):
-            items = [_brief(each) for each in value]
-        else:
-            items = [_brief(value)]
-        more = f" and {len(items) - _MOST_NAMED} more" if len(items) > _MOST_NAMED else ""
-        if items:
-            words.append(f"{name}: {', '.join(items[:_MOST_NAMED])}{more}")
-    return "; ".join(words)
+            words = [_brief(each) for each in value[:_MOST_NAMED]]
+            more = len(value) - _MOST_NAMED
+            rows.append((f"{of}{name}", ", ".join(words) + f" and {more} more" * (more > 0)))
+        elif value is not None:
+            rows.append((f"{of}{name}", _brief(value)))
+    return rows
 
 
 def _brief(value: object) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Any
@@ -13,14 +13,12 @@ import numpy as np
 
 from analysis.adhesion.condition_table import bins_table
 from analysis.adhesion.map_history import map_history
-from analysis.adhesion.map_plot import lowest_places
 from analysis.adhesion.map_state import MapState, line_of_map, map_state
 from analysis.charts import BLUE, SKY, Chart, Curve, Panel
 from analysis.reports.answers import map_words, summary_section
 from analysis.reports.charts import as_part, as_parts
 from analysis.reports.page import Part, Section, Warned
 from analysis.reports.pictures import Picture
-from analysis.reports.trip import facts_table
 from analysis.resistance.logs import Fits, fit
 from analysis.trajectory.advice import driver_table, journey_advice
 from analysis.trajectory.table import trajectory_table
@@ -35,9 +33,20 @@ from trainlog.formats.parameters import read_coast_down, read_parameters
 from trainlog.formats.samples import names, sample
 from trainlog.formats.summaries import SUFFIX
 from trainlog.formats.trajectory import read_trajectory
-from trainlog.presentation import WordTable, kwh, new_table, overspeed, with_band
+from trainlog.presentation import (
+    FORCE,
+    MASS,
+    POWER,
+    Band,
+    Column,
+    WordTable,
+    facts_table,
+    kwh,
+    new_table,
+    overspeed,
+)
 from trainlog.progress import note
-from trainlog.railway import Line, ParameterSet, TrackConditionMap, Trajectory
+from trainlog.railway import Line, ParameterSet, RunningResistance, TrackConditionMap, Trajectory
 from trainlog.units import KMH, clock
 
 MOST_ROWS = 60
@@ -90,7 +99,7 @@ def fit_sections(path: Path, logs: Sequence[Path] = ()) -> list[Section]:
         _fit_summary(fits),
         Section("Running resistance", [*doubts, *as_parts(fits.charts()), *fits.shown()]),
         Section("Trips of the fit", [_trips_table(fits), *_residuals(fits)], folded=True),
-        Section("Observed set", [_configurations(found)], folded=True),
+        Section("Observed set", found.shown(), folded=True),
     ]
 
 
@@ -138,37 +147,34 @@ def _same(one: ParameterSet, other: ParameterSet) -> bool:
     )
 
 
-def _trips_table(fits: Fits) -> WordTable:
-    rows = fits.drives
-    table = new_table(
-        "Each trip", "trip", "accepted", "mass", "power, kW", "kN at 80 km/h", "reason",
-        caption=f"{len(rows) - MOST_ROWS} more" if len(rows) > MOST_ROWS else None,
-    )  # fmt: skip
-    at = 80.0 / KMH
-    for row in rows.head(MOST_ROWS).to_dict("records"):
-        if row["refused"]:
-            table.add_row(row["trip"], "no", "", "", "", row["message"] or row["refused"])
-            continue
-        mass = with_band(row["mass"] / 1e3, float(np.sqrt(row["covariance_mass_mass"])) / 1e3, " t")
-        power = row["max_power"]
-        drag = row["r0"] + row["r1"] * at + row["r2"] * at**2
-        std = _drag_std(row, at)
-        table.add_row(
-            row["trip"], "yes", mass,
-            "-" if not np.isfinite(power) else with_band(power / 1e3, row["max_power_std"] / 1e3),
-            with_band(drag / 1e3, std / 1e3), "",
-        )  # fmt: skip
-    return table
-
-
-def _drag_std(row: dict[Hashable, Any], speed: float) -> float:
-    """Standard deviation of the running resistance of one trip at a speed [m/s], [N]."""
+def _drag(row: Mapping[str, Any]) -> Band:
+    """The running resistance of a trip at 80 km/h."""
+    speed = 80.0 / KMH
+    drag = RunningResistance(row["r0"], row["r1"], row["r2"])(speed)
     basis = dict(zip(("r0", "r1", "r2"), (1.0, speed, speed**2), strict=True))
     pairs = combinations_with_replacement(basis, 2)
-    terms = {
-        (a, b): row[f"covariance_{a}_{b}"] * basis[a] * basis[b] * (1 + (a != b)) for a, b in pairs
-    }
-    return float(np.sqrt(max(sum(terms.values()), 0.0)))
+    terms = (row[f"covariance_{a}_{b}"] * basis[a] * basis[b] * (1 + (a != b)) for a, b in pairs)
+    return Band(float(drag), max(sum(terms), 0.0) ** 0.5)
+
+
+DRIVE_COLUMNS = (
+    Column("trip"),
+    Column("accepted", of=lambda row: "no" if row["refused"] else "yes"),
+    Column("mass", MASS, band=True, each=True,
+           of=lambda row: Band(row["mass"], row["covariance_mass_mass"] ** 0.5)),
+    Column("power", POWER, band=True,
+           of=lambda row: Band(row["max_power"], row["max_power_std"])),
+    Column("at 80 km/h", FORCE, band=True, of=_drag),
+    Column("reason", of=lambda row: row["message"] or row["refused"]),
+)  # fmt: skip
+"""Of a row of the summaries of a fit."""
+
+
+def _trips_table(fits: Fits) -> WordTable:
+    rows = fits.drives
+    more = len(rows) - MOST_ROWS
+    table = new_table("Each trip", *DRIVE_COLUMNS, caption=f"{more} more" if more > 0 else None)
+    return table.add_rows(rows.head(MOST_ROWS).to_dict("records"))
 
 
 def _residuals(fits: Fits) -> list[Part]:
@@ -206,21 +212,6 @@ def _sample(count: int, most: int) -> IntArray:
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
 
 
-def _configurations(found: ParameterSet) -> WordTable:
-    table = new_table(
-        "Configurations of the observed set", "configuration", "mass", "power", "r0, N",
-        "r1, N/(m/s)", "r2, N/(m/s)²", "kN at 80 km/h",
-    )  # fmt: skip
-    for each in found.configurations:
-        drag = each.resistance
-        table.add_row(
-            each.name, f"{each.mass / 1e3:.1f} t", f"{each.max_power / 1e3:.0f} kW",
-            f"{drag.r0:.0f}", f"{drag.r1:.1f}", f"{drag.r2:.2f}",
-            f"{float(drag(80.0 / KMH)) / 1e3:.2f}",
-        )  # fmt: skip
-    return table
-
-
 def _set_alone(found: ParameterSet) -> list[Part]:
     """A set without the trips that it is from."""
     speed = np.linspace(0.0, max(found.speed_range[1], 10.0), 120)
@@ -243,7 +234,7 @@ def _set_alone(found: ParameterSet) -> list[Part]:
         [Panel("running resistance, kN", curves, 1.6)],
         f"Running resistance of the configurations of {found.train} over speed.",
     )
-    return [as_part(chart), _configurations(found)]
+    return [as_part(chart), *found.shown()]
 
 
 # ------------------------------------------------------------------------------------- a map
@@ -264,13 +255,12 @@ def map_sections(path: Path, line: Path | None = None) -> list[Section]:
     if not track.layers:
         return [Section("Track condition", ["The map has no layer yet: no trip counts in it."])]
     state = map_state(track, None, line=course)
-    bins = bins_table(track, course)
     sections = [
         summary_section(
             f"line {track.line}, {track.length / 1e3:.1f} km: {counted(len(track.trips), 'trip')}",
             [*dict.fromkeys(said for trip in track.trips for said in trip.get("notes", ()))]
             or "no recorder lacked what slip is measured by",
-            map_words(track, bins, lowest_places(bins)),
+            map_words(bins_table(track, course)),
             "",
             [
                 f"plan with it: trainlog plan --map {shlex.quote(path.name)} --set risk=0.05",
@@ -406,7 +396,7 @@ def coast_down_sections(path: Path) -> list[Section]:
     """What a report shows of a coast-down."""
     found = read_coast_down(path)
     parts: list[Part] = [
-        facts_table([("trips", counted(len(found.trips), "trip")), ("gradient", found.gradient)])
+        facts_table("", {"trips": counted(len(found.trips), "trip"), "gradient": found.gradient})
     ]
     if found.curve is not None or found.pieces:
         parts[:0] = as_parts(found.charts())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -40,7 +40,8 @@ from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.attached import line_of, passport_of
 from trainlog.ingest.report import report_of
 from trainlog.mcap import describe, read_log
-from trainlog.presentation import WordTable, kwh, new_table
+from trainlog.mcap.description import LogDescription
+from trainlog.presentation import WordTable, facts_table, kwh, new_table
 from trainlog.railway import Line
 from trainlog.railway.kilometres import in_km, station_at
 from trainlog.resampling import interpolated
@@ -227,8 +228,8 @@ def _stops(motion: Motion, line: Line | None) -> Iterator[StationCall]:
 # -------------------------------------------------------------------------------- the sections
 
 
-def trip_sections(log: Path, zone: Zone = Zone()) -> list[Section]:
-    """What a report shows of the trip in a log.
+def recorded_trip(log: Path) -> tuple[LogDescription, Trip, Verdict]:
+    """A log's description, its trip with the topics that a report shows, and the verdict on it.
 
     Raises
     ------
@@ -237,12 +238,24 @@ def trip_sections(log: Path, zone: Zone = Zone()) -> list[Section]:
     """
     description = describe(log)
     trip = read_log(log, [name for name in _READ if name in {t.name for t in description.topics}])
+    damage = "" if description.account.whole else description.account.sentence
+    return description, trip, verdict(trip, damage)
+
+
+def trip_sections(log: Path, zone: Zone = Zone()) -> list[Section]:
+    """What a report shows of the trip in a log.
+
+    Raises
+    ------
+    LogError
+        If the file is no log, or holds no trip.
+    """
+    description, trip, judged = recorded_trip(log)
     line = _line(trip)
     motion = Motion.of(trip)
     damage = "" if description.account.whole else description.account.sentence
     cost = _tried(lambda: trip_cost(trip))
     slipped = _tried(lambda: slip(trip))
-    judged = verdict(trip, damage)
     sections = [
         summary_section(
             _driven(trip, motion, line, zone, cost),
@@ -253,13 +266,13 @@ def trip_sections(log: Path, zone: Zone = Zone()) -> list[Section]:
         ),
         Section("Speed and efforts", _course(trip, zone)),
         Section("Stops and stations", _stops_part(motion, line, zone), folded=True),
-        Section("Energy", _energy(cost), folded=True),
+        Section("Energy and time", _energy(cost), folded=True),
         Section("Slip", _slip(slipped, trip, zone), folded=True),
         Section(
             "Recording",
             [
                 *([Warned(damage)] if damage else []),
-                _facts(trip, motion, zone, cost),
+                _facts(trip, motion, zone),
                 *_quality(trip),
                 *replace(description, path=Path(log.name)).shown(),
             ],
@@ -283,40 +296,21 @@ def _line(trip: Trip) -> Line | None:
     return None
 
 
-def facts_table(rows: Sequence[tuple[str, str]], title: str = "") -> WordTable:
-    """Names and what is known of them, as a table without heads."""
-    table = new_table(title, "", "", show_header=False)
-    for name, words in rows:
-        if words:
-            table.add_row(name, words)
-    return table
-
-
-def _facts(trip: Trip, motion: Motion, zone: Zone, cost: object) -> WordTable:
+def _facts(trip: Trip, motion: Motion, zone: Zone) -> WordTable:
     known = trip.metadata
-    rows = [
-        ("trip", trip.name),
-        ("train", known.get("train", "")),
-        ("line", ", ".join(filter(None, [known.get("line", ""), known.get("direction", "")]))),
-        ("load", f"{float(known['load']) / 1e3:.1f} t" if _number(known.get("load")) else ""),
-        ("rail", known.get("weather", "")),
-        ("clock of the recording", known.get("clock", "")),
-    ]
-    if motion.time.size:
-        first, last = motion.time[0], motion.time[-1]
-        rows.insert(1, ("from", f"{zone.date(first)} {zone.name}"))
-        rows.insert(2, ("to", f"{zone.date(last)} {zone.name}"))
-    if isinstance(cost, TripCost):
-        rows += [
-            ("distance", f"{cost.distance / 1e3:.3f} km"),
-            (
-                "running time",
-                f"{cost.times}; {counted(cost.stops, 'stop')} on the way",
-            ),
-            ("top speed", f"{KMH * cost.top_speed:.0f} km/h"),
-            ("slip protection", "" if cost.slips is None else f"acted {cost.slips} times"),
-        ]
-    return facts_table(rows)
+    ends = motion.time[[0, -1]] if motion.time.size else ()
+    begin, end = [f"{zone.date(each)} {zone.name}" for each in ends] or ["", ""]
+    rows = {
+        "trip": trip.name,
+        "from": begin,
+        "to": end,
+        "train": known.get("train", ""),
+        "line": ", ".join(filter(None, [known.get("line", ""), known.get("direction", "")])),
+        "load": f"{float(known['load']) / 1e3:.1f} t" if _number(known.get("load")) else "",
+        "rail": known.get("weather", ""),
+        "clock of the recording": known.get("clock", ""),
+    }
+    return facts_table("", {name: words for name, words in rows.items() if words})
 
 
 def _driven(trip: Trip, motion: Motion, line: Line | None, zone: Zone, cost: object) -> list[str]:
@@ -542,29 +536,31 @@ def _energy(cost: object) -> list[Part]:
     if isinstance(cost, TrainlogError):
         return [f"Not known: {cost}."]
     assert isinstance(cost, TripCost)
-    mass = "not known" if np.isnan(cost.mass) else f"{cost.mass / 1e3:.1f} t"
-    rows = [
-        ("traction at the wheel rims", kwh(cost.traction)),
-        ("taken by the dynamic brake", kwh(cost.dynamic_braking)),
-        ("from the line, with the train's efficiencies, less what is fed back", kwh(cost.line)),
-        ("mass, loaded", mass),
-    ]
+    stops = counted(cost.stops, "stop")
+    rows = {
+        "distance": f"{cost.distance / 1e3:.3f} km",
+        "running time": f"{cost.times}; {stops} on the way",
+        "top speed": f"{KMH * cost.top_speed:.0f} km/h",
+        "traction at the wheel rims": kwh(cost.traction),
+        "taken by the dynamic brake": kwh(cost.dynamic_braking),
+        "from the line, with the train's efficiencies, less what is fed back": kwh(cost.line),
+        "mass, loaded": "not known" if np.isnan(cost.mass) else f"{cost.mass / 1e3:.1f} t",
+    }
     if cost.distance > 0.0 and not np.isnan(cost.mass) and not cost.unknown:
         work = cost.mass / 1e3 * cost.distance / 1e3
-        rows.append(
-            ("traction per tonne and kilometre", f"{cost.traction / 3.6e3 / work:.1f} Wh/(t km)")
-        )
+        rows["traction per tonne and kilometre"] = f"{cost.traction / 3.6e3 / work:.1f} Wh/(t km)"
     if cost.late is not None:
-        rows.append(("behind the trajectory on arrival", f"{cost.late:+.1f} s"))
-    return [facts_table(rows), *cost.notes]
+        rows["behind the trajectory on arrival"] = f"{cost.late:+.1f} s"
+    if cost.slips is not None:
+        rows["slip protection"] = f"acted {cost.slips} times"
+    return [facts_table("", rows), *cost.notes]
 
 
 def _slip(found: object, trip: Trip, zone: Zone) -> list[Part]:
     if isinstance(found, TrainlogError):
         return [f"Not known: {found}."]
     assert isinstance(found, SlipAnalysis)
-    rows = [(name, words) for name, words in found.summary().items()]
-    parts: list[Part] = [facts_table(rows)]
+    parts: list[Part] = [facts_table("", found.summary())]
     if len(found.events):
         parts.append(_slip_table(found, own_line(trip), zone))
     return parts
@@ -599,9 +595,9 @@ def _quality(trip: Trip) -> list[Part]:
     """What ingest repaired and what was found of the recorder."""
     parts: list[Part] = []
     with suppress(TrainlogError):
-        rows = [(f"{n}", words) for n, words in enumerate(report_of(trip).lines(), start=1)]
-        parts.append(facts_table(rows, "Read, kept and repaired"))
+        lines = enumerate(report_of(trip).lines(), start=1)
+        parts.append(facts_table("Read, kept and repaired", {str(n): words for n, words in lines}))
     known = passport_of(trip)
     if known is not None:
-        parts.append(facts_table(list(known.summary().items()), "Passport of the recorder"))
+        parts.append(facts_table("Passport of the recorder", known.summary()))
     return parts
