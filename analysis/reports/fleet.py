@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,14 +19,30 @@ from analysis.fleet.columns import LOST
 from analysis.fleet.maps import maps_folder
 from analysis.fleet.table import form_of_reason
 from analysis.fleet.trains import FleetTrains, trains_in
+from analysis.reports.answers import (
+    SPEED_OFF,
+    doubts,
+    map_words,
+    summary_section,
+    verdict_counts,
+)
 from analysis.reports.charts import as_part
-from analysis.reports.fleet_attention import FleetFacts, attention_parts
+from analysis.reports.fleet_attention import FleetFacts, attention_parts, attention_rows
+from analysis.reports.fleet_condition import KnownMaps, condition_parts, known_maps
 from analysis.reports.fleet_trains import drift_parts, resistance_parts, unlike_parts
 from analysis.reports.page import Page, Part, Section, Warned
-from trainlog.arrays import BoolArray
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
-from trainlog.presentation import DURATION, NUMBER, SHARE, Column, Quantity, WordTable, new_table
+from trainlog.presentation import (
+    DURATION,
+    NUMBER,
+    SHARE,
+    Column,
+    Quantity,
+    WordTable,
+    facts_table,
+    new_table,
+)
 from trainlog.progress import note
 from trainlog.units import JOULES_PER_KWH
 from trainlog.version import __version__, code_version
@@ -38,6 +54,9 @@ if TYPE_CHECKING:
 
 MOST_ROWS = 60
 """Rows of a table by line, train or reason; the others are counted."""
+
+MOST_URGENT = 3
+"""Of what asks for attention, named on the first page."""
 
 MOST_BARS = 40
 """Trains or edges of one picture."""
@@ -86,6 +105,22 @@ class _Fleet:
         """What is known of them."""
         return trains_in(self.catalogue, where=self.options.where)
 
+    @cached_property
+    def facts(self) -> FleetFacts:
+        """What may ask for attention."""
+        try:
+            trains: FleetTrains | str = self.trains
+        except TrainlogError as error:
+            trains = str(error)
+        outcomes = {name: self.outcomes(name) for name in ANALYSES}
+        return FleetFacts(self.trips, trains, outcomes, self.results("checks"))
+
+    @cached_property
+    def maps(self) -> KnownMaps:
+        """The maps of the edges."""
+        asked = self.options
+        return known_maps(asked.maps or maps_folder(self.catalogue), asked.network, asked.at)
+
     def results(self, name: str) -> pd.DataFrame:
         """What the present code has of an analysis, train and kind as the catalogue knows them."""
         computation = computation_of(ANALYSES[name])
@@ -133,14 +168,15 @@ def fleet_page(catalogue: Catalogue, options: FleetReportOptions) -> Page:
         raise InputError(
             "no trip is chosen", file=catalogue.place, remedy="choose others, or add logs"
         )
-    parts: Mapping[str, Callable[[_Fleet], list[Part]]] = {
-        "What asks for attention": _attention,
+    parts: Mapping[str, Callable[[_Fleet], Sequence[Part]]] = {
+        "Summary": _summary,
+        "What asks for attention": lambda fleet: attention_parts(fleet.facts),
         "The fleet in numbers": _numbers,
         "Trips": _trips,
         "Running resistance": lambda fleet: resistance_parts(fleet.trains),
         "Trains unlike the others": lambda fleet: unlike_parts(fleet.trains),
         "Drift": lambda fleet: drift_parts(fleet.trains),
-        "Condition of the rail": _condition,
+        "Condition of the rail": lambda fleet: condition_parts(fleet.maps),
         "Energy and time": _energy,
         "Refused and failed": _refused,
         "Quality of the recordings": _quality,
@@ -157,34 +193,47 @@ def fleet_page(catalogue: Catalogue, options: FleetReportOptions) -> Page:
     return Page(f"Fleet of {counted(len(fleet.trips), 'trip')}", chosen, sections)
 
 
-def _attention(fleet: _Fleet) -> list[Part]:
-    try:
-        trains: FleetTrains | str = fleet.trains
-    except TrainlogError as error:
-        trains = str(error)
-    outcomes = {name: fleet.outcomes(name) for name in ANALYSES}
-    return attention_parts(FleetFacts(fleet.trips, trains, outcomes, fleet.results("checks")))
+def _summary(fleet: _Fleet) -> Sequence[Part]:
+    """The first page: what was driven, how good it is, where it is slippery, its cost, what to do."""
+    facts = _facts(fleet)
+    levels = (
+        max((each.level for each in doubts(row)), default=0)
+        for row in fleet.results("checks").to_dict("records")
+    )
+    rows = fleet.results("driving")
+    cost = ""
+    if len(rows):
+        (energy,) = _energy_of(rows.assign(all=0), "all").to_dict("records")
+        cost = (
+            f"{PER_KM.words(energy['traction_per_m'])} of traction at the wheel rims,"
+            f" {PER_KM.words(energy['line_energy_per_m'])} from the line"
+        )
+    urgent = [f"{train}: {what}: {todo}" for train, what, _, _, todo in attention_rows(fleet.facts)]
+    return summary_section(
+        [f"{name}: {facts[name]}" for name in ("trips", "trains", "days")],
+        verdict_counts(levels) or "not checked",
+        fleet.maps.nothing or map_words(fleet.maps.bins),
+        cost or "not computed",
+        urgent[:MOST_URGENT] or ["nothing asks for attention"],
+    ).parts
 
 
 # ------------------------------------------------------------------------------------ catalogue
 
 
-def _numbers(fleet: _Fleet) -> list[Part]:
-    trips = fleet.trips
-    driving = fleet.results("driving")
-    table = new_table("", "", "result", name="fleet")
+def _facts(fleet: _Fleet) -> dict[str, str]:
+    """Trips, trains, lines and days, in words."""
+    trips, driving = fleet.trips, fleet.results("driving")
     first, last = trips["start"].min(), trips["start"].max()
-    days = trips["start"].dt.date.nunique()
     kinds = ", ".join(sorted(filter(None, trips["kind"].dropna().unique())))
-    facts = {
+    edges = f"{driving['edge'].nunique():,}" if len(driving) else "not known"
+    return {
         "trips": f"{len(trips):,}, {HOURS.words(float(trips['duration'].sum()))},"
         f" {DISTANCE.words(float(trips['distance'].sum()))}",
         "trains": f"{trips['train'].nunique():,}" + (f" of kind {kinds}" if kinds else ""),
         "lines and routes": f"{trips['line'].nunique():,}",
-        "edges that were run over": f"{driving['edge'].nunique():,}"
-        if len(driving)
-        else "not known",
-        "days": f"{days:,}, {first:%Y-%m-%d} to {last:%Y-%m-%d}",
+        "edges that were run over": edges,
+        "days": f"{trips['start'].dt.date.nunique():,}, {first:%Y-%m-%d} to {last:%Y-%m-%d}",
         "rail condition": ", ".join(
             f"{count:,} {name or 'not stated'}"
             for name, count in trips["weather"].fillna("").value_counts().items()
@@ -194,8 +243,10 @@ def _numbers(fleet: _Fleet) -> list[Part]:
         ),
         "report made by": f"trainlog {__version__}, code {code_version()}",
     }
-    for name, words in facts.items():
-        table.add_row(name, words)
+
+
+def _numbers(fleet: _Fleet) -> list[Part]:
+    trips = fleet.trips
     done = new_table(
         "Computed of them", "analysis", *(Column(each, NUMBER) for each in
         ("done", "refused", "failed", "pending")), "version of the code", name="computed",
@@ -211,7 +262,7 @@ def _numbers(fleet: _Fleet) -> list[Part]:
         late += [name] if known not in ("", code) else []
         counts = [int(states.get(each, 0)) for each in ("done", "refused", "failed")]
         done.add_cells(name, *counts, pending, known or "-")
-    parts: list[Part] = [table, done]
+    parts: list[Part] = [facts_table("", _facts(fleet), name="fleet"), done]
     if late:
         words = f"Computed by other code than this: {', '.join(late)}."
         parts.insert(0, Warned(f"{words} 'trainlog fleet update' computes them anew."))
@@ -240,25 +291,26 @@ def _grouped(trips: pd.DataFrame, title: str, keys: pd.Series) -> WordTable:
         trips=("key", "size"), trains=("train", "nunique"), distance=("distance", "sum"),
         duration=("duration", "sum"), lost=("_lost", "sum"),
     )  # fmt: skip
-    kept = found.nlargest(MOST_ROWS, "trips") if len(found) > MOST_ROWS else found
-    trains = [Column("trains", NUMBER)] if name != "train" else []
-    damaged = [Column("damaged logs", NUMBER)] if groups["_lost"].any() else []
-    table = new_table(
-        f"By {title}", name, Column("trips", NUMBER), *trains, Column("distance", DISTANCE),
-        Column("time", HOURS), *damaged,
-        name=f"by_{name}", caption=_more(len(found) - len(kept)),
-    )  # fmt: skip
-    for key, row in kept.sort_index().iterrows():
-        table.add_cells(
-            str(key), int(row["trips"]), *([int(row["trains"])] if trains else []),
-            float(row["distance"]), float(row["duration"]),
-            *([int(row["lost"])] if damaged else []),
-        )  # fmt: skip
-    return table
+    columns = [
+        Column(name, of="name"),
+        Column("trips", NUMBER),
+        *([Column("trains", NUMBER)] if name != "train" else []),
+        Column("distance", DISTANCE),
+        Column("time", HOURS, of="duration"),
+        *([Column("damaged logs", NUMBER, of="lost")] if groups["_lost"].any() else []),
+    ]
+    return _table(f"By {title}", columns, found, "trips", f"by_{name}")
 
 
-def _more(count: int) -> str | None:
-    return f"{count:,} more with fewer trips" if count > 0 else None
+def _table(
+    title: str, columns: Sequence[Column], rows: pd.DataFrame, by: str, name: str
+) -> WordTable:
+    """Rows in the order of their index; of many those that are largest by a column."""
+    kept = rows.nlargest(MOST_ROWS, by) if len(rows) > MOST_ROWS else rows
+    more = len(rows) - len(kept)
+    caption = f"{more:,} more with fewer trips" if more else None
+    table = new_table(title, *columns, name=name, caption=caption)
+    return table.add_rows(kept.sort_index().rename_axis("name").reset_index().to_dict("records"))
 
 
 def _by_day(trips: pd.DataFrame) -> Part:
@@ -292,16 +344,6 @@ def _by_day(trips: pd.DataFrame) -> Part:
     return as_part(
         Chart("", [panel], "Trips of each day, by kind of train.", span=ends, dates=True)
     )
-
-
-# ------------------------------------------------------------------------------------ condition
-
-
-def _condition(fleet: _Fleet) -> list[Part]:
-    from analysis.reports.fleet_condition import condition_parts
-
-    folder = fleet.options.maps or maps_folder(fleet.catalogue)
-    return condition_parts(folder, fleet.options.network, fleet.options.at)
 
 
 # --------------------------------------------------------------------------------------- energy
@@ -362,21 +404,17 @@ def _energy_of(rows: pd.DataFrame, by: str) -> pd.DataFrame:
 
 
 def _energy_table(found: pd.DataFrame, what: str) -> WordTable:
-    kept = found.nlargest(MOST_ROWS, "distance") if len(found) > MOST_ROWS else found
-    table = new_table(
-        f"Energy by {what}", what, Column("runs", NUMBER, "runs"),
-        Column("distance", DISTANCE), Column("traction", PER_KM, "traction"),
-        Column("dynamic brake", PER_KM, "dynamic_brake"),
-        Column("from the line", PER_KM, "from_the_line"),
+    columns = [
+        Column(what, of="name"),
+        Column("runs", NUMBER),
+        Column("distance", DISTANCE),
+        Column("traction", PER_KM, of="traction_per_m"),
+        Column("dynamic brake", PER_KM, of="dynamic_per_m"),
+        Column("from the line", PER_KM, of="line_energy_per_m"),
         Column("slip protection acted, times", NUMBER, "slips"),
-        name=f"energy_by_{what.split(' ')[0]}", caption=_more(len(found) - len(kept)),
-    )  # fmt: skip
-    for name, row in kept.sort_index().iterrows():
-        table.add_cells(
-            str(name), int(row["runs"]), float(row["distance"]), float(row["traction_per_m"]),
-            float(row["dynamic_per_m"]), float(row["line_energy_per_m"]), float(row["slips"]),
-        )  # fmt: skip
-    return table
+    ]
+    name = f"energy_by_{what.split(' ')[0]}"
+    return _table(f"Energy by {what}", columns, found, "distance", name)
 
 
 def _bars(found: pd.DataFrame, what: str) -> Part:
@@ -451,12 +489,18 @@ def _quality(fleet: _Fleet) -> list[Part]:
         "What is doubtful", "what", Column("trips", NUMBER), Column("trains", NUMBER),
         "most of them", name="checks",
     )  # fmt: skip
-    for what, chosen in _doubts(rows):
-        trains = rows["train"][chosen].value_counts()
+    found: dict[str, list[int]] = {}
+    for number, row in enumerate(rows.to_dict("records")):
+        for each in doubts(row):
+            for kind in each.kinds:
+                found.setdefault(kind, []).append(number)
+    for what, numbered in sorted(found.items(), key=lambda each: -len(each[1])):
+        chosen = rows.iloc[numbered]
+        trains = chosen["train"].value_counts()
         most = ", ".join(f"{name} ({count:,})" for name, count in trains.head(4).items())
         if what == SPEED_OFF:
-            most = _sizes(100.0 * (rows["speed_scale"][chosen] - 1.0), rows["train"][chosen])
-        table.add_cells(what, int(chosen.sum()), len(trains), most)
+            most = _sizes(100.0 * (chosen["speed_scale"] - 1.0), chosen["train"])
+        table.add_cells(what, len(chosen), len(trains), most)
     numbers = new_table(
         "Figures of all recordings", "figure", "median", "95 % of the trips are below", "largest",
         name="figures",
@@ -480,12 +524,6 @@ _FIGURES = (
 )
 
 
-LEAST_SPEED_OFF = 0.002
-"""A recorded speed that is off by a smaller share is no doubt: wheels wear by as much."""
-
-SPEED_OFF = f"recorded speed off by more than its band and {100.0 * LEAST_SPEED_OFF:g} %"
-
-
 def _sizes(percent: pd.Series, train: pd.Series) -> str:
     """By how much the speeds of trains are off: of those with most trips median and largest."""
     words = []
@@ -496,25 +534,3 @@ def _sizes(percent: pd.Series, train: pd.Series) -> str:
             f"{name} ({len(own):,}; median {float(own.median()):+.2f} %, largest {largest:+.2f} %)"
         )
     return ", ".join(words)
-
-
-def _doubts(rows: pd.DataFrame) -> Iterator[tuple[str, BoolArray]]:
-    """Each doubt with the trips that have it."""
-    yield from _doubt("damaged log", rows["damage"] != "")
-    yield from _doubt("gaps in the train's state", rows["gaps"] > 0)
-    yield from _doubt("repaired by ingest", rows["repairs"] > 0)
-    for column, words in (("missing", "not recorded: {}"), ("frozen", "repeats a value: {}")):
-        listed = rows[column].str.split(", ")
-        names = sorted({name for each in listed for name in each if name})
-        for name in names:
-            yield from _doubt(words.format(name), listed.map(lambda each, name=name: name in each))
-    size = (rows["speed_scale"] - 1.0).abs()
-    off = (size > 1.96 * rows["speed_scale_std"]) & (size > LEAST_SPEED_OFF)
-    yield from _doubt(SPEED_OFF, off)
-    yield from _doubt("not all could be checked", rows["doubts"] != "")
-
-
-def _doubt(words: str, chosen: pd.Series) -> Iterator[tuple[str, BoolArray]]:
-    found = chosen.to_numpy(bool)
-    if found.any():
-        yield words, found

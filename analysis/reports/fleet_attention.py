@@ -68,9 +68,14 @@ class FleetFacts:
     checks: pd.DataFrame
 
 
+def attention_rows(facts: FleetFacts) -> list[Row]:
+    """What asks for attention, what is most urgent first."""
+    return [*_findings(facts), *_steps(facts), *_results(facts), *_recordings(facts)]
+
+
 def attention_parts(facts: FleetFacts) -> list[Part]:
     """What asks for attention, what is most urgent first, each with what to do."""
-    rows = [*_findings(facts), *_steps(facts), *_results(facts), *_recordings(facts)]
+    rows = attention_rows(facts)
     # Where little can be compared, no finding is no all-clear.
     few = "" if isinstance(facts.trains, str) else facts.trains.too_few
     warned: list[Part] = [Warned(few)] if few else []

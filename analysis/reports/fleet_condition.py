@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import pandas as pd
 
@@ -22,51 +23,81 @@ MOST_PLACES = 10
 """Places that are listed of each rail condition."""
 
 
-def condition_parts(
+class KnownMaps(NamedTuple):
+    """Maps of edges by the evidence of the days before a time.
+
+    Attributes
+    ----------
+    maps : NetworkMap
+    at : Timestamp
+    nothing : str
+        Why nothing is known; empty where something is.
+    bad : list of str
+        Maps that could not be used, and why.
+    bins : DataFrame
+        Rows of `bins_table` of all of them.
+    """
+
+    maps: NetworkMap
+    at: pd.Timestamp
+    nothing: str
+    bad: list[str]
+    bins: pd.DataFrame
+
+
+def known_maps(
     folder: Path, network: Network | None = None, at: pd.Timestamp | None = None
-) -> list[Part]:
-    """Maps of all edges in a folder: what is expected at a time, where, and how sure that is.
+) -> KnownMaps:
+    """The maps of all edges in a folder.
 
     Parameters
     ----------
     folder : Path
         As `trainlog fleet update` keeps them: a file an edge.
     network : Network, optional
-        On which it is drawn.
+        On which they are drawn.
     at : Timestamp, optional
         Only evidence of days before its day counts (UTC). Default: right after the last evidence.
     """
     paths = map_files(folder)
-    if not paths:
-        return ["No trip's evidence is in a map yet: 'trainlog fleet update' adds it."]
-    read, bad = dict[str, tuple[TrackConditionMap, Path]](), list[Part]()
+    read, bad = dict[str, tuple[TrackConditionMap, Path]](), list[str]()
     several = set[str]()
     for path in paths:
         try:
             track = read_map(path)
         except TrainlogError as error:
-            bad.append(Warned(f"{path.name} could not be read: {error}."))
+            bad.append(f"{path.name} could not be read: {error}.")
             continue
         if track.line in read:
             several.add(track.line)
-            bad.append(Warned(f"{two_maps(track.line, read[track.line][1], path)}; left out."))
+            bad.append(f"{two_maps(track.line, read[track.line][1], path)}; left out.")
         read[track.line] = track, path
     tracks = {edge: track for edge, (track, _) in read.items() if edge not in several}
     last = max((int(each.days.max(initial=-1)) for each in tracks.values()), default=-1)
     at = pd.Timestamp(last + 1, unit="D", tz="UTC") if at is None else at
-    known = NetworkMap(folder, network, tracks).known_before(at)
-    if not known.layers:
-        before = f" of days before {at:%Y-%m-%d}" if 0 <= at.timestamp() // 86_400 <= last else ""
-        return [*bad, f"The maps hold no evidence{before} yet."]
-    bins = pd.concat([bins_table(each, None, at) for each in known.maps.values() if each.layers])
+    maps = NetworkMap(folder, network, tracks).known_before(at)
+    tables = [bins_table(each, None, at) for each in maps.maps.values() if each.layers]
+    before = f" of days before {at:%Y-%m-%d}" if 0 <= at.timestamp() // 86_400 <= last else ""
+    nothing = "" if tables else f"The maps hold no evidence{before} yet."
+    if not paths:
+        nothing = "No trip's evidence is in a map yet: 'trainlog fleet update' adds it."
+    return KnownMaps(maps, at, nothing, bad, pd.concat([*tables, pd.DataFrame()]))
+
+
+def condition_parts(known: KnownMaps) -> list[Part]:
+    """What is expected of the rail, where, and how sure that is."""
+    bad: list[Part] = [Warned(each) for each in known.bad]
+    if known.nothing:
+        return [*bad, known.nothing]
+    maps, at = known.maps, known.at
     return [
         *bad,
         f"What is expected on {at:%Y-%m-%d %H:%M} UTC, by the maps of"
-        f" {counted(len(known.maps), 'edge')}, on each condition of the rail. Where nothing was"
+        f" {counted(len(maps.maps), 'edge')}, on each condition of the rail. Where nothing was"
         " observed the maps have no estimate.",
-        *as_parts(known.charts(at=at)),
-        network_table(known, at),
-        *(part for layer in known.layers for part in lowest_parts(bins, layer)),
+        *as_parts(maps.charts(at=at)),
+        network_table(maps, at),
+        *(part for layer in maps.layers for part in lowest_parts(known.bins, layer)),
     ]
 
 
