@@ -21,7 +21,6 @@ from matplotlib.colors import to_hex
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
-from matplotlib.ticker import Formatter, Locator
 from numpy.typing import ArrayLike, NDArray
 
 from trainlog.formats.files import atomic_write
@@ -458,21 +457,6 @@ def new_figure(width: float = 9.0, height: float = 5.0) -> Figure:
     return figure
 
 
-def headline(
-    figure: Figure | SubFigure, text: str, *, colour: str = INK, size: float = 11.0
-) -> None:
-    """Write what a figure shows above it, on the left."""
-    figure.suptitle(text, x=0.01, ha="left", fontsize=size, color=colour)
-
-
-Corner = Literal["upper left", "upper right", "lower left", "lower right"]
-
-
-def legend(axes: Axes, place: Corner = "upper left", **options: Any) -> None:
-    """Draw the legend in the common look; further `options` as of matplotlib."""
-    axes.legend(fontsize=8, frameon=False, loc=place, **options)
-
-
 def dress(axes: Axes, *, x: str, y: str, title: str = "") -> Axes:
     """Label an axes and give it the common look."""
     axes.set_xlabel(x, color=INK)
@@ -487,44 +471,6 @@ def dress(axes: Axes, *, x: str, y: str, title: str = "") -> Axes:
         axes.spines[side].set_color(GREY)
     axes.tick_params(colors=INK, labelsize=9)
     return axes
-
-
-class _Kilometres(Locator):
-    """Ticks at round operator's kilometres of an axis that holds chainage [km]."""
-
-    def __init__(self, line: Line) -> None:
-        self.line = line
-
-    def __call__(self) -> list[float]:
-        low, high = self.axis.get_view_interval()  # type: ignore[union-attr]
-        return self.tick_values(low, high)
-
-    def tick_values(self, vmin: float, vmax: float) -> list[float]:
-        places: list[float] = (km_ticks(self.line, 1e3 * vmin, 1e3 * vmax)[0] / 1e3).tolist()
-        return places
-
-
-class _KilometreLabels(Formatter):
-    """Labels of such ticks."""
-
-    def __init__(self, line: Line) -> None:
-        self.line = line
-
-    def __call__(self, x: float, pos: int | None = None) -> str:  # noqa: ARG002
-        low, high = self.axis.get_view_interval()  # type: ignore[union-attr]
-        places, labels = km_ticks(self.line, 1e3 * low, 1e3 * high)
-        known: dict[float, str] = dict(zip((places / 1e3).tolist(), labels, strict=True))
-        return known.get(x, "")
-
-
-def km_axis(axes: Axes, line: Line | None, label: str = "km") -> None:
-    """Label an axis of chainage [km] with the operator's kilometres, where the line has them."""
-    if line is None or line.reference is None:
-        axes.set_xlabel(label, color=INK)
-        return
-    axes.xaxis.set_major_locator(_Kilometres(line))
-    axes.xaxis.set_major_formatter(_KilometreLabels(line))
-    axes.set_xlabel(label.removesuffix(" in the direction of travel"), color=INK)
 
 
 def write_figure(figure: Figure, path: str | Path) -> None:
@@ -545,7 +491,7 @@ def write_figure(figure: Figure, path: str | Path) -> None:
 # ----------------------------------------------------------------------------- charts, standing
 
 
-def figure_of(charts: Chart | Sequence[Chart], title: str = "", *, width: float = WIDTH) -> Figure:
+def figure_of(charts: Chart | Sequence[Chart]) -> Figure:
     """Charts as one figure: below each other, and beside each other where they say so.
 
     Examples
@@ -557,10 +503,9 @@ def figure_of(charts: Chart | Sequence[Chart], title: str = "", *, width: float 
     rows = rows_of([charts] if isinstance(charts, Chart) else charts)
     rows = [[_wrapped(chart, chart.width / _widths(row)) for chart in row] for row in rows]
     heights = [max(_height(chart) for chart in row) for row in rows]
-    above = 0.25 * (title.count("\n") + 1) * bool(title)
     alone = len(rows) == 1 and len(rows[0]) == 1
-    share = max(rows[0][0].width, LEAST_WIDTH / width) if alone else 1.0
-    figure = new_figure(width * share, sum(heights) + above)
+    share = max(rows[0][0].width, LEAST_WIDTH / WIDTH) if alone else 1.0
+    figure = new_figure(WIDTH * share, sum(heights))
     parts: list[Any] = [figure]
     if not alone:
         parts = figure.subfigures(len(rows), 1, height_ratios=heights, squeeze=False)[:, 0].tolist()
@@ -573,12 +518,11 @@ def figure_of(charts: Chart | Sequence[Chart], title: str = "", *, width: float 
         for chart, place in zip(row, inner, strict=True):
             place.set_facecolor("none" if place is not figure else "white")
             _draw_chart(place, chart, chart.width / _widths(row), known)
-            if chart.title and not (alone and title):
+            if chart.title:
                 # Titles of one height: the charts of a row stand on one level.
                 words = chart.title + "\n" * (lines - chart.title.count("\n"))
-                headline(place, words, size=11.0 if len(row) == 1 else 10.0)
-    if title:
-        headline(figure, title)
+                size = 11.0 if len(row) == 1 else 10.0
+                place.suptitle(words, x=0.01, ha="left", fontsize=size, color=INK)
     return figure
 
 
@@ -587,9 +531,16 @@ def draw(result: Plotted, path: str | Path, **options: Any) -> None:
     write_figure(result.plot(**options), path)
 
 
-def draw_charts(charts: Chart | Sequence[Chart], path: str | Path, title: str = "") -> None:
+def draw_charts(charts: Chart | Sequence[Chart], path: str | Path) -> None:
     """Draw charts as one picture, SVG or PNG."""
-    write_figure(figure_of(charts, title), path)
+    write_figure(figure_of(charts), path)
+
+
+def draw_all(pictures: Mapping[str, Sequence[Chart]], folder: Path) -> list[Path]:
+    """Draw charts into a folder, by the names of their files; returns the files."""
+    for name, charts in pictures.items():
+        draw_charts(charts, folder / name)
+    return [folder / name for name in pictures]
 
 
 def _widths(row: Sequence[Chart]) -> float:
@@ -621,8 +572,12 @@ def _draw_chart(figure: Figure | SubFigure, chart: Chart, share: float, known: s
         for place, _ in chart.places:
             axes.axvline(place, color=PALE, linewidth=0.9, zorder=0)
     last: Axes = places[-1]
-    km_axis(last, chart.line, chart.x)
+    last.set_xlabel(chart.x, color=INK)
     last.set_xlim(*chart.ends)
+    if chart.line is not None and chart.line.reference is not None:
+        low, high = chart.ends
+        at, labels = km_ticks(chart.line, 1e3 * low, 1e3 * high)
+        last.set_xticks(at / 1e3, labels)
     if chart.ticks:
         close = sum(len(name) for _, name in chart.ticks) > 90 * chart.width
         last.set_xticks(*zip(*chart.ticks, strict=True), rotation=40 if close else 0,

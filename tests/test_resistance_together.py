@@ -14,7 +14,7 @@ from hypothesis import given, settings, strategies as st
 from resistance_trips import RESISTANCE, TRAIN, changed, constant_speed, trip
 from rich.console import Console
 
-from analysis.charts import draw, draw_charts
+from analysis.charts import draw, draw_all, draw_charts
 from analysis.resistance import (
     TripFit,
     TripRefusedError,
@@ -26,7 +26,7 @@ from analysis.resistance import (
 from analysis.resistance.combination import nearest_physical
 from analysis.resistance.fit import History
 from analysis.resistance.logs import AllRefusedError, fit
-from analysis.resistance.plot import draw_each_refused, refused_chart
+from analysis.resistance.plot import refused_chart, trips_charts
 from analysis.resistance.recording import SpeedScale, Timeline
 from analysis.resistance.regression import Residuals, powers
 from analysis.resistance.windows import WindowPoints
@@ -283,7 +283,8 @@ def test_logs_that_say_nothing_are_refused_together(tmp_path: Path) -> None:
     write_log(trip(constant_speed, name="dull", noise=0.03), tmp_path / "dull.mcap")
     with pytest.raises(AllRefusedError, match=r"no trip determines .* vary too little") as stated:
         fit([tmp_path / "dull.mcap"])
-    assert draw_each_refused(stated.value.refused, tmp_path) == [tmp_path / "dull.png"]
+    pictures = trips_charts((), stated.value.refused)
+    assert draw_all(pictures, tmp_path) == [tmp_path / "dull.png"]
     with pytest.raises(
         NotIdentifiableError, match=r"^no log was given; give logs, folders of logs, or"
     ):

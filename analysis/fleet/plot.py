@@ -52,16 +52,14 @@ def resistance_charts(kind: KindResistance, found: FleetTrains) -> list[Chart]:
     mean = kind.mean.resistance(speed) / 1e3
     spread = "95 % of trains of this kind, at each speed"
     curves = [Curve(spread, KMH * speed, high, PALE, "area", low)]
-    named = set[str]()
     for each in sorted(kind.trains, key=lambda each: each.train in unlike):
         other = each.train in unlike
         label = "a train with a finding" if other else "a train"
         curves.append(
-            Curve(label if label not in named else "", KMH * speed, each.resistance(speed) / 1e3,
+            Curve(label, KMH * speed, each.resistance(speed) / 1e3,
                   RED if other else BLUE, width=1.2 if other else 0.7,
                   opacity=1.0 if other else 0.6)
         )  # fmt: skip
-        named.add(label)
     curves.append(Curve("mean of the kind", KMH * speed, mean, INK, width=1.6))
     trips = counted(kind.mean.trips, "trip")
     words = f"{counted(len(kind.trains), 'train')} of kind {kind.kind}, {trips}"

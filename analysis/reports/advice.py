@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.charts import BLUE, Chart, Curve, Panel, limit_curve
+from analysis.charts import BLUE, Chart, Curve, Panel, limit_curve, stations_of
 from analysis.reports.charts import as_part
 from analysis.reports.page import Page, Part, Section, Warned
 from analysis.reports.results import line_of_trajectory
@@ -134,9 +134,7 @@ def _command(found: JourneyAdvice, files: Sequence[Path]) -> str:
 
 def _chart(found: JourneyAdvice, line: Line | None) -> Chart:
     curves = []
-    for number, (section, departure) in enumerate(
-        zip(found.sections, found.departures.tolist(), strict=True)
-    ):
+    for section, departure in zip(found.sections, found.departures.tolist(), strict=True):
         row = section.latest
         km, speed = section.positions / 1e3, KMH * section.speeds[row]
         hover = {
@@ -144,8 +142,7 @@ def _chart(found: JourneyAdvice, line: Line | None) -> Chart:
             "time": [found.time(departure + each) for each in section.times[row].tolist()],
             "speed": [f"{each:.0f} km/h" for each in speed.tolist()],
         }
-        label = "planned speed" if number == 0 else ""
-        curves.append(Curve(label, km, speed, BLUE, hover=hover))
+        curves.append(Curve("planned speed", km, speed, BLUE, hover=hover))
     ends = np.array([found.rows[0].position, found.rows[-1].position])
     limits = [] if line is None else [limit_curve(line, float(ends[0]), float(ends[1]))]
     return Chart(
@@ -153,6 +150,6 @@ def _chart(found: JourneyAdvice, line: Line | None) -> Chart:
         [Panel("km/h", [*limits, *curves], 1.2, from_zero=True)],
         "Planned speed over kilometres, with the permitted speed and the stations.",
         "",
-        () if line is None else [(each.position / 1e3, each.name) for each in line.stations],
+        stations_of(line),
         line=line,
     )

@@ -120,7 +120,7 @@ class Doubt(NamedTuple):
     words: str = ""
 
 
-def doubts(row: Mapping[str, Any], samples: float = np.inf) -> Iterator[Doubt]:
+def doubts(row: Mapping[Any, Any], samples: float = np.inf) -> Iterator[Doubt]:
     """The doubts of a recording, by its checks (`analysis.fleet.checks`) and number of samples."""
     known = {name: value for name, value in row.items() if value == value}
     if known["damage"]:

@@ -194,7 +194,7 @@ def fleet_page(catalogue: Catalogue, options: FleetReportOptions) -> Page:
 
 
 def _summary(fleet: _Fleet) -> Sequence[Part]:
-    """The first page: what was driven, how good it is, where it is slippery, its cost, what to do."""
+    """The first page: drive, recordings, slippery places, cost, and what to do."""
     facts = _facts(fleet)
     levels = (
         max((each.level for each in doubts(row)), default=0)
@@ -491,9 +491,8 @@ def _quality(fleet: _Fleet) -> list[Part]:
     )  # fmt: skip
     found: dict[str, list[int]] = {}
     for number, row in enumerate(rows.to_dict("records")):
-        for each in doubts(row):
-            for kind in each.kinds:
-                found.setdefault(kind, []).append(number)
+        for kind in (kind for each in doubts(row) for kind in each.kinds):
+            found.setdefault(kind, []).append(number)
     for what, numbered in sorted(found.items(), key=lambda each: -len(each[1])):
         chosen = rows.iloc[numbered]
         trains = chosen["train"].value_counts()

@@ -215,18 +215,17 @@ def _sample(count: int, most: int) -> IntArray:
 def _set_alone(found: ParameterSet) -> list[Part]:
     """A set without the trips that it is from."""
     speed = np.linspace(0.0, max(found.speed_range[1], 10.0), 120)
-    curves = [
-        Curve("each configuration" if number == 0 else "", KMH * speed,
-              np.asarray(each.resistance(speed)) / 1e3, SKY, width=0.9)
-        for number, each in enumerate(found.configurations)
-    ]  # fmt: skip
+    shown = [("each configuration", each.resistance, SKY, 0.9) for each in found.configurations]
     if found.common is not None:
-        value = np.asarray(found.common(speed)) / 1e3
+        shown.append(("all trips", found.common, BLUE, 2.0))
+    curves = list[Curve]()
+    for label, drag, colour, width in shown:
+        value = np.asarray(drag(speed)) / 1e3
         hover = {
             "speed": [f"{each:.0f} km/h" for each in (KMH * speed).tolist()],
             "resistance": [f"{each:.2f} kN" for each in value.tolist()],
         }
-        curves.append(Curve("all trips", KMH * speed, value, BLUE, hover=hover, width=2.0))
+        curves.append(Curve(label, KMH * speed, value, colour, hover=hover, width=width))
     if not curves:
         return ["The set is empty."]
     chart = Chart(

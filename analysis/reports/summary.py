@@ -192,9 +192,7 @@ def _measured(found: ParameterSet) -> str:
     return f"{words}, resistance {drag} at {KMH * at:.0f} km/h"
 
 
-def _fitted(path: Path, simulated: SimulatedLogs) -> tuple[str, str, str] | None:
-    if not path.exists():
-        return None
+def _fitted(path: Path, simulated: SimulatedLogs) -> tuple[str, str, str]:
     found = read_parameters(path)
     words = counted(len(found.configurations), "configuration") + _measured(found)
     truths = _truths_of(found, simulated)
@@ -218,9 +216,7 @@ def _truths_of(found: ParameterSet, simulated: SimulatedLogs) -> dict[str, Truth
     return truths
 
 
-def _mapped(path: Path, simulated: SimulatedLogs) -> tuple[str, str, str] | None:
-    if not path.exists():
-        return None
+def _mapped(path: Path, simulated: SimulatedLogs) -> tuple[str, str, str]:
     track = read_map(path)
     layers = summary(track)
     events = sum(layer.events for layer in layers)
@@ -256,8 +252,6 @@ def _truths_of_map(path: Path, track: TrackConditionMap, simulated: SimulatedLog
 
 
 def _planned(path: Path) -> tuple[tuple[str, str, str], ...]:
-    if not path.exists():
-        return ()
     trajectory = read_trajectory(path)
     certificate = trajectory.certificate
     audit = certificate["audit"]

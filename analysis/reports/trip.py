@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -395,49 +395,32 @@ def trip_charts(trip: Trip, *, zone: Zone = Zone()) -> list[Chart]:
             remedy="there is no course to draw: ingest the recording with the line",
         )
     efforts = _efforts(trip, motion.time)
-    rows = rows_to_draw(motion.speed, *(each for _, each, *_ in efforts[:2]))
+    rows = rows_to_draw(motion.speed, *(each.values for each in efforts[:2]))
     part = Motion(motion.time[rows], motion.position[rows], motion.speed[rows])
-    forward = bool(np.all(np.diff(part.position) >= -50.0))
-    curves = [_speed_curve(part.position / 1e3, part, line, zone)]
-    reference = _reference(trip, part.time)
-    if reference is not None:
-        curves.append(
-            Curve("trajectory", part.position / 1e3, KMH * reference[0], GREEN, width=1.2)
+    forward, km = bool(np.all(np.diff(part.position) >= -50.0)), part.position / 1e3
+    ends = float(motion.position.min()), float(motion.position.max())
+    speeds = [] if line is None else [limit_curve(line, *ends)]
+    speeds.append(_speed_curve(km, part, line, zone))
+    areas = [
+        Curve(each.label, km, each.values[rows] / 1e3, each.colour, "area", each.base[rows] / 1e3)
+        for each in efforts
+    ]
+    late = list[Panel]()
+    reference = trip.topics.get(REFERENCE.name)
+    if reference is not None and not reference.empty:
+        speed, behind = (
+            interpolated(reference, name, part.time, 5.0) for name in ("speed", "lateness")
         )
-    panels = [Panel("km/h", [*_limit(line, motion.position), *curves], 1.5, from_zero=True)]
-    if efforts:
-        panels.append(
-            Panel(
-                "kN",
-                [
-                    Curve(
-                        label,
-                        part.position / 1e3,
-                        values[rows] / 1e3,
-                        colour,
-                        "area",
-                        None if base is None else base[rows] / 1e3,
-                    )
-                    for label, values, colour, base in efforts
-                ],
-                0.8,
-            )
-        )
-    if reference is not None:
-        panels.append(
-            Panel(
-                "s",
-                [Curve("behind the trajectory", part.position / 1e3, reference[1], PURPLE)],
-                0.5,
-            )
-        )
-    if line is not None:
-        panels.append(
-            gradient_panel(line, float(motion.position.min()), float(motion.position.max()))
-        )
+        speeds.append(Curve("trajectory", km, KMH * speed, GREEN, width=1.2))
+        late = [Panel("s", [Curve("behind the trajectory", km, behind, PURPLE)], 0.5)]
     over_km = Chart(
         "km in the direction of travel",
-        panels,
+        [
+            Panel("km/h", speeds, 1.5, from_zero=True),
+            *([Panel("kN", areas, 0.8)] if areas else []),
+            *late,
+            *([] if line is None else [gradient_panel(line, *ends)]),
+        ],
         f"Speed of trip {trip.name} against the permitted speed over kilometres,"
         " with its efforts and the gradient below.",
         "Speed against the permitted speed; tractive effort above, braking effort below zero.",
@@ -445,9 +428,8 @@ def trip_charts(trip: Trip, *, zone: Zone = Zone()) -> list[Chart]:
         line=line,
     )
     minutes = (part.time - motion.time[0]).total_seconds().to_numpy() / 60.0
-    start = zone.time(motion.time[0])
     over_time = Chart(
-        f"minutes since {start} {zone.name}",
+        f"minutes since {zone.time(motion.time[0])} {zone.name}",
         [Panel("km/h", [_speed_curve(minutes, part, line, zone)], 1.0, from_zero=True)],
         f"Speed of trip {trip.name} over time, with its stops.",
     )
@@ -473,44 +455,31 @@ def _speed_curve(x: FloatArray, part: Motion, line: Line | None, zone: Zone) -> 
     return Curve("speed", x, KMH * part.speed, BLUE, hover=hover)
 
 
-def _limit(line: Line | None, position: FloatArray) -> list[Curve]:
-    if line is None:
-        return []
-    return [limit_curve(line, float(position.min()), float(position.max()))]
+class _Effort(NamedTuple):
+    """An effort [N] at the samples of the motion, and where its area begins."""
+
+    label: str
+    colour: str
+    values: FloatArray
+    base: FloatArray
 
 
-def _efforts(
-    trip: Trip, time: pd.DatetimeIndex
-) -> list[tuple[str, FloatArray, str, FloatArray | None]]:
-    """Tractive and braking efforts [N] at the times, as far as recorded.
-
-    The latter below zero, one brake below the other: with where each begins.
-    """
+def _efforts(trip: Trip, time: pd.DatetimeIndex) -> list[_Effort]:
+    """Tractive and braking efforts, as far as recorded: the latter below zero, one on the other."""
     frame = trip.topics.get(TRAIN_CONTROLS.name)
     if frame is None or frame.empty:
         return []
-    found = list[tuple[str, FloatArray, str, FloatArray | None]]()
-    kinds = (
+    found, base = list[_Effort](), np.zeros(time.size)
+    for label, name, sign, colour in (
         ("traction", "tractive_effort", 1.0, RED),
         ("dynamic brake", "dynamic_braking_effort", -1.0, BLUE),
         ("friction brake", "pneumatic_braking_effort", -1.0, SKY),
-    )
-    for label, name, sign, colour in kinds:
+    ):
         if name in frame.columns and np.isfinite(frame[name].to_numpy(np.float64)).any():
-            values = sign * interpolated(frame, name, time, 2.0)
-            base = (
-                found[-1][1] if sign < 0.0 and found and found[-1][0] == "dynamic brake" else None
-            )
-            found.append((label, values if base is None else base + values, colour, base))
+            values = base + sign * interpolated(frame, name, time, 2.0)
+            found.append(_Effort(label, colour, values, base))
+            base = values if sign < 0.0 else base
     return found
-
-
-def _reference(trip: Trip, time: pd.DatetimeIndex) -> tuple[FloatArray, FloatArray] | None:
-    frame = trip.topics.get(REFERENCE.name)
-    if frame is None or frame.empty:
-        return None
-    speed, late = (interpolated(frame, name, time, 5.0) for name in ("speed", "lateness"))
-    return speed, late
 
 
 def _stops_part(motion: Motion, line: Line | None, zone: Zone) -> list[Part]:

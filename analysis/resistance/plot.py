@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from scipy.special import ndtri
@@ -27,8 +26,6 @@ from analysis.charts import (
     Label,
     Panel,
     Rule,
-    draw,
-    draw_charts,
     shades,
 )
 from analysis.resistance.coast_down import CoastDown
@@ -204,22 +201,13 @@ def correlation_chart(covariance: FloatArray, title: str) -> Chart:
 # -------------------------------------------------------------------------------------- one trip
 
 
-def draw_each(fits: Fits, folder: Path) -> list[Path]:
-    """Draw every trip that was fitted or refused now, a file each; returns their paths."""
-    paths = []
-    for fit in fits.trips:
-        paths.append(folder / f"{_file_name(fit.trip)}.png")
-        draw(fit, paths[-1])
-    return paths + draw_each_refused(fits.refused, folder)
-
-
-def draw_each_refused(refused: Mapping[str, TripRefusedError], folder: Path) -> list[Path]:
-    """Draw why each trip was refused, and what was masked over it, a file each."""
-    paths = []
-    for trip, refusal in refused.items():
-        paths.append(folder / f"{_file_name(trip)}.png")
-        draw_charts(refused_chart(trip, refusal), paths[-1])
-    return paths
+def trips_charts(
+    trips: Sequence[TripFit], refused: Mapping[str, TripRefusedError]
+) -> dict[str, Sequence[Chart]]:
+    """The charts of every trip that was fitted or refused, by the names of their files."""
+    charts: dict[str, Sequence[Chart]] = {each.trip: each.charts() for each in trips}
+    charts |= {trip: [refused_chart(trip, each)] for trip, each in refused.items()}
+    return {f"{_file_name(trip)}.png": each for trip, each in charts.items()}
 
 
 def _file_name(trip: str) -> str:

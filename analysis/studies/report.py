@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import pandas as pd
 
-from analysis.charts import Chart, draw_charts
+from analysis.charts import Chart, draw_all
 from trainlog import __version__
 from trainlog.formats.files import atomic_write, made_folder, sha256
 from trainlog.formats.line import line_to_bytes
@@ -82,9 +82,7 @@ class StudyReport:
 
     def draw(self, pictures: Mapping[str, Sequence[Chart]]) -> None:
         """Draw charts, by the names of the pictures' files."""
-        for name, charts in pictures.items():
-            draw_charts(charts, self.folder / name)
-            self.keep(self.folder / name)
+        self.keep(*draw_all(pictures, self.folder))
 
     def keep(self, *paths: Path) -> None:
         """Count files as written by the study."""

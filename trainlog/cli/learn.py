@@ -127,8 +127,9 @@ def fit(
         if of != method:
             refuse_rivals(f"the method is {method}", options, f"or choose --method {of}")
     if method == "efforts":
+        from analysis.charts import draw_all
         from analysis.resistance.logs import AllRefusedError, fit as fit_trips
-        from analysis.resistance.plot import draw_each, draw_each_refused
+        from analysis.resistance.plot import trips_charts
         from trainlog.formats.files import output_folder
         from trainlog.formats.parameters import write_parameters
         from trainlog.formats.summaries import SUFFIX, write_summaries
@@ -142,14 +143,14 @@ def fit(
                 fits = fit_trips(given, cover=0.95 if cover is None else cover, most=configurations)
             except AllRefusedError as error:
                 if drawn is not None:
-                    wrote(*draw_each_refused(error.refused, drawn))
+                    wrote(*draw_all(trips_charts((), error.refused), drawn))
                 raise
             write_parameters(fits.parameters, output)
             write_summaries(fits.summaries, kept)
             wrote(output, kept)
             show(fits, picture=shown)
             if drawn is not None:
-                wrote(*draw_each(fits, drawn))
+                wrote(*draw_all(trips_charts(fits.trips, fits.refused), drawn))
         return
     found: Presented
     if method == "coasting":

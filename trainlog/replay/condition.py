@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,11 +40,7 @@ CLASS_COLOURS = np.array(
 )
 """Of the classes of maximum adhesion: they show on the viewer's dark ground, too."""
 
-LEGEND = (
-    f"< {ADHESION_BOUNDS[0]:.2f}",
-    *(f"< {each:.2f}" for each in ADHESION_BOUNDS[1:]),
-    f"≥ {ADHESION_BOUNDS[-1]:.2f}",
-)
+LEGEND = (*(f"< {each:.2f}" for each in ADHESION_BOUNDS), f"≥ {ADHESION_BOUNDS[-1]:.2f}")
 """Their names in the legend."""
 
 COLOURS_IN_WORDS = ", ".join(
@@ -105,64 +102,57 @@ def chance_of(spot: PassingSpot, time: int) -> float:
     return spot.alive(pd.Timestamp(time, tz="UTC"))
 
 
-@dataclass(frozen=True, eq=False)
-class _Levels:
-    """Maximum adhesion over pieces of the line, in its own direction; (n,) arrays.
+def draw_condition(recording: Any, passage: Passage, paths: Mapping[str, str]) -> set[str]:
+    """Draw a condition under a trip: each piece of the line when the train was there.
 
-    Attributes
+    Parameters
     ----------
-    start, end : [m]
-    value, std : [1]
-    """
-
-    start: FloatArray
-    end: FloatArray
-    value: FloatArray
-    std: FloatArray
-
-
-def draw_lasting(recording: Any, entity: str, passage: Passage) -> bool:
-    """Draw the lasting condition under a trip: each bin when the train was there.
+    recording : rerun.RecordingStream
+    passage : Passage
+    paths : mapping of str to str
+        Where the lasting condition (``map``), that expected at the time of the trip (``expected``)
+        and the passing spots that lay there (``spots``) are drawn.
 
     Returns
     -------
-    bool
-        Whether there was anything to draw.
+    set of str
+        Those of which there was anything to draw.
     """
     known, track = passage.known, passage.track
-    value = known.maximum_adhesion
     edges = np.arange(track.bins + 1, dtype=np.float64) * track.bin_length
-    levels = _Levels(edges[:-1], edges[1:], value, value * known.log_std)
-    colour = LAYERS.get(passage.layer, COLOURS["true"])
-    return _draw(recording, entity, passage, levels, f"map, {passage.layer}", colour)
-
-
-def draw_expected(recording: Any, entity: str, passage: Passage) -> bool:
-    """Draw the condition expected at the time of a trip, in the same way."""
-    expected, track = passage.known.expected(passage.time), passage.track
+    bins, lasting = (edges[:-1], edges[1:]), known.maximum_adhesion
+    expected = known.expected(passage.time)
     # Half of what lies between the quantiles that are one deviation off in a normal distribution.
     low, high = (expected.quantile(share) for share in (0.158655, 0.841345))
-    edges = np.arange(track.bins + 1, dtype=np.float64) * track.bin_length
-    levels = _Levels(edges[:-1], edges[1:], expected.maximum_adhesion, 0.5 * (high - low))
-    return _draw(recording, entity, passage, levels, f"expected, {passage.layer}", EXPECTED)
-
-
-def draw_spots(recording: Any, entity: str, passage: Passage) -> bool:
-    """Draw the passing spots that lay under a trip, in the same way."""
     spots = [spot for spot, _ in passage.spots]
-    levels = _Levels(
-        np.array([spot.start for spot in spots]),
-        np.array([spot.end for spot in spots]),
-        np.array([spot.adhesion for spot in spots]),
-        np.array([(spot.high - spot.low) / (2.0 * 1.96) for spot in spots]),
-    )
-    return _draw(recording, entity, passage, levels, f"spots, {passage.layer}", SPOT)
+    spans = [(s.start, s.end, s.adhesion, (s.high - s.low) / (2.0 * 1.96)) for s in spots]
+    levels = {
+        "map": (
+            LAYERS.get(passage.layer, COLOURS["true"]),
+            *bins,
+            lasting,
+            lasting * known.log_std,
+        ),
+        "expected": (EXPECTED, *bins, expected.maximum_adhesion, 0.5 * (high - low)),
+        "spots": (SPOT, *np.array(spans, dtype=np.float64).reshape(-1, 4).T),
+    }
+    return {
+        name
+        for name, (colour, *level) in levels.items()
+        if _draw(recording, paths[name], passage, level, f"{name}, {passage.layer}", colour)
+    }
 
 
 def _draw(
-    recording: Any, entity: str, passage: Passage, levels: _Levels, name: str, colour: Colour
+    recording: Any,
+    entity: str,
+    passage: Passage,
+    level: Sequence[FloatArray],
+    name: str,
+    colour: Colour,
 ) -> bool:
-    start, end, value, std = levels.start, levels.end, levels.value, levels.std
+    """Draw starts, ends [m], maximum adhesion and its deviation, counted along the line."""
+    start, end, value, std = level
     if passage.backwards:
         length = passage.track.length
         start, end, value, std = length - end[::-1], length - start[::-1], value[::-1], std[::-1]

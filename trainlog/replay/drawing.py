@@ -15,9 +15,7 @@ from trainlog.replay.clock import Clock, Instants, Nanoseconds, nanoseconds
 from trainlog.replay.condition import (
     Passage,
     draw_bins_on_map,
-    draw_expected,
-    draw_lasting,
-    draw_spots,
+    draw_condition,
     draw_spots_on_map,
     observed,
 )
@@ -140,10 +138,6 @@ HEADROOM = 1.1
 """Top of a plot over nearly all of its values."""
 
 
-CONDITION = {"map": draw_lasting, "expected": draw_expected, "spots": draw_spots}
-"""What of the track condition is drawn under a trip, by its entity."""
-
-
 class Drawing:
     """One trip below its own path, of which the pieces come in the order of time.
 
@@ -217,9 +211,9 @@ class Drawing:
         layer = "" if known.line is None else _layer(bare, condition)
         if layer and condition is not None:
             passage = Passage(known.clock, condition, layer, _backwards(bare), whole=False)
-            for entity, draw in CONDITION.items():
-                if draw(self._recording, f"{root}/adhesion/{entity}", passage):
-                    self._entities.add(f"adhesion/{entity}")
+            paths = {name: f"{root}/adhesion/{name}" for name in ("map", "expected", "spots")}
+            found = draw_condition(self._recording, passage, paths)
+            self._entities |= {f"adhesion/{name}" for name in found}
             if known.line is not None:
                 entity, line = f"{root}/place/spots", self._laid_out(known.line)
                 draw_spots_on_map(self._recording, entity, line, passage, self._chart)
@@ -386,9 +380,9 @@ def draw_line_of(
         passage = Passage(known.clock, condition, layer, backwards, whole=True)
         if own.geometry is not None:
             draw_bins_on_map(recording, own.name, own.geometry, passage, chart)
-        for entity, draw in CONDITION.items():
-            path = path_of("lines", line.name, "maximum_adhesion", layer)
-            draw(recording, path if entity == "map" else f"{path}/{entity}", passage)
+        path = path_of("lines", line.name, "maximum_adhesion", layer)
+        paths = {"map": path} | {name: f"{path}/{name}" for name in ("expected", "spots")}
+        draw_condition(recording, passage, paths)
 
 
 def _backwards(trip: Trip) -> bool:

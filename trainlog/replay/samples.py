@@ -46,6 +46,15 @@ class Samples:
     ordinates: FloatArray
     variances: FloatArray | None = None
 
+    def broken_at(self, rows: Any, time: Any) -> Samples:
+        """With a row of NaN, which breaks the line, before each of these rows, at these times."""
+        variances = self.variances
+        return Samples(
+            np.insert(self.time, rows, time),
+            np.insert(self.ordinates, rows, np.nan, axis=0),
+            None if variances is None else np.insert(variances, rows, np.nan, axis=0),
+        )
+
 
 class Pen:
     """Makes the points of a curve piece by piece, with no seams between the pieces.
@@ -114,26 +123,11 @@ def broken(points: Samples, longest: float | None = None, before: int | None = N
     if longest is None:
         return points
     if before is not None and points.time[0] - before > longest:
-        points = _after_gap(points, before)
+        points = points.broken_at(0, before + 1)
     gaps = np.flatnonzero(np.diff(points.time) > longest) + 1
     if before is not None:
         gaps = gaps[points.time[gaps - 1] != before + 1]
-    variances = points.variances
-    return Samples(
-        np.insert(points.time, gaps, points.time[gaps - 1] + 1),
-        np.insert(points.ordinates, gaps, np.nan, axis=0),
-        None if variances is None else np.insert(variances, gaps, np.nan, axis=0),
-    )
-
-
-def _after_gap(points: Samples, before: int) -> Samples:
-    """The points behind a row of NaN that ends the line just after `before` [ns]."""
-    variances = points.variances
-    return Samples(
-        np.insert(points.time, 0, before + 1),
-        np.insert(points.ordinates, 0, np.nan, axis=0),
-        None if variances is None else np.insert(variances, 0, np.nan, axis=0),
-    )
+    return points.broken_at(gaps, points.time[gaps - 1] + 1)
 
 
 def thinned(points: Samples) -> Samples:
@@ -277,7 +271,8 @@ def send_curve(
     held: bool = False,
 ) -> None:
     """Send the points of a curve and how it is drawn: lines, or with variances bands as well."""
-    instants, points = _from_whole_kilometre(instants, points)
+    # Rerun counts a plot's ticks from its first sample: they fall on whole kilometres with it.
+    instants, points = from_whole_kilometre(instants), points.broken_at(0, points.time[0])
     style = {
         "names": names,
         "colors": np.array(colours, dtype=np.uint8),
@@ -326,22 +321,6 @@ def send_dots(
     style = rr.SeriesPoints(names=name, colors=np.array([colour]), marker_sizes=3.0)
     send_static(recording, entity, style)
     send_rows(recording, entity, instants, lambda rows: rr.Scalars.columns(scalars=values[rows]))
-
-
-def _from_whole_kilometre(instants: Instants, points: Samples) -> tuple[Instants, Samples]:
-    """The same with an unknown value at the whole kilometre before the first sample.
-
-    Rerun counts a plot's ticks from its first sample: they fall on whole kilometres with it.
-    """
-    variances = points.variances
-    return (
-        from_whole_kilometre(instants),
-        Samples(
-            np.insert(points.time, 0, points.time[0]),
-            np.insert(points.ordinates, 0, np.nan, axis=0),
-            None if variances is None else np.insert(variances, 0, np.nan, axis=0),
-        ),
-    )
 
 
 def from_whole_kilometre(instants: Instants) -> Instants:
