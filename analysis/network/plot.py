@@ -148,8 +148,8 @@ def network_map_charts(
     tracks = {edge: each for edge, each in known.maps.items() if set(each.layers) & set(chosen)}
     bins = pd.concat(
         [
-            bins_table(each, None, at, [name for name in chosen if name in each.layers])
-            for each in tracks.values()
+            bins_table(each, None, at, [x for x in chosen if x in each.layers]).assign(line=edge)
+            for edge, each in tracks.items()
         ]
     )
     lowest = lowest_bins(bins)

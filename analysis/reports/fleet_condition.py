@@ -76,7 +76,11 @@ def known_maps(
     last = max((int(each.days.max(initial=-1)) for each in tracks.values()), default=-1)
     at = pd.Timestamp(last + 1, unit="D", tz="UTC") if at is None else at
     maps = NetworkMap(folder, network, tracks).known_before(at)
-    tables = [bins_table(each, None, at) for each in maps.maps.values() if each.layers]
+    tables = [
+        bins_table(each, None, at).assign(line=edge)
+        for edge, each in maps.maps.items()
+        if each.layers
+    ]
     before = f" of days before {at:%Y-%m-%d}" if 0 <= at.timestamp() // 86_400 <= last else ""
     nothing = "" if tables else f"The maps hold no evidence{before} yet."
     if not paths:
