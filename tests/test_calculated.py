@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from analysis.charts import figure_of
 from analysis.comparison.calculated import Calculation, calculate, judged_together
@@ -143,8 +144,7 @@ def test_trips_together_contradict_what_one_leaves_open() -> None:
     assert together.judged_trips == 2
     stds = [each.diagnosis.wrong[0].factor_std for each in trips]
     assert together.wrong[0].factor_std < max(stds)
-    with pytest.raises(InputError, match="one train"):
-        judged_together([])
+    refused(InputError, "one train", judged_together, [])
 
 
 @pytest.mark.parametrize("name", ["r0", "r2"])
@@ -194,8 +194,7 @@ def test_without_efforts_the_energy_is_calculated_with_a_band_that_holds_the_tru
 
 def test_a_fit_of_another_train_is_refused() -> None:
     other = ParameterSet("another", (Configuration.of(TRAIN),), OWN, np.eye(3), (0.0, 40.0))
-    with pytest.raises(InputError, match="another"):
-        calculate(read_log(sample("nonstop.mcap")), other)
+    refused(InputError, "another", calculate, read_log(sample("nonstop.mcap")), other)
 
 
 def test_the_command_names_what_is_wrong(

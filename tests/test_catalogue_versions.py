@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 from command import run
+from refusals import refused
 from synthetic_trips import synthetic_entry
 
 from trainlog.catalogue import Computation, ResultOutcome, migration, open_catalogue
@@ -132,8 +133,7 @@ def test_a_change_that_fails_leaves_the_version_before(
 
     with monkeypatch.context() as patch:
         patch.setattr(migration, "STEPS", (migration.STEPS[0], replace(last, change=change)))
-        with pytest.raises(InputError, match="the database refuses"):
-            open_catalogue(first_version)
+        refused(InputError, "the database refuses", open_catalogue, first_version)
     with pytest.warns(UserWarning, match="from version 1"):
         opened = open_catalogue(first_version)
     with opened as catalogue:
@@ -158,8 +158,7 @@ def test_a_later_version_is_refused_if_it_must_be_known_and_used_if_not(
             with open_catalogue(first_version) as catalogue:
                 assert (len(catalogue), catalogue.version) == (6, 3)
     message = r"follows version 4 .* knows 2; update trainlog: trainlog 0\.3\.0 or later is needed"
-    with pytest.raises(InputError, match=message):
-        open_catalogue(first_version)
+    refused(InputError, message, open_catalogue, first_version)
 
 
 def test_commands_state_that_a_catalogue_was_migrated(

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 from mcap.reader import make_reader
+from refusals import refused
 
 from tests.foreign_logs import json_log
 from tests.mcap_trips import START, assert_same, trip_of
@@ -138,9 +139,8 @@ def test_a_csv_file_that_was_damaged_is_named(case: str, log: Path, tmp_path: Pa
     file = tmp_path / "trip.csv" / "train_state.csv"
     old, new, problem = DAMAGE[case]
     file.write_bytes(file.read_bytes().replace(old, new, 1))
-    with pytest.raises(LogError, match=problem) as caught:
-        convert(tmp_path / "trip.csv", tmp_path / "again.mcap")
-    assert caught.value.file == file
+    caught = refused(LogError, problem, convert, tmp_path / "trip.csv", tmp_path / "again.mcap")
+    assert caught.file == file
     assert not (tmp_path / "again.mcap").exists()
 
 
@@ -242,8 +242,7 @@ def test_what_cannot_be_converted_leaves_nothing_behind(
     target: str, part: dict[str, object], error: type[Exception], said: str, log: Path
 ) -> None:
     before = log.read_bytes()
-    with pytest.raises(error, match=said):
-        convert(log, log.parent / target, **part)  # type: ignore[arg-type]
+    refused(error, said, convert, log, log.parent / target, **part)
     assert list(log.parent.iterdir()) == [log]
     assert log.read_bytes() == before
 
@@ -301,8 +300,7 @@ def test_no_words_mean_everything_and_do_not_open_the_log() -> None:
 
 @pytest.mark.parametrize("word", ["soon", "10", "end+5s", "start-5s", "-5s", "5 parsec", ""])
 def test_words_that_are_no_time_are_refused(word: str) -> None:
-    with pytest.raises(InputError, match="is not a time; write it as"):
-        times(word, None, lambda: (FIRST, LAST))
+    refused(InputError, "is not a time; write it as", times, word, None, lambda: (FIRST, LAST))
 
 
 @pytest.mark.parametrize("word", ["99999999999h", "end-3000000h"])
@@ -312,8 +310,7 @@ def test_words_beyond_time_stamps_are_refused(word: str) -> None:
 
 
 def test_relative_words_need_rows() -> None:
-    with pytest.raises(InputError, match="has no rows"):
-        times("10s", None, lambda: None)
+    refused(InputError, "has no rows", times, "10s", None, lambda: None)
 
 
 def test_stretches_are_kilometres() -> None:

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
+from refusals import refused
 
 from trainlog.cli import main as cli
 from trainlog.documentation import Documentation
@@ -237,8 +238,7 @@ def test_pages_are_found_by_name_and_by_what_they_describe(installed: Documentat
     assert anchor == ("trainlog.read" if installed.built else "")
     titles = dict(installed.titles())
     assert titles["index"] == ("A title & more" if installed.built else "trainlog")
-    with pytest.raises(InputError, match=r"no page 'palnner'.*near to it: planner"):
-        installed.place("palnner")
+    refused(InputError, r"no page 'palnner'.*near to it: planner", installed.place, "palnner")
 
 
 def test_a_site_of_other_files_is_not_put_into_the_wheel(tmp_path: Path) -> None:

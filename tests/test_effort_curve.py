@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from format_examples import effort_curves
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 from typer.testing import CliRunner
 
 from trainlog.cli.main import app
@@ -101,9 +102,8 @@ def test_the_speed_at_an_effort_is_the_highest_that_gives_it(
 def test_curves_that_cannot_be_are_refused(
     speeds: list[float], efforts: list[float], words: str
 ) -> None:
-    with pytest.raises(InputError, match=words) as refusal:
-        EffortCurve(np.array(speeds), np.array(efforts))
-    assert refusal.value.remedy
+    refusal = refused(InputError, words, EffortCurve, np.array(speeds), np.array(efforts))
+    assert refusal.remedy
 
 
 # ---- a train with curves ------------------------------------------------------------------------
@@ -189,10 +189,9 @@ def test_curves_are_read_from_csv(text: str, tmp_path: Path) -> None:
 def test_bad_csv_is_refused_with_the_place(text: str, words: str, tmp_path: Path) -> None:
     path = tmp_path / "curve.csv"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=words) as refusal:
-        read_effort_curve(path)
-    assert refusal.value.remedy
-    assert "curve.csv" in str(refusal.value)
+    refusal = refused(InputError, words, read_effort_curve, path)
+    assert refusal.remedy
+    assert "curve.csv" in str(refusal)
 
 
 def test_the_command_puts_a_curve_into_a_train(tmp_path: Path) -> None:
@@ -206,8 +205,7 @@ def test_the_command_puts_a_curve_into_a_train(tmp_path: Path) -> None:
     assert train.max_tractive_effort == 100e3
     assert train.max_traction_power == pytest.approx(CURVE.peak_power)
     line = sample("CH_StGallen_Wil.line.json")
-    with pytest.raises(InputError):
-        import_file(line, tmp_path, ImportOptions(traction_curve=CURVE))
+    refused(InputError, "", import_file, line, tmp_path, ImportOptions(traction_curve=CURVE))
 
 
 # ---- OSRD and railtoolkit -----------------------------------------------------------------------
@@ -282,8 +280,7 @@ def test_an_osrd_train_has_the_efforts_of_its_electrification(tmp_path: Path) ->
 def test_bad_rolling_stock_is_refused_with_the_place(
     changes: dict[str, object], words: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError, match=words):
-        osrd.read_train(stock(tmp_path, **changes))
+    refused(InputError, words, osrd.read_train, stock(tmp_path, **changes))
 
 
 @SHARED

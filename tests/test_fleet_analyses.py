@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 
 import trainlog
 from analysis.adhesion.condition_map import empty_map, evidence_of_log, own_line
@@ -96,8 +97,7 @@ def test_the_evidence_is_that_of_the_map(log: str) -> None:
 def test_a_trip_without_a_rail_condition_gives_no_evidence() -> None:
     trip = trainlog.read(LOGS[0])
     del trip.metadata["weather"]
-    with pytest.raises(LogError, match="does not state the rail's condition"):
-        one("adhesion", FleetTrip(trip))
+    refused(LogError, "does not state the rail's condition", one, "adhesion", FleetTrip(trip))
     assert len(one("driving", FleetTrip(trip))) == 1
 
 
@@ -166,10 +166,8 @@ def test_parameters_are_part_of_what_identifies_a_result() -> None:
         each.table(next(fleet_trips(LOGS[0]))) for each in (ANALYSES["adhesion"], coarse)
     )
     assert fine["bins"][0] > 2 * rough["bins"][0]
-    with pytest.raises(InputError, match="no parameter 'bins'"):
-        ANALYSES["adhesion"].with_parameters(bins=3)
-    with pytest.raises(InputError, match="no analysis 'energy'"):
-        analyses_named(["energy"])
+    refused(InputError, "no parameter 'bins'", ANALYSES["adhesion"].with_parameters, bins=3)
+    refused(InputError, "no analysis 'energy'", analyses_named, ["energy"])
 
 
 def test_a_long_log_is_parted_where_the_train_turned_back(long_log: Path) -> None:

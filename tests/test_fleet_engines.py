@@ -19,6 +19,7 @@ import pytest
 from failing_analyses import DEADLY
 from fleet_trips import TRIPS
 from killed_fleet import contents, descendants, recorded
+from refusals import refused
 
 from analysis.fleet import engine
 from analysis.fleet.engine import MPI, PROFILED, Dask, Engine
@@ -189,8 +190,7 @@ def test_a_worker_of_dask_forgets_its_profile_of_earlier_trips(
 def test_a_scheduler_that_does_not_answer_is_named() -> None:
     pytest.importorskip("distributed")
     address = f"tcp://127.0.0.1:{free_port()}"
-    with pytest.raises(InputError, match=f"no Dask scheduler answers at {address}"):
-        Dask(address)
+    refused(InputError, f"no Dask scheduler answers at {address}", Dask, address)
 
 
 def test_workers_of_dask_that_were_missing_a_moment_do_not_end_an_update(
@@ -218,8 +218,7 @@ def test_workers_of_dask_that_were_missing_a_moment_do_not_end_an_update(
         now[0] += 10 * engine.WITHOUT_WORKERS
         dask.check()
         now[0] += 1.1 * engine.WITHOUT_WORKERS
-        with pytest.raises(InputError, match="has no workers any more"):
-            dask.check()
+        refused(InputError, "has no workers any more", dask.check)
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])
@@ -265,7 +264,5 @@ def test_mpi_without_workers_states_how_it_is_started() -> None:
 
 def test_an_extra_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("trainlog.extras.find_spec", lambda _: None)
-    with pytest.raises(MissingExtraError, match="distributed, which is not installed"):
-        Dask("tcp://127.0.0.1:1")
-    with pytest.raises(MissingExtraError, match="mpi4py, which is not installed"):
-        MPI()
+    refused(MissingExtraError, "distributed, which is not installed", Dask, "tcp://127.0.0.1:1")
+    refused(MissingExtraError, "mpi4py, which is not installed", MPI)

@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
+from refusals import refused
 
 import trainlog
 from trainlog.errors import InputError
@@ -84,8 +85,7 @@ def test_a_missing_folder_is_named_with_its_remedy(tmp_path: Path) -> None:
 def test_a_folder_or_device_is_not_written_over(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="exists and is not a file; choose another name"):
         write_bytes(tmp_path, b"x")
-    with pytest.raises(InputError, match="exists and is not a file"):
-        write_bytes(os.devnull, b"x")
+    refused(InputError, "exists and is not a file", write_bytes, os.devnull, b"x")
 
 
 def test_a_read_only_folder_is_named_with_its_remedy(tmp_path: Path) -> None:
@@ -133,8 +133,7 @@ def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
     for read in (read_bytes, read_json, sha256_of):
         with pytest.raises(InputError, match=r"gone\.json: does not exist; check the path"):
             read(tmp_path / "gone.json")
-        with pytest.raises(InputError, match=": is a folder; name a file in it"):
-            read(tmp_path)
+        refused(InputError, ": is a folder; name a file in it", read, tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -159,10 +158,9 @@ def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
     ],
 )
 def test_text_that_is_not_json_is_refused_with_its_place(data: bytes, message: str) -> None:
-    with pytest.raises(InputError) as caught:
-        parse_json(data, file="a.json")
-    assert str(caught.value).startswith(message)
-    assert "\n" not in str(caught.value)
+    caught = refused(InputError, "", parse_json, data, file="a.json")
+    assert str(caught).startswith(message)
+    assert "\n" not in str(caught)
 
 
 def test_a_folder_for_results_is_made_only_for_results(tmp_path: Path) -> None:
@@ -214,10 +212,7 @@ def test_a_byte_order_mark_is_no_mistake() -> None:
 def test_what_a_file_cannot_hold_is_named(name: str, kind: str, tmp_path: Path) -> None:
     write, path = getattr(trainlog, name), tmp_path / "file"
     remedy = f"was given where a {kind} is expected; give the {kind} first, then the path"
-    with pytest.raises(InputError, match=rf"3 \(int\) {remedy}"):
-        write(3, path)
-    with pytest.raises(InputError, match=rf"^'a.mcap' \(str\) {remedy}"):
-        write("a.mcap", path)
-    with pytest.raises(InputError, match=rf"^a list {remedy}"):
-        write([], path)
+    refused(InputError, rf"3 \(int\) {remedy}", write, 3, path)
+    refused(InputError, rf"^'a.mcap' \(str\) {remedy}", write, "a.mcap", path)
+    refused(InputError, rf"^a list {remedy}", write, [], path)
     assert not path.exists()

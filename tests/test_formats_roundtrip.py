@@ -19,6 +19,7 @@ from format_examples import (
     trajectories,
 )
 from hypothesis import HealthCheck, given, settings
+from refusals import refused
 
 from trainlog.errors import InputError, LogError
 from trainlog.formats.attached import line_of, train_of
@@ -259,11 +260,9 @@ def test_a_trip_without_line_or_with_a_damaged_one_is_refused() -> None:
         LogError, match=r"trip 't1' carries no line\.json; attachments present: none"
     ):
         line_of(Trip({}, {"trip": "t1"}))
-    with pytest.raises(LogError, match="direction is 'backwards'"):
-        line_of(trip(direction="backwards"))
+    refused(LogError, "direction is 'backwards'", line_of, trip(direction="backwards"))
     damaged = Trip({}, {"trip": "t1"}, attachments={"train.json": b'{"format": '})
-    with pytest.raises(InputError, match=r"^train\.json of trip 't1', line 1, column 12: "):
-        train_of(damaged)
+    refused(InputError, r"^train\.json of trip 't1', line 1, column 12: ", train_of, damaged)
 
 
 def test_limits_of_two_directions_raise_the_version_of_lines_and_networks(tmp_path: Path) -> None:
@@ -283,8 +282,6 @@ def test_limits_of_two_directions_raise_the_version_of_lines_and_networks(tmp_pa
     # As in a program that only knows version 1.
     path = tmp_path / "one.line.json"
     path.write_text(path.read_text().replace('"version": 2', '"version": 3'))
-    with pytest.raises(InputError, match=r"version 3 is newer than this trainlog knows \(2\)"):
-        read_line(path)
+    refused(InputError, r"version 3 is newer than this trainlog knows \(2\)", read_line, path)
     path.write_text(path.read_text().replace('"version": 3', '"version": 0'))
-    with pytest.raises(InputError, match="expected 1 or 2"):
-        read_line(path)
+    refused(InputError, "expected 1 or 2", read_line, path)

@@ -9,6 +9,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from trainlog.errors import InputError
 from trainlog.formats import samples, ttobench
@@ -117,8 +118,7 @@ def test_samples_are_found_in_a_checkout_and_inside_a_package(
 def test_a_missing_sample_is_reported_with_those_that_there_are(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(InputError, match=r"there is no sample 'x'; there are .*FLIRT"):
-        samples.sample("x")
+    refused(InputError, r"there is no sample 'x'; there are .*FLIRT", samples.sample, "x")
     monkeypatch.setattr(samples, "_PLACES", (tmp_path,))
     with pytest.raises(InputError, match="the sample files are missing from this installation"):
         samples.sample(samples.DEFAULT_LINE)

@@ -193,19 +193,6 @@ class TestIdentity:
         assert identity_from_text("") is None
         refused(InputError, "is no identity of a trip", identity_from_text, "2024-10-07 1 x")
 
-    def test_it_takes_a_fraction_of_the_time_of_reading(self) -> None:
-        from time import process_time  # not the clock: others may be at work
-
-        def shortest(act: Callable[[], object]) -> float:
-            times = []
-            for _ in range(5):
-                begin = process_time()
-                act()
-                times.append(process_time() - begin)
-            return min(times)
-
-        assert shortest(lambda: identity_of(WHOLE)) < 0.5 * shortest(lambda: read_log(LOG))
-
 
 @pytest.mark.skipif(not AALTO.is_dir(), reason="the Aalto data are not beside the checkout")
 def test_rides_that_were_recorded_are_all_different(tmp_path: Path) -> None:

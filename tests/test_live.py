@@ -368,7 +368,7 @@ def growing(tmp_path: Path) -> Iterator[tuple[Path, GrowingFile]]:
 
 def lines_of(source: GrowingFile, framer: Framer, count: int) -> list[bytes]:
     found: list[bytes] = []
-    deadline = time.monotonic() + 10.0
+    deadline = time.monotonic() + 60.0
     while len(found) < count and time.monotonic() < deadline:
         for block in source.read(0.1):
             found += framer.cut(block)
@@ -424,9 +424,10 @@ def test_what_ends_the_program_costs_a_second_at_most(number: int, tmp_path: Pat
     ):
         assert program.stdout is not None
         assert program.stdout.readline().startswith("recording UDP 127.0.0.1:")
-        sent = 0
-        began = time.time()
+        sent, stall = 0, 0.0  # the longest that a busy machine held up this process
+        began = before = time.time()
         while time.time() - began < 2.5:
+            stall, before = max(stall, time.time() - before), time.time()
             line = json.dumps(
                 {"topic": STATE, "time": time.time(), "speed": 10.0, "sequence": sent}
             )
@@ -444,11 +445,11 @@ def test_what_ends_the_program_costs_a_second_at_most(number: int, tmp_path: Pat
     if number == signal.SIGKILL:
         assert status == -signal.SIGKILL
         assert description.account.only_unclosed
-        assert killed - last < 1.0
+        assert killed - last < 1.0 + stall
         return
     assert status == 0
     assert description.complete
-    assert killed - last < 0.3
+    assert killed - last < 0.3 + stall
     assert f"{STATE}  {len(state):,}" in said
     assert "lost" not in said
 

@@ -32,11 +32,11 @@ STATE, AXLES = TRAIN_STATE.name, TRAIN_AXLES.name
 
 def until(true: Callable[[], bool]) -> None:
     """Wait for the recorder's thread."""
-    for _ in range(1000):
+    for _ in range(6000):
         if true():
             return
         clock.sleep(0.01)
-    raise AssertionError("waited for ten seconds")
+    raise AssertionError("waited for a minute")
 
 
 def values_at(frame: pd.DataFrame, rows: int | slice) -> dict[str, Any]:

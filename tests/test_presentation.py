@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, strategies as st
+from refusals import refused
 from rich.console import Console
 
 from trainlog.errors import InputError
@@ -104,8 +105,7 @@ def test_a_notebook_shows_the_title_once() -> None:
 
 
 def test_a_result_without_a_plot_names_what_to_use_instead() -> None:
-    with pytest.raises(InputError, match="Bare has no plot; print it, or use its attributes"):
-        Bare().plot()
+    refused(InputError, "Bare has no plot; print it, or use its attributes", Bare().plot)
 
 
 def test_units_of_columns_multiply_before_the_last_and_divide_by_it() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import given, strategies as st
+from refusals import refused
 from rich.console import Console
 
 from analysis.adhesion.condition_map import adhesion_map
@@ -167,8 +168,7 @@ def test_no_truth_is_one_error() -> None:
         lambda: map_error(track, []),
         lambda: true_adhesion(track, "wet", []),
     ):
-        with pytest.raises(InputError, match="truth is given"):
-            judged()
+        refused(InputError, "truth is given", judged)
 
 
 def test_trips_in_any_folder_are_summed_up(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import command
 import pytest
+from refusals import refused
 
 import trainlog
 from analysis.contents import contents_of, folder_contents
@@ -78,10 +79,9 @@ def test_what_cannot_be_shown_is_stated_with_a_remedy(case: str, tmp_path: Path)
     content, problem = WRONG[case]
     path = tmp_path / "file"
     path.write_bytes(content)
-    with pytest.raises(TrainlogError, match=problem) as caught:
-        contents_of(path)
-    assert caught.value.file == path
-    assert caught.value.remedy
+    caught = refused(TrainlogError, problem, contents_of, path)
+    assert caught.file == path
+    assert caught.remedy
 
 
 def test_a_folder_lists_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -176,8 +176,7 @@ def test_fields_without_any_value_are_not_listed_as_recorded(
 def test_a_map_is_no_log_and_no_fit(tmp_path: Path) -> None:
     """What is wrong with a file is stated before what is wrong with the display."""
     track = str(sample("CH_StGallen_Wil.map"))
-    with pytest.raises(TrainlogError, match="not an MCAP file but a track-condition map"):
-        run(["replay", track])
+    refused(TrainlogError, "not an MCAP file but a track-condition map", run, ["replay", track])
     with pytest.raises(TrainlogError, match="is a track-condition map; the parameters"):
         run(["compare", str(sample("nonstop.mcap")), "--calculated", track])
 

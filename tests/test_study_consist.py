@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 from simulated_line import level_line, steps
 
 from analysis.charts import draw_charts
@@ -138,8 +139,7 @@ def test_the_command_runs_a_file(tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_driven_is_refused(consist: Consist, speed: float, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        study.run(consist, SHORT, speed=speed)
+    refused(InputError, words, study.run, consist, SHORT, speed=speed)
 
 
 def test_a_train_that_cannot_climb_is_refused() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 from test_study_tables import check, on_page, tables
 
 from analysis.control import cooperative, multi_motor as model
@@ -90,8 +91,7 @@ def test_case_1_begins_as_in_the_paper_where_the_first_torque_is_assumed(
     referee = NonlinearReferee(LOCOMOTIVE, study.PAPER.tuning)
     best = referee.plan(0.0, np.zeros(4), np.full((5, 4), 1_500.0), demand)
     assert best[0] == pytest.approx([4_125.0] * 4, abs=1.0)
-    with pytest.raises(InputError, match="first torque"):
-        study.run(study.CASES[0], first=6_000.0)
+    refused(InputError, "first torque", study.run, study.CASES[0], first=6_000.0)
 
 
 def test_case_2_axles_1_to_3_give_more_than_axle_4_which_is_wet(
@@ -407,8 +407,7 @@ def test_before_anything_is_seen_the_estimator_says_that_it_knows_nothing() -> N
     estimator = RailEstimator(LOCOMOTIVE, Tuning(), 0.05, 0.02)
     found = estimator.update(0.0, np.zeros(4), np.zeros(4))
     assert np.all(found.high > 3.0 * found.low)
-    with pytest.raises(InputError, match="noise"):
-        RailEstimator(LOCOMOTIVE, Tuning(), -1.0, 0.02)
+    refused(InputError, "noise", RailEstimator, LOCOMOTIVE, Tuning(), -1.0, 0.02)
 
 
 def test_a_rail_that_is_learnt_pulls_nearly_as_much_as_one_that_is_known() -> None:
@@ -444,32 +443,24 @@ def test_a_map_gives_the_rail_under_each_axle_ahead() -> None:
     [("mass", 0.0), ("gear_ratio", -1.0), ("axle_loads", ()), ("torque_limit", np.nan)],
 )
 def test_a_locomotive_that_cannot_be_is_refused(field: str, value: object) -> None:
-    with pytest.raises(InputError):
-        replace(LOCOMOTIVE, **{field: value})
+    refused(InputError, "", replace, LOCOMOTIVE, **{field: value})
 
 
 @pytest.mark.parametrize(
     ("field", "value"), [("margin", 0.0), ("control_horizon", 11), ("lag", -0.1), ("iterations", 0)]
 )
 def test_a_tuning_that_cannot_be_is_refused(field: str, value: float) -> None:
-    with pytest.raises(InputError):
-        Tuning(**{field: value})
+    refused(InputError, "", Tuning, **{field: value})
 
 
 def test_bad_demands_are_refused() -> None:
     controller = CooperativeController(LOCOMOTIVE)
     dry = coefficients([DRY] * 4)
-    with pytest.raises(InputError, match="shape"):
-        controller.demand(dry[:3])
-    with pytest.raises(InputError, match="a < b"):
-        controller.demand(dry[:, [1, 0, 2]])
-    with pytest.raises(InputError, match="limits"):
-        controller.demand(dry, [5_000.0, 5_000.0, 5_000.0, 6_000.0])
-    with pytest.raises(InputError, match="total"):
-        controller.demand(dry, total=-1.0)
-    with pytest.raises(InputError, match="wheel speeds"):
-        controller.torques(1.0, [1.0, 1.0], controller.demand(dry))
+    refused(InputError, "shape", controller.demand, dry[:3])
+    refused(InputError, "a < b", controller.demand, dry[:, [1, 0, 2]])
+    refused(InputError, "limits", controller.demand, dry, [5_000.0, 5_000.0, 5_000.0, 6_000.0])
+    refused(InputError, "total", controller.demand, dry, total=-1.0)
+    refused(InputError, "wheel speeds", controller.torques, 1.0, [1.0, 1.0], controller.demand(dry))
     with pytest.raises(InputError, match="not all numbers"):
         controller.torques(1.0, [1.0, 1.0, np.nan, 1.0], controller.demand(dry))
-    with pytest.raises(InputError, match="unknown"):
-        study.run(study.CASES[0], strategy="best")
+    refused(InputError, "unknown", study.run, study.CASES[0], strategy="best")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pandas import Timestamp
+from refusals import refused
 
 from analysis.studies.hauck_2023 import scenarios as study, simulation as driving
 from analysis.studies.hauck_2023.controller import AS_PUBLISHED
@@ -263,8 +264,7 @@ def test_a_risk_that_is_none_and_one_as_published_are_refused(tmp_path: Path) ->
         (("--risk", "5"), "a risk must be between 0 and 1"),
         (("--risk", "0.05", "--as-published"), "leave out --risk or --as"),
     ):
-        with pytest.raises(InputError, match=message):
-            command(["study", "map-mpc", "-o", str(tmp_path), *words])
+        refused(InputError, message, command, ["study", "map-mpc", "-o", str(tmp_path), *words])
 
 
 @pytest.mark.long

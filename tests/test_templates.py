@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from format_examples import TRAINS, assert_same, journeys, lines
 from hypothesis import HealthCheck, given, settings, strategies as st
+from refusals import refused
 
 from trainlog.declaration import entries, example, meanings
 from trainlog.errors import InputError
@@ -105,8 +106,7 @@ def test_nothing_is_overwritten(
     tmp_path: Path, kind: templates.Kind, name: str, message: str
 ) -> None:
     (tmp_path / "there.toml").write_text("edited")
-    with pytest.raises(InputError, match=message):
-        write_template(kind, tmp_path / name)
+    refused(InputError, message, write_template, kind, tmp_path / name)
     assert (tmp_path / "there.toml").read_text() == "edited"
 
 
@@ -151,11 +151,9 @@ def test_mistakes_in_toml_are_named_as_in_json(tmp_path: Path) -> None:
     path = tmp_path / "a.train.toml"
     text = templates.template("train")
     path.write_text(text.replace('mass = { value = 120, unit = "t" }', "mass = 120", 1), "utf-8")
-    with pytest.raises(InputError, match=r"a\.train\.toml, mass: 120 has no unit; give value and"):
-        read_train(path)
+    refused(InputError, r"a\.train\.toml, mass: 120 has no unit; give value and", read_train, path)
     path.write_text(text.replace("[axles]", "[axles", 1), "utf-8")
-    with pytest.raises(InputError, match=r"a\.train\.toml: is not TOML: .*line \d+"):
-        read_train(path)
+    refused(InputError, r"a\.train\.toml: is not TOML: .*line \d+", read_train, path)
 
 
 # ------------------------------------------------------------------ a line from a table
@@ -273,10 +271,9 @@ def test_a_written_table_gives_the_line_again(
 )
 def test_tables_that_are_no_line(tmp_path: Path, text: str, message: str) -> None:
     path = table(tmp_path, text)
-    with pytest.raises(InputError, match=message) as caught:
-        read_line_table(path)
-    assert str(caught.value).startswith(str(path))
-    assert "\n" not in str(caught.value)
+    caught = refused(InputError, message, read_line_table, path)
+    assert str(caught).startswith(str(path))
+    assert "\n" not in str(caught)
 
 
 def test_the_sample_line_as_a_table(tmp_path: Path) -> None:
