@@ -32,7 +32,7 @@ def trips_table(frame: pd.DataFrame, found: int) -> WordTable:
         *map(Column, ("key", "trip", "train", "line", "start", "time", "km", "weather")),
         Column("load", MASS),
         name="trips",
-        frame=frame.rename(columns=names).map(_plain),
+        frame=frame.rename(columns=names).astype(object),
     )
     for row in frame.to_dict("records"):
         km = row["km_from"], row["km_to"]
@@ -91,29 +91,20 @@ def found_table(frame: pd.DataFrame, found: int) -> WordTable:
     """What a statement of SQL finds; `found`: with the rows that are not listed."""
     title = f"{found:,} rows" if found != 1 else "1 row"
     columns = [Column(str(each)) for each in frame.columns]
-    table = new_table(title, *columns, name="rows", frame=frame.map(_plain))
+    table = new_table(title, *columns, name="rows", frame=frame.astype(object))
     for row in frame.itertuples(index=False):
         table.add_cells(*map(_shown, row))
     return table
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, pd.Timestamp):
-        return None if pd.isna(value) else value.isoformat()
-    if isinstance(value, np.ndarray):
-        return [_plain(each) for each in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if value is None or value is pd.NaT or value is pd.NA:
-        return None
-    return value if isinstance(value, bool | int | float | str | dict | list) else str(value)
-
-
 def _shown(value: Any) -> str:
-    plain = _plain(value)
-    if plain is None or (isinstance(plain, float) and pd.isna(plain)):
+    if isinstance(value, np.ndarray):
+        return str(value.tolist())
+    if not isinstance(value, list | dict) and pd.isna(value):
         return "-"
-    return f"{plain:.{SHOWN_DIGITS}g}" if isinstance(plain, float) else str(plain)
+    if isinstance(value, pd.Timestamp):
+        return value.isoformat()
+    return f"{value:.{SHOWN_DIGITS}g}" if isinstance(value, float | np.floating) else str(value)
 
 
 def problems_table(catalogue: Catalogue) -> WordTable:

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from trainlog.cli.options import CatalogueOption, TripsOption, ZoneOption, destination, measured
+from trainlog.cli.options import (
+    CatalogueOption,
+    JobsOption,
+    TripsOption,
+    ZoneOption,
+    destination,
+    measured,
+)
 from trainlog.cli.terminal import (
     as_json_text,
     console,
@@ -79,9 +86,7 @@ def fleet_add(
         Path | None,
         typer.Option(help="Folder for the results of a new catalogue in PostgreSQL."),
     ] = None,
-    jobs: Annotated[
-        int | None, typer.Option(min=1, help="Processes that read; default: one a processor.")
-    ] = None,
+    jobs: JobsOption = None,
 ) -> None:
     """Register logs by their content; the catalogue is made if there is none.
 

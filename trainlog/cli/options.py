@@ -111,6 +111,9 @@ RunTimeOption = Annotated[
         " before counts (UTC).",
     ),
 ]
+JobsOption = Annotated[
+    int | None, typer.Option(min=1, help="Processes; default: one per processor.")
+]
 Seed = Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")]
 MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="Map file (.map).")]
 MapOrFolder = Annotated[

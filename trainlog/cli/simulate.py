@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from trainlog.cli.options import (
+    JobsOption,
     LineOption,
     RiskOption,
     RunTimeOption,
@@ -290,9 +291,7 @@ def fleet(
             " given several times.",
         ),
     ] = None,
-    jobs: Annotated[
-        int | None, typer.Option(min=1, help="Processes; default: one per processor.")
-    ] = None,
+    jobs: JobsOption = None,
     seed: Seed = 1,
 ) -> None:
     """Simulate a fleet on a network: trains of three kinds on rosters of routes.
