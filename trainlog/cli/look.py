@@ -382,7 +382,13 @@ def report(
 
     Example: trainlog report catalogue --network results/fleet/network.network.json -o fleet.html
     """
-    if "://" in results or (Path(results) / "catalogue.sqlite").is_file():
+    is_fleet = "://" in results or (Path(results) / "catalogue.sqlite").is_file()
+    if catalogue is not None and (is_fleet or trips is None):
+        raise InputError(
+            f"--catalogue {catalogue} is where --trips chooses logs",
+            remedy="leave it out, or choose logs with --trips \"weather = 'wet'\"",
+        )
+    if is_fleet:
         refuse_rivals("the report is of a fleet", {"--line": line, "--logs": logs})
         if output is None:
             raise InputError(
