@@ -344,16 +344,16 @@ class _ParquetReader(TopicReader):
         kept = json.loads((schema.metadata or {}).get(b"pandas", b"{}"))
         super().__init__(path, schema, kept.get("attributes", {}), columns)
 
-    def read(self) -> pa.Table:
-        with _named(self._path, "is damaged", AGAIN):
-            return self._file.read(self.schema.names)
-
     def batches(self, rows: int, spans: Spans | None = None) -> Iterator[pa.Table]:
         held = enumerate(self.spans())
         groups = [n for n, span in held if spans is None or len(overlapping(spans, span[None]))]
+        missing = sum(self._file.metadata.row_group(n).num_rows for n in groups)
         with _named(self._path, "is damaged", AGAIN):
             for batch in self._file.iter_batches(rows, groups, self.schema.names):
+                missing -= len(batch)
                 yield pa.Table.from_batches([batch], self.schema)
+        if missing:
+            raise _damaged(self._path, f"{missing} rows are missing")
 
     def spans(self) -> Spans:
         column = self._file.schema_arrow.names.index(TIME)
