@@ -135,7 +135,7 @@ def test_stretches_without_fixes_are_reported() -> None:
     assert abs(end - 4_800.0) < 60.0
     inside = (centre_line.geometry.positions > begin) & (centre_line.geometry.positions < end)
     assert not inside.any()
-    assert any("no fixes from km 4." in stated for stated in centre_line.lines())
+    assert any("no fixes from km 4." in stated for stated in centre_line.notes)
 
 
 def test_trips_over_parts_of_a_line_are_put_together() -> None:

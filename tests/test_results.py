@@ -32,7 +32,7 @@ from trainlog.catalogue import open_catalogue
 from trainlog.cli.terminal import as_json_text
 from trainlog.declaration import Declared
 from trainlog.formats.parameters import write_parameters
-from trainlog.ingest import ingest_all
+from trainlog.ingest import ingest_all, propose_profile
 from trainlog.presentation import Presented
 from trainlog.railway.adhesion import AdhesionPoints
 from trainlog.values import same_values
@@ -164,7 +164,7 @@ def results(tmp_path_factory, fitted) -> dict[type, Presented]:  # type: ignore[
         analysis.map_difference(analysis.adhesion_map(logs[1]).track, track),
         analysis.map_history(track, 9_680.0, "wet"),
         *(analysis.update_map([LOG], folder / "wil.map"), analysis.score_rolling(two_days)),
-        NetworkMap(folder, None, {"edge": track}),
+        NetworkMap(folder, None, {track.line: track}),
         *(analysis.compare(logs), analysis.calculate(LOG, fitted)),
         analysis.compare_groups(
             trip, replace(trip, metadata={**trip.metadata, "configuration": trip.name})
@@ -177,6 +177,8 @@ def results(tmp_path_factory, fitted) -> dict[type, Presented]:  # type: ignore[
         *(ingested, next(each.report for each in ingested.outcomes if each.report)),
         analysis.report(folder),
         trainlog.Network("one", (start, end), (edge,)).route("St. Gallen", "Wil"),
+        *(trip, trainlog.identity_of(trip), analysis.geometry_of([trip])),
+        propose_profile(trainlog.sample("recorder.csv")),
     ]
     return {type(each): each for each in found}
 
@@ -242,6 +244,22 @@ def test_every_result_with_charts_is_drawn(results, tmp_path) -> None:  # type: 
         if kind.charts_by:
             result.plot().savefig(tmp_path / f"{kind.__name__}.svg")
             assert (tmp_path / f"{kind.__name__}.svg").stat().st_size > 1_000, kind
+
+
+def test_frames_hold_what_a_developer_computes_with(results) -> None:  # type: ignore[no-untyped-def]
+    plan = results[trainlog.Trajectory]
+    cells = plan.to_frame()
+    assert len(cells) == plan.braking_effort.size
+    assert cells.attrs["units"]["speed_m_s"] == "m/s"
+    assert cells.attrs["units"]["tractive_effort_fall_N"] == "N"
+    time = np.diff(cells["time_s"], append=plan.times[0, -1])
+    assert (time > 0.0).all()
+    found = {
+        kind.__name__: result.to_frame() for kind, result in results.items() if result.tables()
+    }
+    assert found["SlipAnalysis"]["adhesion"].notna().any()
+    assert found["SlipAnalysis"].attrs["units"]["energy"] == "J"
+    assert found["Calculation"]["work_J"].sum() > 0.0
 
 
 @pytest.mark.parametrize("width", [60, 80, 110])

@@ -23,8 +23,8 @@ import numpy as np
 import pandas as pd
 
 from trainlog.arrays import IntArray, UintArray
-from trainlog.display import as_text
 from trainlog.errors import InputError
+from trainlog.presentation import Presented
 from trainlog.trip import Trip
 from trainlog.units import NANOSECONDS
 
@@ -52,7 +52,7 @@ _SECOND = np.uint64(0x94D049BB133111EB)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TripIdentity:
+class TripIdentity(Presented):
     """What distinguishes a drive from all others.
 
     Attributes
@@ -80,13 +80,17 @@ class TripIdentity:
             return NotImplemented
         return self.text == other.text
 
-    def __hash__(self) -> int:
+    def __hash__(self) -> int:  # type: ignore[override]
         return hash(self.text)
 
-    def __repr__(self) -> str:
-        begin = self.start.strftime("%Y-%m-%d %H:%M:%S UTC")
-        rows = {"samples": f"{self.samples}", "minutes": f"{self.blocks.size}"}
-        return as_text(f"Identity of the trip of {begin}", rows)
+    @property
+    def title(self) -> str:
+        """When the trip began."""
+        return f"Identity of the trip of {self.start:%Y-%m-%d %H:%M:%S UTC}"
+
+    def summary(self) -> dict[str, str]:
+        """Its samples and minutes."""
+        return {"samples": f"{self.samples}", "minutes": f"{self.blocks.size}"}
 
     def shared(self, other: TripIdentity) -> float:
         """Share of the shorter trip that both have: 1 if one holds the other.

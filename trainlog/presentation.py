@@ -42,6 +42,15 @@ LONGEST_WORD = 32
 SHORT = 12
 """Letters of a cell, as ``7 / 16``, that is broken only where nothing else can be."""
 
+SHORT_NAME = 14
+"""Letters of a row's heading that stand on one line."""
+
+LONG_CELL = 30
+"""Letters of a cell that is as wide as a few words, however narrow the screen."""
+
+_NUMBER = re.compile(r"[-+−±]?\d[\d.,\s]*(\s?[^\s\d]{1,8}(\s±.*)?)?")
+"""A cell that is read as a number, with its unit."""
+
 LONG_NAME, SHORTEST_NAME = 24, 7
 """Letters to which long names are cut in a narrow terminal: before columns are left out, and where
 leaving them out is not enough."""
@@ -478,22 +487,39 @@ class WordTable:
 
     def _repr_html_(self) -> str:
         """The table as HTML, as a notebook shows it."""
-        heads = "".join(f"<th style='text-align:left'>{escape(each)}</th>" for each in self.heads)
-        head = f"<thead><tr>{heads}</tr></thead>" if self.show_header else ""
-        rows = "".join(
-            "<tr>"
-            + "".join(
-                f"<td style='text-align:left'>{escape(cell).replace(chr(10), '<br>')}</td>"
-                for cell in row
-            )
-            + "</tr>"
-            for row in self.words[:MOST_ROWS]
-        )
         more = len(self.rows) - MOST_ROWS
-        below = [f"and {more:,} more rows"] * (more > 0) + [self.caption or ""] * bool(self.caption)
-        words = "".join(f"<p>{escape(each)}</p>" for each in below)
-        title = f"<caption style='text-align:left'><b>{escape(self.title)}</b></caption>"
-        return f"<table>{title if self.title else ''}{head}<tbody>{rows}</tbody></table>{words}"
+        return self.html(MOST_ROWS, " style='text-align:left'") + (
+            f"<p>and {more:,} more rows</p>" if more > 0 else ""
+        )
+
+    def html(self, most: int | None = None, style: str = "") -> str:
+        """The table as HTML, its first column as headings of the rows.
+
+        Parameters
+        ----------
+        most : int, optional
+            Rows that are shown; default: all.
+        style : str
+            Attribute of each cell.
+        """
+        title = f"<caption{style}>{escape(self.title)}</caption>" if self.title else ""
+        heads = (
+            f'<th scope="col"{style}>{escape(" ".join(each.split()))}</th>' for each in self.heads
+        )
+        head = f"<thead><tr>{''.join(heads)}</tr></thead>" if self.show_header else ""
+        rows = []
+        for number, (first, *others) in enumerate(self.words[:most]):
+            kind = ' class="end"' if number in self.ends else ""
+            # A short name, of a train for one, is not broken at its hyphen.
+            name = ' class="name"' if "-" in first and len(first) <= SHORT_NAME else ""
+            cells = "".join(f"<td{_kind(cell)}{style}>{_cell(cell)}</td>" for cell in others)
+            row = f'<th scope="row"{name}{style}>{_cell(first)}</th>{cells}'
+            rows.append(f"<tr{kind}>{row}</tr>")
+        below = f'<p class="below">{escape(self.caption)}</p>' if self.caption else ""
+        return (
+            f'<div class="table"><table>{title}{head}<tbody>{"".join(rows)}</tbody></table></div>'
+            f"{below}\n"
+        )
 
     def schema(self) -> dict[str, Any]:
         """JSON Schema of the rows."""
@@ -532,6 +558,16 @@ class WordTable:
             for key in form.data(None)
         }
         return found
+
+
+def _kind(cell: str) -> str:
+    if _NUMBER.fullmatch(cell.strip()):
+        return ' class="number"'
+    return ' class="words"' if len(cell) > LONG_CELL else ""
+
+
+def _cell(cell: str) -> str:
+    return escape(cell).replace("\n", "<br>")
 
 
 def _longest_word(texts: Sequence[str]) -> int:

@@ -16,10 +16,9 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray
-from trainlog.display import as_text, counted
+from trainlog.display import counted
 from trainlog.errors import LogError, NotRecordedError
-from trainlog.plotted import Plotted
-from trainlog.presentation import facts_table
+from trainlog.presentation import Presented, WordTable, facts_table
 from trainlog.spans import Spans, in_spans, position_limits, spans_within, time_limits, utc
 from trainlog.topics import Topic, attributes, column_field
 from trainlog.units import NANOSECONDS, clock
@@ -49,7 +48,7 @@ MOST_SHOWN = 6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Trip(Plotted):
+class Trip(Presented):
     """One train trip.
 
     It is a mapping of topics: ``trip["/train/state"]`` is a frame, ``in`` asks for a topic, a loop
@@ -128,22 +127,19 @@ class Trip(Plotted):
             and all(_same(frame, other.topics[name]) for name, frame in self.topics.items())
         )
 
-    __hash__ = None  # type: ignore[assignment]
-
-    def __repr__(self) -> str:
-        return as_text(self._title, self._summary())
-
-    def _repr_html_(self) -> str:
-        return facts_table(self._title, self._summary(most=len(self)))._repr_html_()
-
     @property
-    def _title(self) -> str:
+    def title(self) -> str:
+        """Name, train, line and direction."""
         known = self.metadata
         words = [known.get("train", ""), f"on {known['line']}" if known.get("line") else ""]
         words += [known.get("direction", "")]
         return ", ".join([f"Trip '{self.name}'", *filter(None, words)])
 
-    def _summary(self, most: int = MOST_SHOWN) -> dict[str, str]:
+    def tables(self) -> list[WordTable]:
+        """The summary, with every topic."""
+        return [facts_table(self.title, self.summary(most=len(self)))]
+
+    def summary(self, most: int = MOST_SHOWN) -> dict[str, str]:
         """When it was and how far it went, and the rows and rate of each topic."""
         rows = {}
         if any(len(frame) for frame in self.topics.values()):

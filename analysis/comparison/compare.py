@@ -564,13 +564,12 @@ def _compared(
 
 def _lost_in(table: pd.DataFrame, shared: Sections, lost: Lost) -> Any:
     """Time lost in the rows of a trip's table; NaN in sections that are not in common."""
-    seconds = lost.by_section(shared.edges.size - 1)
-    middle = 0.5 * (table["first"] + table["last"]).to_numpy()
-    found = np.full(len(table), np.nan)
-    for row in range(len(table)):
-        # A section of the common range lies in one of the table, of which it may be a part.
-        inner = 0.5 * (shared.edges[1:] + shared.edges[:-1])
-        within = (inner >= table["first"].iloc[row]) & (inner <= table["last"].iloc[row])
-        if within.any():
-            found[row] = seconds[within].sum()
-    return np.where(np.isfinite(middle), found, np.nan)
+    # A section of the common range lies in one of the table, of which it may be a part.
+    inner = 0.5 * (shared.edges[1:] + shared.edges[:-1])
+    row = np.searchsorted(table["last"], inner)
+    within = inner >= np.append(table["first"], np.inf)[row]
+    count, seconds = (
+        np.bincount(row[within], weights, minlength=len(table))
+        for weights in (None, lost.by_section(inner.size)[within])
+    )
+    return np.where(count > 0, seconds, np.nan)

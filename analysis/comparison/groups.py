@@ -317,11 +317,7 @@ class GroupComparison(Presented):
 
     def summary(self) -> dict[str, str]:
         """Energy saved, and running times."""
-        driver, own = self.running_times
-        return {
-            "saved": self.saved_words,
-            "running time": f"{own:.0f} s on the trajectory, {driver:.0f} s by the drivers",
-        }
+        return {"saved": self.saved_words, "running time": self.times_words}
 
     def tables(self) -> list[WordTable]:
         """What following the trajectory saved, pair by pair, and their mean."""
@@ -345,7 +341,7 @@ class GroupComparison(Presented):
     def sentence(self) -> str:
         """What was saved on all trips together."""
         trips = counted(len(self.pairs), "trip")
-        return f"Saved on {trips}: {self.saved_words}; {running_times(self)}."
+        return f"Saved on {trips}: {self.saved_words}; {self.times_words}."
 
     @property
     def saved_words(self) -> str:
@@ -363,11 +359,11 @@ class GroupComparison(Presented):
         return [f"{remark}." for remark in self.remarks]
 
     @property
-    def running_times(self) -> tuple[float, float]:
-        """Mean running time of the drivers and on the trajectory [s]."""
+    def times_words(self) -> str:
+        """Mean running times of both, in words."""
         times = [(each.driver.running_time, each.trajectory.running_time) for each in self.pairs]
-        driver, trajectory = np.mean(times, axis=0).tolist()
-        return driver, trajectory
+        driver, trajectory = np.mean(times, axis=0)
+        return f"{trajectory:.0f} s on the trajectory against {driver:.0f} s on average"
 
 
 def compare_groups(
@@ -496,9 +492,3 @@ def _mean(costs: Sequence[TripCost]) -> str:
     times = [each.running_time for each in costs]
     work = f"{kwh(float(np.mean(works)))} ± {kwh(float(np.std(works, ddof=1)))}"
     return f"{work}, {np.mean(times):.0f} ± {np.std(times, ddof=1):.0f} s"
-
-
-def running_times(found: GroupComparison) -> str:
-    """Mean running times of both, in words."""
-    driver, trajectory = found.running_times
-    return f"{trajectory:.0f} s on the trajectory against {driver:.0f} s on average"

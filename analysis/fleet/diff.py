@@ -16,12 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.fleet.analyses import ANALYSES
 from analysis.fleet.diff_estimates import (
     UNITS,
-    Values,
     aligned,
     by_definition,
     estimates,
@@ -44,7 +42,7 @@ from analysis.fleet.diff_judgement import (
 from analysis.fleet.diff_map import PLACES, moved_places
 from analysis.fleet.update import EVIDENCE
 from analysis.fleet.versions import Version, ensure_results, opened_version
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import FloatArray
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.presentation import (
@@ -478,14 +476,15 @@ def _compare(found: _Found, name: str, one: Results, other: Results) -> None:
     for estimate in [each for each in sides[0] if each in sides[1]]:
         unit = columns[estimate].unit if estimate in columns else UNITS.get(estimate, "")
         mine, its = sides[0][estimate], sides[1][estimate]
-        if not (np.isfinite(mine.value) | np.isfinite(its.value)).any():
+        known = np.isfinite(mine.value) | np.isfinite(its.value)
+        if not known.any():
             continue
         classes, band = classes_of(mine, its)
         worst = np.maximum(worst, classes)
         found.estimates.append(
             {"analysis": name, "estimate": estimate, "unit": _shown(unit)}
-            | {"rows": int(np.sum(np.isfinite(mine.value) | np.isfinite(its.value)))}
-            | {each: int(np.sum((classes == n) & _known(mine, its))) for n, each in
+            | {"rows": int(known.sum())}
+            | {each: int(np.sum((classes == n) & known)) for n, each in
                enumerate(CLASSES)}
             | {"band_ratio": _ratio(its.std, mine.std)}
         )  # fmt: skip
@@ -496,17 +495,19 @@ def _compare(found: _Found, name: str, one: Results, other: Results) -> None:
         if (classes > CLASSES.index("rounding")).any():
             means.append(mean_shifts(about, estimate, _shown(unit), mine, its, classes))
     found.means += [each.assign(analysis=name) for each in means]
-    _count_trips(found, name, one.outcomes["key"], about["key"].to_numpy(), worst, found.verdicts)
+    keys = one.outcomes["key"].to_numpy()
+    by_trip = pd.Series(worst).groupby(about["key"].to_numpy()).max().reindex(keys, fill_value=0)
+    by_trip[list(alone)] = CLASSES.index("beyond")
+    numbers = np.bincount(by_trip.to_numpy(np.int64), minlength=len(CLASSES)).tolist()
+    found.trip_counts.append(
+        {"analysis": name, "trips": len(by_trip), **dict(zip(CLASSES, numbers, strict=True))}
+    )
     if "evidence" in left and not (left["evidence"] == right["evidence"]).all():
         found.places += moved_places(left, right)
 
 
 _COUNTS = {"slips"}
 """Counts that may not be known, which a column of counts cannot hold."""
-
-
-def _known(mine: Values, its: Values) -> BoolArray:
-    return np.asarray(np.isfinite(mine.value) | np.isfinite(its.value))
 
 
 def _shown(unit: str) -> str:
@@ -528,20 +529,3 @@ def _verdicts(name: str, one: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame
         + changed["reason_other"].map(lambda each: f": {each}" if each else ""),
     }
     return changed.rename(columns={"name": "trip"}).assign(analysis=name, **stated)
-
-
-def _count_trips(
-    found: _Found,
-    name: str,
-    keys: pd.Series,
-    rows: NDArray[np.object_],
-    worst: IntArray,
-    verdicts: list[pd.DataFrame],
-) -> None:
-    """Count of how many trips the worst difference is which."""
-    by_trip = pd.Series(worst).groupby(rows).max().reindex(keys.to_numpy(), fill_value=0)
-    by_trip[verdicts[-1]["key"].to_numpy()] = CLASSES.index("beyond")
-    counts = np.bincount(by_trip.to_numpy(np.int64), minlength=len(CLASSES))
-    found.trip_counts.append(
-        {"analysis": name, "trips": len(by_trip)} | dict(zip(CLASSES, counts.tolist(), strict=True))
-    )

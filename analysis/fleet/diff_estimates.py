@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from trainlog.arrays import BoolArray, FloatArray
-from trainlog.formats.summaries import COVARIANCE, PARAMETERS
+from trainlog.formats.summaries import COVARIANCE, PARAMETERS, covariances_of, parameters_of
 from trainlog.units import DAY, KMH, NANOSECONDS
 
 SPEEDS = (40.0, 80.0, 120.0)
@@ -204,17 +204,11 @@ def _curves(table: pd.DataFrame) -> dict[str, Values]:
     if not {*PARAMETERS, *COVARIANCE, "asked_highest"} <= set(table):
         return {}
     found = {}
-    values = table[["r0", "r1", "r2"]].to_numpy(np.float64)
-    names = [(a, b) for a in range(3) for b in range(a, 3)]
-    drag = ("r0", "r1", "r2")
+    values, variances = parameters_of(table)[:, :3], covariances_of(table)[:, :3, :3]
     for speed in SPEEDS:
         basis = (speed / KMH) ** np.arange(3)
-        variance = np.zeros(len(table))
-        for a, b in names:
-            term = table[f"covariance_{drag[a]}_{drag[b]}"].to_numpy(np.float64)
-            variance += (1 + (a != b)) * basis[a] * basis[b] * term
         asked = table["asked_highest"].to_numpy(np.float64) >= speed / KMH - 1e-6
+        std = np.sqrt(np.maximum(variances @ basis @ basis, 0.0))
         value = np.where(asked, values @ basis, np.nan)
-        std = np.sqrt(np.maximum(variance, 0.0))
         found[f"resistance at {speed:.0f} km/h"] = Values(value, std)
     return found

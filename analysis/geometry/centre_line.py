@@ -20,8 +20,7 @@ from trainlog.identity import Known, identity_of, same_drives
 from trainlog.ingest.chainage import Matched, chainage_of, distance_driven
 from trainlog.ingest.estimates import fixes_of
 from trainlog.ingest.fixes import Fixes
-from trainlog.plotted import Plotted
-from trainlog.presentation import facts_table
+from trainlog.presentation import Presented
 from trainlog.railway.geometry import from_plane, nearest_on, thinned, to_plane, track_of
 from trainlog.railway.line import (
     CurvatureProfile,
@@ -65,8 +64,8 @@ GAP = 100.0
 """Points of the rough line further apart than this [m] have a gap between them."""
 
 
-@dataclass(frozen=True, eq=False)
-class CentreLine(Plotted):
+@dataclass(frozen=True, eq=False, repr=False)
+class CentreLine(Presented):
     """A line's geometry, and what it rests on; arrays are (n,), one value a `STEP`.
 
     Attributes
@@ -133,42 +132,47 @@ class CentreLine(Plotted):
         """Of the line [m]."""
         return float(self.geometry.positions[-1])
 
-    def __repr__(self) -> str:
-        return "\n  ".join(["CentreLine", *self.lines()[:9]])
+    @property
+    def title(self) -> str:
+        """Length, trips and fixes."""
+        return (
+            f"Centre line, {self.length / 1e3:.3f} km from {counted(len(self.used), 'trip')},"
+            f" {self.fixes} fixes, {self.rejected} set aside"
+        )
 
-    def _repr_html_(self) -> str:
-        rows = {str(number): line for number, line in enumerate(self.lines(), 1)}
-        return facts_table("CentreLine", rows)._repr_html_()
-
-    def lines(self) -> list[str]:
-        """What was found, in words."""
+    def summary(self) -> dict[str, str]:
+        """How well the course and the gradients are known."""
         known = self.support > 0
-        found = [
-            f"{self.length / 1e3:.3f} km from {counted(len(self.used), 'trip')},"
-            f" {self.fixes} fixes, {self.rejected} set aside",
-            f"standard deviation across the track {np.median(self.std[known]):.1f} m,"
-            f" at most {self.std[known].max():.1f} m; {np.mean(self.support > 1):.0%} of the line"
-            " rests on more than one trip",
+        return {
+            "across the track": f"standard deviation {np.median(self.std[known]):.1f} m, at most"
+            f" {self.std[known].max():.1f} m; {np.mean(self.support > 1):.0%} of the line rests on"
+            " more than one trip",
+            "gradients": self._gradients(),
+        }
+
+    @property
+    def notes(self) -> list[str]:
+        """What has no fixes, and trips that are not used."""
+        return [
+            *(
+                f"no fixes from km {start / 1e3:.3f} to km {end / 1e3:.3f}: bridged, not known"
+                for start, end in self.unsupported
+            ),
+            *(f"{name} is not used: {reason}" for name, reason in self.refused),
         ]
-        found.append(self._gradients())
-        found += [
-            f"no fixes from km {start / 1e3:.3f} to km {end / 1e3:.3f}: bridged, not known"
-            for start, end in self.unsupported
-        ]
-        return found + [f"{name} is not used: {reason}" for name, reason in self.refused]
 
     def _gradients(self) -> str:
         """What is known of the gradients, in words."""
         if self.heights is None:
-            return f"gradients are not known: {self.no_heights}"
+            return f"not known: {self.no_heights}"
         known, size = self.heights.known, PER_MILLE * self.gradient_std
         errors = f"altitudes err by {self.heights.sigma:.1f} m for {self.heights.tau:.0f} s"
         if not self.gradients_known:
             return (
-                f"gradients are not known: the trips' altitudes show {np.mean(known):.0%} of them,"
+                f"not known: the trips' altitudes show {np.mean(known):.0%} of them,"
                 f" to {size:.1f} per mille over {OVER:.0f} m; {errors}"
             )
-        return f"gradients over {OVER:.0f} m to {size:.1f} per mille (standard deviation); {errors}"
+        return f"over {OVER:.0f} m to {size:.1f} per mille (standard deviation); {errors}"
 
 
 @dataclass(frozen=True, eq=False)

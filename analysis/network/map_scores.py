@@ -11,6 +11,7 @@ from analysis.verification.scoring import (
     LeftOut,
     Score,
     counted_once,
+    refusal,
     score_map_on,
     score_rolling,
 )
@@ -124,7 +125,7 @@ def score_network_on(
             if layer is not None:
                 stated[digest] = given.trip.metadata.get("weather", "")
         except TrainlogError as error:
-            refused.append(_refusal(error, path))
+            refused.append(refusal(error, path))
             continue
         for edge in edges:
             track = maps.maps.get(edge.name)
@@ -134,7 +135,7 @@ def score_network_on(
             try:
                 piece = given.evidence_on(edge, track, layer, weather, digest)
             except TrainlogError as error:
-                refused.append(f"edge '{edge.name}': {_refusal(error, path)}")
+                refused.append(f"edge '{edge.name}': {refusal(error, path)}")
             else:
                 pieces.setdefault(edge.name, []).append(piece)
     limits = [
@@ -156,10 +157,6 @@ def score_network_on(
             remedy="give logs of trips of days that the maps do not hold",
         )
     return _whole(maps, "the maps", found, limits, refused), found
-
-
-def _refusal(error: TrainlogError, path: Path) -> str:
-    return str(type(error)(error.problem, file=path, remedy=error.remedy))
 
 
 def _whole(

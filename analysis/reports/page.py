@@ -31,17 +31,8 @@ LARGEST = 5_000_000
 
 STILL = "The charts stand still here, so that the page is not too large to be sent."
 
-SHORT_NAME = 14
-"""Letters of a row's heading that stand on one line."""
-
-LONG_CELL = 30
-"""Letters of a cell that is as wide as a few words, however narrow the screen."""
-
 _STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
 _SCRIPT = (Path(__file__).parent / "page.js").read_text(encoding="utf-8")
-
-_NUMBER = re.compile(r"[-+−±]?\d[\d.,\s]*(\s?[^\s\d]{1,8}(\s±.*)?)?")
-"""A cell that is read as a number, with its unit."""
 
 
 @dataclass(frozen=True)
@@ -243,7 +234,7 @@ class _Writer:
         if isinstance(part, Section):
             return self.section(part, min(level + 1, 6))
         if isinstance(part, WordTable):
-            return _table(part)
+            return part.html()
         if isinstance(part, Interactive):
             return self._interactive(part)
         if isinstance(part, Beside):
@@ -286,7 +277,9 @@ class _Writer:
 
 def _heading(part: Interactive) -> str:
     """Title and legend of a chart; a name in the legend hides what it names."""
-    return (f'<p class="title">{_cell(part.title)}</p>' if part.title else "") + _keys(part.legend)
+    return (
+        f'<p class="title">{escape(part.title).replace(chr(10), "<br>")}</p>' if part.title else ""
+    ) + _keys(part.legend)
 
 
 def _keys(legend: Sequence[tuple[str, str, str]]) -> str:
@@ -298,41 +291,6 @@ def _keys(legend: Sequence[tuple[str, str, str]]) -> str:
         for name, colour, kind in legend
     )
     return f'<div class="keys">{keys}</div>' if keys else ""
-
-
-def _table(table: WordTable) -> str:
-    """A table, its first column as headings of the rows."""
-    title = f"<caption>{escape(table.title)}</caption>" if table.title else ""
-    heads = ""
-    if table.show_header:
-        cells = "".join(
-            f'<th scope="col">{escape(" ".join(each.split()))}</th>' for each in table.heads
-        )
-        heads = f"<thead><tr>{cells}</tr></thead>"
-    rows = []
-    for number, (first, *others) in enumerate(table.words):
-        kind = ' class="end"' if number in table.ends else ""
-        # A short name, of a train for one, is not broken at its hyphen.
-        name = ' class="name"' if "-" in first and len(first) <= SHORT_NAME else ""
-        cells = f'<th scope="row"{name}>{_cell(first)}</th>' + "".join(
-            f"<td{_kind(cell)}>{_cell(cell)}</td>" for cell in others
-        )
-        rows.append(f"<tr{kind}>{cells}</tr>")
-    below = f'<p class="below">{escape(table.caption)}</p>' if table.caption else ""
-    return (
-        f'<div class="table"><table>{title}{heads}<tbody>{"".join(rows)}</tbody></table></div>'
-        f"{below}\n"
-    )
-
-
-def _kind(cell: str) -> str:
-    if _NUMBER.fullmatch(cell.strip()):
-        return ' class="number"'
-    return ' class="words"' if len(cell) > LONG_CELL else ""
-
-
-def _cell(cell: str) -> str:
-    return escape(cell).replace("\n", "<br>")
 
 
 def _variables(colours: Mapping[str, str]) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from analysis.adhesion.condition_map import summary
-from analysis.comparison.groups import compare_groups, punctuality, running_times
+from analysis.comparison.groups import compare_groups, punctuality
 from analysis.truth import SimulatedLogs, Truth, curve_error, map_error
 from trainlog.display import counted, lateness, span
 from trainlog.errors import InputError, LogError
@@ -275,7 +275,7 @@ def _saved(folder: Path, logs: Sequence[Path]) -> tuple[str, str, str] | None:
         found = compare_groups(logs, followed)
     except LogError as refused:
         return "energy saved", f"not compared: {refused.problem}", str(folder)
-    words = f"{found.saved_words} on {counted(len(found.pairs), 'trip')} ({running_times(found)})"
+    words = f"{found.saved_words} on {counted(len(found.pairs), 'trip')} ({found.times_words})"
     return "energy saved", words, str(folder)
 
 

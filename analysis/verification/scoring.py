@@ -466,6 +466,11 @@ def line_of_logs(logs: Iterable[str | Path]) -> tuple[str | None, float]:
     return None, float("inf")
 
 
+def refusal(error: TrainlogError, path: Path) -> str:
+    """Why a log cannot be used, with its path."""
+    return str(type(error)(error.problem, file=path, remedy=error.remedy))
+
+
 def _trips(
     logs: Iterable[str | Path],
     track: TrackConditionMap | None,
@@ -487,7 +492,7 @@ def _trips(
             if layer is not None:
                 stated[digest] = read_log(path, topics=[]).metadata.get("weather", "")
         except TrainlogError as error:
-            refused.append(str(type(error)(error.problem, file=path, remedy=error.remedy)))
+            refused.append(refusal(error, path))
     if track is None:
         raise InputError(
             "no log could be used" + (f": {refused[0]}" if refused else ""),

@@ -279,8 +279,7 @@ def _line_of_fixes(logs: list[Path], output: Path, name: str | None, picture: Pa
         centre_line = geometry_of(trips)
     write_line(line_of(centre_line, name or output.stem.removesuffix(".line")), output)
     draw(centre_line, shown, trips=trips)
-    for sentence in centre_line.lines():
-        console.print(sentence)
+    console.print(*centre_line.shown())
     wrote(output, shown)
 
 

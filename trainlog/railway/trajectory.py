@@ -13,7 +13,7 @@ from trainlog.arrays import FloatArray, IntArray
 from trainlog.declaration import Array, Choice, Declared, Json, Many, Quantity
 from trainlog.display import at_most, lateness, span
 from trainlog.errors import InputError
-from trainlog.plotted import Plotted
+from trainlog.presentation import WordTable, frame_table
 from trainlog.railway.line import Line
 from trainlog.railway.train import Configuration, Train
 from trainlog.units import JOULES_PER_KWH, KMH, clock
@@ -30,7 +30,7 @@ _ENERGY = {
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Trajectory(Declared, Plotted):
+class Trajectory(Declared):
     """A robust trajectory between two stops.
 
     The braking effort is constant in each cell between two neighbouring positions, the tractive
@@ -177,6 +177,26 @@ class Trajectory(Declared, Plotted):
             "speed": f"at most {span(fastest)} km/h",
             "cells": f"{self.positions.size - 1}",
         }
+
+    def tables(self) -> list[WordTable]:
+        """The summary; speed, time and efforts of each configuration where each cell begins."""
+        import pandas as pd
+
+        q, n = self.braking_effort.shape
+        cells = pd.DataFrame(
+            {
+                "configuration": np.repeat([each.name for each in self.configurations], n),
+                "position_m": np.tile(self.positions[:-1], q),
+                "time_s": self.times[:, :-1].ravel(),
+                "speed_m_s": self.speeds[:, :-1].ravel(),
+                "tractive_effort_N": np.tile(self.tractive_effort, q),
+                "tractive_effort_fall_N": np.tile(self.tractive_effort_fall, q),
+                "braking_effort_N": self.braking_effort.ravel(),
+            }
+        )
+        units = ("m", "s", "m/s", "N", "N", "N")
+        cells.attrs["units"] = dict(zip(cells.columns[1:], units, strict=True))
+        return [*super().tables(), frame_table("cells", cells)]
 
     def check(self, line: str, train: str) -> None:
         """Refuse to be used on another line or for another train.

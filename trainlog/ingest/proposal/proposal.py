@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trainlog.display import as_text, counted
+from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.formats.toml import toml_value
 from trainlog.ingest.parts import parts_of
@@ -28,7 +28,7 @@ from trainlog.ingest.recording import NO_TIME, Recording, base_name, field_of
 from trainlog.ingest.registry import format_of, own_profile
 from trainlog.ingest.rules import repaired
 from trainlog.ingest.tabular import read_delimited, read_parquet
-from trainlog.presentation import facts_table
+from trainlog.presentation import Presented
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.topics import RECORDED, TOPICS
@@ -51,7 +51,7 @@ PREVIEW = 3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Proposal:
+class Proposal(Presented):
     """A profile proposed for a file.
 
     Attributes
@@ -138,15 +138,13 @@ class Proposal:
             *(f"  {row}" for row in shown.to_string().splitlines()),
         ]
 
-    def __repr__(self) -> str:
-        return as_text(f"Proposed profile of {self.path.name}", self._summary())
+    @property
+    def title(self) -> str:
+        """The file."""
+        return f"Proposed profile of {self.path.name}"
 
-    __str__ = __repr__
-
-    def _repr_html_(self) -> str:
-        return facts_table(f"Proposed profile of {self.path.name}", self._summary())._repr_html_()
-
-    def _summary(self) -> dict[str, str]:
+    def summary(self) -> dict[str, str]:
+        """What was taken for what, and what is open."""
         rows = {reading.what: reading.taken for reading in self.readings}
         for row, unit in self._rows():
             rows[row["field"]] = f"{row['column']}{unit}"
