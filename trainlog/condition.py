@@ -248,7 +248,8 @@ def _plain(track: TrackConditionMap, known: DailyEvidence) -> FieldEvidence:
     return FieldEvidence(
         bins=known.bins,
         bin_length=track.bin_length,
-        log_levels=np.log(_middles(track.levels)),
+        # What was used without slip was counted at the lower end of a step.
+        log_levels=np.log(track.levels + 0.5 * np.gradient(track.levels)),
         day=known.day,
         bin=known.bin,
         trips=known.trips,
@@ -260,11 +261,6 @@ def _plain(track: TrackConditionMap, known: DailyEvidence) -> FieldEvidence:
         used_level=known.used_level,
         used_trips=known.used_trips,
     )
-
-
-def _middles(levels: FloatArray) -> FloatArray:
-    """Middle of each step: what was used without slip was counted at the step's lower end."""
-    return np.asarray(levels + 0.5 * np.gradient(levels))
 
 
 def _model(track: TrackConditionMap, found: FieldPosterior) -> ConditionModel:

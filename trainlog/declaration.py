@@ -418,8 +418,6 @@ class Column(Form):
         Whether the file has the inverse of what is held: a radius, where inside it is curvature.
     table : str
         Key of the table, where the thing's file has others beside it.
-    from_start : bool
-        Whether its numbers must increase from 0.
     """
 
     name: str = ""
@@ -428,7 +426,6 @@ class Column(Form):
     instead: Gap | None = None
     inverse: bool = False
     table: str = ""
-    from_start: bool = False
 
     def check(self, cell: Any) -> None:
         """Refuse a cell that does not belong into the column."""
@@ -547,8 +544,6 @@ class Table(Form):
                 for column, given in zip(columns, cells, strict=True)
             )
         )
-        if columns[0].from_start:
-            check_from_start(read[0])
         return tuple(read)
 
     def write(self, value: Any, in_si: bool = False) -> Any:
@@ -609,27 +604,6 @@ def _check_rows(rows: list[Any], columns: tuple[Column, ...]) -> None:
     cells = zip(*rows, strict=True) if whole else ()
     if not whole or not all(c.sound(each) for c, each in zip(columns, cells, strict=bool(rows))):
         _items(rows, check_row)
-
-
-def check_from_start(positions: FloatArray) -> None:
-    """Refuse rows whose positions [m] do not increase from 0; errors name the row."""
-    problems = [
-        InputError(
-            f"position {positions[row + 1]:.12g} m follows {positions[row]:.12g} m",
-            place=f"values[{row + 1}]",
-            remedy="positions must increase",
-        )
-        for row in np.flatnonzero(np.diff(positions) <= 0.0)
-    ]
-    if positions.size == 0 or positions[0] != 0.0:
-        first = InputError(
-            "the first row is not at position 0",
-            place="values",
-            remedy="give what holds from the line's start",
-        )
-        problems.insert(0, first)
-    if problems:
-        raise InputError.listing(problems)
 
 
 @dataclass(frozen=True)

@@ -99,7 +99,7 @@ class AdhesionForecast:
         for row in rows.tolist():
             here = (positions >= self.start[row]) & (positions < self.end[row])
             for other in np.unique(found[here & (found >= 0)]).tolist():
-                if self._rival(row, other):
+                if self.layer[row] == self.layer[other] and self.issued[row] == self.issued[other]:
                     raise InputError(
                         f"forecast for line '{self.line}': {self._place(row)} and"
                         f" {self._place(other)} both hold at {time.isoformat()} from"
@@ -108,9 +108,6 @@ class AdhesionForecast:
                     )
             found[here] = row
         return found
-
-    def _rival(self, row: int, other: int) -> bool:
-        return self.layer[row] == self.layer[other] and self.issued[row] == self.issued[other]
 
     def _place(self, row: int) -> str:
         return self.place[row] if self.place else f"row {row + 1}"

@@ -18,7 +18,7 @@ TINY = 1e-6
 """Pieces that are shorter [m] do not come of a cut: positions are rounded to less."""
 
 
-POSITION = Column("position", "m", "m", from_start=True)
+POSITION = Column("position", "m", "m")
 """The first column of tables along a line."""
 
 
@@ -49,7 +49,7 @@ class StepProfile(Declared):
 
     def problems(self) -> Iterator[InputError]:
         """What no profile can be."""
-        yield from _disorder("profile", self.positions, self.values)
+        yield from _disorder("values", self.positions, self.values)
 
     def __repr__(self) -> str:
         low, high = float(self.values.min()), float(self.values.max())
@@ -107,7 +107,9 @@ class _Elements(Declared):
 
     __slots__ = ()
 
-    WORDS: ClassVar[str]
+    PLACE: ClassVar[str] = "values"
+    """Of the rows in the file."""
+
     TURNED: ClassVar[float] = 1.0
     """Factor of the values as seen from the other end of the line."""
 
@@ -117,7 +119,7 @@ class _Elements(Declared):
 
     def problems(self) -> Iterator[InputError]:
         """What no such elements can be."""
-        yield from _disorder(self.WORDS, self.positions, self.start, self.end)
+        yield from _disorder(self.PLACE, self.positions, self.start, self.end)
 
     def at(self, position: ArrayLike, length: float) -> FloatArray:
         """The value at each position of a line of `length` [m]; ends are extended."""
@@ -176,7 +178,6 @@ class CurvatureProfile(_Elements):
     array([0.   , 0.001, 0.002])
     """
 
-    WORDS: ClassVar[str] = "curvature"
     TURNED: ClassVar[float] = -1.0
 
     positions: Annotated[FloatArray, POSITION]
@@ -213,32 +214,33 @@ class LineReference(_Elements):
     array([61200., 60950., 60250.])
     """
 
-    WORDS: ClassVar[str] = "kilometres"
+    PLACE: ClassVar[str] = "kilometres.values"
 
     name: Annotated[str, Text(least=1)]
-    positions: Annotated[
-        FloatArray, Column("position", "m", "m", table="kilometres", from_start=True)
-    ]
+    positions: Annotated[FloatArray, Column("position", "m", "m", table="kilometres")]
     start: Annotated[FloatArray, Column("km_at_start", "km", "m", table="kilometres")]
     end: Annotated[FloatArray, Column("km_at_end", "km", "m", table="kilometres")]
 
 
-def _disorder(what: str, positions: FloatArray, *columns: FloatArray) -> Iterator[InputError]:
-    """The first of what positions and values along a line cannot be."""
-    steps = np.diff(positions, axis=0)
-    if (
-        positions.ndim != 1
-        or positions.size == 0
-        or any(each.shape != positions.shape for each in columns)
-    ):
-        yield InputError(f"{what}: needs as many positions as values, and at least one")
+def _disorder(place: str, positions: FloatArray, *columns: FloatArray) -> Iterator[InputError]:
+    """What rows along a line cannot be, which increase from position 0."""
+    if positions.ndim != 1 or any(each.shape != positions.shape for each in columns):
+        yield InputError("needs as many positions as values", place=place)
     elif not all(np.all(np.isfinite(each)) for each in (positions, *columns)):
-        yield InputError(f"{what}: positions and values must be finite numbers")
-    elif positions[0] != 0.0:
-        yield InputError(f"{what}: must begin at position 0, begins at {positions[0]} m")
-    elif np.any(steps <= 0.0):
-        at = positions[1:][steps <= 0.0][0]
-        yield InputError(f"{what}: positions must increase, they do not at {at} m")
+        yield InputError("positions and values must be finite numbers", place=place)
+    else:
+        if positions.size == 0 or positions[0] != 0.0:
+            yield InputError(
+                "the first row is not at position 0",
+                place=place,
+                remedy="give what holds from the line's start",
+            )
+        for row in np.flatnonzero(np.diff(positions) <= 0.0):
+            yield InputError(
+                f"position {positions[row + 1]:.12g} m follows {positions[row]:.12g} m",
+                place=f"{place}[{row + 1}]",
+                remedy="positions must increase",
+            )
 
 
 Metres = Annotated[float, Quantity("m", "m")]
@@ -306,7 +308,7 @@ class Geometry(Declared):
             yield InputError("needs at least two points, each with two coordinates")
             return
         since = self.positions - self.positions[0]
-        yield from _disorder("geometry", since, self.latitudes, self.longitudes)
+        yield from _disorder("track.values", since, self.latitudes, self.longitudes)
         if np.any(np.abs(self.latitudes) > 90.0) or np.any(np.abs(self.longitudes) > 180.0):
             yield InputError(
                 "a coordinate is beyond 90° of latitude or 180° of longitude",

@@ -7,10 +7,11 @@ the line as it is travelled, composed of stretches of edges: an ordinary `Line` 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import groupby, pairwise
+from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
@@ -252,7 +253,9 @@ class Network(Declared):
             ("node", [each.name for each in self.nodes]),
             ("edge", [each.name for each in self.edges]),
         ):
-            for name, count in sorted(_twice(names).items()):
+            for name, count in sorted(Counter(names).items()):
+                if count == 1:
+                    continue
                 yield InputError(
                     f"{where}: {counted(count, kind)} have the name '{name}'",
                     remedy="give each a name of its own",
@@ -778,11 +781,6 @@ def assumed_on(edges: Sequence[Edge]) -> str:
     """
     length = sum(edge.line.length for edge in edges) / 1e3
     return f"on all or a part of {counted(len(edges), 'edge')}, {length:.3f} km long together"
-
-
-def _twice(names: Sequence[str]) -> dict[str, int]:
-    counts = {name: len(list(group)) for name, group in groupby(sorted(names))}
-    return {name: count for name, count in counts.items() if count > 1}
 
 
 def _nearest(name: str, known: Any, otherwise: str) -> str:
