@@ -393,3 +393,13 @@ def test_every_unit_of_the_vocabulary_is_one_that_a_profile_can_have() -> None:
         if dimension not in ("rotation", "curvature"):
             assert all(map(si_unit, units)), dimension
     assert factor("standard_gravity", "m/s^2")[0] == pytest.approx(9.81, rel=1e-3)
+
+
+def test_the_zone_that_is_offered_is_a_guess_by_the_language(tmp_path: Path) -> None:
+    path = tmp_path / "fahrt.csv"
+    speeds = [min(each, 20.0, 59.0 - each) for each in range(60)]
+    rows = [f"2024-05-01 06:00:{s:02d};{3.6 * v:.1f}" for s, v in enumerate(speeds)]
+    path.write_text("Zeit;Geschwindigkeit [km/h]\n" + "\n".join(rows) + "\n", "utf-8")
+    (zone,) = [each for each in propose_profile(path).open if each.startswith("time zone")]
+    assert zone.startswith("time zone: UTC (the file does not state a zone)")
+    assert 'timezone = "Europe/Berlin" (a guess)' in zone

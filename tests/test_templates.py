@@ -196,6 +196,14 @@ Kilometrierung [km];Neigung [‰];Vmax [km/h];Bahnhof;Radius [m];Breite [deg];L�
     assert line.reversed().kilometre(0.0) == pytest.approx(24_300.0)
 
 
+def test_coordinates_of_a_table_are_degrees(tmp_path: Path) -> None:
+    head = "km;Steigung [%];Geschwindigkeit [km/h];Breite;Länge"
+    rows = f"{head}\n0;1;80;50,80;12,90\n5;0;80;50,81;12,95\n"
+    line = read_line_table(table(tmp_path, rows))
+    assert line.geometry is not None
+    assert line.geometry.longitudes.tolist() == [12.90, 12.95]
+
+
 @pytest.mark.parametrize("suffix", [".toml", ".json"])
 def test_a_lines_file_is_made_from_a_table(tmp_path: Path, suffix: str) -> None:
     path = table(tmp_path, "km,slope [%],speed [mph]\n0,0.5,50\n5,-1.2,75\n8,,\n")

@@ -248,9 +248,11 @@ def _numbers(table: HeadedTable, column: Column) -> FloatArray:
     """A column in SI, NaN where a cell is empty."""
     number = table.columns[column.name]
     bare, unit = table.bare_name(number), table.units[number]
-    if unit is None and bare.lower() != "km":
+    if unit is None and (bare.lower() == "km" or column.unit == "deg"):
+        unit = column.unit
+    if unit is None:
         table.refuse(f"column '{bare}' has no unit", f"write '{bare} [{column.unit}]'")
-    return table.quantity(column, unit or "km", required=column.name == "position")
+    return table.quantity(column, unit, required=column.name == "position")
 
 
 def _check_positions(table: HeadedTable, at: FloatArray) -> None:

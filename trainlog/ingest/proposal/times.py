@@ -447,13 +447,15 @@ def _zone(layout: Layout, names: tuple[str, ...]) -> tuple[str, Reading]:
     """The zone of times that name no offset."""
     stated = [zone_of(name) for name in names]
     zone = next((each for each in stated if each is not None), None) or zone_of(layout.preamble)
+    guess = {"de": "Europe/Berlin", "fr": "Europe/Paris"}.get(
+        language_of(layout.names) or "", "UTC"
+    )
     if zone == "local":
-        language = language_of(layout.names)
-        guess = {"de": "Europe/Berlin", "fr": "Europe/Paris"}.get(language or "", "UTC")
-        why = "the name states local time, not of which country"
+        why = "the name states local time; which one is guessed by the language of the columns"
         return guess, Reading("time zone", guess, why, "another zone: correct it in the profile")
     if zone is not None:
         return zone, Reading("time zone", zone, "the name states it")
     why = "the file does not state a zone"
-    other = 'local time, such as timezone = "Europe/Zurich": correct it in the profile'
+    where = "Europe/London" if guess == "UTC" else guess
+    other = f'local time, such as timezone = "{where}" (a guess): correct it in the profile'
     return "UTC", Reading("time zone", "UTC", why, other)
