@@ -34,23 +34,8 @@ from trainlog.topics import REFERENCE, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 from trainlog.units import KMH
 
-HEADER = (
-    "event",
-    "km",
-    "station",
-    "place",
-    "time",
-    "seconds",
-    "timetable",
-    "speed_kmh",
-    "permitted_kmh",
-    "advice",
-    "target_kmh",
-    "to_km",
-    "lowest_kmh",
-    "highest_kmh",
-)
-"""Columns of the advice as CSV."""
+OPENING = "event,km,station,place,time,"
+"""How the advice as CSV begins."""
 
 JOINS = 1.0
 """So near [m] a section begins to where the one before ends."""
@@ -385,31 +370,31 @@ def _row(
 
 
 def write_journey_advice(found: JourneyAdvice, path: str | Path) -> None:
-    """Write the advice as CSV, whole or not at all; its columns are `HEADER`."""
-    rows = []
-    for row in found.rows:
-        permitted = "" if row.permitted is None else f"{KMH * row.permitted:.1f}"
-        ahead = ["", "", "", ""]
-        if row.instruction is not None:
-            lowest, highest = KMH * row.instruction.lowest, KMH * row.instruction.highest
-            ahead = [f"{KMH * row.instruction.target:.0f}", f"{row.to_km:.3f}", f"{lowest:.1f}",
-                     f"{highest:.1f}"]  # fmt: skip
-        rows.append(
-            (
-                row.event,
-                f"{row.km:.3f}",
-                row.station,
-                row.place,
-                found.time(row.time),
-                f"{row.time:.1f}",
-                found.time(row.timetable),
-                f"{KMH * row.speed:.1f}",
-                permitted,
-                row.words,
-                *ahead,
-            )
-        )
-    table = pd.DataFrame(rows, columns=HEADER)
+    """Write the advice as CSV, whole or not at all."""
+
+    def fields(row: AdviceRow) -> dict[str, str]:
+        own = {
+            "event": row.event,
+            "km": f"{row.km:.3f}",
+            "station": row.station,
+            "place": row.place,
+            "time": found.time(row.time),
+            "seconds": f"{row.time:.1f}",
+            "timetable": found.time(row.timetable),
+            "speed_kmh": f"{KMH * row.speed:.1f}",
+            "permitted_kmh": "" if row.permitted is None else f"{KMH * row.permitted:.1f}",
+            "advice": row.words,
+        }
+        if row.instruction is None:
+            return own
+        return own | {
+            "target_kmh": f"{KMH * row.instruction.target:.0f}",
+            "to_km": f"{row.to_km:.3f}",
+            "lowest_kmh": f"{KMH * row.instruction.lowest:.1f}",
+            "highest_kmh": f"{KMH * row.instruction.highest:.1f}",
+        }
+
+    table = pd.DataFrame([fields(row) for row in found.rows])
     write_bytes(path, table.to_csv(index=False, lineterminator="\n").encode())
 
 

@@ -520,11 +520,6 @@ class Front(Presented):
         return np.array([each.certificate["energy"] for each in self.runs])
 
     @property
-    def bounds(self) -> FloatArray:
-        """Lower bounds of the energies, (m,) [J]."""
-        return np.array([each.certificate["lower_bound"] for each in self.runs])
-
-    @property
     def prices(self) -> FloatArray:
         """What a second more saves, from the multipliers of the running time, (m,) [J/s]."""
         return np.array([sum(each.certificate["time_price"].values()) for each in self.runs])

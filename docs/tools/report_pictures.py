@@ -19,7 +19,7 @@ from screenshot import browser_page, chromium
 from analysis.reports.advice import write_driver_advice
 from analysis.reports.build import ReportOptions, write_report
 from analysis.reports.trip import known_zone
-from analysis.trajectory.advice import time_of_day, with_times
+from analysis.trajectory.advice import time_of_day
 from analysis.trajectory.journey import optimise_journey
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.formats.line import read_line
@@ -60,7 +60,7 @@ def _advice(folder: Path) -> None:
     problem = TrajectoryProblem(line, train, [Configuration.of(train)], reserve=0.1)
     plan = optimise_journey(problem, journey, OptimiserOptions(cells=150), dwell=40.0)
     files = []
-    for section in with_times(plan.sections, plan.departures, journey.name):
+    for section in plan.sections:
         files.append(folder / f"plan-{len(files) + 1}.json")
         write_trajectory(section, files[-1])
     start = time_of_day("07:12")

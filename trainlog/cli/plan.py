@@ -208,7 +208,8 @@ def plan(
     if output.suffix or stops is None:
         destination(output, ".csv" if output.suffix == ".csv" else ".json")
     chosen = settings_of(settings or [])
-    reserves = [PERCENT.read(each, "--reserve") for each in reserve.split(",")] if reserve else []
+    asked = [] if reserve is None else reserve.split(",")
+    reserves = list(dict.fromkeys(PERCENT.read(each, "--reserve") for each in asked))
     ends = {"--km": km} | {
         f"--set {name}": chosen.get(name) for name in ("initial-speed", "final-speed")
     }
@@ -324,10 +325,16 @@ def _journey_of(stops: str, line: Line, running_time: float | None) -> Journey:
     if Path(stops).exists() or stops.endswith((".json", ".toml")):
         journey = read_journey(stops)
     else:
-        points = [
-            TimingPoint(_station(each.strip(), line), None, None, 0.0, 0.0)
-            for each in stops.split(",")
-        ]
+        places, points = {each.name: each.position for each in line.stations}, []
+        for name in map(str.strip, stops.split(",")):
+            if name not in places:
+                near = similar(name, places, 1)
+                known = f"there are {', '.join(places) or 'none'}"
+                raise InputError(
+                    f"--stops: there is no station '{name}' on {line.name}",
+                    remedy=f"did you mean '{near[0]}'?" if near else known,
+                )
+            points.append(TimingPoint(places[name], None, None, 0.0, 0.0))
         if len(points) < 2:
             raise InputError(
                 f"--stops '{stops}' names one station",
@@ -343,18 +350,6 @@ def _journey_of(stops: str, line: Line, running_time: float | None) -> Journey:
         return journey
     *before, last = journey.points
     return replace(journey, points=(*before, replace(last, latest=running_time)))
-
-
-def _station(name: str, line: Line) -> float:
-    """The position of a station [m]; one whose name is alike is suggested."""
-    places = {each.name: each.position for each in line.stations}
-    if name in places:
-        return places[name]
-    near = similar(name, places, 1)
-    raise InputError(
-        f"--stops: there is no station '{name}' on {line.name}",
-        remedy=f"did you mean '{near[0]}'?" if near else f"there are {', '.join(places) or 'none'}",
-    )
 
 
 def _configurations(parameters: Path | None, train: Train, load: float | None) -> ParameterSet:
