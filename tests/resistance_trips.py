@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from simulated_line import level_line
 
 from analysis.resistance.recording import Recording
 from trainlog.arrays import FloatArray
@@ -15,9 +16,7 @@ from trainlog.formats.line import line_to_bytes
 from trainlog.formats.train import train_to_bytes
 from trainlog.railway import (
     Axles,
-    Line,
     RunningResistance,
-    Station,
     StepProfile,
     Train,
 )
@@ -44,13 +43,7 @@ TRAIN = Train(
     axles=Axles(4, 64e3, 0.43, 2000.0),
 )
 
-LINE = Line(
-    name="level",
-    length=80_000.0,
-    stations=(Station("A", 0.0), Station("B", 80_000.0)),
-    speed_limits=StepProfile(np.zeros(1), np.array([35.0])),
-    gradients=StepProfile(np.zeros(1), np.zeros(1)),
-)
+LINE = level_line(80_000.0, limit=35.0)
 
 
 def varied_speed(time: FloatArray) -> FloatArray:
@@ -173,11 +166,8 @@ def random_trip(
     edges = np.concatenate(([0.0], np.sort(draw.uniform(0.0, length, draw.integers(1, 60)))))
     gradients = draw.normal(0.0, draw.choice([0.0, 0.003, 0.012]), edges.size)
     surveyed = draw.normal(0.0, draw.choice([0.0, 0.0002, 0.002]), edges.size)
-    line = Line(
-        name="random",
-        length=length,
-        stations=(Station("A", 0.0), Station("B", length)),
-        speed_limits=StepProfile(np.zeros(1), np.array([draw.uniform(10.0, 50.0)])),
+    line = replace(
+        level_line(length, limit=draw.uniform(10.0, 50.0)),
         gradients=StepProfile(edges, gradients + surveyed),
     )
     train = replace(

@@ -24,11 +24,12 @@ from satellite_trips import (
     valley,
     winding,
 )
+from simulated_line import level_line
 
 from trainlog.errors import InputError
 from trainlog.ingest import Profile, profile_of
 from trainlog.ingest.estimates import Estimate, estimated_state
-from trainlog.railway import Geometry, Line, Station, StepProfile
+from trainlog.railway import Geometry, Line
 from trainlog.railway.geometry import nearest_on, track_of
 from trainlog.trip import Trip
 
@@ -37,14 +38,7 @@ PLAIN = {"format": "trainlog/recorder-profile", "version": 1, "name": "plain"}
 
 def line_on(geometry: Geometry) -> Line:
     length = float(geometry.positions[-1])
-    return Line(
-        "made up",
-        length,
-        (Station("A", 0.0), Station("B", length)),
-        StepProfile(np.zeros(1), np.array([40.0])),
-        StepProfile(np.zeros(1), np.zeros(1)),
-        geometry=geometry,
-    )
+    return replace(level_line(length, limit=40.0), geometry=geometry)
 
 
 def estimated(trip: Trip, geometry: Geometry, profile: Profile | None = None) -> Estimate:

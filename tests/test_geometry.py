@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.special import fresnel
+from simulated_line import level_line
 
 from trainlog.errors import InputError
 from trainlog.formats.ttobench import read_track
-from trainlog.railway import CurvatureProfile, Line, Station, StepProfile
+from trainlog.railway import CurvatureProfile, Line
 from trainlog.railway.geometry import (
     Anchor,
     from_plane,
@@ -36,14 +37,7 @@ def profile(*elements: tuple[float, float, float]) -> CurvatureProfile:
 
 
 def line(curvatures: CurvatureProfile | None, length: float) -> Line:
-    return Line(
-        "L",
-        length,
-        (Station("A", 0.0), Station("B", length)),
-        StepProfile(np.zeros(1), np.array([20.0])),
-        StepProfile(np.zeros(1), np.zeros(1)),
-        curvatures,
-    )
+    return replace(level_line(length, limit=20.0), curvatures=curvatures)
 
 
 def test_a_straight_line_goes_north() -> None:

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from ingest_logs import clean_run, plain_profile, write
 from refusals import refused
-from simulated_line import flirt, hilly_line
+from simulated_line import flirt, hilly_line, level_line
 
 from trainlog import __version__
 from trainlog.errors import InputError, LogError
@@ -19,7 +19,6 @@ from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.samples import sample
 from trainlog.ingest import PROFILE_ATTACHMENT, ingest, report_of
 from trainlog.mcap import read_log, write_log
-from trainlog.railway import Line, Station, StepProfile
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.simulation.recorders import write_recorder_csv, write_ublox_csv
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
@@ -182,12 +181,6 @@ def test_all_of_a_million_rows_are_kept(tmp_path: Path) -> None:
 
 
 def test_a_line_that_the_train_runs_out_of_is_refused() -> None:
-    short = Line(
-        name="short",
-        length=5_000.0,
-        stations=(Station("A", 0.0), Station("B", 5_000.0)),
-        speed_limits=StepProfile(np.array([0.0]), np.array([30.0])),
-        gradients=StepProfile(np.array([0.0]), np.array([0.0])),
-    )
+    short = replace(level_line(5_000.0, limit=30.0), name="short")
     with pytest.raises(InputError, match=r"recorder\.csv: positions reach km 29\..*line 'short'"):
         ingest(sample("recorder.csv"), profile=sample("recorder.profile.toml"), line=short)

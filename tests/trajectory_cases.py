@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from simulated_line import steps
 
 from analysis.studies.cunillera_2022.model import TRAIN
 from analysis.trajectory.journey import JourneyPlan, optimise_journey
@@ -22,7 +23,6 @@ from trainlog.railway import (
     Line,
     RunningResistance,
     Station,
-    StepProfile,
     TrackConditionMap,
     Train,
     Trajectory,
@@ -99,11 +99,6 @@ def optimised_journey(
     """The optimum of a journey on a line."""
     problem = TrajectoryProblem(line, train, configurations, **question)
     return optimise_journey(problem, journey, OptimiserOptions(cells), dwell=dwell)
-
-
-def steps(*pairs: tuple[float, float]) -> StepProfile:
-    positions, values = zip(*pairs, strict=True)
-    return StepProfile(np.array(positions, dtype=float), np.array(values, dtype=float))
 
 
 def level_line(length: float = 48_531.0, *limits: tuple[float, float]) -> Line:
