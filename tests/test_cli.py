@@ -19,6 +19,7 @@ from trainlog.errors import InputError
 from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
+from trainlog.ingest.batch import no_recording
 from trainlog.presentation import new_table
 
 pytestmark = pytest.mark.usefixtures("remembered_estimates", "unpainted")
@@ -744,6 +745,7 @@ def test_a_workbook_is_answered_with_save_as_csv(
     assert (status, complaint.count("\n")) == (2, 1)
     assert "workbook" in complaint
     assert "save its sheet as CSV" in complaint
+    assert "save its sheet as CSV" in no_recording(book)  # of a folder it is passed over with this
 
 
 def test_a_file_without_a_version_is_answered_with_it(tmp_path: Path) -> None:

@@ -352,6 +352,7 @@ class TestCommand:
         assert (status, complaint) == (0, "")
         assert f"not used: {log}: trip 'without' has no topic /train/axles" in shown
         assert "3 held already, 1 without axle speeds;" in shown
+        assert "record wheel speeds, or name their columns" in " ".join(shown.split())
         status, shown, _ = self.run(*words)
         assert (status, "1 refused before" in shown) == (0, True)
         status, shown, _ = self.run(*words, "--retry", "--json")

@@ -18,7 +18,7 @@ import pandas as pd
 
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError, TrainlogError
-from trainlog.formats.files import output_folder, sha256_of
+from trainlog.formats.files import output_folder, refuse_workbook, sha256_of
 from trainlog.formats.trip_tables import INDEX_FILE
 from trainlog.identity import TripIdentity, identity_of
 from trainlog.ingest.pipeline import (
@@ -438,6 +438,7 @@ def no_recording(file: Path) -> str:
         return f"its name ends in {suffix}"
     try:
         head = head_of(file)
+        refuse_workbook(head, file)
     except InputError as error:
         return "" if suffix in RECORDED else f"{error.problem}; {error.remedy}"
     name = next((item.name for item in formats().values() if item.recognises(head)), "")
