@@ -95,9 +95,9 @@ def _speeds(trips: Sequence[Trip], line: Line) -> Panel:
         Curve("reference", _km(trips[0]), reference, ORANGE, width=3.0),
     ]
     slips, recorded = list[Curve](), True
-    for number, trip in enumerate(trips):
+    for trip in trips:
         speed = KMH * trip["/train/state"]["speed"].to_numpy()
-        curves.append(Curve("trains" * (number == 0), _km(trip), speed, width=0.6))
+        curves.append(Curve("trains", _km(trip), speed, width=0.6))
         when = protection_onsets(trip)
         recorded &= when is not None
         rows = trip["/train/state"].index.searchsorted([] if when is None else when)

@@ -61,14 +61,14 @@ def _plan(centre_line: CentreLine, trips: Sequence[Trip], title: str) -> Chart:
     fixes = [trip["/gnss/fix"] for trip in trips if trip.name in centre_line.used]
     place = (centre_line.latitude, centre_line.longitude)
     curves = [
-        curve("fixes" * (number == 0),
+        curve("fixes",
               (fix["latitude"].to_numpy(), fix["longitude"].to_numpy()), GREY, 0.8, "points")
-        for number, fix in enumerate(fixes)
+        for fix in fixes
     ] + [curve("line", place, BLUE, 1.2)]  # fmt: skip
-    for number, (start, end) in enumerate(centre_line.unsupported):
+    for start, end in centre_line.unsupported:
         bridged = (centre_line.position >= start) & (centre_line.position <= end)
         part = tuple(each[bridged] for each in place)
-        curves.append(curve("no fixes" * (number == 0), part, RED, 2.5))
+        curves.append(curve("no fixes", part, RED, 2.5))
     curves.append(curve("km 0", tuple(each[:1] for each in place), ORANGE, 3.5, "points"))
     return Chart("east [km]", [Panel("north [km]", curves, 1.7)], title=title, equal=True)
 

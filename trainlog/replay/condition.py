@@ -218,14 +218,10 @@ def draw_spots_on_map(
     own = line.reversed() if passage.backwards else line
     assert own.geometry is not None
     for spot, chance in passage.spots:
-        name = f"{km_words(own, spot.start)}, {_date(spot.last)}, {chance:.0%}"
+        name = f"{km_words(own, spot.start)}, {np.datetime64(spot.last, 'D')}, {chance:.0%}"
         places = np.column_stack(own.geometry.at(np.linspace(spot.start, spot.end, 5)))
         path = f"{entity}{path_of(name)}"
         chart.strips(recording, path, [places], SPOT, SPOT_WIDTH)
-
-
-def _date(day: int) -> str:
-    return str(np.datetime64(day, "D"))
 
 
 def draw_bins_on_map(

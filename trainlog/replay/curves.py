@@ -214,7 +214,8 @@ def curves_of(trip: Trip) -> tuple[Curve, ...]:
     curves = []
     for number, (topic, name) in enumerate(own):
         stroke = Stroke(name, name.replace("_", " "), TRIPS[number % len(TRIPS)])
-        entity = f"{_panel_of(topic, name, units)}/{topic.name.removeprefix(RECORDED)}/{name}"
+        panel = f"recorded_{units.index(topic.field(name).unit) + 1}"
+        entity = f"{panel}/{topic.name.removeprefix(RECORDED)}/{name}"
         curves.append(Curve(entity, topic, (stroke,)))
     return CURVES + tuple(curves)
 
@@ -238,10 +239,6 @@ def _own_fields(trip: Trip) -> list[tuple[Topic, str]]:
 def _units(fields: list[tuple[Topic, str]]) -> list[str]:
     """The units of fields, each once."""
     return list(dict.fromkeys(topic.field(name).unit for topic, name in fields))
-
-
-def _panel_of(topic: Topic, name: str, units: list[str]) -> str:
-    return f"recorded_{units.index(topic.field(name).unit) + 1}"
 
 
 def legend(curve: Curve, lines: int) -> tuple[list[str], list[Colour]]:

@@ -116,16 +116,13 @@ def references(
         group = group_of(known)
         if group in found or known.along is None:
             continue
-        if number != chosen and trajectory is not None and _is_of(trajectory, group):
+        theirs = trajectory is not None and (trajectory.line, trajectory.direction) == group
+        if number != chosen and trajectory is not None and theirs:
             found[group] = _planned(trajectory, group)
             continue
         if sum(group_of(each) == group for each in surveys) > 1:
             found[group] = Reference(names[number], *group, known.along, number)
     return found
-
-
-def _is_of(trajectory: Trajectory, group: tuple[str, str]) -> bool:
-    return (trajectory.line, trajectory.direction) == group
 
 
 def _planned(trajectory: Trajectory, group: tuple[str, str]) -> Reference:

@@ -177,9 +177,10 @@ def write_replay(
             draw_line_of(recording, surveys[first], condition_map, chart)
         shown = []
         each = list(zip(sources, surveys, names, strict=True))
+        groups = list(map(group_of, surveys))
         for i, (source, known, name) in enumerate(track(each, "drawing", "trip")):
             colour = TRIPS[i % len(TRIPS)]
-            brief = thinned and i not in _firsts(surveys)
+            brief = thinned and groups.index(groups[i]) < i
             drawing = Drawing(recording, known, name, colour, chart=chart, brief=brief)
             for piece, state in neighboured(source()):
                 drawing.add(piece, state)
@@ -196,14 +197,6 @@ def write_replay(
         recording.send_blueprint(blueprint(shown, contents, asked.view))
     stated = tuple(each.name for each in compared.values())
     return Replay(tuple(names), stated, thinned)
-
-
-def _firsts(surveys: Sequence[Survey]) -> set[int]:
-    """The first trip of each line and direction."""
-    found: dict[tuple[str, str], int] = {}
-    for number, each in enumerate(surveys):
-        found.setdefault(group_of(each), number)
-    return set(found.values())
 
 
 def with_line(source: Pieces, line: Line) -> Pieces:
