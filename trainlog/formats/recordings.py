@@ -60,16 +60,11 @@ class Recording:
     @property
     def key(self) -> str:
         """What identifies the recording: SHA-256 of the log, else the drive, else the name."""
-        return key_of(str(self.entry.get("sha256") or ""), self.identity, self.trip)
-
-
-def key_of(digest: str, identity: TripIdentity | None, trip: str) -> str:
-    """What identifies a recording in the file of a map."""
-    if digest:
-        return digest
-    if identity is not None:
-        return f"drive {sha256(identity.text.encode())}"
-    return f"trip {trip}"
+        if digest := str(self.entry.get("sha256") or ""):
+            return digest
+        if self.identity is not None:
+            return f"drive {sha256(self.identity.text.encode())}"
+        return f"trip {self.trip}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -226,7 +226,13 @@ def read_summaries(path: str | Path) -> pd.DataFrame:
         if error.errno is None:
             raise InputError("is damaged", file=path, remedy="fit the logs again") from error
         refuse_reading(path, error)
-    _check_header(table.schema.metadata or {}, path)
+    metadata = table.schema.metadata or {}
+    if metadata.get(b"format") != FORMAT.encode():
+        raise InputError(
+            f"is not a {FORMAT} file", file=path, remedy="give logs, or what 'trainlog fit' wrote"
+        )
+    version = metadata.get(b"version", b"").decode("utf-8", "replace")
+    check_version(int(version) if version.isdecimal() else version, VERSION, path)
     frame = pd.DataFrame(
         {
             name: pd.Series(
@@ -299,15 +305,6 @@ def _symmetric(summaries: pd.DataFrame, names: Sequence[str], size: int) -> Floa
 def _version(software: str) -> tuple[int, ...]:
     digits = "".join(c if c.isdigit() else " " for c in software)
     return tuple(int(word) for word in digits.split())
-
-
-def _check_header(metadata: dict[bytes, bytes], path: str | Path) -> None:
-    if metadata.get(b"format") != FORMAT.encode():
-        raise InputError(
-            f"is not a {FORMAT} file", file=path, remedy="give logs, or what 'trainlog fit' wrote"
-        )
-    version = metadata.get(b"version", b"").decode("utf-8", "replace")
-    check_version(int(version) if version.isdecimal() else version, VERSION, path)
 
 
 def _check(frame: pd.DataFrame, path: str | Path) -> None:
