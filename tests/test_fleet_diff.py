@@ -392,8 +392,8 @@ def test_a_wrong_gravity_moves_what_rests_on_gradients_and_a_revision_is_itself(
 ) -> None:
     """Of simulated trips over a hilly line: the mean of noise sizes and bands, by train."""
     trips = tmp_path / "trips"
-    command = [sys.executable, "-m", "trainlog", "simulate", "--count", "8", "-o", str(trips)]
-    command += ["--line", "sample", "--train", "sample"]
+    command = [sys.executable, "-m", "trainlog", "simulate", "drive", "--count", "8"]
+    command += ["-o", str(trips), "--line", "sample", "--train", "sample"]
     subprocess.run(command, check=True, capture_output=True)
     from trainlog.catalogue import open_catalogue
 

@@ -373,7 +373,8 @@ def test_the_wear_of_wheels_and_a_season_are_found_where_the_trips_span_enough(t
         pool("flirt"), 11, trains=5, trips=trips, trips_a_day=trips / 360.0, wear=0.0, season=0.06
     )
     months = (rows["start"] - rows["start"].min()) / pd.Timedelta(days=30.4375)
-    rows.loc[rows["train"] == "flirt-02", "speed_scale"] += 0.0005 * months
+    # Wear is a share of the scale, a month; the trend is that of its logarithm.
+    rows.loc[rows["train"] == "flirt-02", "speed_scale"] *= np.exp(0.0005 * months)
     found = fleet_trains(rows)
     worn = drift(found, "flirt-02", "speed scale")
     low, high = worn.band

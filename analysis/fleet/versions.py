@@ -120,9 +120,8 @@ def _here(name: str, catalogue: Catalogue) -> Version | None:
     first = made.drop_duplicates("analysis")
     about = first[["analysis", "code", "parameters"]].to_numpy().tolist()
     latest = {each[0]: Computation(*each) for each in about}
-    own = {each: code_of(analysis) for each, analysis in ANALYSES.items()}
-    present = dict.fromkeys(latest, codes[0]).items() <= own.items()
-    return Version(name, latest, present=present)
+    present = {each: code_of(ANALYSES[each]) if each in ANALYSES else "" for each in latest}
+    return Version(name, latest, present=set(present.values()) == set(codes))
 
 
 def parameters_of(text: str) -> dict[str, dict[str, Any]]:
