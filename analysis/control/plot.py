@@ -179,7 +179,7 @@ def traction_charts(
     colours = shades(np.linspace(1.0, 0.4, count), "Blues", (0.0, 1.0))
     for i, colour in enumerate(colours.tolist()):
         wheel, effort = (axles[f"wheel_{name}_{i + 1}"].to_numpy() for name in ("speed", "effort"))
-        relative = np.where(speed > 0.1, wheel / found.wheel_factor - speed, np.nan)
+        relative = np.where(speed > 0.1, wheel / found.wheel_factor[i] - speed, np.nan)
         in_use = np.where(speed > 0.1, np.abs(found.adhesion[:, i]), np.nan)
         slips.append(Curve("", km, relative, colour, width=0.5))
         efforts.append(Curve("", km, effort / 1e3, colour, width=0.5))
