@@ -169,10 +169,7 @@ def traction_charts(
             Curve("map, one deviation", at, high, PALE, "area", low),
             Curve("map", at, likely, GREY, width=1.2),
         ]
-        title += (
-            f"; map: layer {layer}, lasting condition, where observed"
-            f" ({100.0 * np.mean(observed):.0f} % of the line)"
-        )
+        title += f"; map, {layer}: where observed ({np.mean(observed):.0%} of the line)"
     slips, efforts = list[Curve](), list[Curve]()
     count = found.slip_speed.shape[1]
     # From dark to light blue.
@@ -181,9 +178,9 @@ def traction_charts(
         wheel, effort = (axles[f"wheel_{name}_{i + 1}"].to_numpy() for name in ("speed", "effort"))
         relative = np.where(speed > 0.1, wheel / found.wheel_factor[i] - speed, np.nan)
         in_use = np.where(speed > 0.1, np.abs(found.adhesion[:, i]), np.nan)
-        slips.append(Curve("", km, relative, colour, width=0.5))
+        slips.append(Curve(f"axle {i + 1}", km, relative, colour, width=0.5))
         efforts.append(Curve("", km, effort / 1e3, colour, width=0.5))
-        used.append(Curve(f"in use, axle {i + 1}", km, in_use, colour, width=0.5))
+        used.append(Curve("in use", km, in_use, colour, width=0.5))
     used.append(
         Curve("maximum, true", truth["position"] / 1e3, truth["maximum_adhesion"], RED, width=1.0)
     )
