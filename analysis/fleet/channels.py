@@ -17,6 +17,7 @@ from scipy.special import stdtr
 
 from analysis.fleet.mixed import TAIL, Group, MixedEffects, mixed_effects
 from analysis.fleet.resistance import FEWEST_TRAINS, KindResistance, periods_of, positive, ways_of
+from analysis.resistance.recording import RECORDED_DISTANCE
 from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
 
 
@@ -159,7 +160,7 @@ def channel_table(
     highest = np.quantile(power[np.isfinite(power)], 0.9) if np.isfinite(power).any() else np.nan
     whole = accepted & (np.abs(power / highest - 1.0) < WHOLE_POWER)
     found["power"] = _logarithm(power, column("max_power_std"), whole)
-    scaled = np.isin(text("speed_scale_source"), ("GNSS speed", "balises"))
+    scaled = np.isin(text("speed_scale_source"), ("GNSS speed", RECORDED_DISTANCE))
     found["speed scale"] = _logarithm(column("speed_scale"), column("speed_scale_std"), scaled)
     timed = text("effort_delay_source") == "estimated"
     delay = np.where(timed, column("effort_delay"), np.nan)

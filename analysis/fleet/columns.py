@@ -32,7 +32,9 @@ PASSPORT: tuple[Column, ...] = (
     Column("speed_noise", "m/s", "of the recorded speed of the train"),
     Column("wheel_factors", "1", "recorded over true speed of each axle", "numbers"),
     Column("wheel_factor_stds", "1", "their standard deviations", "numbers"),
-    Column("wheel_factor_source", "", "estimated where satellites or balises show it", "text"),
+    Column(
+        "wheel_factor_source", "", "estimated where satellites or recorded distance show it", "text"
+    ),
     Column("sample_time", "s", "between samples of the train's state"),
     Column("findings", "", "what a reader should know, in sentences", "text"),
 )
@@ -100,7 +102,7 @@ CHECKS: tuple[Column, ...] = (
     Column("missing", "", "channels that are not recorded, separated by commas", "text"),
     Column("frozen", "", "columns that repeat a value while the train moves", "text"),
     Column("frozen_samples", "1", "of them", "count"),
-    Column("speed_scale", "1", "measured over true speed, by satellites or balises"),
+    Column("speed_scale", "1", "measured over true speed, by satellites or recorded distance"),
     Column("speed_scale_std", "1", "its standard deviation"),
     Column("speed_scale_source", "", "by what", "text"),
     Column("fix_beside", "m", "median distance of fixes beside the line's geometry"),

@@ -484,7 +484,7 @@ def _missing(name: str) -> str:
     """Why no trip shows a channel."""
     reasons = {
         "effort gain": "no trip with a recorded load shows it",
-        "speed scale": "neither satellites nor balises show the train's true speed",
+        "speed scale": "neither satellites nor distance show the train's true speed",
         "effort delay": "no trip with line, train and efforts shows it",
     }
     return reasons.get(name, "no trip shows it")

@@ -20,6 +20,7 @@ from analysis.fleet.trips import FleetTrip
 from analysis.reports.page import Section
 from trainlog.display import counted
 from trainlog.errors import NotRecordedError
+from trainlog.ingest.report import CLOCK_RULES
 from trainlog.presentation import facts_table
 from trainlog.railway.kilometres import km_words
 from trainlog.railway.line import Line
@@ -39,6 +40,8 @@ LEAST_SPEED_OFF = 0.002
 """A recorded speed that is off by a smaller share is no doubt: wheels wear by as much."""
 
 SPEED_OFF = f"recorded speed off by more than its band and {100.0 * LEAST_SPEED_OFF:g} %"
+
+CLOCK_SET = "doubtful clock: speed not compared with distance"
 
 NEEDED = ("speed", "position")
 """Channels without which a recording is not reliable."""
@@ -145,8 +148,13 @@ def doubts(row: Mapping[Any, Any], samples: float = np.inf) -> Iterator[Doubt]:
         yield Doubt(int(many), ("repaired by ingest",), words)
     off = float(known.get("speed_scale", 1.0)) - 1.0
     if abs(off) > max(1.96 * float(known.get("speed_scale_std", 0.0)), LEAST_SPEED_OFF):
-        words = f"recorded speed is {off:+.1%} off, by {known['speed_scale_source']}"
+        words = f"recorded speed is {off:+.1%} off, compared with {known['speed_scale_source']}"
         yield Doubt(1, (SPEED_OFF,), words)
+    repaired = str(known.get("repaired", "")).split(", ")
+    clock = [each for each in repaired if each.partition("=")[0] in CLOCK_RULES]
+    if clock and known.get("speed_scale_source") == "nothing":
+        words = "whether the recorded speed is right cannot be told from the recorded distance:"
+        yield Doubt(1, (CLOCK_SET,), f"{words} the clock is doubtful ({', '.join(clock)})")
     if known["doubts"]:
         yield Doubt(0, ("not all could be checked",))
 

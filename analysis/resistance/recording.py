@@ -13,6 +13,7 @@ from estimators.motion import smooth_motion
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.formats.attached import line_of
+from trainlog.ingest.report import CLOCK_RULES
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
@@ -134,6 +135,9 @@ LONGEST_SECTION = 1000.0
 """Pieces of the gradient profile are not taken to be longer than this [m]: surveys err anew. Longer
 pieces give bands of the mass that are too narrow by half on a line of one gradient."""
 
+RECORDED_DISTANCE = "recorded distance"
+"""Source of a speed scale: a recorded distance that is corrected on the way, as at balises."""
+
 UNCALIBRATED_SCALE_STD = 0.004
 """Standard deviation of the speed scale where nothing calibrates it: worn wheels."""
 
@@ -150,7 +154,7 @@ class SpeedScale:
     ----------
     factor, std : float
     source : str
-        What it was calibrated against: ``"GNSS speed"``, ``"balises"`` or ``"nothing"``.
+        What it was calibrated against: ``"GNSS speed"``, ``"recorded distance"`` or ``"nothing"``.
     """
 
     factor: float
@@ -169,7 +173,9 @@ class ScaleSamples:
     corrections : (m,) array [m]
         Jumps of the chainage.
     distance, travelled : float [m]
-        By the chainage, and by the measured speed.
+        By the chainage, and by the measured speed, where no gap is between two samples.
+    clock_doubtful : bool
+        Whether ingest repaired or suspected the clock of the trip.
     """
 
     own: FloatArray
@@ -177,6 +183,7 @@ class ScaleSamples:
     corrections: FloatArray
     distance: float
     travelled: float
+    clock_doubtful: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -412,10 +419,11 @@ def check_recorded(trip: Trip, *, part: bool = False) -> None:
 def speed_scale(
     trip: Trip, time: FloatArray, speed: FloatArray, position: FloatArray
 ) -> SpeedScale:
-    """Measured over true speed, from satellites or from chainage that balises correct.
+    """Measured over true speed, from satellites or from recorded distance that balises correct.
 
-    A scale error of 0.3 % shifts a well-determined curve by more than its band; it is taken out
-    where it can be and charged to the band where it cannot.
+    Where ingest repaired or suspected the clock, distance says nothing about the speed. A scale
+    error of 0.3 % shifts a well-determined curve by more than its band; it is taken out where it
+    can be and charged to the band where it cannot.
     """
     return calibrated(trip.name, [scale_samples(trip, time, speed, position)])
 
@@ -447,12 +455,17 @@ def scale_samples(
         own, gnss = own[both], gnss[both]
     both = known & np.isfinite(position)
     t, v, s = time[both], speed[both], position[both]
+    took = np.diff(t)
     pairs = inside[both][:-1]
-    travelled = 0.5 * (v[1:] + v[:-1]) * np.diff(t)
+    if took.size:
+        pairs = pairs & (took <= max(LONGEST_STEP, 3.0 * float(np.median(took))))
+    travelled = 0.5 * (v[1:] + v[:-1]) * took
     steps = np.diff(s) - travelled
     corrections = steps[(np.abs(steps) > 0.5) & pairs]
     distance = float(np.sum(np.diff(s)[pairs]))
-    return ScaleSamples(own, gnss, corrections, distance, float(np.sum(travelled[pairs])))
+    doubtful = any(f"repair.{rule}" in trip.metadata for rule in CLOCK_RULES)
+    way = float(np.sum(travelled[pairs]))
+    return ScaleSamples(own, gnss, corrections, distance, way, doubtful)
 
 
 def calibrated(trip: str, pieces: Sequence[ScaleSamples]) -> SpeedScale:
@@ -473,6 +486,8 @@ def calibrated(trip: str, pieces: Sequence[ScaleSamples]) -> SpeedScale:
             place="topic /train/state",
             remedy="check its unit, and that the sensor worked",
         )
+    if scale.source == RECORDED_DISTANCE and any(piece.clock_doubtful for piece in pieces):
+        return SpeedScale(1.0, UNCALIBRATED_SCALE_STD, "nothing")
     return scale
 
 
@@ -493,7 +508,8 @@ def _measured_scale(pieces: Sequence[ScaleSamples]) -> SpeedScale:
     if distance > 5000.0 and corrections.size >= 3:
         ratio = sum(piece.travelled for piece in pieces) / distance
         # What was not yet corrected at the end is about as large as one correction.
-        return SpeedScale(ratio, float(np.std(corrections)) / distance + 5e-5, "balises")
+        std = float(np.std(corrections)) / distance + 5e-5
+        return SpeedScale(ratio, std, RECORDED_DISTANCE)
     return SpeedScale(1.0, UNCALIBRATED_SCALE_STD, "nothing")
 
 

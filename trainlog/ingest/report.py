@@ -26,6 +26,15 @@ from trainlog.ingest.recording import NO_TIME, Finding, Raw, Table
 from trainlog.presentation import Presented
 from trainlog.trip import Trip
 
+CLOCK_RULES = (
+    "clock_step",
+    "clock_step_suspected",
+    "clock_jump",
+    "time_backwards",
+    "position_steps",
+)
+"""Rules that show a clock that was set: a distance over its times is doubtful."""
+
 MOST_LINES = 8
 """Of the report in a prompt."""
 
