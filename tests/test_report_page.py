@@ -34,8 +34,11 @@ from trainlog.formats.parameters import write_parameters
 from trainlog.formats.samples import sample
 from trainlog.formats.summaries import write_summaries
 from trainlog.formats.trajectory import write_trajectory
+from trainlog.ingest.recording import Finding
+from trainlog.ingest.report import Report
 from trainlog.mcap import read_log, write_log
 from trainlog.presentation import kwh
+from trainlog.trip import Trip
 
 pytestmark = pytest.mark.usefixtures("remembered_estimates")
 
@@ -417,6 +420,58 @@ def test_the_verdict_on_a_recording_gives_its_reasons() -> None:
     blind = verdict(replace(trip, topics={**trip.topics, "/train/state": nowhere}))
     assert blind.level == 2
     assert "not recorded: position" in blind.reasons
+
+
+def _ingested(trip: Trip, *findings: Finding) -> Trip:
+    """The trip as if ingest had made it with these findings."""
+    report = Report(10_000, 10_000, findings)
+    step = {"step": "ingest", "report": report.details()}
+    return replace(trip, metadata=trip.metadata | report.metadata(), provenance=(step,))
+
+
+def _fast(trip: Trip, factor: float) -> Trip:
+    """Without satellites, and with speeds that are too high by a factor."""
+    state = trip["/train/state"]
+    topics = {name: each for name, each in trip.topics.items() if "gnss" not in name}
+    faster = state.assign(speed=factor * state["speed"])
+    return replace(trip, topics={**topics, "/train/state": faster})
+
+
+def test_a_speed_is_off_against_what_it_was_compared_with() -> None:
+    fast = _fast(read_log(sample("stopping.mcap")), 1.03)
+    assert re.search(r"is \+[23]\.\d% off, compared with recorded distance", str(verdict(fast)))
+
+
+@pytest.mark.parametrize("rule", ["clock_jump", "clock_step", "time_backwards", "position_steps"])
+def test_a_doubtful_clock_leaves_the_speed_undecided(rule: str) -> None:
+    fast = _fast(read_log(sample("stopping.mcap")), 1.03)
+    found = verdict(_ingested(fast, Finding(rule, 3, (1,))))
+    assert "% off" not in str(found)
+    assert f"the clock is doubtful ({rule}=3)" in str(found)
+    assert found.level == 1
+
+
+def test_a_clock_that_jumps_over_a_gap_does_not_put_the_speed_off() -> None:
+    trip = _fast(read_log(sample("stopping.mcap")), 1.0)
+    state = trip["/train/state"]
+    fast = int(np.argmax(state["speed"]))
+    late = pd.to_timedelta(np.where(np.arange(len(state)) > fast, 40.0, 0.0), unit="s")
+    jumped = replace(
+        trip, topics={**trip.topics, "/train/state": state.set_index(state.index + late)}
+    )
+    assert verdict(jumped).reasons[0].startswith("1 gap, 40 s in all")
+    assert "% off" not in str(verdict(jumped))
+
+
+def test_empty_fixes_are_no_repairs() -> None:
+    trip = read_log(sample("stopping.mcap"))
+    fixes = [
+        Finding("empty", 5_000, (1,), f"/gnss/fix.{name}") for name in ("latitude", "longitude")
+    ]
+    assert verdict(_ingested(trip, *fixes)).level == 0
+    assert "repair" not in str(verdict(_ingested(trip, *fixes)))
+    speeds = Finding("empty", 5_000, (1,), "/train/state.speed")
+    assert "5,000 repairs by ingest (empty=5000)" in str(verdict(_ingested(trip, *fixes, speeds)))
 
 
 def test_details_fold_and_the_contents_lead_into_them(trip_page: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -85,11 +86,14 @@ def _repairs(trip: Trip) -> dict[str, Any]:
     """What ingest repaired, as the provenance states it."""
     if not any(step.get("step") == "ingest" for step in trip.provenance):
         return {}
-    report = report_of(trip)
-    counts = dict(sorted(report.counts.items()))
+    counts = Counter[str]()
+    for finding in report_of(trip).findings:
+        # A fix without a position, as in a tunnel, is one that the receiver did not have.
+        if finding.rule != "empty" or not finding.column.startswith("/gnss/"):
+            counts[finding.rule] += finding.count
     return {
-        "repairs": sum(counts.values()),
-        "repaired": ", ".join(f"{rule}={count}" for rule, count in counts.items()),
+        "repairs": counts.total(),
+        "repaired": ", ".join(f"{rule}={count}" for rule, count in sorted(counts.items())),
     }
 
 
