@@ -336,7 +336,7 @@ def test_what_is_not_recorded_is_not_judged_and_this_is_stated() -> None:
     limits = {(each.train, each.channel): each for each in found.unlike.limits}
     nowhere = limits["flirt-01", "speed scale"]
     assert np.isnan(nowhere.change)
-    assert "neither satellites nor balises" in nowhere.reason
+    assert "neither satellites nor distance" in nowhere.reason
     assert np.isnan(limits["flirt-02", "effort gain"].change)
     assert limits["flirt-03", "speed scale"].change < 0.01
 
