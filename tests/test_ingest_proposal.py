@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -368,6 +369,10 @@ def test_the_command_proposes_and_then_ingests(tmp_path: Path) -> None:
     output = tmp_path / "out"
     command = CliRunner()
     given = ["ingest", str(path), "-o", str(output)]
+    options = ["--train", str(sample("CH_Stadler_FLIRT_TPF.train.json")), "--set", "load=12 t"]
+    options.append("--reverse")
+    stated = command.invoke(app, [*given, *options])
+    assert f"-o {output} {shlex.join(options)}" in " ".join(stated.output.split())
     first = command.invoke(app, given)
     assert first.exit_code == 1, first.output
     proposed = output / "run-2.profile.toml"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -92,7 +93,17 @@ def ingest(
     the_train = None if train is None else read_train(train)
     as_json = current().as_json
     the_line, routes = line_or_network(line, network, stations)
-    proposals = Proposals(output, the_train, format, the_line, accept, as_json)
+    options = {
+        "--format": format,
+        "--line": line,
+        "--network": network,
+        "--stations": stations,
+        "--train": train,
+    }
+    pairs_given = [(option, str(each)) for option, each in options.items() if each is not None]
+    pairs_given += [("--set", fact) for fact in facts or []]
+    given = [*(word for pair in pairs_given for word in pair), *["--reverse"] * reverse]
+    proposals = Proposals(output, the_train, format, the_line, accept, as_json, given)
     try:
         result = ingest_all(
             recordings,
@@ -171,6 +182,8 @@ class Proposals:
         Whether they are used without asking.
     quiet : bool
         Nothing is shown, nobody is asked.
+    given : list of str
+        What the user gave besides files, profile and folder.
     made : list of (Proposal, Path, bool)
         Each with its file, and whether the user agreed.
     """
@@ -181,6 +194,7 @@ class Proposals:
     line: Line | None
     accept: bool
     quiet: bool
+    given: list[str] = field(default_factory=list)
     made: list[tuple[Proposal, Path, bool]] = field(default_factory=list)
 
     @property
@@ -237,10 +251,11 @@ class Proposals:
     def _used(self, file: Path, path: Path, agreed: bool) -> Path:
         if agreed:
             return path
+        words = ["ingest", str(file), "--profile", str(path), "-o", str(self.output), *self.given]
         raise InputError(
             f"no profile fits; one is proposed in {path}",
             file=file,
-            remedy=f"check it, then: trainlog ingest {file} --profile {path} -o {self.output}",
+            remedy=f"check it, then: trainlog {shlex.join(words)}",
         )
 
 
