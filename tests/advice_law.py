@@ -17,6 +17,9 @@ ROUNDING = 0.51 / KMH
 UNSAID = 6.0 / KMH
 """Most that traction which no row names may add to the speed at once [m/s]."""
 
+IDLE = 30.0
+"""Longest that a plan may coast within a row that holds a speed [s]."""
+
 
 def breaches(plan: Trajectory, rows: list[AdviceRow]) -> list[str]:
     """What the rows of one section's advice state that its plan does not contain."""
@@ -25,6 +28,7 @@ def breaches(plan: Trajectory, rows: list[AdviceRow]) -> list[str]:
     brakes = np.isin(letters, ["H", "B"]).any(axis=0)
     drives = np.isin(letters, ["T", "P"]).any(axis=0)
     own, places = plan.latest, plan.positions
+    coasts = ~drives & (letters[own] == "C")
     ends = [*(row.position for row in changes[1:]), float(places[-1])]
     found = []
     for row, end in zip(changes, ends, strict=True):
@@ -41,6 +45,13 @@ def breaches(plan: Trajectory, rows: list[AdviceRow]) -> list[str]:
             found.append(f"{words}: nobody drives on {(~drives[cells]).sum()} cells")
         if words.startswith("hold") and np.abs(speeds - speed).max() > HELD + ROUNDING:
             found.append(f"{words}: {KMH * speeds.min():.0f} to {KMH * speeds.max():.0f} km/h")
+        if words.startswith("hold"):
+            idle = runs_of(coasts & cells)
+            lasts = max(
+                (plan.times[own, past] - plan.times[own, at] for at, past in idle), default=0
+            )
+            if lasts > IDLE:
+                found.append(f"{words}: nobody drives for {lasts:.0f} s")
         if not words.startswith("hold") and speed is not None:
             slower = words.startswith("brake, if faster") and last < speed
             if abs(last - speed) > HELD + ROUNDING and not slower:
@@ -63,6 +74,10 @@ def breaches(plan: Trajectory, rows: list[AdviceRow]) -> list[str]:
     for before, after in pairwise(changes):
         if before.until != after.speed:
             found.append(f"{after.words} begins at another speed than the row before ends at")
+        beside = int(np.searchsorted(places, after.position - 1e-6))
+        for row, cell, other in ((before, beside - 1, after), (after, beside, before)):
+            if row.words.startswith("hold") and other.words.startswith("coast") and coasts[cell]:
+                found.append(f"{row.words}: nobody drives beside {other.words}")
         if before.words.split(";")[0] == after.words.split(";")[0]:
             found.append(f"{after.words}: twice")
         kinds = [

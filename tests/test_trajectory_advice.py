@@ -146,6 +146,32 @@ def test_braking_is_advised_only_where_a_configuration_brakes() -> None:
     ]
 
 
+def test_a_speed_is_held_only_where_the_plan_drives_or_brakes() -> None:
+    """Downhill one brakes for a limit below which the other coasts: nobody is to drive."""
+    slow = np.array([0, 104, 107, 109.6, 109.7, 109.8, 109.9, 110, 110, 60, 0]) / 3.6
+    fast = np.array([0, 104, 108, 109.9, 110, 110, 110, 110, 110, 60, 0]) / 3.6
+    given = _with_phases("TCCCCCPPCB", (3.6 * slow).tolist())
+    plan = replace(
+        given,
+        configurations=(given.configurations[0], replace(given.configurations[0], name="heavy")),
+        speeds=np.stack((slow, fast)),
+        times=np.stack((given.times[0], given.times[0] - 1e-3)),
+        braking_effort=1e3 * np.array([[0] * 9 + [60], [0, 0, 0, 4, 4, 4, 0, 0, 0, 60]]),
+        certificate={"phases": ["TCCCCCPPCB", "TCCHHHPPCB"]},
+    )
+    limits = StepProfile(np.array([0.0, 600.0]), np.array([120.0, 110.0]) / 3.6)
+    rows = journey_advice([plan]).rows
+    assert not breaches(plan, rows)
+    # The speed where it ends is the speed not to exceed up to there: it is stated once.
+    assert [each.words() for each in instructions(plan, limits)][:3] == [
+        "full traction to 104 km/h",
+        "coast to km 1.800: speed rises to 110 km/h; at most 110 km/h",
+        "hold 110 km/h",
+    ]
+    held = [replace(row, words="hold 110 km/h") if "coast" in row.words else row for row in rows]
+    assert any("nobody drives" in each for each in breaches(plan, held))
+
+
 CHEAP = (0, 2, 6, 8, 10, 12, 31, 33, 58)
 """Numbers of random problems that are solved in a moment."""
 

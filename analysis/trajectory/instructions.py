@@ -3,7 +3,7 @@
 The rows follow the phases of the certificate: full and partial traction, a speed to hold, coasting,
 braking. Which of them each cell belongs to is found at once, by dynamic programming: a change costs
 as much as a change of speed that no row states. No row names traction or braking where none of the
-configurations drives or brakes.
+configurations drives or brakes; a speed to hold begins and ends where the plan drives or brakes.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ _CHANGE = 2.5 / KMH
 _DRIFT = 0.005
 """Cost of a speed that is held, for each second and each m/s beside the planned one [m/s]."""
 
-_PARTIAL, _FULL, _GENTLE, _UNSAID = 0.03, 0.1, 0.02, 0.02
+_PARTIAL, _FULL, _GENTLE, _UNSAID, _IDLE = 0.03, 0.1, 0.02, 0.02, 0.05
 """Cost of a second [m/s]: of partial traction, of full traction where it is partial, of a brake, of
-coasting where the plan drives."""
+coasting where the plan drives, of a speed that is held where the plan coasts."""
 
 _AHEAD = 8.0
 """A speed that is held is below all limits that begin within this time [s]."""
@@ -260,6 +260,9 @@ class _Plan:
                 other = int(np.argmin(np.where(stay == _COAST, np.inf, total)))
                 better = (total[other] + _CHANGE < least) & (stay != _COAST)
                 least[better], origin[better] = total[other] + _CHANGE, other
+            elif best >= _HOLD:
+                # What is held where a brake begins is no faster than planned.
+                least[_BRAKE] += max(self.whole[best - _HOLD] - self.highest[cell], 0.0)
             change = total > least
             before[:, cell] = np.where(change, origin, stay)
             total = np.where(change, least, total) + costs[:, cell]
@@ -298,7 +301,9 @@ class _Plan:
         worst = np.maximum(beside[:, 1:], beside[:, :-1])
         mean = 0.5 * (beside[:, 1:] + beside[:, :-1])
         possible = (worst <= HELD) & (self.whole[:, None] <= self._most() + _WHOLE / KMH)
-        return np.vstack([*rows, np.where(possible, _DRIFT * mean * seconds, np.inf)])
+        # Where the plan coasts, a driver who holds a speed would drive.
+        idle = np.where(phases == Phase.COASTING, others + _IDLE * seconds, 0.0)
+        return np.vstack([*rows, np.where(possible, _DRIFT * mean * seconds + idle, np.inf)])
 
     def _most(self) -> FloatArray:
         """The highest speed to hold in each cell [m/s]."""
@@ -367,7 +372,10 @@ class _Plan:
         )
         caps = list[Cap]()
         for cap in self._caps(found, after):
-            if caps and caps[-1].speed <= cap.speed and caps[-1].end >= cap.start and not drives:
+            # A speed at one place within what is noticed of the one up to there is said by that.
+            brakes = after is not None and after.phase > Phase.COASTING
+            most = cap.speed + (0.0 if brakes or cap.start < cap.end else NOTICED + _WHOLE / KMH)
+            if caps and caps[-1].speed <= most and caps[-1].end >= cap.start and not drives:
                 cap = replace(caps.pop(), end=cap.end)
             caps.append(cap)
         return replace(found, caps=tuple(caps))
