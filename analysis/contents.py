@@ -159,7 +159,7 @@ def contents_of(path: str | Path) -> Contents:
     if what is not None and what not in RECORDED:
         remedy = "show what it was made of; 'trainlog replay' opens replays, archives are unpacked"
         raise InputError(f"is {what}", file=path, remedy=remedy)
-    return _recorded(path, head)
+    return _recorded(path)
 
 
 def _map_summary(path: Path) -> str:
@@ -256,12 +256,11 @@ def _of_format(path: Path, stated: str) -> Contents:
     return Contents(path, kind, read(path))
 
 
-def _recorded(path: Path, head: bytes) -> Contents:
+def _recorded(path: Path) -> Contents:
     """What a recorder's file holds, as far as that is known without a profile."""
-    from trainlog.ingest.profile_parts import FileOptions
+    from trainlog.ingest.proposal.layout import layout_of
     from trainlog.ingest.recording import Recording
     from trainlog.ingest.registry import format_of, own_profile
-    from trainlog.ingest.tabular import open_text
 
     mine = own_profile(path)
     chosen = format_of(path, None)
@@ -275,19 +274,17 @@ def _recorded(path: Path, head: bytes) -> Contents:
         shown = f"{len(names)} recordings: {', '.join(names[:6])}{', ...' * (len(names) > 6)}"
         return Contents(path, f"recordings ({chosen.name})", None, (shown, ingest))
     if chosen.name == "csv":
-        line, _, rest = head.decode("latin-1").partition("\n")
-        mark = max(",;\t|", key=line.count)
-        if not line.count(mark) or rest.partition("\n")[0].count(mark) != line.count(mark):
+        try:
+            table = layout_of(path)
+        except InputError as error:
             raise InputError(
                 "is text of no format that trainlog knows",
                 file=path,
                 remedy="give a table, a recorder's file, or a file that trainlog made; 'trainlog"
                 " import' takes those of TTOBench, OSRD and railtoolkit",
-            )
-        text = open_text(path, FileOptions(delimiter=mark, decimal="." if mark == "," else ",",
-                                           encoding="latin-1"))  # fmt: skip
-        names = [name for name in text.names if name]
-        shown = f"{text.rows.size} rows of {len(names)} columns: {', '.join(names)}"
+            ) from error
+        names = [*table.names, *table.unnamed]
+        shown = f"{table.rows.size} rows of {len(names)} columns: {', '.join(names)}"
         remedy = f"{ingest}; a profile is proposed where none fits"
         return Contents(path, "table of a recorder", None, (shown, remedy))
     lines = (f"needs a profile that says what is what; {ingest} --profile PROFILE",)

@@ -41,6 +41,21 @@ def test_a_file_is_known_by_its_content(name: str, tmp_path: Path) -> None:
     assert len(found.text.splitlines()) < 25
 
 
+@pytest.mark.parametrize("above", ["", "Fahrtenschreiber;Tfz 511 006\r\n"])
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-8", "utf-8-sig", "utf-16"])
+def test_a_table_of_a_recorder_is_shown_as_ingest_reads_it(
+    above: str, encoding: str, tmp_path: Path
+) -> None:
+    rows = [f"08:00:{second:02d};{second},5;7,{second}" for second in range(50)]
+    path = tmp_path / "fahrt.csv"
+    text = above + "\r\n".join(["Uhrzeit;Länge [°];v [km/h]", *rows])
+    path.write_bytes(text.encode(encoding))
+    found = contents_of(path)
+    assert found.kind == "table of a recorder"
+    assert found.lines[0] == "50 rows of 3 columns: Uhrzeit, Länge [°], v [km/h]"
+    assert f"make a trip of it with: trainlog ingest {path}" in found.lines[1]
+
+
 @pytest.mark.parametrize("kind", ["line", "train", "journey", "profile"])
 def test_templates_are_shown(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / f"mine.{kind}.toml"
