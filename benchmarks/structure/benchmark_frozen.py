@@ -31,6 +31,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 from trainlog.errors import TrainlogError
 from trainlog.formats.files import atomic_write
@@ -145,9 +146,11 @@ def names() -> Iterator[str]:
 
     from trainlog.cli.main import app
 
-    def below(group: object, words: str) -> Iterator[str]:
-        for name, each in sorted(getattr(group, "commands", {}).items()):
-            if hasattr(each, "commands"):
+    def below(group: Any, words: str) -> Iterator[str]:
+        context = typer.Context(group)
+        for name in sorted(group.list_commands(context)):
+            each = group.get_command(context, name)
+            if hasattr(each, "list_commands"):
                 yield from below(each, f"{words}{name} ")
             else:
                 yield f"command {words}{name}: {len(each.params)} options"
