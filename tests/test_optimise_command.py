@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -261,16 +259,6 @@ def test_a_train_file_alone_is_planned_for_and_the_result_states_it(
     assert asked_for.configurations == found.configurations
     assert cli.run(["simulate", "follow", str(output), *SAMPLES, "-o", str(trips)]) == 0
     assert (trips / "driven-nominal.mcap").is_file()
-
-
-def test_a_plan_of_one_configuration_imports_neither_cvxpy_nor_statistics(tmp_path: Path) -> None:
-    words = ["plan", *SAMPLES, "--km", ":4", "-o", str(tmp_path / "plan.json"), "--quiet"]
-    code = (
-        f"import sys; from trainlog.cli.main import run; run({words!r});"
-        "print(sorted({'cvxpy', 'scipy.stats', 'analysis.passports'} & set(sys.modules)))"
-    )
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert ended.stdout.splitlines()[-1] == "[]"
 
 
 def test_a_load_is_of_the_train_file_alone(observed: Path, tmp_path: Path) -> None:

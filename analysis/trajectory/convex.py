@@ -1,8 +1,7 @@
 """Convex programs: what they share, their solvers, and the convex relaxation of the problem.
 
-A program is written as sparse arrays at once, cell by cell, over one vector of unknowns between its
-bounds: that saves most of the time that modelling with expressions takes. Quadratic programs go to
-PIQP, and those with cones to Clarabel by way of CVXPY.
+A program is written as sparse arrays at once, cell by cell, and given to CVXPY as one vector of
+unknowns between its bounds: that saves most of the time that modelling with expressions takes.
 
 In the relaxation each node has, next to ``z``, a speed ``w`` with ``w² <= 2 z``, and each cell a
 time per metre ``tau`` with ``tau (w + w') / 2 >= 1``; both are second-order cones that stay
@@ -17,13 +16,14 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
@@ -32,25 +32,23 @@ from analysis.trajectory.curves import SPARE, Curves
 from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from analysis.trajectory.rollout import dynamic_share
 from trainlog.arrays import FloatArray, IntArray
-from trainlog.extras import load
-
-if TYPE_CHECKING:
-    import cvxpy as cp
 
 SLOW = 0.2
 """Speeds below this are scaled as if they were this [m/s]."""
 
 
-_PIQP: dict[str, Any] = {
-    "eps_abs": 1e-7,
-    "eps_rel": 1e-8,
-    "eps_duality_gap_rel": 1e-8,
-    "max_iter": 150,
-    # Regularised less, the last steps of programs of several configurations drown in rounding, and
-    # the solver stands still.
-    "reg_finetune_lower_limit": 1e-11,
+_SETTINGS: dict[str, dict[str, Any]] = {
+    cp.PIQP: {
+        "eps_abs": 1e-7,
+        "eps_rel": 1e-8,
+        "eps_duality_gap_rel": 1e-8,
+        "max_iter": 150,
+        # Regularised less, the last steps of programs of several configurations drown in
+        # rounding, and the solver stands still.
+        "reg_finetune_lower_limit": 1e-11,
+    }
 }
-"""What PIQP stops at: beyond it the rounding of large programs makes some of them stall."""
+"""What the solvers stop at: beyond it the rounding of large programs makes some of them stall."""
 
 _ROUGH: dict[str, Any] = {"eps_abs": 1e-3, "eps_rel": 1e-4, "eps_duality_gap_rel": 1e-5}
 """The same for programs that only prepare the next one: a third fewer iterations."""
@@ -139,9 +137,7 @@ class Rows:
     def matrix(self, unknowns: int) -> sp.csc_array:
         """All coefficients, (rows, unknowns)."""
         row, column, value = (np.concatenate(each) for each in zip(*self._entries, strict=True))
-        found = sp.csc_array((value, (row, column)), shape=(self.count, unknowns))
-        found.eliminate_zeros()
-        return found
+        return sp.csc_array((value, (row, column)), shape=(self.count, unknowns))
 
 
 class Unknowns:
@@ -206,7 +202,8 @@ def solve(
     below: Rows,
     *,
     curvature: sp.csc_array | None = None,
-    cones: Callable[[cp.Variable], list[Any]] | None = None,
+    cones: Sequence[Any] = (),
+    variable: cp.Variable | None = None,
     rough: bool = False,
 ) -> ProgramSolution:
     """Minimise ``cost x + x curvature x / 2``, and accept nothing but a solution.
@@ -217,70 +214,67 @@ def solve(
     Raises
     ------
     NoSolutionError
-        With the solver's status, or `SOLVER_FAILED`; or if bounds exclude each other by more than
-        rounding, or are no numbers.
+        With the solver's status, or `SOLVER_FAILED`.
     OutOfTimeError
         If no time is left.
+    """
+    x = bounded(unknowns) if variable is None else variable
+    objective = cost @ x
+    if curvature is not None:
+        objective = objective + 0.5 * cp.quad_form(x, curvature, assume_PSD=True)
+    equations = equal.matrix(unknowns.size) @ x == equal.right
+    limits = below.matrix(unknowns.size) @ x <= below.right
+    status = ""
+    for solver in (cp.CLARABEL,) if cones else (cp.PIQP, cp.CLARABEL):
+        begin, left = time.monotonic(), time_left()
+        # PIQP cannot be stopped, Clarabel can.
+        if left <= (0.0 if cones else _PACE.get() * unknowns.size):
+            raise OutOfTimeError
+        settings = dict(_SETTINGS.get(solver, {}))
+        if rough and solver == cp.PIQP:
+            settings |= _ROUGH
+        if solver == cp.CLARABEL and left < np.inf:
+            settings["time_limit"] = left
+        program = cp.Problem(cp.Minimize(objective), [equations, limits, *cones])
+        try:
+            with warnings.catch_warnings():
+                # The status states what the warning would, and the certificate carries it.
+                warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
+                program.solve(solver=solver, **settings)
+        except (cp.SolverError, ValueError, ArithmeticError):
+            # Numbers that are none, or too large, are refused before any solver runs.
+            status = SOLVER_FAILED
+            continue
+        if not cones:
+            _PACE.set((time.monotonic() - begin) / unknowns.size)
+        status = str(program.status)
+        good = (cp.OPTIMAL,) if solver == cp.PIQP else (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)
+        if status in good and np.all(np.isfinite(x.value)):
+            return ProgramSolution(
+                np.asarray(x.value),
+                np.asarray(equations.dual_value),
+                np.asarray(limits.dual_value),
+                float(program.value),
+                f"{solver} {status}",
+            )
+    if time_left() <= 0.0:
+        raise OutOfTimeError
+    raise NoSolutionError(status)
+
+
+def bounded(unknowns: Unknowns) -> cp.Variable:
+    """All unknowns as one variable of CVXPY, between their bounds.
+
+    Raises
+    ------
+    NoSolutionError
+        If bounds exclude each other by more than rounding, or are no numbers.
     """
     apart = unknowns.low - unknowns.high
     if not np.all(apart <= _ROUNDING):
         raise NoSolutionError("infeasible")
     unknowns.high = np.maximum(unknowns.low, unknowns.high)
-    if curvature is None:
-        curvature = sp.csc_array((unknowns.size, unknowns.size))
-    rows = [each.matrix(unknowns.size) for each in (equal, below)]
-    right = [each.right for each in (equal, below)]
-    if cones is None:
-        # PIQP cannot be stopped, Clarabel can.
-        begin = time.monotonic()
-        if time_left() <= _PACE.get() * unknowns.size:
-            raise OutOfTimeError
-        solver = load("piqp").SparseSolver()
-        for name, value in (_PIQP | (_ROUGH if rough else {})).items():
-            setattr(solver.settings, name, value)
-        solver.setup(
-            curvature, cost, rows[0], right[0], rows[1], h_u=right[1],
-            x_l=unknowns.low, x_u=unknowns.high,
-        )  # fmt: skip
-        solved = solver.solve().name == "PIQP_SOLVED"
-        _PACE.set((time.monotonic() - begin) / unknowns.size)
-        found = solver.result
-        if solved and np.all(np.isfinite(found.x)):
-            x = np.clip(found.x, unknowns.low, unknowns.high)
-            duals = np.array(found.y), np.array(found.z_u)
-            return ProgramSolution(x, *duals, float(found.info.primal_obj), "PIQP optimal")
-    left = time_left()
-    if left <= 0.0:
-        raise OutOfTimeError
-    cp = load("cvxpy")  # takes half a second, and a plan of one configuration seldom needs it
-    x = cp.Variable(unknowns.size, bounds=[unknowns.low, unknowns.high])
-    objective = cost @ x
-    if curvature.nnz:
-        objective = objective + 0.5 * cp.quad_form(x, curvature, assume_PSD=True)
-    equations, limits = rows[0] @ x == right[0], rows[1] @ x <= right[1]
-    program = cp.Problem(
-        cp.Minimize(objective), [equations, limits, *(() if cones is None else cones(x))]
-    )
-    try:
-        with warnings.catch_warnings():
-            # The status states what the warning would, and the certificate carries it.
-            warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
-            program.solve(solver=cp.CLARABEL, **({"time_limit": left} if left < np.inf else {}))
-        status = str(program.status)
-    except (cp.SolverError, ValueError, ArithmeticError):
-        # Numbers that are none, or too large, are refused before any solver runs.
-        status = SOLVER_FAILED
-    if status in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE) and np.all(np.isfinite(x.value)):
-        return ProgramSolution(
-            np.asarray(x.value),
-            np.asarray(equations.dual_value),
-            np.asarray(limits.dual_value),
-            float(program.value),
-            f"CLARABEL {status}",
-        )
-    if time_left() <= 0.0:
-        raise OutOfTimeError
-    raise NoSolutionError(status)
+    return cp.Variable(unknowns.size, bounds=[unknowns.low, unknowns.high])
 
 
 def energy_cost(
@@ -574,7 +568,9 @@ class Relaxation:
         return self._solved(time).value
 
     def _solved(self, cost: FloatArray) -> ProgramSolution:
-        return solve(self.unknowns, cost, self.equal, self.below, cones=self._cones)
+        x = bounded(self.unknowns)
+        cones = self._cones(x)
+        return solve(self.unknowns, cost, self.equal, self.below, cones=cones, variable=x)
 
     def _motion(self) -> tuple[IntArray, FloatArray]:
         """Eq. (2) over a cell, exact for the quadratic resistance; rows scaled by the speed.
@@ -619,7 +615,6 @@ class Relaxation:
 
     def _cones(self, x: cp.Variable) -> list[Any]:
         """``w² <= z`` at the nodes, and ``tau`` times the mean speed of a cell at least 1."""
-        cp = load("cvxpy")
         n = self.problem.shape[1]
         last = n if self._stops else n + 1
         squares = x[self.unknowns.z[:, 1:last].ravel()]

@@ -1,6 +1,6 @@
 """Sequential quadratic programming for the robust minimax problem.
 
-Cunillera et al. (2022), eq. (1) to (10). Each iteration lets PIQP solve a quadratic program about
+Cunillera et al. (2022), eq. (1) to (10). Each iteration lets CVXPY solve a quadratic program about
 the last plan, until nothing changes any more. The motion through every cell is linearised about the
 plan, the power bounded by a tangent (a global under-estimator, so power is never exceeded). Running
 time is convex in ``z``: its constraint is linearised, and its curvature, weighted with the
