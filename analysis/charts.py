@@ -568,7 +568,7 @@ def _draw_chart(figure: Figure | SubFigure, chart: Chart, share: float, known: s
     ).tolist()
     for axes, panel in zip(places, chart.panels, strict=True):
         _draw_panel(axes, panel)
-        _draw_legend(axes, panel, share, known)
+        _draw_legend(axes, panel, share, known, chart.second is None)
         for place, _ in chart.places:
             axes.axvline(place, color=PALE, linewidth=0.9, zorder=0)
     last: Axes = places[-1]
@@ -641,8 +641,8 @@ def _write(axes: Axes, label: Label) -> None:
     )  # fmt: skip
 
 
-def _draw_legend(axes: Axes, panel: Panel, share: float, known: set[str]) -> None:
-    """What is drawn, each name once: above the panel on the right, or in it where that is full."""
+def _draw_legend(axes: Axes, panel: Panel, share: float, known: set[str], above: bool) -> None:
+    """What is drawn, each name once: above the panel on the right if free, or in it."""
     handles, names = axes.get_legend_handles_labels()
     cells = [each for each in panel.curves if isinstance(each, Cells)]
     entries = dict(zip(names, handles, strict=True))
@@ -661,7 +661,7 @@ def _draw_legend(axes: Axes, panel: Panel, share: float, known: set[str]) -> Non
     letters = len(panel.title) + sum(len(name) + 6 for name in [*entries][: 9 if cells else 4])
     inside = narrow or (letters > LETTERS * share and not cells)
     place: dict[str, Any] = {"loc": "best", "fontsize": 7 if narrow else 8}
-    if not inside:
+    if above and not inside:
         place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": 9 if cells else 4,
                  "fontsize": 8}  # fmt: skip
     axes.legend(entries.values(), entries.keys(), frameon=False, **place)

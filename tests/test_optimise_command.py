@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refused
 
 from analysis.trajectory.adhesion import adhesion_demand, adhesion_words
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.condition import read_map
-from trainlog.formats.line import read_line
+from trainlog.formats.line import read_line, write_line
 from trainlog.formats.parameters import read_parameters
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
@@ -289,7 +291,7 @@ def test_a_run_between_two_stations_is_one_file_and_one_between_three_a_folder(
     found = read_trajectory(tmp_path / "a.json")
     assert found.running_time == pytest.approx(510.0, abs=1.0)
     capsys.readouterr()
-    three = ("--stops", "St.Gallen,Gossau SG,Wil", "--set", "dwell=30", "--reserve", "7,3%")
+    three = ("--stops", "St.Gallen,Gossau SG,Wil", "--set", "dwell=30", "--reserve", "7%,3%")
     words = ["plan", *coarse, *three, "-o", str(tmp_path / "b"), "--json"]
     assert cli.run(words) == 0
     assert {each.name for each in (tmp_path / "b").iterdir()} == {
@@ -328,7 +330,7 @@ def test_a_table_has_the_whole_run_by_kilometre(tmp_path: Path) -> None:
 
 
 def test_reserves_are_compared(tmp_path: Path) -> None:
-    words = (*SAMPLES, "--set", "cells=40", "--km", ":4", "--reserve", "7,3%")
+    words = (*SAMPLES, "--set", "cells=40", "--km", ":4", "--reserve", "7%,3%")
     assert cli.run(["plan", *words, "-o", str(tmp_path / "b.json")]) == 0
     assert read_trajectory(tmp_path / "b.json").certificate["reserve"] == pytest.approx(0.07)
     assert {each.name for each in tmp_path.iterdir()} == {
@@ -349,3 +351,29 @@ def test_a_plan_without_a_map_states_the_adhesion_that_it_asks_for(
     driven = ["--train", "sample", "-o", str(tmp_path / "driven")]
     assert cli.run(["simulate", "follow", str(plan), *driven]) == 0
     assert "slippery spots are not known" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [("7,5%", "is one number or two"), ("0.07", "is less than 0.5 %")],
+)
+def test_a_reserve_that_may_be_another_is_refused(given: str, said: str, tmp_path: Path) -> None:
+    words = ["plan", *SAMPLES, "--km", ":4", "--reserve", given, "-o", str(tmp_path / "p.json")]
+    refused(InputError, said, cli.run, words)
+
+
+def test_a_plan_states_where_limits_are_kept_and_what_is_assumed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = replace(read_line(sample(DEFAULT_LINE)), assumed=("gradients",))
+    write_line(line, tmp_path / "own.line.json")
+    words = ["plan", "--line", str(tmp_path / "own.line.json"), *SAMPLES[2:], "--km", ":4"]
+    for more, said in (
+        ([], "none, at the train's front"),
+        (["--set", "protect=train"], "none, over "),
+    ):
+        assert cli.run([*words, "--set", "cells=60", *more, "-o", str(tmp_path / "p.json")]) == 0
+        shown = " ".join(capsys.readouterr().out.split())
+        assert said in shown
+        assert "Assumed of the line: gradients." in shown
+    assert "assumed gradients" in " ".join(repr(line).split())

@@ -200,7 +200,7 @@ def test_objects_sum_themselves_up(shown: object) -> None:
     assert 2 <= len(repr(shown).splitlines()) <= 10
     assert max(map(len, repr(shown).splitlines())) < 120
     page = ElementTree.fromstring(shown._repr_html_())  # type: ignore[attr-defined]
-    assert page.find("table") is not None
+    assert page.find(".//table") is not None
 
 
 def test_a_summary_has_the_figures_of_its_object() -> None:

@@ -133,7 +133,7 @@ def test_one_bad_file_is_listed_and_stops_nothing(light: Opened) -> None:
     assert "1 file could not be shown" in words
     assert "trips/none.mcap" in words
     titles = light.page.locator("h2").all_inner_texts()
-    for kind in ("Overview", "Running resistance", "Track-condition map", "Trajectory", "Trips"):
+    for kind in ("Summary", "Running resistance", "Track-condition map", "Trajectory", "Trips"):
         assert any(title.startswith(kind) for title in titles), kind
     assert titles[-1] == "Provenance"
     links = light.page.locator("nav a").evaluate_all(

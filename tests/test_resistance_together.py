@@ -366,7 +366,7 @@ def test_a_cover_that_is_no_fraction_and_a_set_of_none_are_refused() -> None:
 def test_one_configuration_of_one_trip_is_stated_in_the_singular() -> None:
     fits = fit(sample("nonstop.mcap"))
     words = fits.shown()
-    assert any("1 configuration stands for 1 trip: its worst" in str(each) for each in words)
+    assert any("1 configuration stands for 1 trip: coverage" in str(each) for each in words)
     assert "1 configuration, coverage" in repr(fits)
 
 

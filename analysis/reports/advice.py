@@ -118,7 +118,8 @@ def _parts(found: JourneyAdvice, line: Line | None, files: Sequence[Path]) -> li
             "Made of",
             [
                 "Plans: " + ", ".join(path.name for path in files) + ". The permitted speed holds"
-                " everywhere, whatever the advice; the report of a plan (trainlog report) states"
+                " everywhere, whatever the advice; the plan keeps it"
+                f" {found.sections[0].limits_kept}. The report of a plan (trainlog report) states"
                 " what it was made of.",
                 f"This page: {_command(found, files)}; trainlog {__version__}.",
             ],

@@ -325,6 +325,8 @@ def trajectory_sections(path: Path, line: Path | None = None) -> list[Section]:
             Warned(f"The file does not hold line '{trajectory.line}', as an earlier version wrote"
                    " it: without --line its limits, gradients and stations are not shown.")
         )  # fmt: skip
+    if course is not None and course.assumed:
+        parts.append(Warned(f"Assumed of the line: {course.summary()['assumed']}."))
     if "audit" in trajectory.certificate:
         sections.append(
             Section("Certificate", [*certificate_words(trajectory), *trajectory_table(trajectory)])
@@ -378,6 +380,7 @@ def certificate_words(trajectory: Trajectory) -> list[str]:
     which_ones = "trajectory" if "continuous_bound" in certificate else "trajectory on its cells"
     over = overspeed(audit["overspeed"])
     limits = "the permitted speed is kept" if over == "none" else f"the speed is over it by {over}"
+    limits = f"{limits} {trajectory.limits_kept}"
     return [
         f"An independent rollout drove {which} along the plan: the latest arrives"
         f" {lateness(audit['lateness'])} in {clock(trajectory.running_time)}, {limits}, and at most"

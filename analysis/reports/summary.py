@@ -262,7 +262,7 @@ def _planned(path: Path) -> tuple[tuple[str, str, str], ...]:
     )
     proof = (
         f"{trajectory.optimality}, latest arrival {lateness(audit['lateness'])},"
-        f" speed over the limit: {overspeed(audit['overspeed'])}"
+        f" speed over the limit: {overspeed(audit['overspeed'])} {trajectory.limits_kept}"
     )
     return ("trajectory", energy, str(path)), ("certificate", proof, "")
 

@@ -340,10 +340,7 @@ def _rows(section: Trajectory, departure: float, line: Line | None) -> Iterator[
 
 def limits_of(section: Trajectory, line: Line | None) -> StepProfile | None:
     """The line's limits [m/s], as the section was planned for them; None without the line."""
-    if line is None:
-        return None
-    protected = section.provenance.get("settings", {}).get("protected_length", 0.0)
-    return line.limits_over(float(protected))
+    return None if line is None else line.limits_over(section.protected_length)
 
 
 def _row(

@@ -96,8 +96,14 @@ class PlannedRun(Presented):
 
     @property
     def notes(self) -> list[str]:
-        """What adhesion each section counts on."""
+        """What adhesion each section counts on, and what of line and train is assumed."""
         found = [words for each in self.sections for words in adhesion_words(self.problem, each)]
+        for what, names in (
+            ("line", self.problem.line.assumed),
+            ("train", self.problem.train.assumed),
+        ):
+            assumed = ", ".join(name.replace("_", " ") for name in names)
+            found += [f"Assumed of the {what}: {assumed}."] if assumed else []
         return list(dict.fromkeys(found))
 
     def profile(self) -> pd.DataFrame:
@@ -146,7 +152,7 @@ def trajectory_table(trajectory: Trajectory) -> list[WordTable]:
         trajectory.energy_label: f"{kwh(certificate['energy'])}, at least {bound}",
         "optimality gap": _gap(trajectory),
         "latest arrival": lateness(audit["lateness"]),
-        "speed over the limit": overspeed(audit["overspeed"]),
+        "speed over the limit": f"{overspeed(audit['overspeed'])}, {trajectory.limits_kept}",
         "power": f"{audit['power']:.1%} of the limit at most",
         "adhesion": _adhesion(trajectory),
         "controls as the maximum principle asks": shares or "not known",
@@ -201,6 +207,7 @@ def certified(trajectory: Trajectory) -> dict[str, Any]:
         "gap": certificate.get("total_gap", certificate["gap"]),
         "lateness_s": audit["lateness"],
         "overspeed_m_s": audit["overspeed"],
+        "protected_length_m": trajectory.protected_length,
         "share_of_power": audit["power"],
         "share_of_adhesion": audit["adhesion"],
         "deciding": list(certificate["active"]),

@@ -195,6 +195,7 @@ def map_show(
         return
     if days is not None:
         raise InputError("--days is for one place", remedy="give it, as --km 12.3")
+    stretch(km)
     if km is not None and picture is None:
         raise InputError("--km chooses what a picture shows", remedy="name it with --picture")
     when = moment(at, zone)

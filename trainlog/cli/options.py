@@ -207,6 +207,11 @@ def stretch(text: str | None, line: Line | None = None) -> tuple[float | None, f
         )
     named = f"section '{text}': kilometre"
     limits = [KILOMETRE.read(word, named) if word.strip() else None for word in (start, end)]
+    if limits[0] is not None and limits[0] == limits[1]:
+        raise InputError(
+            f"'{text}' is not a part of a line, but one place",
+            remedy="write kilometres as 3.2:7.5",
+        )
     return section_of_km(line, limits[0], limits[1])
 
 

@@ -208,8 +208,7 @@ def plan(
     if output.suffix or stops is None:
         destination(output, ".csv" if output.suffix == ".csv" else ".json")
     chosen = settings_of(settings or [])
-    asked = [] if reserve is None else reserve.split(",")
-    reserves = list(dict.fromkeys(PERCENT.read(each, "--reserve") for each in asked))
+    reserves = _reserves(reserve)
     ends = {"--km": km} | {
         f"--set {name}": chosen.get(name) for name in ("initial-speed", "final-speed")
     }
@@ -315,6 +314,25 @@ def plan(
             name = "energy-over-time.png"
             beside = output.with_name(f"{output.stem}-{name}") if output.suffix else output / name
             show(front, picture=beside)
+
+
+def _reserves(given: str | None) -> list[float]:
+    """The shares asked for, each once.
+
+    Raises
+    ------
+    InputError
+        If one is none, or another is meant: ``7,5%`` with a decimal comma, ``0.07`` for 7 %.
+    """
+    asked = [] if given is None else given.split(",")
+    if len(asked) == 2 and "%" in asked[1] and "%" not in asked[0]:
+        remedy = f"write one as {asked[0]}.{asked[1]}, two as {asked[0]}%,{asked[1]}"
+        raise InputError(f"--reserve '{given}' is one number or two", remedy=remedy)
+    for each in asked:
+        if "%" not in each and 0.0 < PERCENT.read(each, "--reserve") < 0.005:
+            remedy = f"write {each}% if that is meant, or {100.0 * float(each):g}%"
+            raise InputError(f"--reserve '{each}' is less than 0.5 %", remedy=remedy)
+    return list(dict.fromkeys(PERCENT.read(each, "--reserve") for each in asked))
 
 
 def _journey_of(stops: str, line: Line, running_time: float | None) -> Journey:

@@ -355,6 +355,8 @@ class Line(Declared, Plotted):
             rows["operator's"] = f"{self.reference.name}, km {known[0]:.3f} to {known[1]:.3f}"
         if self.legs:
             rows["route"] = route_words(self.legs)
+        if self.assumed:
+            rows["assumed"] = ", ".join(name.replace("_", " ") for name in self.assumed)
         return rows
 
     @classmethod

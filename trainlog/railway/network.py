@@ -699,7 +699,7 @@ class Route(Presented):
     @property
     def notes(self) -> list[str]:
         """What of its line is assumed."""
-        assumed = ", ".join(name.replace("_", " ") for name in self.line.assumed)
+        assumed = self.line.summary().get("assumed")
         return [f"assumed on a part of it: {assumed}"] if assumed else []
 
     def reversed(self) -> Route:

@@ -300,6 +300,17 @@ class Trajectory(Declared):
         return words.replace("_", " ")
 
     @property
+    def protected_length(self) -> float:
+        """Length of the train over which its speed limits are kept [m]; 0: at its front alone."""
+        return float(self.provenance.get("settings", {}).get("protected_length", 0.0))
+
+    @property
+    def limits_kept(self) -> str:
+        """Where the train keeps the speed limits, in words."""
+        length = self.protected_length
+        return f"over {length:.0f} m of train" if length else "at the train's front"
+
+    @property
     def energy_label(self) -> str:
         """What the ``energy`` of the certificate is, and where it is taken, in words."""
         return _ENERGY.get(self.objective, "energy")
