@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
@@ -115,6 +116,21 @@ def test_a_wrong_column_names_the_profile_to_correct(tmp_path: Path) -> None:
     profile.write_text(wrong)
     message = f"no column 'x.*; correct the profile {re.escape(str(profile))}$"
     refused(sample("recorder.csv"), message, profile=profile)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_all_columns_that_are_missing_are_named_at_once(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"run{suffix}"
+    run = clean_run(5, 1.0)
+    if suffix == ".csv":
+        write(path, plain_rows())
+        path.write_text(path.read_text().replace("t,v,s", "t,speed,way"))
+    else:
+        stamps = pd.DatetimeIndex(run.time, tz="UTC")
+        pa.parquet.write_table(
+            pa.table({"t": stamps, "speed": run.speed, "way": run.position}), path
+        )
+    refused(path, r"2 problems: \(1\) .*no column 'v'; .*t, speed, way; \(2\) .*no column 's'; ")
 
 
 def test_the_profile_may_be_given_by_position(tmp_path: Path) -> None:

@@ -361,7 +361,7 @@ def _opened(path: str | Path, profile: str | Path | Profile | None, format: str 
         except MismatchError as error:
             if profile is None or isinstance(profile, Profile):
                 raise
-            remedy = f"{error.remedy}; correct the profile {profile}"
+            remedy = "; ".join(filter(None, [error.remedy, f"correct the profile {profile}"]))
             raise InputError(
                 error.problem, file=error.file, place=error.place, remedy=remedy
             ) from error

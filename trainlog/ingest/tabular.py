@@ -121,11 +121,15 @@ class TextFile:
         Raises
         ------
         InputError
-            If a column is missing or comes twice, or too many rows do not fit the header.
+            If columns are missing or come twice, or too many rows do not fit the header.
         """
         names = list(dict.fromkeys(wanted))
-        for name in names:
-            self._check(name)
+        problems = [found for name in names if (found := self._problem(name)) is not None]
+        if problems:
+            # Of a single column the delimiter is wrong, whatever is missing.
+            alone = len(self.names) == 1
+            kind = MismatchError if type(problems[0]) is MismatchError else InputError
+            raise kind.listing(problems[:1] if alone else problems, file=self.path)
         parsed, body = self._parsed(self.body, names), self.body
         cut = np.zeros(0, dtype=np.int64)
         needed = max(self.named, *(self.names.index(name) + 1 for name in names))
@@ -245,13 +249,14 @@ class TextFile:
             remedy=remedy,
         )
 
-    def _check(self, name: str) -> None:
+    def _problem(self, name: str) -> InputError | None:
+        """Why a column cannot be read by its name."""
         count = self.names.count(name)
         if count == 1:
-            return
+            return None
         place = f"row {self.header}, the header" if self.header else None
         if count > 1:
-            raise InputError(
+            return InputError(
                 f"column '{name}' comes {count} times",
                 file=self.path,
                 place=place,
@@ -259,14 +264,14 @@ class TextFile:
             )
         if name in self.options.aliases:
             spellings = self.options.aliases[name]
-            raise MismatchError(
+            return MismatchError(
                 f"no column of the {name}",
                 file=self.path,
                 place=place,
                 remedy=f"expected one called {' or '.join(spellings)}",
             )
         alone = len(self.names) == 1
-        raise MismatchError(
+        return MismatchError(
             f"no column '{name}'",
             file=self.path,
             place=place,
@@ -553,11 +558,13 @@ def read_parquet(path: Path, profile: Profile | None) -> Recording:
     try:
         names = tuple(pa.parquet.read_schema(data).names)
         wanted = list(dict.fromkeys(wanted_columns(profile, names, path)))
-        for name in wanted:
-            if name not in names:
-                raise MismatchError(
-                    f"no column '{name}'", file=path, remedy=suggestion(name, names, "columns")
-                )
+        problems = [
+            MismatchError(f"no column '{name}'", remedy=suggestion(name, names, "columns"))
+            for name in wanted
+            if name not in names
+        ]
+        if problems:
+            raise MismatchError.listing(problems, file=path)
         data.seek(0)
         table = pa.parquet.read_table(data, columns=wanted)
     except (pa.ArrowException, OSError) as error:
