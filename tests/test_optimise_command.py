@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from refusals import refused
 
+from analysis.reports.summary import report
 from analysis.trajectory.adhesion import adhesion_demand, adhesion_words
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.cli import main as cli
@@ -310,22 +311,48 @@ def test_a_run_between_two_stations_is_one_file_and_one_between_three_a_folder(
     assert arrivals[-1] == pytest.approx(front[1]["running_time_s"], abs=0.1)
 
 
-def test_a_table_has_the_whole_run_by_kilometre(tmp_path: Path) -> None:
+def test_a_table_has_the_whole_run_by_kilometre(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = ("--stops", "Wil,Gossau SG,St.Gallen", "--reverse", "--set", "dwell=30", "--set",
              "cells=40")  # fmt: skip
     assert cli.run(["plan", *SAMPLES, *words, "-o", str(tmp_path / "run.csv"), "-q"]) == 0
     assert [each.name for each in tmp_path.iterdir()] == ["run.csv"]
-    assert cli.run(["plan", *SAMPLES, *words, "-o", str(tmp_path / "run"), "-q"]) == 0
+    assert cli.run(["plan", *SAMPLES, *words, "-o", str(tmp_path / "run")]) == 0
+    headings = [line for line in capsys.readouterr().out.splitlines() if "Robust" in line]
+    names = ["Wil to Gossau SG", "Gossau SG to St.Gallen"]
+    assert all(name in line for name, line in zip(names, headings, strict=True))
     table = pd.read_csv(tmp_path / "run.csv")
     assert table.columns.tolist() == [
-        *("km", "time [s]", "speed [km/h]", "tractive effort [kN]", "braking effort [kN]"),
-        "energy at the wheels [kWh]",
+        *("section", "km", "time [s]", "speed [km/h]", "tractive effort [kN]"),
+        *("braking effort [kN]", "energy at the wheels [kWh]", "configuration"),
     ]
+    assert table["section"].unique().tolist() == names
+    assert not table.duplicated(["section", "km"]).any()
+    folder, again = str(tmp_path / "run"), tmp_path / "again.csv"
+    assert cli.run(["convert", folder, "-o", str(again)]) == 0
+    assert again.read_bytes() == (tmp_path / "run.csv").read_bytes()
+    assert cli.run(["advice", folder, "-o", str(tmp_path / "advice.html")]) == 0
+    stops = pd.read_csv(tmp_path / "advice.csv").query("event == 'departs'")["station"]
+    assert stops.tolist() == ["Wil", "Gossau SG"]
+    results = report(folder).rows
+    assert [row[0] for row in results] == [
+        *(f"{what} {name}" for name in names for what in ("trajectory", "certificate")),
+        "journey",
+    ]
+    total = sum(
+        each.certificate["energy"] for each in map(read_trajectory, Path(folder).glob("*.json"))
+    )
+    assert f"2 sections, {total / 3.6e6:.2f} kWh" in results[-1][1]
+    assert f"{table['time [s]'].iloc[-1]:.0f} s" in results[-1][1]
+    (tmp_path / "none").mkdir()
+    with pytest.raises(InputError, match="holds no sections of a journey"):
+        cli.run(["advice", str(tmp_path / "none"), "-o", str(tmp_path / "a.html")])
     sections = [read_trajectory(tmp_path / "run" / f"section-{each}.json") for each in (1, 2)]
     energy = sum(each.certificate["wheel_energy"][0] for each in sections) / 3.6e6
     assert table["energy at the wheels [kWh]"].iloc[-1] == pytest.approx(energy, rel=1e-4)
     standing = table[table["speed [km/h]"] == 0.0]
-    assert standing["km"].tolist() == [0.0, 20.270, 20.270, 29.556]
+    assert standing["km"].tolist() == pytest.approx([0.0, 20.270, 20.270, 29.556], abs=1e-3)
     assert standing["time [s]"].diff().iloc[2] == pytest.approx(30.0, abs=0.02)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,11 @@ import numpy as np
 
 from analysis.adhesion.condition_map import summary
 from analysis.comparison.groups import compare_groups, punctuality
+from analysis.trajectory.table import section_name
 from analysis.truth import SimulatedLogs, Truth, curve_error, map_error
 from trainlog.display import counted, lateness, span
 from trainlog.errors import InputError, LogError
+from trainlog.formats.attached import line_of_plan
 from trainlog.formats.condition import read_map
 from trainlog.formats.files import LOOKED_AT
 from trainlog.formats.line import read_line
@@ -25,6 +27,7 @@ from trainlog.mcap.convert import span_of
 from trainlog.presentation import Presented, WordTable, kwh, new_table, overspeed, with_band
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.train import ParameterSet
+from trainlog.railway.trajectory import Trajectory
 from trainlog.units import KMH
 
 
@@ -105,11 +108,7 @@ def report(folder: str | Path) -> Report:
         *(_coasted(path) for path in _of_format(folder, "coast-down")),
         *(_mapped(path, simulated) for path in sorted(folder.glob("*.map"))),
         *(_drawn(path) for path in _of_format(folder, "line")),
-        *(
-            row
-            for path in _of_format(folder, "trajectory", "trajectory.json")
-            for row in _planned(path)
-        ),
+        *_planned(_of_format(folder, "trajectory", "trajectory.json")),
         _saved(folder / "driven", logs),
         _followed(folder),
     ]
@@ -251,20 +250,34 @@ def _truths_of_map(path: Path, track: TrackConditionMap, simulated: SimulatedLog
     ]
 
 
-def _planned(path: Path) -> tuple[tuple[str, str, str], ...]:
-    trajectory = read_trajectory(path)
-    certificate = trajectory.certificate
-    audit = certificate["audit"]
-    energy = (
-        f"{trajectory.energy_label} {kwh(certificate['energy'])} over"
-        f" {counted(len(trajectory.configurations), 'configuration')}"
-        f" in {trajectory.running_time:.0f} s"
-    )
-    proof = (
-        f"{trajectory.optimality}, latest arrival {lateness(audit['lateness'])},"
-        f" speed over the limit: {overspeed(audit['overspeed'])} {trajectory.limits_kept}"
-    )
-    return ("trajectory", energy, str(path)), ("certificate", proof, "")
+def _planned(files: Sequence[Path]) -> Iterator[tuple[str, str, str]]:
+    """Each trajectory by itself, and the total of the sections of each journey."""
+    journeys: dict[str, list[Trajectory]] = {}
+    for path in files:
+        trajectory = read_trajectory(path)
+        certificate = trajectory.certificate
+        audit = certificate["audit"]
+        energy = (
+            f"{trajectory.energy_label} {kwh(certificate['energy'])} over"
+            f" {counted(len(trajectory.configurations), 'configuration')}"
+            f" in {trajectory.running_time:.0f} s"
+        )
+        proof = (
+            f"{trajectory.optimality}, latest arrival {lateness(audit['lateness'])},"
+            f" speed over the limit: {overspeed(audit['overspeed'])} {trajectory.limits_kept}"
+        )
+        name = ""
+        if "journey" in trajectory.provenance:
+            name = f" {section_name(trajectory, line_of_plan(trajectory))}"
+            journeys.setdefault(trajectory.provenance["journey"]["name"], []).append(trajectory)
+        yield f"trajectory{name}", energy, str(path)
+        yield f"certificate{name}", proof, ""
+    for sections in journeys.values():
+        departures = [each.provenance["journey"]["departure"] for each in sections]
+        arrivals = [at + each.running_time for at, each in zip(departures, sections, strict=True)]
+        energy = kwh(sum(each.certificate["energy"] for each in sections))
+        lasts = f"{max(arrivals) - min(departures):.0f} s with the stops"
+        yield "journey", f"{counted(len(sections), 'section')}, {energy} in all, {lasts}", ""
 
 
 def _saved(folder: Path, logs: Sequence[Path]) -> tuple[str, str, str] | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import pandas as pd
 from analysis.trajectory.adhesion import adhesion_words
 from analysis.trajectory.advice import JourneyAdvice, driver_table, journey_advice
 from trainlog.display import at_most, counted, lateness
+from trainlog.formats.files import write_bytes
 from trainlog.presentation import (
     DURATION,
     ENERGY,
@@ -31,7 +33,7 @@ from trainlog.presentation import (
     overspeed,
 )
 from trainlog.railway import Line, Trajectory
-from trainlog.railway.kilometres import in_km
+from trainlog.railway.kilometres import in_km, station_at
 from trainlog.units import JOULES_PER_KWH, KMH, clock
 
 if TYPE_CHECKING:
@@ -88,7 +90,10 @@ class PlannedRun(Presented):
 
     def tables(self) -> list[WordTable]:
         """Certificate and configurations of each section, the advice, the sections of a journey."""
-        found = [table for each in self.sections for table in trajectory_table(each)]
+        several = len(self.sections) > 1
+        found = list[WordTable]()
+        for each in self.sections:
+            found += trajectory_table(each, section_name(each, self.problem.line) * several)
         found.append(driver_table(self.advice))
         if not isinstance(self.run, Trajectory):
             found.append(journey_table(self.run, self.problem.line))
@@ -106,34 +111,50 @@ class PlannedRun(Presented):
             found += [f"Assumed of the {what}: {assumed}."] if assumed else []
         return list(dict.fromkeys(found))
 
-    def profile(self) -> pd.DataFrame:
-        """Speed, efforts and energy over the kilometres, for the configuration that arrives last.
 
-        Kilometres are the operator's; time and energy at the wheels count from the departure. Each
-        row has the efforts behind its place.
-        """
-        parts, used = [], 0.0
-        for each, departs in zip(self.sections, self.advice.departures.tolist(), strict=True):
-            places, row = each.positions, each.latest
-            energy = used + np.append(0.0, np.cumsum(each.tractive_effort * np.diff(places)))
-            used = float(energy[-1])
-            km = in_km(self.problem.line, places)
-            found = {
-                "km": [f"{place:.3f}" for place in km.tolist()],
-                "time [s]": (departs + each.times[row]).round(2),
-                "speed [km/h]": (KMH * each.speeds[row]).round(2),
-                "tractive effort [kN]": (each.tractive_effort_at(places) / 1e3).round(3),
-                "braking effort [kN]": (each.braking_effort[row, each.cell_of(places)] / 1e3).round(
-                    3
-                ),
-                "energy at the wheels [kWh]": (energy / JOULES_PER_KWH).round(4),
-            }
-            parts.append(pd.DataFrame(found))
-        return pd.concat(parts, ignore_index=True)
+def write_profile(found: JourneyAdvice, line: Line | None, path: Path) -> None:
+    """Write speed, efforts and energy over the kilometres as CSV, whole or not at all.
+
+    Kilometres are the operator's; time and energy at the wheels count from the departure. Each row
+    has the efforts behind its place, and the configuration that it is of: the one that arrives
+    last in its section.
+    """
+    parts, used = [], 0.0
+    for each, departs in zip(found.sections, found.departures.tolist(), strict=True):
+        places, row = each.positions, each.latest
+        energy = used + np.append(0.0, np.cumsum(each.tractive_effort * np.diff(places)))
+        used = float(energy[-1])
+        braking = each.braking_effort[row, each.cell_of(places)]
+        columns = {
+            "section": section_name(each, line),
+            "km": in_km(line, places),
+            "time [s]": (departs + each.times[row]).round(2),
+            "speed [km/h]": (KMH * each.speeds[row]).round(2),
+            "tractive effort [kN]": (each.tractive_effort_at(places) / 1e3).round(3),
+            "braking effort [kN]": (braking / 1e3).round(3),
+            "energy at the wheels [kWh]": (energy / JOULES_PER_KWH).round(4),
+            "configuration": each.configurations[row].name,
+        }
+        parts.append(pd.DataFrame(columns))
+    table = pd.concat(parts, ignore_index=True)
+    steps = np.concatenate([np.abs(np.diff(part["km"])) for part in parts])
+    digits = int(np.clip(np.ceil(-np.log10(max(steps.min(), 1e-6))), 3, 6))
+    table["km"] = [f"{place:.{digits}f}" for place in table["km"]]
+    if len(parts) == 1:
+        del table["section"]
+    write_bytes(path, table.to_csv(index=False, lineterminator="\n").encode())
 
 
-def trajectory_table(trajectory: Trajectory) -> list[WordTable]:
-    """A trajectory and its certificate."""
+def section_name(section: Trajectory, line: Line | None) -> str:
+    """From where to where it runs: ``"Aach to Berg"``, by the kilometre where no station is."""
+    ends = section.positions[[0, -1]]
+    places = zip(ends.tolist(), in_km(line, ends).tolist(), strict=True)
+    named = ((line and station_at(line, place)) or f"km {km:.3f}" for place, km in places)
+    return " to ".join(named)
+
+
+def trajectory_table(trajectory: Trajectory, section: str = "") -> list[WordTable]:
+    """A trajectory and its certificate, headed by its section of a journey."""
     certificate = trajectory.certificate
     audit = certificate["audit"]
     least = max(certificate["least_time"])
@@ -163,9 +184,10 @@ def trajectory_table(trajectory: Trajectory) -> list[WordTable]:
         if referee["status"] not in OPTIMAL:
             words += f"; {referee['name']} stopped before it was optimal: its last point, no proof"
         rows[f"second result by {referee['name']}"] = words
-    facts = facts_table(f"Robust trajectory on {trajectory.line}, {trajectory.train}", rows)
+    of = f" {section}" if section else ""
+    facts = facts_table(f"Robust trajectory{of} on {trajectory.line}, {trajectory.train}", rows)
     table = new_table(
-        "Energy of each configuration",
+        f"Energy of each configuration{of and ','}{of}",
         Column("configuration"),
         Column("mass", MASS, each=True),
         Column("arrival", replace(DURATION, digits=2), each=True),

@@ -24,6 +24,7 @@ from trainlog.cli.options import (
     logs_in,
     measured,
     refuse_rivals,
+    sections_in,
     stretch,
     times,
 )
@@ -439,7 +440,7 @@ def convert(
         list[Path],
         typer.Argument(
             help="Logs (.mcap) or folders of them, MDF (.mf4), a folder of Parquet or CSV files; or"
-            " a network."
+            " a network; or a trajectory, or the folder of a journey's sections."
         ),
         ChosenTrips,
     ],
@@ -470,7 +471,8 @@ def convert(
 
     A whole log as .mcap, or logs into a folder, are rebuilt with every message that is readable,
     and an account of what is lost; damaged logs of any program stay as they are. A network becomes
-    GeoJSON: edges as lines, nodes and stations as points.
+    GeoJSON: edges as lines, nodes and stations as points. A trajectory becomes the table that plan
+    writes (.csv).
 
     Example: trainlog convert trip.mcap -o trip.parquet
 
@@ -484,6 +486,10 @@ def convert(
     kind = output.suffix.lower()
     if len(sources) < 2 or kind != ".mcap":
         refuse_rivals("it is one of several logs that are joined", {"--prefer": prefer})
+    if kind == ".csv" and all(map(_is_planned, sources)):
+        refuse_rivals("trajectories are written as a whole", part)
+        _export_profile(sources, output)
+        return
     if kind != ".geojson":
         sources = [
             log for each in sources for log in ([each] if _is_trip(each) else logs_in([each]))
@@ -527,6 +533,23 @@ def convert(
 def _is_trip(source: Path) -> bool:
     """Whether it is one trip: a file, or a folder with a table for each topic."""
     return not source.is_dir() or (source / "trip.json").exists()
+
+
+def _is_planned(source: Path) -> bool:
+    """Whether it is a trajectory's file, or the folder of a journey's sections."""
+    return source.suffix == ".json" or next(source.glob("section-*.json"), None) is not None
+
+
+def _export_profile(sources: list[Path], output: Path) -> None:
+    """Write trajectories of a journey as one table over the kilometres."""
+    from analysis.trajectory.advice import journey_advice
+    from analysis.trajectory.table import write_profile
+    from trainlog.formats.attached import line_of_plan
+    from trainlog.formats.trajectory import read_trajectory
+
+    found = journey_advice([read_trajectory(each) for each in sections_in(sources)])
+    write_profile(found, line_of_plan(found.sections[-1]), destination(output, ".csv"))
+    wrote(output)
 
 
 def _export_network(file: Path, output: Path) -> None:

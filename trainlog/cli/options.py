@@ -437,6 +437,28 @@ def logs_in(paths: list[Path]) -> list[Path]:
     return [log for path in paths for log in logs_of(path)]
 
 
+def sections_in(paths: list[Path]) -> list[Path]:
+    """The trajectory files named, and those of a journey's sections in the folders named.
+
+    Raises
+    ------
+    InputError
+        If a folder holds none.
+    """
+    found = list[Path]()
+    for path in paths:
+        inside = path.glob("section-*.json") if path.is_dir() else [path]
+        files = sorted(inside, key=lambda each: (len(each.name), each.name))
+        if not files:
+            raise InputError(
+                "holds no sections of a journey",
+                file=path,
+                remedy="name a folder that 'trainlog plan --stops' wrote, or its files",
+            )
+        found += files
+    return found
+
+
 def chosen_logs(where: str, catalogue: str | None) -> list[Path]:
     """The logs of the trips that an expression chooses in a catalogue; ``all`` chooses all.
 

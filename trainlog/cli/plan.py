@@ -22,6 +22,7 @@ from trainlog.cli.options import (
     map_of_run,
     measured,
     refuse_rivals,
+    sections_in,
     stretch,
 )
 from trainlog.cli.terminal import console, show, wrote
@@ -234,8 +235,8 @@ def plan(
     from analysis.trajectory.journey import optimise_journey, sections_of
     from analysis.trajectory.optimiser import energy_against_time, optimise
     from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
-    from analysis.trajectory.table import PlannedRun
-    from trainlog.formats.files import output_folder, write_bytes
+    from analysis.trajectory.table import PlannedRun, write_profile
+    from trainlog.formats.files import output_folder
     from trainlog.formats.trajectory import write_trajectory
 
     own_line, the_train = line_and_train(line, train)
@@ -299,7 +300,7 @@ def plan(
         planned = PlannedRun(problem, solve(problem, options=options))
         show(planned)
         if output.suffix == ".csv":
-            write_bytes(output, planned.profile().to_csv(index=False, lineterminator="\n").encode())
+            write_profile(planned.advice, problem.line, output)
             wrote(output)
         else:
             for number, section in enumerate(planned.sections, 1):
@@ -397,7 +398,9 @@ def _configurations(parameters: Path | None, train: Train, load: float | None) -
 def advice(
     trajectories: Annotated[
         list[Path],
-        typer.Argument(help="Trajectory file, or those of a journey's sections."),
+        typer.Argument(
+            help="Trajectory file, or those of a journey's sections: files, or their folder."
+        ),
     ],
     output: Annotated[
         Path,
@@ -443,6 +446,7 @@ def advice(
 
     Example: trainlog advice results/trajectory.json --onto trip.mcap -o advised.mcap
     """
+    files = sections_in(trajectories)
     if onto is not None:
         refuse_rivals(
             "--onto adds the advice to a log",
@@ -452,14 +456,14 @@ def advice(
         from trainlog.formats.trajectory import read_trajectory
         from trainlog.mcap import read_log, write_log
 
-        if len(trajectories) > 1:
+        if len(files) > 1:
             raise InputError("several trajectories are given", remedy="with --onto name one")
         destination(output, ".mcap")
         if output.resolve() == onto.resolve():
             raise InputError(
                 "is the log itself", file=output, remedy="give the result another name"
             )
-        write_log(with_advice(read_log(onto), read_trajectory(trajectories[0])), output)
+        write_log(with_advice(read_log(onto), read_trajectory(files[0])), output)
         wrote(output)
         return
     destination(output, ".html")
@@ -471,7 +475,7 @@ def advice(
     table = output.with_suffix(".csv")
     with task("writing the advice"):
         found = write_driver_advice(
-            trajectories, output, table, line=line, start=start, dwell=dwell or 0.0
+            files, output, table, line=line, start=start, dwell=dwell or 0.0
         )
     show(found)
     wrote(output, table)
