@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sqlite3
 from dataclasses import replace
 from functools import cache
@@ -14,11 +15,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 from test_traction_map import LINE, piece
 
 import trainlog
 from analysis.adhesion.condition_map import empty_map, entry_of, update
 from analysis.adhesion.evidence import Evidence
+from analysis.adhesion.updating import update_map
 from trainlog.errors import InputError
 from trainlog.formats.condition import map_from_bytes, map_to_bytes, read_map, write_map
 from trainlog.formats.mapfile import MapFile, whole_file
@@ -525,3 +528,17 @@ class TestPacked:
         with pytest.raises(ValueError):  # noqa: PT011 - of several makers
             unpack(data)
         assert json.dumps({})
+
+
+def test_days_of_evidence_that_was_added_up_count(tmp_path: Path) -> None:
+    path = tmp_path / "own.map"
+    shutil.copy(sample("CH_StGallen_Wil.map"), path)
+    track = read_map(path)
+    with MapFile(path) as file:
+        assert file.amount()[1] == track.days.size > 0
+
+
+def test_a_trip_in_memory_is_no_log_of_a_map(tmp_path: Path) -> None:
+    trip = trainlog.read(sample("nonstop.mcap"))
+    for each in (trip, [trip]):
+        refused(InputError, "is updated from logs", update_map, each, tmp_path / "own.map")

@@ -25,6 +25,7 @@ from trainlog.formats.mapfile import MapFile
 from trainlog.formats.recordings import Recording, Refusal
 from trainlog.presentation import Column, Presented, Said, WordTable, new_table
 from trainlog.railway.weather import given_condition, stated_condition
+from trainlog.trip import Trip
 from trainlog.version import code_version
 
 if TYPE_CHECKING:
@@ -264,7 +265,12 @@ def update_map(
     update = FileUpdate(Path(path), layer, weather, retry)
     outcomes: list[LogOutcome] = []
     try:
-        given = [logs] if isinstance(logs, str | Path) else logs
+        given = [logs] if isinstance(logs, str | Path) else [*logs]
+        if isinstance(logs, Trip) or not all(isinstance(each, str | Path) for each in given):
+            raise InputError(
+                "a map is updated from logs, by which it knows what it holds",
+                remedy="write the trip first, with trainlog.write",
+            )
         for log in (log for each in given for log in logs_of(Path(each))):
             outcomes.append(update.outcome(log))
             if report is not None:

@@ -104,13 +104,14 @@ def insert_sums(database: sqlite3.Connection, layer: str, evidence: DailyEvidenc
     database.execute("INSERT OR REPLACE INTO sums VALUES (?, ?, ?)", values)
 
 
-def amount_in(database: sqlite3.Connection) -> tuple[int, int]:
-    """How many trips count, and of how many days."""
+def amount_in(database: sqlite3.Connection, sums: Iterable[DailyEvidence]) -> tuple[int, int]:
+    """How many trips count, and of how many days; those of evidence that was added up, too."""
     (trips,) = database.execute("SELECT count(*) FROM trips WHERE counted").fetchone()
     days = database.execute(
         "SELECT DISTINCT first_day, last_day FROM trips WHERE counted AND first_day IS NOT NULL"
     ).fetchall()
-    return int(trips), len({day for first, last in days for day in range(first, last + 1)})
+    found = {day for each in sums for day in each.days.tolist()}
+    return int(trips), len(found.union(*(range(first, last + 1) for first, last in days)))
 
 
 # ------------------------------------------------------------------------------ the database

@@ -271,7 +271,7 @@ class MapFile:
     def amount(self) -> tuple[int, int]:
         """How many trips count, and of how many days."""
         with refusing(self.path):
-            return amount_in(self._database)
+            return amount_in(self._database, self.sums().values())
 
     def trip_days(self) -> dict[str, tuple[int, int]]:
         """The trips that count, by the digest of their log: first and last day of their evidence.

@@ -69,9 +69,10 @@ def merge_files(paths: Sequence[str | Path], output: str | Path) -> tuple[int, i
         database.executemany(INSERT, (row.full for row in decided))
         used = sorted({digest for row in decided for digest in row.pieces.values()})
         database.executemany("INSERT INTO evidence VALUES (?, ?)", ((d, blobs[d]) for d in used))
-        for layer in sorted(sums):
-            insert_sums(database, layer, DailyEvidence.total(sums[layer]))
-        found = amount_in(database)
+        totals = {layer: DailyEvidence.total(sums[layer]) for layer in sorted(sums)}
+        for layer, total in totals.items():
+            insert_sums(database, layer, total)
+        found = amount_in(database, totals.values())
         write_bytes(output, serialized(database, in_order=True))
     return found
 
