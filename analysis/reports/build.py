@@ -399,7 +399,8 @@ def _trips(
     if table.rows:
         words = f"One of them in full: trainlog report {group}/{logs[0].name} -o trip.html"
         shown += [table, words]
-    return Section(f"Trips: {group}", shown, whole_page=True) if shown else None
+    title = "Trips" if group == "trips" else f"Trips: {group}"
+    return Section(title, shown, whole_page=True) if shown else None
 
 
 def _add_trip(table: WordTable, trip: Trip, zone: Zone, lines: dict[str, Line]) -> Curve | None:

@@ -265,7 +265,7 @@ def trip_sections(log: Path, zone: Zone = Zone()) -> list[Section]:
             _next_steps(log, slipped, judged, line),
         ),
         Section("Speed and efforts", _course(trip, zone)),
-        Section("Stops and stations", _stops_part(motion, line, zone), folded=True),
+        Section("Stops and stations", _stops_part(trip, motion, line, zone), folded=True),
         Section("Energy and time", _energy(cost), folded=True),
         Section("Slip", _slip(slipped, trip, zone), folded=True),
         Section(
@@ -482,11 +482,20 @@ def _efforts(trip: Trip, time: pd.DatetimeIndex) -> list[_Effort]:
     return found
 
 
-def _stops_part(motion: Motion, line: Line | None, zone: Zone) -> list[Part]:
+def _km_heading(trip: Trip, line: Line | None) -> str:
+    """Heading of kilometres, which on a reverse trip need not be the line's."""
+    counted_back = trip.metadata.get("direction") == "reverse"
+    own = line is not None and line.reference is not None
+    return "km in the direction of travel" if counted_back and not own else "km"
+
+
+def _stops_part(trip: Trip, motion: Motion, line: Line | None, zone: Zone) -> list[Part]:
     calls = station_calls(motion, line)
     if not calls:
         return []
-    table = new_table("", "station", "km", f"arrival ({zone.name})", "departure", "dwell", "")
+    table = new_table(
+        "", "station", _km_heading(trip, line), f"arrival ({zone.name})", "departure", "dwell", ""
+    )
     for call in calls:
         place = float(in_km(line, call.position))
         name = call.name or "on the line"
@@ -531,17 +540,18 @@ def _slip(found: object, trip: Trip, zone: Zone) -> list[Part]:
     assert isinstance(found, SlipAnalysis)
     parts: list[Part] = [facts_table("", found.summary())]
     if len(found.events):
-        parts.append(_slip_table(found, own_line(trip), zone))
+        line = own_line(trip)
+        parts.append(_slip_table(found, line, _km_heading(trip, line), zone))
     return parts
 
 
-def _slip_table(found: SlipAnalysis, line: Line, zone: Zone) -> WordTable:
+def _slip_table(found: SlipAnalysis, line: Line, km: str, zone: Zone) -> WordTable:
     events = found.events
     worst = events["peak_slip"].abs().nlargest(MOST_EVENTS).index
     chosen = events.loc[worst].sort_values("start")
     more = len(events) - len(chosen)
     table = new_table(
-        "Slip events", f"time ({zone.name})", "km", "axle", "in", "lasts", "largest slip",
+        "Slip events", f"time ({zone.name})", km, "axle", "in", "lasts", "largest slip",
         "adhesion",
         caption=f"the {len(chosen)} of the largest slip; {more} more" if more else None,
     )  # fmt: skip

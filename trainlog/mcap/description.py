@@ -575,7 +575,7 @@ _LONGEST = 400
 
 
 def _stretch(start: float, end: float, line: Line | None = None) -> str:
-    first, last = (round(float(in_km(line, each)), 3) + 0.0 for each in (start, end))  # no -0.000
+    first, last = (float(in_km(line, each)) for each in (start, end))
     return f"km {first:.3f} to km {last:.3f}"
 
 

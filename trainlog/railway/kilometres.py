@@ -31,7 +31,7 @@ STEPS = (1.0, 2.0, 5.0)
 
 
 def in_km(line: Line | None, position: ArrayLike) -> FloatArray:
-    """Kilometres that a person reads for positions [m] of a line.
+    """Kilometres that a person reads for positions [m] of a line; none is a negative zero.
 
     Examples
     --------
@@ -44,9 +44,12 @@ def in_km(line: Line | None, position: ArrayLike) -> FloatArray:
     >>> down = LineReference("850", [0.0], [61_200.0], [61_200.0 - line.length])
     >>> in_km(replace(line, reference=down), 1_000.0).item()
     60.2
+    >>> f"{in_km(line, -0.2).item():.3f}"
+    '0.000'
     """
     places = np.asarray(position, dtype=np.float64)
-    return np.asarray((places if line is None else line.kilometre(places)) / 1e3)
+    km = np.asarray((places if line is None else line.kilometre(places)) / 1e3)
+    return np.where((km <= 0.0) & (km >= -5e-4), 0.0, km)
 
 
 def km_words(line: Line | None, position: float) -> str:
@@ -57,7 +60,7 @@ def km_words(line: Line | None, position: float) -> str:
     >>> km_words(None, 350.0)
     'km 0.350'
     """
-    return f"km {float(in_km(line, position)) + 0.0:.3f}"
+    return f"km {float(in_km(line, position)):.3f}"
 
 
 def position_of(line: Line | None, km: float) -> float:
