@@ -28,6 +28,7 @@ from analysis.estimates import with_estimates, without_wheel_error
 from analysis.resistance import TripFit, estimated_resistance, fit_trip
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.fit import mass_prior
+from analysis.resistance.plot import timeline_chart
 from analysis.resistance.recording import TripRefusedError, prepare
 from analysis.resistance.regression import band_factor, curve_std, powers
 from analysis.resistance.windows import build_windows
@@ -607,4 +608,9 @@ def test_slip_is_masked_where_no_axle_speeds_are_recorded() -> None:
     # Once a second the efforts do not show it: the fit states so, and of no other trip.
     for one, step, notes in ((bare, 1, 0), (bare, 10, 1), (trip, 10, 0)):
         seldom = {n: f.iloc[:: step if len(f) > 5_000 else 1] for n, f in one.topics.items()}
-        assert len(fit_trip(replace(one, topics=seldom)).notes) == notes
+        fit = fit_trip(replace(one, topics=seldom))
+        assert len(fit.notes) == notes
+        # Without axle speeds nothing is called slip: the efforts dip.
+        (row,) = (panel.rows for panel in timeline_chart(fit.timeline, "").panels if panel.rows)
+        shown = f"{row} {fit.summary()['masked']}"
+        assert ("slip" in shown, "effort dips" in shown) == (one is trip, one is bare)

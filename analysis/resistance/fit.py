@@ -208,7 +208,11 @@ class TripFit(Presented):
         power = "limit not reached"
         if self.max_power is not None and self.max_power_std is not None:
             power = f"{self.max_power / 1e3:.0f} ± {1.96 * self.max_power_std / 1e3:.0f} kW"
-        masked = [f"{reason} {time:.0f} s" for reason, time in self.masked.items() if time > 0.0]
+        masked = [
+            f"{self.timeline.named(reason)} {time:.0f} s"
+            for reason, time in self.masked.items()
+            if time > 0.0
+        ]
         notes = {"notes": "; ".join(self.notes)} if self.notes else {}
         return {
             "curve": curve_words(self),
@@ -667,7 +671,9 @@ def _check_windows(name: str, evidence: Evidence) -> None:
     if usable >= SHORTEST_TIME:
         return
     reasons = ", ".join(
-        f"{reason} {seconds:.0f} s" for reason, seconds in masked.items() if seconds > 0.0
+        f"{evidence.timeline.named(reason)} {seconds:.0f} s"
+        for reason, seconds in masked.items()
+        if seconds > 0.0
     )
     raise TripRefusedError(
         _masked_most(masked, total),

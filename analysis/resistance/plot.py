@@ -257,7 +257,10 @@ def timeline_chart(timeline: Timeline, title: str) -> Chart:
                   np.full(mask.size, row - 0.4))
             for row, (reason, mask) in enumerate(timeline.masks.items())
         ]  # fmt: skip
-        names = [f"{reason} {float(mask.mean()):.0%}" for reason, mask in timeline.masks.items()]
+        names = [
+            f"{timeline.named(reason)} {float(mask.mean()):.0%}"
+            for reason, mask in timeline.masks.items()
+        ]
         panels.append(Panel("", bars, 0.1 + 0.1 * len(bars), rows=names))
     alt = "Speed over time, with what was masked below it."
     return Chart("time [min]", panels, alt, title=title)

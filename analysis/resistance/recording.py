@@ -39,6 +39,9 @@ it was not, and there are too few windows all the same. ``"condition"``: speed a
 little to separate the parameters. ``"excitation"``: at some speed that was asked for the curve
 is known too badly."""
 
+EFFORT_DIPS = "effort dips"
+"""Slip protection takes effort off and gives it back: all that shows where no wheel is recorded."""
+
 REASONS: tuple[Reason, ...] = get_args(Reason)
 
 
@@ -52,12 +55,26 @@ class Timeline:
     speed, position : array [m/s], [m]
     masks : dict of str to bool array
         What was masked, by reason.
+    slip : str
+        What the recording shows where slip is masked: speeds of wheels, or only the efforts.
     """
 
     time: FloatArray
     speed: FloatArray
     position: FloatArray
     masks: dict[str, BoolArray]
+    slip: str = "slip"
+
+    def named(self, reason: str) -> str:
+        """A reason in words: slip by what was recorded of it.
+
+        Examples
+        --------
+        >>> none = np.zeros(0)
+        >>> Timeline(none, none, none, {}, "effort dips").named("slip")
+        'effort dips'
+        """
+        return self.slip if reason == "slip" else reason
 
 
 class TripRefusedError(NotIdentifiableError):
@@ -245,6 +262,8 @@ class Prepared:
         What is masked, by reason; reasons may overlap.
     slip_unseen : bool
         Whether wheels may slip without anything that is recorded showing it.
+    slip : str
+        What the recording shows where slip is masked.
     """
 
     recording: Recording
@@ -254,6 +273,7 @@ class Prepared:
     position: FloatArray
     masks: dict[str, BoolArray]
     slip_unseen: bool = False
+    slip: str = "slip"
 
     @property
     def masked(self) -> dict[str, float]:
@@ -341,7 +361,10 @@ def prepare(
         usable=~bad,
     )
     unseen = _slip_unseen(time, wheels.shape[1], train)
-    return Prepared(recording, index, scale, smooth, position, masks, unseen)
+    shown = "slip" if wheels.shape[1] else EFFORT_DIPS
+    if 0 < wheels.shape[1] < train.axles.count:
+        shown = f"slip or {EFFORT_DIPS}"
+    return Prepared(recording, index, scale, smooth, position, masks, unseen, shown)
 
 
 def _air_square(trip: Trip, index: pd.DatetimeIndex, speed: FloatArray) -> FloatArray:

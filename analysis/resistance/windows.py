@@ -465,13 +465,15 @@ def _timeline(prepared: Prepared, inside: BoolArray) -> Timeline:
     rows = np.flatnonzero(inside)
     time = prepared.recording.time[rows]
     if not rows.size:
-        return Timeline(time, time, time, dict.fromkeys(prepared.masks, rows > 0))
+        return Timeline(time, time, time, dict.fromkeys(prepared.masks, rows > 0), prepared.slip)
     first = np.flatnonzero(np.diff(np.floor(time), prepend=-np.inf) > 0)
     masks = {
         reason: np.logical_or.reduceat(mask[rows], first) for reason, mask in prepared.masks.items()
     }
     kept = rows[first]
-    return Timeline(time[first], prepared.speed[kept], prepared.position[kept], masks)
+    return Timeline(
+        time[first], prepared.speed[kept], prepared.position[kept], masks, prepared.slip
+    )
 
 
 def _at_a_glance(lines: Sequence[Timeline]) -> Timeline:
@@ -483,4 +485,5 @@ def _at_a_glance(lines: Sequence[Timeline]) -> Timeline:
             reason: np.concatenate([line.masks[reason] for line in lines])
             for reason in lines[0].masks
         },
+        slip=max((line.slip for line in lines), key=len),
     )
