@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import subprocess
 import sys
 from collections import defaultdict
 from pathlib import Path
@@ -160,3 +161,18 @@ def test_wrong_words_are_answered_with_what_was_meant(
     assert (status, shown, complaint.count("\n")) == (2, "", 1)
     assert message in complaint
     assert "--help'" in complaint
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["show none.mcap", "fit none.mcap -o x.json", "map update none.mcap --map x.map"],
+)
+def test_a_missing_file_is_refused_before_packages_are_loaded(words: str) -> None:
+    code = (
+        "import sys\nfrom trainlog.cli.main import run\n"
+        f"try:\n    run({words.split()!r})\n"
+        "except Exception as error:\n    print(type(error).__name__)\n"
+        "print(sorted({'pandas', 'scipy', 'cvxpy', 'pyarrow'} & set(sys.modules)))"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ended.stdout.splitlines() == ["InputError", "[]"]

@@ -151,7 +151,7 @@ def _check_exists(given: Any) -> None:
 
     Of several files those that are missing say nothing of the others: the command states them.
     """
-    paths = given if isinstance(given, tuple) else [given]
+    paths = given if isinstance(given, tuple | list) else [given]
     if len(paths) != 1 or not isinstance(paths[0], Path):
         return
     from trainlog.formats.samples import SAMPLE
