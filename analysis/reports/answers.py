@@ -153,8 +153,10 @@ def doubts(row: Mapping[Any, Any], samples: float = np.inf) -> Iterator[Doubt]:
     repaired = str(known.get("repaired", "")).split(", ")
     clock = [each for each in repaired if each.partition("=")[0] in CLOCK_RULES]
     if clock and known.get("speed_scale_source") == "nothing":
+        # A step of the distance may be one of the clock, or of the counter.
+        steps = " or the counter of the distance" * all("position_steps" in each for each in clock)
         words = "the recorded distance does not show whether the recorded speed is right:"
-        yield Doubt(1, (CLOCK_SET,), f"{words} the clock is doubtful ({', '.join(clock)})")
+        yield Doubt(1, (CLOCK_SET,), f"{words} the clock{steps} is doubtful ({', '.join(clock)})")
     if known["doubts"]:
         yield Doubt(0, ("not all could be checked",))
 

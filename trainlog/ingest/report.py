@@ -33,7 +33,7 @@ CLOCK_RULES = (
     "time_backwards",
     "position_steps",
 )
-"""Rules that show a clock that was set: a distance over its times is doubtful."""
+"""Rules that show a clock that was set, or may do: a distance over its times is doubtful."""
 
 MOST_LINES = 8
 """Of the report in a prompt."""
