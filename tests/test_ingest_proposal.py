@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from recorder_layouts import Verdict, draw, judged, table
 from typer.testing import CliRunner
 
 from analysis import fit_trip
+from analysis.comparison.groups import trip_cost
 from trainlog.cli.main import app
 from trainlog.errors import InputError
 from trainlog.formats.line import read_line
@@ -20,6 +22,7 @@ from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.formats.train import read_train
 from trainlog.ingest import Proposal, ingest, propose_profile
 from trainlog.ingest.proposal.vocabulary import vocabulary
+from trainlog.mcap import read_log
 from trainlog.railway import RunningResistance
 from trainlog.trip import Trip
 from trainlog.units import factor, si_unit
@@ -135,6 +138,19 @@ def test_units_follow_from_mechanics(tmp_path: Path) -> None:
     assert effort["unit"] == "kN"
     mass = float(effort["check"].split("accelerates ")[1].split(" t")[0])
     assert 150.0 < mass < 260.0
+
+
+def test_energy_of_a_brake_that_may_be_both_is_stated_with_reservation(tmp_path: Path) -> None:
+    run = drive()
+    efforts = {"Zugkraft [kN]": np.maximum(run.F, 0.0), "Bremskraft [kN]": np.maximum(-run.F, 0.0)}
+    columns = {"t [s]": run.t, "v [m/s]": run.v, "s [m]": run.s}
+    path = written(tmp_path, columns | {name: force / 1e3 for name, force in efforts.items()})
+    metadata = propose_profile(path).profile.metadata
+    assert "the sum of both brakes" in metadata["recorded_brake"]
+    trip = read_log(sample("nonstop.mcap"))
+    stated = replace(trip, metadata={**trip.metadata, **metadata})
+    (more,) = set(trip_cost(stated).notes) - set(trip_cost(trip).notes)
+    assert "the recorded dynamic brake may be" in more
 
 
 def test_a_stated_unit_that_contradicts_mechanics_is_open(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ from trainlog.presentation import (
 from trainlog.railway import Line, Train
 from trainlog.railway.train import NOMINAL
 from trainlog.topics import EVENTS, REFERENCE, TRAIN_SLIP_PROTECTION
-from trainlog.trip import LINE_ATTACHMENT, Trip
+from trainlog.trip import LINE_ATTACHMENT, RECORDED_BRAKE, Trip
 from trainlog.units import clock
 
 
@@ -133,6 +133,9 @@ def trip_cost(trip: Recorded) -> TripCost:
         traction = float("nan")
     if "dynamic_braking" in driven.sums and driven.unknown("dynamic_braking"):
         dynamic = float("nan")
+    brake = bare.metadata.get(RECORDED_BRAKE)
+    if brake is not None:
+        brake = f"the recorded dynamic brake {brake}: its energy may be less"
     return TripCost(
         name=bare.name,
         direction=driven.direction,
@@ -147,7 +150,7 @@ def trip_cost(trip: Recorded) -> TripCost:
         top_speed=float(driven.speed.max()),
         slips=_slips(trip),
         late=_late(trip),
-        notes=driven.notes,
+        notes=driven.notes if brake is None else (*driven.notes, brake),
     )
 
 

@@ -38,6 +38,10 @@ class _Signs:
         return min(self.positive, self.negative) > BOTH_SIGNS
 
 
+EITHER_BRAKE = "the friction brakes' or the sum of both brakes"
+"""Open of a braking effort whose brake is not stated: it is taken as the dynamic one's."""
+
+
 def _signs(values: FloatArray) -> _Signs:
     known = values[np.isfinite(values)]
     top = float(np.percentile(np.abs(known), 99.5)) if known.size else 0.0
@@ -69,7 +73,7 @@ def effort_signs(work: Work, speed: str | None) -> None:
             work.left[braking] = "a braking effort beside those of both brakes"
         else:
             target = roles.PNEUMATIC if taken == [roles.DYNAMIC] else roles.DYNAMIC
-            other = "" if taken else "the friction brakes' or the sum of both brakes"
+            other = "" if taken else EITHER_BRAKE
             _add_braking(work, target, braking, other)
     driving = main or both
     if driving is not None:

@@ -19,6 +19,7 @@ from trainlog.ingest.placing import OVERRUN, placed
 from trainlog.ingest.profile import Profile, parse_profile
 from trainlog.ingest.profile_parts import MISSING, Limits, Repair, TimeOptions
 from trainlog.ingest.proposal.columns import columns_of
+from trainlog.ingest.proposal.efforts import EITHER_BRAKE
 from trainlog.ingest.proposal.layout import Layout, Reading, layout_of
 from trainlog.ingest.proposal.times import Clock, clock_of
 from trainlog.ingest.proposal.trips import PAUSE, trip_lines
@@ -32,6 +33,7 @@ from trainlog.presentation import Presented
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.topics import RECORDED, TOPICS
+from trainlog.trip import RECORDED_BRAKE
 from trainlog.units import KMH, PER_MILLE
 
 TABLES = ("csv", "parquet")
@@ -379,6 +381,13 @@ def _toml(
     if not_used:
         lines += ["", "# Not used:"]
         lines += [f"#   {toml_value(name)}: {_plain(why)}" for name, why in not_used.items()]
+    if any(EITHER_BRAKE in each.alternative for each in proposed):
+        lines += [
+            "",
+            "[metadata]",
+            "# Trips state what is open of the brake. Remove this if it is the dynamic brake's:",
+            f"{RECORDED_BRAKE} = {toml_value('may be ' + EITHER_BRAKE)}",
+        ]
     lines += [
         "",
         "[trip]",
