@@ -18,7 +18,11 @@ UNSAID = 6.0 / KMH
 """Most that traction which no row names may add to the speed at once [m/s]."""
 
 IDLE = 30.0
-"""Longest that a plan may coast within a row that holds a speed [s]."""
+"""Longest that a plan may coast within a row that holds a speed [s], if that is more than some
+cells."""
+
+FEW = 3
+"""So many cells of coasting among others are of the grid, not of the plan."""
 
 
 def breaches(plan: Trajectory, rows: list[AdviceRow]) -> list[str]:
@@ -46,7 +50,7 @@ def breaches(plan: Trajectory, rows: list[AdviceRow]) -> list[str]:
         if words.startswith("hold") and np.abs(speeds - speed).max() > HELD + ROUNDING:
             found.append(f"{words}: {KMH * speeds.min():.0f} to {KMH * speeds.max():.0f} km/h")
         if words.startswith("hold"):
-            idle = runs_of(coasts & cells)
+            idle = [(at, past) for at, past in runs_of(coasts & cells) if past - at > FEW]
             lasts = max(
                 (plan.times[own, past] - plan.times[own, at] for at, past in idle), default=0
             )
