@@ -17,12 +17,9 @@ ROUNDING = 0.51 / KMH
 UNSAID = 6.0 / KMH
 """Most that traction which no row names may add to the speed at once [m/s]."""
 
-IDLE = 30.0
-"""Longest that a plan may coast within a row that holds a speed [s], if that is more than some
-cells."""
-
-FEW = 3
-"""So many cells of coasting among others are of the grid, not of the plan."""
+IDLE = 45.0
+"""Longest that a plan may coast within a row that holds a speed [s]: two rows more cost as much as
+half a minute of it, and the speeds that they would state some more."""
 
 
 def breaches(plan: Trajectory, rows: list[AdviceRow]) -> list[str]:
@@ -50,7 +47,7 @@ def breaches(plan: Trajectory, rows: list[AdviceRow]) -> list[str]:
         if words.startswith("hold") and np.abs(speeds - speed).max() > HELD + ROUNDING:
             found.append(f"{words}: {KMH * speeds.min():.0f} to {KMH * speeds.max():.0f} km/h")
         if words.startswith("hold"):
-            idle = [(at, past) for at, past in runs_of(coasts & cells) if past - at > FEW]
+            idle = runs_of(coasts & cells)
             lasts = max(
                 (plan.times[own, past] - plan.times[own, at] for at, past in idle), default=0
             )
