@@ -410,6 +410,8 @@ def report(
     of_fleet = {"--network": network, "--maps": maps, "--at": at}
     refuse_rivals("the report is not of a fleet", of_fleet)
     folder = Path(results)
+    if not folder.exists():
+        raise InputError("does not exist", file=results, remedy="check the path")
     if output is None:
         from analysis.reports.summary import report as summed_up
 
@@ -421,8 +423,6 @@ def report(
             )
         show(summed_up(folder))
         return
-    if not folder.exists():
-        raise InputError("does not exist", file=results, remedy="check the path")
     destination(output, ".html")
 
     from analysis.reports.build import ReportOptions, write_report
