@@ -411,7 +411,8 @@ def report(
     refuse_rivals("the report is not of a fleet", of_fleet)
     folder = Path(results)
     if not folder.exists():
-        raise InputError("does not exist", file=results, remedy="check the path")
+        remedy = "name the folder that holds the results, or a log"
+        raise InputError("does not exist", file=results, remedy=remedy)
     if output is None:
         from analysis.reports.summary import report as summed_up
 
