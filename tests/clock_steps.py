@@ -193,7 +193,8 @@ LAYOUTS = (
 )
 
 STEPS = {"back": -2, "forward": 3, "mixed": -2, "back 1": -1, "back 17": -17, "forward 1": 1,
-         "mixed 1": -1}  # fmt: skip
+         "mixed 1": -1, "back 20": -20, "back 7.4": -7.4, "forward 2.6": 2.6,
+         "forward 30": 30}  # fmt: skip
 """By how many seconds the clock is set; where it is mixed, both are written for 20 s."""
 
 
@@ -234,7 +235,7 @@ def recorded(
             late = np.arange(rows) < at + 20 * layout.rate
             new &= ~late | (np.arange(rows) % 2 == 0)
         # The clock after the step is right.
-        clock[~new] -= STEPS[step] * SECOND
+        clock[~new] -= round(STEPS[step] * SECOND)
     path = folder / layout.name
     layout.write(path, run, clock, distance(line, run))
     profile = None if layout.profile is None else profile_of(layout.profile)

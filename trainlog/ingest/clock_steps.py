@@ -2,9 +2,11 @@
 
 A clock is set by 1024 weeks where the receiver's week number rolled over, by whole days where it
 had no date before its first fix, by quarters of an hour where the time zone or summer time was
-corrected, by 1 to 18 whole seconds where the receiver learnt the leap seconds. A step back gives
-times twice. A step forward looks like a gap: distance and speed on both sides show how much time
-passed. Where they do not, the step is reported and left as it is.
+corrected, by seconds where the receiver learnt the leap seconds or the recorder the time. A step
+back gives times twice. A step forward looks like a gap. How far the train came meanwhile decides:
+what is likelier, that rows are missing, that the clock was set, or both, by distances up to 20 s
+before and after the step, against how they usually depart from the speeds in this recording. Where
+that leaves it open, the step is reported and left as it is.
 
 Rows of both clocks may be mixed for a while. Then it is the count of rows since the last one before
 and to the first one after that shows by which clock each was written.
@@ -12,11 +14,13 @@ and to the first one after that shows by which clock each was written.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import t as t_distribution
 
-from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
+from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
 from trainlog.ingest.clock import (
     Result,
     has_fix,
@@ -42,9 +46,6 @@ EARLY = np.datetime64("2007-01-01").astype("datetime64[ns]").astype(np.int64)
 MOST_QUARTERS = 56
 """Time zones span 26 hours, but nobody sets a clock by more than 14."""
 
-MOST_LEAPS = 18
-"""GPS time is 18 s ahead of UTC: what a receiver may have to learn."""
-
 REAL = 5 * NANOSECONDS
 """Time that may really pass while a clock is set [ns]."""
 
@@ -53,12 +54,6 @@ MAJORITY = 2.0 / 3.0
 
 MOST_EDGES = 50
 """Steps beyond which it is not the clock that was set."""
-
-MOST_LEVELS = 3
-"""Times that a clock may show in a recording, up to what is undone before."""
-
-MOST_SUSPECTED = 3
-"""Steps that may be gaps, beyond which they are gaps."""
 
 LEAST_ROWS = 10
 """Rows that it takes to judge a clock."""
@@ -75,30 +70,64 @@ MOST_MISFITS = 0.05
 LEAST_CHANGES = 5
 """Changes from one clock to the other that it takes to call them mixed."""
 
+LEAST_STEP = 0.6
+"""Smaller steps [s] are left: receivers themselves are late by as much."""
+
+LARGEST = 60.0, 900.0
+"""Longer steps forward [s] are pauses, after which a receiver may begin where it left off; longer
+ones back are of zones and dates."""
+
 HARDEST = 0.4
-"""Speed [m/s] for each second of a gap up to which a train may have stopped in it unseen."""
+"""Acceleration and braking [m/s²] with which a train may have slowed down, and gone on, unseen."""
 
 SLOWEST = 2.0
 """Speed [m/s] from which on distance shows how much time passed."""
 
-REFERENCES, LEAST_REFERENCES = 200, 6
-"""Places without a step on which the noise of what passed is measured."""
+WINDOWS = (2.0, 5.0, 10.0, 20.0)
+"""Times [s] before and after a step over which distances are compared: a receiver that begins late
+after a gap has caught up within the longest."""
+
+LEAST_REFERENCES = 6
+"""Places without a step on which what is usual is measured."""
+
+SMALLEST_STD = 0.2
+"""Standard deviation [m] that no distance undercuts."""
+
+UNSEEN, MOST_UNSEEN = 0.3, 3.0
+"""Least random walk of the speed while no row shows it [m²/s³], and that of an unknown train."""
+
+SETTING_COST, BOTH_COST, SURE = 5.0, 2.0, 1.5
+"""How much likelier (logarithm) missing rows are than a clock that is set forward, beforehand, how
+much likelier that is without missing rows than with them, and how much likelier than everything
+else a setting must be to be undone."""
+
+MOST_ERRORS = 5.0
+"""Standard deviations beyond which a distance is explained by something else."""
+
+TAILS = 5
+"""Degrees of freedom of the errors of distances."""
+
+BRAKED = 0.2
+"""Share of gaps in which a train is taken to brake and go on."""
+
+SPEEDS = ("/train/state.speed", "/gnss/motion.speed")
+"""Columns of a speed, that of the same source as the distance first."""
 
 
 def undo_clock_steps(table: Table, limits: Limits) -> Result:
     """Put the rows before or after a step of the clock where they belong.
 
-    Of two levels of the clock the one that holds for more rows is right, for 1024 weeks the later
-    one, for whole days the later one if the other has the date of a receiver that knows none. Rows
-    are moved only if that brings more rows into order, or if the motion shows that the clock was
-    set.
+    Of two levels of the clock the last one is right, as clocks are set to be; for 1024 weeks the
+    later one, for time zones the one that holds for more rows, for whole days too, unless it is the
+    date of a receiver that knows none. Rows are moved only if that brings more rows into order, or
+    if the motion across the step shows that the clock was set.
     """
     time = table.time
     if len(table) < LEAST_ROWS:
         return table, []
     shift = _too_early(time, limits)
     shift = shift + _coarse(time + shift, limits)
-    shift = shift + _to_most(_seconds(table.at(time + shift))[0])
+    shift = shift + _to_last(_seconds(table.at(time + shift))[0])
     if np.any(np.diff(time + shift) < 0):
         shift = shift + _by_kind(table.at(time + shift))
     if not shift.any():
@@ -114,11 +143,11 @@ def suspect_clock_steps(table: Table, limits: Limits) -> Result:
     if len(table) < LEAST_ROWS:
         return table, findings
     undecided = _seconds(table)[1]
-    if 0 < len(undecided) <= MOST_SUSPECTED:
+    if undecided:
         marked = np.zeros(len(table), dtype=np.bool_)
         marked[[place + 1 for place, _ in undecided]] = True
-        sizes = ", ".join(f"{size:+d} s" for _, size in undecided)
-        note = f"{sizes}: a gap or a step of the clock, which the motion does not show"
+        sizes = ", ".join(f"{size:+.2g} s" for _, size in undecided)
+        note = f"{sizes}: a gap or a step of the clock, which the motion leaves open"
         findings += table.found("clock_step_suspected", marked, note=note)
     if limits.not_before is None and table.time[-1] < EARLY and has_fix(table) is not None:
         first = np.arange(len(table)) == 0
@@ -146,7 +175,7 @@ def _size(shift: int) -> str:
         return f"{1024 * (shift // ROLLOVER):+d} weeks"
     if shift % DAY == 0:
         return f"{shift // DAY:+d} days"
-    return f"{shift / NANOSECONDS:+.0f} s"
+    return f"{round(shift / NANOSECONDS, 2):+.9g} s"
 
 
 # ------------------------------------------------------------------ weeks, days and time zones
@@ -186,6 +215,13 @@ def _to_latest(levels: IntArray) -> IntArray:
     values, counts = np.unique(levels, return_counts=True)
     real = values[(counts >= LEAST_ROWS) | (counts == counts.max())]
     return np.asarray(real.max() - levels)
+
+
+def _to_last(levels: IntArray) -> IntArray:
+    """What puts every row on the last level that is no slip of a few rows: clocks are set right."""
+    _, owner, counts = np.unique(levels, return_inverse=True, return_counts=True)
+    real = np.flatnonzero((counts >= LEAST_ROWS)[owner] | (counts == counts.max())[owner])
+    return np.asarray(levels[real[-1]] - levels)
 
 
 UNDATED = (
@@ -249,7 +285,7 @@ def _disorder(time: IntArray, pause: float) -> int:
     return int(np.count_nonzero(~longest_nondecreasing(time) | outside_largest_group(time, pause)))
 
 
-# ------------------------------------------------------------------ whole seconds
+# ------------------------------------------------------------------ seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,19 +301,22 @@ class _Rows:
         Between two rows.
     whole : bool
         Whether the file gives whole seconds only, several rows each.
+    late : (n - 1,) array [s]
+        How much later than a period after the row before each row is.
     steps : (m,) array of int
-        Rows after which the time does not go on as usual.
+        Rows after which that is more than gaps of a row or two explain.
     """
 
     table: Table
     time: FloatArray
     period: float
     whole: bool
+    late: FloatArray
     steps: IntArray
 
     @classmethod
     def of(cls, table: Table) -> _Rows | None:
-        """The rows of a table; None if they come too irregularly."""
+        """The rows of a table; None if they come too rarely."""
         usual = rows_per_second(table)
         seconds = (table.time - table.time[0]) / NANOSECONDS
         if usual > 1:
@@ -287,34 +326,24 @@ class _Rows:
         if period <= 0.0 or period > 2.0:
             return None
         late = np.diff(time) - period
-        slack = max(0.5 * period, 0.3) if usual > 1 else 0.5 * period
-        steps = (np.abs(late) > slack) | (np.diff(seconds) < 0.0)
-        return cls(table, time, period, usual > 1, np.flatnonzero(steps))
+        steps = (np.abs(late) > max(LEAST_STEP, 0.7 * period)) | (np.diff(seconds) < 0.0)
+        return cls(table, time, period, usual > 1, late, np.flatnonzero(steps))
 
-    @property
-    def candidates(self) -> IntArray:
-        """Those steps that are of whole seconds, or go back."""
-        late = np.diff(self.time)[self.steps] - self.period
-        fit = np.array([self.fits(each, mixed=False) for each in late], dtype=np.bool_)
-        return self.steps[fit | (late < -self.period)]
+    def follow(self, steps: IntArray, level: FloatArray) -> bool:
+        """Whether more rows around steps follow the one before as usual once `level` is undone.
 
-    def uneven(self, begin: int, end: int, level: IntArray) -> int:
-        """How many rows of a range do not follow the one before as usual once `level` is undone."""
-        time = (self.time - level)[max(0, begin - 1) : end + 2]
-        return int(np.count_nonzero(np.abs(np.diff(time) - self.period) > 0.5 * self.period))
+        And whether it is that of two clocks.
+        """
+        part = slice(max(0, int(steps[0]) - 1), int(steps[-1]) + 2)
+        uneven = [
+            np.count_nonzero(np.abs(np.diff(time) - self.period) > 0.5 * self.period)
+            for time in (self.time[part], (self.time - level)[part])
+        ]
+        return bool(uneven[1] < uneven[0]) and np.unique(level).size <= 2
 
     def size(self, before: int, after: int) -> float:
         """How far [s] the clock goes ahead between two rows beyond what their number takes."""
         return float(self.time[after] - self.time[before] - (after - before) * self.period)
-
-    def fits(self, size: float, *, mixed: bool) -> bool:
-        """Whether a step is of whole seconds that a receiver learns."""
-        slack = 1.2 * self.period if self.whole else min(0.5 * self.period, 0.2) + 0.1
-        if mixed:
-            # Some rows may have been lost in between.
-            slack = 0.45 if self.whole else max(slack, 0.35)
-        whole = round(size)
-        return 1 <= abs(whole) <= MOST_LEAPS and abs(size - whole) <= min(slack, 0.45)
 
 
 def _with_fractions(seconds: FloatArray, usual: int) -> FloatArray:
@@ -344,8 +373,8 @@ def _with_fractions(seconds: FloatArray, usual: int) -> FloatArray:
     return np.asarray(seconds + (rank + np.where(from_end, rest, 0)) / usual)
 
 
-def _seconds(table: Table) -> tuple[IntArray, list[tuple[int, int]]]:
-    """How far [ns] steps by whole seconds set the clock; undecided ones by row and size [s]."""
+def _seconds(table: Table) -> tuple[IntArray, list[tuple[int, float]]]:
+    """How far [ns] steps of seconds set the clock; undecided ones by row and size [s]."""
     if rows_per_second(table) == 1:
         doubled = same_as_previous(table) & (np.diff(table.time, prepend=table.time[0] - 1) == 0)
         if doubled.any():
@@ -353,59 +382,30 @@ def _seconds(table: Table) -> tuple[IntArray, list[tuple[int, int]]]:
             shift, open_ = _seconds(table.take(single))
             behind = np.cumsum(~doubled) - 1
             return shift[behind], [(int(single[place]), size) for place, size in open_]
-    none = np.zeros(len(table), dtype=np.int64)
+    level = np.zeros(len(table))
     rows = _Rows.of(table)
     if rows is None or not rows.steps.size:
-        return none, []
-    steps = rows.candidates
-    clusters = np.split(steps, np.flatnonzero(np.diff(steps) * rows.period > CHAIN) + 1)
-    if not steps.size or len(clusters) > MOST_EDGES:
-        return none, []
+        return level.astype(np.int64), []
+    clusters = np.split(rows.steps, np.flatnonzero(np.diff(rows.steps) * rows.period > CHAIN) + 1)
+    if len(clusters) > MOST_EDGES:
+        return level.astype(np.int64), []
     motion = _Motion.of(rows)
-    level = np.zeros(len(table), dtype=np.int64)
-    undecided: list[tuple[int, int]] = []
+    undecided: list[tuple[int, float]] = []
     for cluster in clusters:
-        found = _setting(rows, motion, cluster)
-        if found is None:
-            if cluster.size > 1:
-                level += _one_by_one(rows, motion, cluster)
+        mixed = _mixed(rows, motion, cluster)
+        if mixed is not None:
+            size, ahead = mixed
+            level[cluster[0] + 1 : cluster[-1] + 1] += size * ahead
+            level[cluster[-1] + 1 :] += size
             continue
-        size, ahead = found
-        if ahead is None:
-            undecided.append((int(cluster[0]), size))
-        else:
-            level += _levels_of(len(table), cluster, size, ahead)
-    if np.unique(level).size > MOST_LEVELS or np.ptp(level) > MOST_LEAPS:
-        # No receiver learns the time so often: what was found contradicts itself.
-        places = np.flatnonzero(np.diff(level))
-        return none, [(int(place), int(level[place + 1] - level[place])) for place in places]
-    return level * NANOSECONDS, undecided
-
-
-def _levels_of(count: int, steps: IntArray, size: int, ahead: IntArray) -> IntArray:
-    """How far [s] the clock is off after it was set by `size` at `steps`."""
-    level = np.zeros(count, dtype=np.int64)
-    level[steps[0] + 1 : steps[-1] + 1] = size * ahead
-    level[steps[-1] + 1 :] = size
-    return level
-
-
-def _one_by_one(rows: _Rows, motion: _Motion | None, steps: IntArray) -> IntArray:
-    """How far [s] the clock is off after those of `steps` at which it was set, each by itself.
-
-    Other defects stand among them. Nothing where that gives more than two levels or does not make
-    the rows more even.
-    """
-    count = rows.time.size
-    level = np.zeros(count, dtype=np.int64)
-    for place in steps:
-        size, ahead = _setting(rows, motion, place[None]) or (0, None)
-        if ahead is not None:
-            level += _levels_of(count, place[None], size, ahead)
-    first, last = int(steps[0]), int(steps[-1])
-    before = rows.uneven(first, last, np.zeros(count, dtype=np.int64))
-    two = np.unique(level).size <= 2
-    return level if two and rows.uneven(first, last, level) < before else np.zeros_like(level)
+        found = [(int(place), *_set_by(rows, motion, int(place))) for place in cluster]
+        step = np.zeros(len(table))
+        for place, size, sure in found:
+            step[place + 1 :] += size if sure else 0.0
+        if np.count_nonzero(np.diff(step)) < 2 or rows.follow(cluster, step):
+            level += step
+            undecided += [(place, size) for place, size, sure in found if size and not sure]
+    return np.round(level * NANOSECONDS).astype(np.int64), undecided
 
 
 def _by_kind(table: Table) -> IntArray:
@@ -425,54 +425,71 @@ def _by_kind(table: Table) -> IntArray:
     known = np.ma.masked_array(found, ~np.array(kinds))
     if np.any(known.min(axis=0) != known.max(axis=0)):
         return none
-    shift = _to_most(np.asarray(known.max(axis=0)))
+    shift = _to_last(np.asarray(known.max(axis=0)))
     in_order = np.count_nonzero(longest_nondecreasing(table.time + shift))
     return shift if in_order > np.count_nonzero(longest_nondecreasing(table.time)) else none
 
 
-def _setting(
-    rows: _Rows, motion: _Motion | None, steps: IntArray
-) -> tuple[int, IntArray | None] | None:
-    """By how many seconds the clock was set at `steps`, and which rows between have the new one.
+def _mixed(rows: _Rows, motion: _Motion | None, steps: IntArray) -> tuple[float, IntArray] | None:
+    """By how many seconds the clock was set while rows of both clocks were written in turn.
 
-    None if it was not; no rows if it cannot be decided.
+    And which rows from the first step to the last one are by the new clock; None if they are not
+    so mixed.
     """
+    if steps.size < LEAST_CHANGES:
+        return None
     before, after = int(steps[0]), int(steps[-1]) + 1
     size = rows.size(before, after)
-    if not rows.fits(size, mixed=after > before + 1):
+    if abs(size) < LEAST_STEP:
         return None
-    whole = round(size)
+    size = round(size) if rows.whole else size
     inner = np.arange(before + 1, after)
-    ahead = np.zeros(inner.size, dtype=np.int64)
-    if inner.size:
-        by_count = rows.time[before] + (inner - before) * rows.period
-        if rows.whole:
-            # Of a second of which rows are mixed only the whole is known.
-            late = np.floor(rows.time[inner]) + 0.5 - by_count
-        else:
-            late = rows.time[inner] - by_count
-        ahead = (late / whole > 0.5).astype(np.int64)
-        slack = 0.5 + 2.0 * rows.period if rows.whole else max(0.5 * rows.period, 0.25)
-        misfits = np.abs(late - whole * ahead) > slack
-        if np.count_nonzero(misfits) > MOST_MISFITS * inner.size:
-            return None
-    changes = np.flatnonzero(np.diff(np.concatenate(([0], ahead, [1]))))
-    if changes.size > 1:
-        if changes.size < LEAST_CHANGES:
-            return None
-        beyond = None if motion is None else motion.beyond(before, after)
-        return (whole, ahead) if beyond is None or abs(beyond / whole) < 0.4 else None
-    place = before + int(changes[0])
-    passed = None if motion is None else motion.passed(place)
-    if passed is not None:
-        decided = passed.decide(whole)
-        if decided is not None:
-            return (whole, ahead) if decided else None
-        if whole < 0 and passed.time < 0.3 * whole - 3.0 * passed.std:
-            return None
-    if whole < 0:
-        return (whole, ahead) if _repeated_differently(rows, place) else None
-    return whole, None
+    by_count = rows.time[before] + (inner - before) * rows.period
+    # Of a second of which rows are mixed only the whole is known.
+    shown = np.floor(rows.time[inner]) + 0.5 if rows.whole else rows.time[inner]
+    ahead = ((shown - by_count) / size > 0.5).astype(np.int64)
+    slack = 0.5 + 2.0 * rows.period if rows.whole else max(0.5 * rows.period, 0.25)
+    misfits = np.abs(shown - by_count - size * ahead) > slack
+    if np.count_nonzero(misfits) > MOST_MISFITS * inner.size:
+        return None
+    if np.count_nonzero(np.diff(np.concatenate(([0], ahead, [1])))) < LEAST_CHANGES:
+        return None
+    beyond = None if motion is None else motion.beyond(before, after)
+    return (size, ahead) if beyond is None or abs(beyond / size) < 0.4 else None
+
+
+def _set_by(rows: _Rows, motion: _Motion | None, place: int) -> tuple[float, bool]:
+    """By how many seconds the clock was set after a row, 0 if it was not; and whether that is sure.
+
+    Three things may have happened: rows are missing, or were written late, and the clock is right;
+    it was set, and no row is missing; it was set, and rows are missing. What the distance across
+    the place exceeds that of the speeds by shows which.
+    """
+    late = float(rows.late[place])
+    if not -LARGEST[1] < late < LARGEST[0]:
+        return 0.0, False
+    seen = None if motion is None else motion.across(place)
+    if seen is None:
+        # A clock that was set back gives its times twice; a single time may be a row too many.
+        repeated = late < -1.5 * rows.period and _repeated_differently(rows, place)
+        return (_rounded(rows, late), True) if repeated else (0.0, False)
+    if late < 0.0 and motion is not None and motion.belongs(rows, place):
+        return 0.0, False
+    lost = max(float(np.median(seen.excess)) / seen.speed, 0.0)
+    lost = rows.period * round(lost / rows.period)
+    gap, none, both = (seen.likelihood(each) for each in (late, 0.0, lost))
+    size, likelier, cost = late, none - gap, SETTING_COST if late > 0.0 else 0.0
+    if np.min(both - none) > BOTH_COST and abs(late - lost) > LEAST_STEP:
+        size, likelier, cost = late - lost, both - gap, cost + BOTH_COST
+    # The time over which it shows best decides, unless another one contradicts, or nothing fits.
+    decides = bool(np.min(likelier) > 0.0) and seen.fits(late - size)
+    gained = float(np.max(likelier[-2:])) - cost if decides else 0.0
+    return (_rounded(rows, size), gained > SURE) if gained > 0.0 else (0.0, False)
+
+
+def _rounded(rows: _Rows, size: float) -> float:
+    """The size of a step [s]; whole seconds where the file gives no others."""
+    return float(round(size)) if rows.whole else size
 
 
 def _repeated_differently(rows: _Rows, place: int) -> bool:
@@ -501,134 +518,245 @@ def _repeated_differently(rows: _Rows, place: int) -> bool:
 # ------------------------------------------------------------------ what the motion shows
 
 
-@dataclass(frozen=True, slots=True)
-class _Passed:
-    """How much time [s] beyond a usual step passed between two rows at a speed, and its noise."""
+@dataclass(frozen=True, eq=False)
+class _Across:
+    """How much further the train came across a place than its speeds show, over several times.
 
-    time: float
-    std: float
-    spread: float
+    Attributes
+    ----------
+    excess, std : (k,) arrays [m]
+        Less what is usual, and its standard deviation where nothing happened.
+    speed : float [m/s]
+        At the place.
+    unseen : callable
+        Standard deviation [m] of a distance from the speeds before and after so many seconds.
+    """
+
+    excess: FloatArray
+    std: FloatArray
     speed: float
+    unseen: Callable[[float], float]
 
-    def decide(self, size: int) -> bool | None:
-        """Whether the clock was set by `size` [s], and no such time passed; None: not decided."""
-        noise = 3.0 * self.std
-        if self.speed < HARDEST * size:
-            # In the gap a train this slow can have stopped, and gone on.
-            return None
-        if noise > 0.35 * abs(size) or self.spread > 0.4 * abs(size):
-            return None
-        as_step, as_gap = abs(self.time), abs(self.time - size)
-        allowed = max(noise, 0.2 * abs(size))
-        if as_step <= allowed < as_gap:
-            return True
-        if as_gap <= max(allowed, 0.35 * abs(size)) < as_step:
-            return False
-        return None
+    def fits(self, lost: float) -> bool:
+        """Whether `lost` seconds without rows explain all that is seen."""
+        std = np.hypot(self.std, self.unseen(abs(lost)))
+        return bool(np.all(np.abs(self.excess - self.speed * lost) < MOST_ERRORS * std))
+
+    def likelihood(self, lost: float) -> FloatArray:
+        """Logarithm of the likelihood that `lost` seconds passed without rows; (k,) array.
+
+        The train goes on as it does where rows show it, or, less likely, it brakes, even to a stop,
+        and goes on. Errors have the tails of Student's t.
+        """
+        std = np.hypot(self.std, self.unseen(abs(lost)))
+        expected = self.speed * lost
+        going_on = t_distribution.logpdf((self.excess - expected) / std, TAILS) - np.log(std)
+        least = expected - 0.25 * HARDEST * lost**2
+        if lost > 2.0 * self.speed / HARDEST:
+            least = self.speed**2 / HARDEST
+        if lost <= 0.0 or expected - least < self.std.max():
+            return np.asarray(going_on)
+        outside = np.maximum(least - self.excess, 0.0) + np.maximum(self.excess - expected, 0.0)
+        braking = t_distribution.logpdf(outside / self.std, TAILS) - np.log(expected - least)
+        return np.asarray(np.maximum(going_on, braking + np.log(BRAKED)))
 
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """Distance and speed by rows, and how well they show the time that passed.
+    """How far distances exceed the integral of the speed, the time of steps left out.
 
     Attributes
     ----------
-    period : float [s]
-    places : (2, n) array [m]
-        North and east, or chainage and nothing.
-    speed : (n,) array [m/s]
-    bias, std : float [m]
-        Of distances against speeds where nothing happened.
+    rows : (k,) array of int
+        Rows that are looked at: one a second, and those around steps.
+    time : (k,) array [s]
+        Of these rows, by a clock that takes a usual period over each step.
+    points : (k,) array [m]
+        In a plane.
+    rest : (k,) array [m]
+        Distance less the integral.
+    driven : (k,) array [m]
+        The integral, by the scale of the distance.
+    speed : (k,) array [m/s]
+        By the same scale.
+    broken : (k,) array of int
+        How many steps lie before each row.
+    usual : dict of float to (float, float) [m]
+        Median and standard deviation of what `rest` changes by over so many seconds before and
+        after a place without a step.
     """
 
-    period: float
-    places: FloatArray
+    rows: IntArray
+    time: FloatArray
+    points: ComplexArray
+    rest: FloatArray
+    driven: FloatArray
     speed: FloatArray
-    bias: float = 0.0
-    std: float = 0.0
+    broken: IntArray
+    usual: dict[float, tuple[float, float]]
 
     @classmethod
     def of(cls, rows: _Rows) -> _Motion | None:
         """What the columns of a table show; None without a distance and a speed."""
         signals = rows.table.signals
-        speed = next(
-            (signals[n] for n in ("/gnss/motion.speed", "/train/state.speed") if n in signals),
-            None,
-        )
-        position = signals.get("/train/state.position")
-        latitude, longitude = (signals.get(f"/gnss/fix.{n}") for n in ("latitude", "longitude"))
-        if speed is None or not np.isfinite(speed).any():
+        found = _places(rows.table)
+        names = SPEEDS if found is not None and found[1] else SPEEDS[::-1]
+        speed = next((signals[name] for name in names if name in signals), None)
+        if speed is None or found is None:
             return None
-        if position is not None and np.isfinite(position).any():
-            places = np.stack((position, np.zeros(position.size)))
-        elif latitude is not None and longitude is not None and np.isfinite(latitude).any():
-            east = METRES_PER_DEGREE * np.cos(np.radians(float(np.nanmedian(latitude))))
-            places = np.stack((latitude * METRES_PER_DEGREE, longitude * east))
-        else:
+        places, signed = found
+        known = np.flatnonzero(np.isfinite(speed) & np.isfinite(places))
+        if known.size < LEAST_ROWS:
             return None
-        motion = cls(rows.period, places, np.abs(speed))
-        return motion._calibrated(rows.steps)
-
-    def _calibrated(self, steps: IntArray) -> _Motion | None:
-        """With the noise measured at places away from `steps`."""
-        count = self.speed.size
-        reach = self._reach
-        away = np.arange(reach, count - reach - 1, max(1, (count - 2 * reach) // REFERENCES))
-        near = np.searchsorted(steps, away - reach) < np.searchsorted(steps, away + reach + 1)
-        errors = [error for place in away[~near] if (error := self._excess(int(place))) is not None]
-        if len(errors) < LEAST_REFERENCES:
+        passed = rows.late + rows.period
+        passed[rows.steps] = rows.period
+        time = np.concatenate(([0.0], np.cumsum(np.maximum(passed, 0.0))))
+        broken = np.zeros(time.size, dtype=np.int64)
+        broken[rows.steps + 1] = 1
+        broken = np.cumsum(broken)
+        # One row a second, and the first and the last one between steps.
+        number = np.floor(time[known]).astype(np.int64) + broken[known] * (int(time[-1]) + 2)
+        first = np.diff(number, prepend=-1) != 0
+        edges = np.diff(broken[known], append=-1) != 0
+        nodes = known[first | edges]
+        pace = np.abs(speed[known])
+        driven = np.interp(time[nodes], time[known], _integral(time[known], pace))
+        along = places[nodes].real if signed else _along(places[nodes], broken[nodes], time[nodes])
+        scale = _scale(time[nodes], along, driven, broken[nodes])
+        if not np.isfinite(scale):
             return None
-        metres = np.array([np.median(each) for each in errors])
-        bias = float(np.median(metres))
-        std = robust_std(metres - bias)
-        return replace(
-            self, bias=bias, std=max(std, float(np.quantile(np.abs(metres - bias), 0.9)) / 2)
+        driven, pace = scale * driven, scale * np.abs(speed[nodes])
+        motion = cls(
+            nodes, time[nodes], places[nodes], along - driven, driven, pace, broken[nodes], {}
         )
+        return motion._calibrated()
 
-    @property
-    def _reach(self) -> int:
-        """Rows on either side that are looked at."""
-        return max(2, min(20, round(2.0 / self.period)))
+    def _calibrated(self) -> _Motion | None:
+        """With what is usual where no step is."""
+        moving = np.flatnonzero(self.speed > SLOWEST)
+        usual: dict[float, tuple[float, float]] = {}
+        for window in WINDOWS:
+            left, right = self._around(moving, moving, window)
+            whole = self.broken[left] == self.broken[right]
+            whole &= self.time[right] - self.time[left] > 1.5 * window
+            change = (self.rest[right] - self.rest[left])[whole]
+            if change.size < LEAST_REFERENCES:
+                continue
+            middle = float(np.median(change))
+            size = np.abs(change - middle)
+            tail = float(np.quantile(size, 0.9)) / 1.64
+            usual[window] = (middle, max(robust_std(size), tail, SMALLEST_STD))
+        return replace(self, usual=usual) if usual else None
 
-    def _excess(self, place: int) -> FloatArray | None:
-        """Distances [m] across a place beyond those of usual steps, of pairs of rows around it."""
-        reach = np.arange(self._reach)
-        left, right = place - reach, place + 1 + reach
-        known = (left >= 0) & (right < self.speed.size)
-        left, right = left[known], right[known]
-        across = self.places[:, right] - self.places[:, left]
-        # Along the way from the rows before to those after: rows out of order go back.
-        heading = (
-            np.nanmean(across, axis=1) if np.isfinite(across).all(axis=0).any() else across[:, 0]
+    def _around(
+        self, before: IntArray, after: IntArray, window: float
+    ) -> tuple[IntArray, IntArray]:
+        """The rows a time [s] before ones, and after others."""
+        left = np.searchsorted(self.time, self.time[before] - window)
+        right = np.searchsorted(self.time, self.time[after] + window, side="right") - 1
+        return left, right
+
+    def across(self, place: int) -> _Across | None:
+        """What is seen across the step after a row; None where it shows nothing."""
+        after = int(np.searchsorted(self.rows, place, side="right"))
+        before = after - 1
+        if before < 0 or after >= self.rows.size or self.broken[after] != self.broken[before] + 1:
+            return None
+        speed = 0.5 * float(self.speed[before] + self.speed[after])
+        if speed < SLOWEST:
+            return None
+        found = []
+        for window, (middle, std) in self.usual.items():
+            left, right = self._around(np.array([before]), np.array([after]), window)
+            if (
+                self.broken[left[0]] != self.broken[before]
+                or self.broken[right[0]] != self.broken[after]
+            ):
+                continue
+            found.append((float(self.rest[right[0]] - self.rest[left[0]]) - middle, std))
+        if not found:
+            return None
+        excess, std = np.array(found).T
+        return _Across(excess, std, speed, self._unseen)
+
+    def belongs(self, rows: _Rows, place: int) -> bool:
+        """Whether the row after a step back is where its time says: written late, not set back."""
+        earlier = np.flatnonzero(rows.time[: place + 1] < rows.time[place + 1])
+        if not earlier.size:
+            return False
+        before = earlier[np.argmax(rows.time[earlier])]
+        passed = float(rows.time[place + 1] - rows.time[before])
+        near, there, here = np.searchsorted(self.rows, [before, place, place + 1])
+        if here >= self.rows.size or passed > 2.0 * rows.period:
+            return False
+        came = float(abs(self.points[here] - self.points[near]))
+        std = min(self.usual.values())[1]
+        reach = self.speed[here] * (passed + 1.0)
+        far = float(abs(self.points[here] - self.points[there]))
+        return bool(came < reach + 3.0 * std and far > 2.0 * (reach + 3.0 * std))
+
+    def _unseen(self, lost: float) -> float:
+        """How far [m] the train comes in `lost` seconds beside the mean of the speeds around them.
+
+        As the same is in this recording where rows show it.
+        """
+        least = np.sqrt(UNSEEN * lost**3 / 12.0)
+        later = np.searchsorted(self.time, self.time + lost)
+        known = np.flatnonzero(later < self.time.size)
+        later = later[known]
+        moving = (self.speed[known] > SLOWEST) & (self.speed[later] > SLOWEST)
+        known, later = known[moving], later[moving]
+        if known.size < LEAST_REFERENCES:
+            return float(np.sqrt(MOST_UNSEEN / UNSEEN) * least)
+        mean = 0.5 * (self.speed[later] + self.speed[known])
+        beside = (
+            self.driven[later] - self.driven[known] - mean * (self.time[later] - self.time[known])
         )
-        moved = heading @ across / max(float(np.hypot(*heading)), 1e-9)
-        mean = self._mean_speed(place)
-        excess = moved - mean * (right - left) * self.period
-        excess = excess[np.isfinite(excess)]
-        return excess if excess.size >= 2 and mean > SLOWEST else None
-
-    def _mean_speed(self, place: int) -> float:
-        around = self.speed[max(0, place - self._reach) : place + 2 + self._reach]
-        around = around[np.isfinite(around)]
-        return float(np.median(around)) if around.size else 0.0
+        return float(max(np.quantile(np.abs(beside), 0.95) / 1.96, least))
 
     def beyond(self, before: int, after: int) -> float | None:
         """The time [s] that passed between two rows beyond their count; None if it stands."""
-        rows = np.append(np.arange(before, after, max(1, round(1.0 / self.period))), after)
-        moved = float(np.nansum(np.hypot(*np.diff(self.places[:, rows]))))
-        speed = self.speed[before : after + 1]
-        mean = float(np.mean(speed[np.isfinite(speed)])) if np.isfinite(speed).any() else 0.0
-        if mean <= SLOWEST:
+        first, last = np.searchsorted(self.rows, [before, after])
+        last = min(int(last), self.rows.size - 1)
+        speed = float(np.mean(self.speed[first : last + 1])) if last > first else 0.0
+        if speed <= SLOWEST:
             return None
-        return moved / mean - (after - before) * self.period
+        return float(self.rest[last] - self.rest[first]) / speed
 
-    def passed(self, place: int) -> _Passed | None:
-        """The time that passed between row `place` and the next beyond a usual step."""
-        excess = self._excess(place)
-        if excess is None:
-            return None
-        speed = self._mean_speed(place)
-        spread = float(np.ptp(excess)) / speed
-        return _Passed(
-            (float(np.median(excess)) - self.bias) / speed, self.std / speed, spread, speed
-        )
+
+def _places(table: Table) -> tuple[ComplexArray, bool] | None:
+    """Chainage, or the fixes in a plane [m], and whether it is the former."""
+    position = table.signals.get("/train/state.position")
+    if position is not None and np.isfinite(position).any():
+        return position.astype(np.complex128), True
+    latitude, longitude = (table.signals.get(f"/gnss/fix.{n}") for n in ("latitude", "longitude"))
+    if latitude is None or longitude is None or not np.isfinite(latitude).any():
+        return None
+    east = METRES_PER_DEGREE * np.cos(np.radians(float(np.nanmedian(latitude))))
+    points: ComplexArray = longitude * east + 1j * latitude * METRES_PER_DEGREE
+    return points, False
+
+
+def _along(points: ComplexArray, broken: IntArray, time: FloatArray) -> FloatArray:
+    """Distance [m] along fixes; across a step it is negative where they go back."""
+    chord = np.diff(points)
+    size = np.abs(chord)
+    step = np.diff(broken) != 0
+    behind = np.maximum(np.searchsorted(time, time[:-1] - 3.0), 0)
+    heading = points[:-1] - points[behind]
+    size[step & (np.real(chord * np.conj(heading)) < 0.0)] *= -1.0
+    return np.concatenate(([0.0], np.cumsum(size)))
+
+
+def _integral(time: FloatArray, speed: FloatArray) -> FloatArray:
+    return np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
+
+
+def _scale(time: FloatArray, along: FloatArray, driven: FloatArray, broken: IntArray) -> float:
+    """Distance over the integral of the speed, the median over 20 s; NaN if it stands."""
+    later = np.minimum(np.searchsorted(time, time + 20.0), time.size - 1)
+    by_speed = driven[later] - driven
+    kept = (broken[later] == broken) & (by_speed > 20.0 * SLOWEST)
+    if np.count_nonzero(kept) < LEAST_REFERENCES:
+        return float("nan")
+    return float(np.median((along[later] - along)[kept] / by_speed[kept]))
