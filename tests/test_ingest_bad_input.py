@@ -15,7 +15,7 @@ from ingest_logs import PLAIN, clean_run, plain_profile, plain_rows, plain_text,
 
 from trainlog.errors import InputError
 from trainlog.formats.samples import sample
-from trainlog.ingest import ingest, ingest_each, report_of
+from trainlog.ingest import ingest, ingest_each, propose_profile, report_of
 
 
 def refused(path: Path, message: str, **options: object) -> str:
@@ -102,8 +102,17 @@ def test_a_log_with_converted_line_ends_is_recognised(tmp_path: Path, old: bytes
 
 
 def test_rows_that_run_backwards_in_time(tmp_path: Path) -> None:
-    path = write(tmp_path / "run.csv", plain_rows(3000)[::-1])
-    refused(path, "row 3: time decreases from row to row, at 2999 of 2999 steps; reverse the order")
+    """They are turned round and counted; the trip is that of the rows in order."""
+    rows = plain_rows(3000)
+    sound = ingest(write(tmp_path / "sound.csv", rows), profile=plain_profile())
+    path = write(tmp_path / "run.csv", rows[::-1])
+    trip = ingest(path, profile=plain_profile())
+    assert report_of(trip).counts == {"newest_first": 3000}
+    pd.testing.assert_frame_equal(trip["/train/state"], sound["/train/state"])
+    strict = plain_profile(repair={"newest_first": False})
+    refused(path, "3000 times 'newest_first', which the profile does not let be", profile=strict)
+    proposed = propose_profile(path)
+    assert any("newest row first" in line for line in proposed.lines())
 
 
 def test_a_wrong_column_names_the_profile_to_correct(tmp_path: Path) -> None:

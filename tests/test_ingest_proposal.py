@@ -424,3 +424,22 @@ def test_the_zone_that_is_offered_is_a_guess_by_the_language(tmp_path: Path) -> 
     (zone,) = [each for each in propose_profile(path).open if each.startswith("time zone")]
     assert zone.startswith("time zone: UTC (the file does not state a zone)")
     assert 'timezone = "Europe/Berlin" (a guess)' in zone
+
+
+@pytest.mark.parametrize("hours", [-4.0, 0.0, 3.0, 5.75])
+def test_a_unix_time_beside_a_local_one_decides_its_zone(tmp_path: Path, hours: float) -> None:
+    """The column of local time comes first, has tenths of a second, and names no zone."""
+    truth = pd.date_range("2024-05-01T20:00:00Z", periods=900, freq="500ms")
+    local = (truth + pd.Timedelta(hours=hours)).strftime("%Y-%m-%d %H:%M:%S.%f")
+    speed = 60.0 + 20.0 * np.sin(np.arange(900) / 60.0)
+    way = np.cumsum(speed / 3.6) * 0.5
+    rows = [
+        f"{at[:-5]},{unix + 1},{v:.1f},{s:.0f}"
+        for at, unix, v, s in zip(local, truth.as_unit("ns").asi8 // 10**9, speed, way, strict=True)
+    ]
+    path = tmp_path / "run.csv"
+    path.write_text("local_datetime,unix,speed [km/h],distance [m]\n" + "\n".join(rows) + "\n")
+    proposal = propose_profile(path)
+    trip = ingest(path, profile=proposal.profile)
+    assert trip.start == truth[0]
+    assert not any("time zone" in question for question in proposal.open)

@@ -84,14 +84,6 @@ def drop_clock_jumps(table: Table, limits: Limits) -> Result:
     within = max(limits.sort_within, 5.0 * usual_step(time[kept]))
     far[group[~trusted & (nearest > within * NANOSECONDS)]] = True
     if np.count_nonzero(far) > MAX_DROPPED * len(table):
-        steps = np.sign(np.diff(table.time))
-        backwards = np.count_nonzero(steps < 0)
-        if backwards > (1.0 - MAX_DROPPED) * np.count_nonzero(steps):
-            raise InputError(
-                f"time decreases from row to row, at {backwards} of {steps.size} steps",
-                place=f"row {table.rows[1:][steps < 0][0]}",
-                remedy="reverse the order of the rows, the oldest first",
-            )
         raise InputError(
             f"the clock jumps: {np.count_nonzero(far)} of {len(table)} rows do not fit into"
             " one trip",

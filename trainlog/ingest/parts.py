@@ -26,6 +26,9 @@ from trainlog.units import DAY, NANOSECONDS, to_si
 STANDING = 0.5
 """Speed up to which a train may stand [m/s]: noise of a sensor."""
 
+BACKWARDS = 0.75
+"""Share of the steps of time that fall where a table has its newest row first."""
+
 LEAST_GROUP = 10
 """Fewer rows between two leaps of the clock are a defect of it, and no trip."""
 
@@ -55,6 +58,7 @@ def parts_of(recording: Recording, profile: Profile, stem: str) -> list[Recordin
     list of Recording
         The recording itself, where it holds one trip.
     """
+    recording = _oldest_first(recording)
     columns = profile.trip.columns
     if len(recording.tables) != 1 or not len(recording.tables[0]):
         return [recording]
@@ -76,6 +80,23 @@ def parts_of(recording: Recording, profile: Profile, stem: str) -> list[Recordin
         part = part_of(recording, rows, {**recording.metadata, "trip": name})
         found.append(_with_facts(part, columns, profile.file.decimal, labels[first:last]))
     return [with_cut_lines(found[0], recording), *found[1:]]
+
+
+def _oldest_first(recording: Recording) -> Recording:
+    """The recording with tables turned round in which the newest row comes first."""
+    tables, about = list(recording.tables), recording.about
+    for number, table in enumerate(tables):
+        steps = np.diff(table.time[table.time != NO_TIME])
+        if np.count_nonzero(steps < 0) <= BACKWARDS * np.count_nonzero(steps):
+            continue
+        turned = np.arange(len(table))[::-1]
+        tables[number] = table.take(turned)
+        if number == 0:
+            about = {name: cells[turned] for name, cells in about.items()}
+        every = np.ones(len(table), dtype=np.bool_)
+        found = table.found("newest_first", every, note="the newest row came first")
+        recording = replace(recording, findings=(*recording.findings, *found))
+    return replace(recording, tables=tuple(tables), about=about)
 
 
 def part_of(recording: Recording, rows: BoolArray, metadata: dict[str, str]) -> Recording:

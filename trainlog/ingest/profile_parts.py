@@ -423,6 +423,7 @@ class Repair(Strict):
     damaged_messages: bool = True
     not_a_number: bool = True
     empty: bool = True
+    newest_first: bool = True
     before_first_fix: bool = True
     time_unreadable: bool = True
     clock_step: bool = True

@@ -19,7 +19,15 @@ from trainlog.ingest.clock_steps import suspect_clock_steps, undo_clock_steps
 from trainlog.ingest.counters import report_steps, unwrap_counters
 from trainlog.ingest.frozen import blank_frozen
 from trainlog.ingest.profile_parts import Limits, Repair
-from trainlog.ingest.recording import METRES_PER_DEGREE, Finding, Raw, Table, base_name, field_of
+from trainlog.ingest.recording import (
+    METRES_PER_DEGREE,
+    NO_TIME,
+    Finding,
+    Raw,
+    Table,
+    base_name,
+    field_of,
+)
 from trainlog.ingest.report import changes
 from trainlog.ingest.spikes import GNSS_SPEED, LATITUDE, LONGITUDE, SPEED, blank_spikes
 from trainlog.units import NANOSECONDS
@@ -365,6 +373,7 @@ RULES = (
     Rule("damaged_messages", "refuse"),
     Rule("not_a_number", "refuse"),
     Rule("empty", "refuse"),
+    Rule("newest_first", "refuse"),
     Rule("before_first_fix", "keep", clock.drop_before_first_fix),
     Rule("time_unreadable", "refuse", clock.drop_unreadable_time),
     Rule("clock_step", "keep", undo_clock_steps),
@@ -452,10 +461,17 @@ def repaired(
 def _too_short(before: Table, table: Table, rule: str) -> InputError:
     every = f"rows {before.rows[0]} to {before.rows[-1]}" if len(before) else None
     if rule == "before_first_fix" and not len(table):
+        fixed = np.count_nonzero(fix) if (fix := clock.has_fix(before)) is not None else 0
+        dated = np.count_nonzero(before.time != NO_TIME)
+        remedy = "the receiver never saw the sky; nothing can be made of this file"
+        if fixed:
+            remedy = (
+                "the date or the time is missing: check the columns under [time] of the profile"
+            )
         return InputError(
-            "no row has both a time and a satellite fix",
+            f"no row has both a time and a satellite fix ({fixed} have a fix, {dated} a time)",
             place=every,
-            remedy="the receiver never saw the sky; nothing can be made of this file",
+            remedy=remedy,
         )
     if rule == "time_unreadable" and not len(table):
         return InputError(

@@ -38,6 +38,9 @@ FORWARD = 0.8
 EPOCHS = (("s", 1e9, 2.6e9), ("ms", 1e12, 2.6e12), ("us", 1e15, 2.6e15), ("ns", 1e18, 2.6e18))
 """Counts since 1970 that lie between 2001 and 2052."""
 
+QUARTER, NEAR = 900.0, 60.0
+"""Time zones differ by quarters of an hour [s]; two clocks of a recorder by less than the other."""
+
 _MONTHS = "jan|feb|mar|apr|may|jun|jul|aug|sep|oct|nov|dec"
 _DATE = re.compile(rf"^(\d{{1,4}})([-./ ])(\d{{1,2}}|(?:{_MONTHS})[a-z]*)\2(\d{{1,4}})$", re.I)
 _CLOCK = re.compile(
@@ -97,7 +100,7 @@ def clock_of(layout: Layout, meanings: dict[str, Meaning]) -> Clock:
         or _elapsed(layout, meanings, tried)
     )
     if found is not None:
-        return found
+        return _zoned(layout, order, found)
     shown = ", ".join(layout.names[:12]) + (", ..." if len(layout.names) > 12 else "")
     noted = f" ({'; '.join(tried)})" if tried else ""
     kind = InputError if tried or named else NoRecordingError
@@ -106,6 +109,30 @@ def clock_of(layout: Layout, meanings: dict[str, Meaning]) -> Clock:
         file=layout.path,
         remedy=f"columns: {shown}; if one of them is the time, write a profile, see docs/ingest.md",
     )
+
+
+def _zoned(layout: Layout, order: list[str], clock: Clock) -> Clock:
+    """The clock with the zone that a column of Unix time beside it proves, where it was open."""
+    zone = next((r for r in clock.readings if r.what == "time zone" and r.alternative), None)
+    unix = None if zone is None else _epoch(layout, order)
+    if zone is None or unix is None or unix.options.column in clock.options.names:
+        return clock
+    both = (clock.time != NO_TIME) & (unix.time != NO_TIME)
+    local = _clock(layout, clock.options.model_copy(update={"timezone": "UTC"}))
+    if local is None or not both.any():
+        return clock
+    ahead = (local.time - unix.time)[both] / NANOSECONDS
+    quarters = round(float(np.median(ahead)) / QUARTER)
+    if np.mean(np.abs(ahead - QUARTER * quarters) < NEAR) < READABLE or abs(quarters) > 56:
+        return clock
+    hours, minutes = divmod(abs(quarters) * 15, 60)
+    offset = f"{'-' if quarters < 0 else '+'}{hours:02d}:{minutes:02d}" if quarters else "UTC"
+    proven = Reading("time zone", offset, f"'{unix.options.column}' counts since 1970 beside it")
+    options = clock.options.model_copy(update={"timezone": offset})
+    found = _clock(layout, options, one_file=clock.one_file)
+    if found is None:
+        return clock
+    return replace(found, readings=tuple(proven if r is zone else r for r in clock.readings))
 
 
 def _clock(
@@ -121,8 +148,12 @@ def _clock(
     if known.size < max(2.0, READABLE * filled):
         return None
     steps = np.diff(known)
+    turned = bool(np.mean(steps <= 0) >= FORWARD and np.any(steps < 0))
+    steps = -steps if turned else steps
     if known[0] == known[-1] or np.mean(steps >= 0) < FORWARD or not np.any(steps > 0):
         return None
+    if turned:
+        readings = (*readings, Reading("order", "the newest row first", "times fall"))
     return Clock(options, time, readings, one_file)
 
 
