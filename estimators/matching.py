@@ -10,7 +10,9 @@ the distance along the road against that between the fixes, where no speed was m
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
@@ -31,10 +33,22 @@ TURN_SHARE, IDLE_SPEED = 0.3, 2.0
 share of it, and of this [m/s] for a train that went and came or hardly moved."""
 
 
-STEP_PENALTY, STEP_LENGTH = 8.0, 100.0
+STEP_PENALTY, STEP_LENGTH = 8.0, 50.0
 """What a link forward costs at most, in the unit of `REWARD`: the first and, for every so many
 metres by which it departs from the distance driven, 1 more. Speeds may be wrong and receivers
 step; fixes in a row that go with each other outweigh that."""
+
+
+OFF_PENALTY, OFF_REWARD = 8.0, 1.1
+"""What it costs that a receiver holds, replays or reflects its fixes for a while, and what each fix
+of it is worth: they go with each other, if not with the train, nearly as well as others do, which
+are worth 1.5 in the mean."""
+
+SURE_WAY = 200.0
+"""Standard deviation of a distance driven [m] beyond which it shows nothing of a receiver."""
+
+DELAY = 2.0
+"""Standard deviation of the delay of a speed [s], before it is known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +64,8 @@ class Nodes:
         Distance driven since the first; NaN throughout where no speed is known.
     driven_variance : (n,) array [m²]
         Of `driven`, growing.
+    pace : (n,) array [m/s]
+        The speed; NaN where none is known.
     first : (n + 1,) int array
         Number of the first candidate of each fix.
     chainage, distance : (m,) arrays [m]
@@ -62,6 +78,7 @@ class Nodes:
     std: FloatArray
     driven: FloatArray
     driven_variance: FloatArray
+    pace: FloatArray
     first: IntArray
     chainage: FloatArray
     distance: FloatArray
@@ -72,6 +89,8 @@ def best_chain(nodes: Nodes, way: float) -> tuple[float, IntArray]:
 
     Each fix in the chain is worth `REWARD`, less half its squared distance from the line and half
     the squared difference between chainage gained and distance driven, both over their variances.
+    Fixes left out are worth nothing, or, where many follow each other, as much as others less what
+    it costs that a receiver is off for a while.
 
     Parameters
     ----------
@@ -93,6 +112,7 @@ def best_chain(nodes: Nodes, way: float) -> tuple[float, IntArray]:
     >>> nodes = Nodes(
     ...     seconds=np.array([0.0, 1.0, 2.0]), east=np.array([0.0, 20.0, 40.0]), north=np.zeros(3),
     ...     std=np.full(3, 3.0), driven=np.array([0.0, 20.0, 40.0]), driven_variance=np.zeros(3),
+    ...     pace=np.full(3, 20.0),
     ...     first=np.array([0, 1, 3, 4]), chainage=np.array([100.0, 5_120.0, 120.0, 140.0]),
     ...     distance=np.array([1.0, 0.5, 1.0, 1.0]),
     ... )
@@ -101,7 +121,7 @@ def best_chain(nodes: Nodes, way: float) -> tuple[float, IntArray]:
     """
     n = nodes
     worth, before = _viterbi(
-        n.seconds, n.east, n.north, n.std, n.driven, n.driven_variance,
+        n.seconds, n.east, n.north, n.std, n.driven, n.driven_variance, n.pace,
         n.first, n.chainage, n.distance, way,
     )  # fmt: skip
     chosen = np.full(n.seconds.size, -1, dtype=np.int64)
@@ -116,6 +136,29 @@ def best_chain(nodes: Nodes, way: float) -> tuple[float, IntArray]:
     return best, chosen
 
 
+def off_between(nodes: Nodes, chosen: IntArray) -> Iterator[tuple[int, int]]:
+    """Pairs of fixes of a chain, forward, between which the receiver was off.
+
+    It was where so many fixes are left out that this is likelier than their being wrong one by one,
+    and distance and speed agree from the one before to the one after.
+    """
+    if np.isnan(nodes.driven).any():
+        return
+    inside = np.flatnonzero(chosen >= 0)
+    eligible = np.cumsum(np.diff(nodes.first) > 0)
+    for before, after in pairwise(inside.tolist()):
+        left_out = int(eligible[after] - eligible[before]) - 1
+        if left_out * OFF_REWARD <= OFF_PENALTY:
+            continue
+        gained = nodes.chainage[chosen[after]] - nodes.chainage[chosen[before]]
+        apart = gained - (nodes.driven[after] - nodes.driven[before])
+        variance = nodes.std[before] ** 2 + nodes.std[after] ** 2
+        variance += nodes.driven_variance[after] - nodes.driven_variance[before]
+        variance += (DELAY * (nodes.pace[after] - nodes.pace[before])) ** 2
+        if variance < SURE_WAY**2 and 0.5 * apart**2 < (OFF_PENALTY + REWARD) * variance:
+            yield before, after
+
+
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _viterbi(
     seconds: FloatArray,
@@ -124,6 +167,7 @@ def _viterbi(
     std: FloatArray,
     driven: FloatArray,
     driven_variance: FloatArray,
+    pace: FloatArray,
     first: IntArray,
     chainage: FloatArray,
     distance: FloatArray,
@@ -144,17 +188,22 @@ def _viterbi(
                     break
                 elapsed = seconds[i] - seconds[j]
                 variance = std[i] ** 2 + std[j] ** 2
+                left_out = 0.0
                 if np.isnan(driven[i]):
                     step = np.hypot(east[i] - east[j], north[i] - north[j])
                     variance += (TURN_SHARE * step) ** 2 + (IDLE_SPEED * elapsed) ** 2
                 else:
                     step = driven[i] - driven[j]
                     variance += driven_variance[i] - driven_variance[j]
+                    variance += (DELAY * (pace[i] - pace[j])) ** 2
+                    if variance < SURE_WAY**2:
+                        left_out = max((seen - 1) * OFF_REWARD - OFF_PENALTY, 0.0)
                 for d in range(first[j], first[j + 1]):
                     gained = way * (chainage[c] - chainage[d])
                     if gained > FASTEST * elapsed + 4.0 * np.sqrt(variance):
                         continue
-                    penalty = 0.5 * (gained - step) ** 2 / variance
+                    # A receiver is off for a while only if fixes and speed agree across it.
+                    penalty = 0.5 * (gained - step) ** 2 / variance - left_out
                     if gained > -3.0 * np.sqrt(std[i] ** 2 + std[j] ** 2):
                         most = STEP_PENALTY + np.abs(gained - step) / STEP_LENGTH
                         penalty = min(penalty, most)

@@ -268,6 +268,8 @@ class Field:
         "none", "good", "lasting", "late", "replayed", "frozen" or "wrong unit".
     speed_stated : float
         Speed accuracy stated, over 0.2 m/s; 0 states none.
+    places : str
+        "measured", "held", "replayed", "late", "jumping" or "cold start"; see `misplaced`.
     """
 
     interval: float = 1.0
@@ -279,6 +281,51 @@ class Field:
     stated: float = 1.0
     speed: str = "good"
     speed_stated: float = 1.0
+    places: str = "measured"
+
+
+def misplaced(
+    kind: str, t: np.ndarray, generator: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """How old each position is [s], how far aside [m], its accuracy over the usual, and if shown.
+
+    "held": one position for 5 to 60 s, eight times an hour. "replayed": after an outage of 20 to
+    60 s, five times an hour, the positions of the outage, up to four times as fast as they were
+    measured, or as late as the outage was long for one to five minutes, and then at once no more.
+    "late": by 1 to 8 s, which changes within minutes. "jumping": 50 to 500 m aside, in any
+    direction, for 5 to 60 s, six times an hour. "cold start": for the first 1 to 4 minutes hundreds
+    of metres off, and stated so.
+    """
+    age, aside = np.zeros(t.size), np.zeros(t.size, dtype=np.complex128)
+    accuracy, shown = np.ones(t.size), np.ones(t.size, dtype=bool)
+    if kind == "held":
+        for begin, end in spans(8.0, 5.0, 60.0, t[-1], generator):
+            inside = (t >= begin) & (t < end)
+            age[inside] = t[inside] - begin
+    elif kind == "replayed":
+        for begin, end in spans(5.0, 20.0, 60.0, t[-1], generator):
+            shown &= (t < begin) | (t >= end)
+            since, lost = t - end, end - begin
+            if generator.uniform() < 0.5:
+                old = lost - (generator.uniform(1.2, 4.0) - 1.0) * since
+            else:
+                old = np.where(since < generator.uniform(60.0, 300.0), lost, 0.0)
+            age = np.maximum(age, np.where(since >= 0.0, np.maximum(old, 0.0), 0.0))
+    elif kind == "late":
+        age += 4.5 + 3.5 * np.sin(t / generator.uniform(40.0, 120.0) + generator.uniform(0.0, 6.0))
+    elif kind == "jumping":
+        for begin, end in spans(6.0, 5.0, 60.0, t[-1], generator):
+            size = generator.uniform(50.0, 500.0) * np.exp(2j * np.pi * generator.uniform())
+            aside[(t >= begin) & (t < end)] += size
+    elif kind == "cold start":
+        lasts = generator.uniform(60.0, 240.0)
+        left = np.clip(1.0 - t / lasts, 0.0, 1.0)
+        size = generator.uniform(200.0, 1_000.0) * np.exp(2j * np.pi * generator.uniform())
+        aside += size * left
+        accuracy += generator.uniform(50.0, 300.0) * left
+    elif kind != "measured":
+        raise ValueError(kind)
+    return age, aside, accuracy, shown
 
 
 def heavy(count: int, interval: float, memory: float, generator: np.random.Generator) -> np.ndarray:
@@ -347,7 +394,8 @@ def receive(
     generator = np.random.default_rng(seed)
     time, position, speed = run
     t = np.arange(generator.uniform(0.0, field.interval), time[-1], field.interval)
-    s = np.interp(t, time, position)
+    age, aside, worse, shown_at_all = misplaced(field.places, t, generator)
+    s = np.interp(t - age, time, position)
     error = field.noise * (
         heavy(t.size, field.interval, field.memory, generator)
         + 1j * heavy(t.size, field.interval, field.memory, generator)
@@ -356,12 +404,18 @@ def receive(
     for begin, end in spans(field.reflections, 8.0, 60.0, t[-1], generator):
         size = generator.uniform(10.0, 60.0) * np.exp(2j * np.pi * generator.uniform())
         error[(t >= begin) & (t < end)] += size
+    held = age > 0.0
+    if field.places == "held":
+        # The same position to its last digit.
+        first = np.searchsorted(t, t - age)
+        error[held] = error[np.minimum(first, t.size - 1)][held]
+    error += aside
     latitude, longitude = geometry.at(s)
     metre = np.degrees(1.0 / 6_371_000.0)
     shrink = np.cos(np.radians(latitude))
     latitude = latitude + error.imag * metre
     longitude = longitude + error.real * metre / shrink
-    seen = np.ones(t.size, dtype=bool)
+    seen = shown_at_all
     for begin, end in spans(field.outages, 20.0, 240.0, t[-1], generator):
         seen &= (t < begin) | (t >= end)
     shown = None
@@ -381,7 +435,9 @@ def receive(
             shown[inside] = shown[last]
     stamps = START + (t[seen] * 1e9).astype(np.int64)
     size = np.hypot(field.noise, 0.5)
-    stated = size * field.stated * np.exp(0.3 * heavy(t.size, field.interval, 30.0, generator))
+    stated = (
+        worse * size * field.stated * np.exp(0.3 * heavy(t.size, field.interval, 30.0, generator))
+    )
     topics = {
         "/gnss/fix": frame_of(
             GNSS_FIX,

@@ -204,6 +204,10 @@ FIELD = {
     "frozen speeds": Field(speed="frozen"),
     "speeds in knots": Field(speed="wrong unit"),
     "extrapolated fixes": Field(extrapolated=8.0),
+    "held fixes": Field(places="held"),
+    "replayed fixes": Field(places="replayed"),
+    "jumping fixes": Field(places="jumping"),
+    "a cold start": Field(places="cold start"),
     "a phone": Field(
         noise=8.0, memory=60.0, stated=0.3, extrapolated=4.0, speed="replayed", speed_stated=0.0
     ),

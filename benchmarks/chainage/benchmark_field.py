@@ -54,6 +54,14 @@ CASES = {
     "phone, all of it": Field(
         noise=8.0, memory=60.0, stated=0.3, extrapolated=4.0, speed="replayed", speed_stated=0.0
     ),
+    **{
+        f"{places}{', no speed' if speed == 'none' else ''}": Field(places=places, speed=speed)
+        for places in ("held", "replayed", "late", "jumping", "cold start")
+        for speed in ("good", "none")
+    },
+    "phone, replayed": Field(
+        noise=8.0, stated=0.5, speed="replayed", speed_stated=0.0, places="replayed"
+    ),
 }
 
 RATES = (0.1, 0.2, 1.0, 11.0)

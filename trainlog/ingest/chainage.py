@@ -12,14 +12,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimators.matching import Nodes, best_chain
+from estimators.matching import Nodes, best_chain, off_between
 from estimators.motion import SmoothedMotion
 from estimators.receiver import Delay, ReceiverNoise
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, robust_std
 from trainlog.errors import InputError
 from trainlog.ingest.fixes import GATE, Fixes, slipping_wheels, wheel_ratio
 from trainlog.ingest.line_motion import GEOMETRY_STD, SMALLEST_NOISE, LineMotion
-from trainlog.ingest.receiver import Speeds, common_delay, extrapolated, with_late_wheels
+from trainlog.ingest.receiver import (
+    Speeds,
+    common_delay,
+    extrapolated,
+    kept_on,
+    with_late_wheels,
+)
 from trainlog.railway.geometry import Track, beside, candidates, nearest_on, track_of
 from trainlog.railway.line import Geometry
 
@@ -58,7 +64,7 @@ class Matched:
     rejected : (n,) bool array
         Fixes that give no chainage.
     extrapolated : (n,) bool array
-        Fixes that the receiver computed and did not measure.
+        Fixes that the receiver did not measure then: extrapolated, held or replayed ones.
     contradicted : (n,) bool array
         Satellite speeds that are not used.
     slipping : (n,) bool array
@@ -131,7 +137,8 @@ def chainage_of(
     count = np.count_nonzero(np.isfinite(points))
     near, distance = nearest_on(track, points)
     fixes, misfit = _rough_noise(fixes, distance)
-    computed = extrapolated(fixes.seconds, points) & gated
+    computed = extrapolated(fixes.seconds, points) | kept_on(fixes.seconds, points, fixes.std)
+    computed &= gated
     points[computed] = np.nan
     speeds = Speeds(fixes, points, computed) if speed_aware else Speeds(fixes)
     std = np.sqrt(fixes.std**2 + misfit**2 + GEOMETRY_STD**2)
@@ -139,7 +146,9 @@ def chainage_of(
     ratio = wheel_ratio(fixes)
     slipping = slipping_wheels(fixes, fixes.speed, fixes.speed_std, ratio) & slip_aware
     driven = _driven(fixes, slipping, ratio)
-    chain = _chain(track, points, fixes, std, driven, near, gated)
+    chain, off = _chain(track, points, fixes, std, driven, near, gated)
+    computed |= off
+    points[off & gated] = np.nan
     course = _course(fixes.seconds, chain, driven[0])
     chainage, aside = beside(track, points, course)
     spread = robust_std(aside[~np.isnan(aside)])
@@ -162,7 +171,8 @@ def chainage_of(
     if gated and aside_count > MOST_ASIDE * count:
         raise InputError(
             f"{aside_count} of {count} fixes were set aside"
-            f" ({np.count_nonzero(computed)} extrapolated, the others away from line or motion):"
+            f" ({np.count_nonzero(computed)} extrapolated, held or replayed, the others away from"
+            " line or motion):"
             " what is left determines no chainage",
             remedy="give the line that was driven, or another recording of the trip",
         )
@@ -247,6 +257,17 @@ def _driven(fixes: Fixes, slipping: BoolArray, ratio: float) -> tuple[FloatArray
     return np.interp(fixes.seconds, time, driven), np.interp(fixes.seconds, time, variance)
 
 
+def _pace(fixes: Fixes) -> FloatArray:
+    """The speed at every row [m/s], between measured ones on a line; NaN where there is none."""
+    speed = fixes.speed
+    if fixes.wheel_speed is not None:
+        speed = np.where(np.isfinite(speed), speed, fixes.wheel_speed)
+    known = np.isfinite(speed)
+    if not known.any():
+        return np.full(speed.size, np.nan)
+    return np.interp(fixes.seconds, fixes.seconds[known], speed[known])
+
+
 def _chain(
     track: Track,
     points: ComplexArray,
@@ -255,8 +276,8 @@ def _chain(
     driven: tuple[FloatArray, FloatArray],
     near: FloatArray,
     gated: bool,
-) -> FloatArray:
-    """Chainage of the fixes in the best chain, NaN for all others.
+) -> tuple[FloatArray, BoolArray]:
+    """Chainage of the fixes in the best chain, NaN for all others; fixes while the receiver is off.
 
     Raises
     ------
@@ -275,6 +296,7 @@ def _chain(
         std=std[chosen],
         driven=driven[0][chosen],
         driven_variance=driven[1][chosen],
+        pace=_pace(fixes)[chosen],
         first=np.concatenate(([0], np.cumsum(counts))),
         chainage=places.chainage,
         distance=places.distance,
@@ -299,5 +321,9 @@ def _chain(
             remedy="give the line that was driven; a log that runs in both directions is two trips",
         )
     chainage = np.full(points.size, np.nan)
-    chainage[chosen[chain >= 0]] = places.chainage[chain[chain >= 0]]
-    return chainage
+    inside = np.flatnonzero(chain >= 0)
+    chainage[chosen[inside]] = places.chainage[chain[inside]]
+    off = np.zeros(points.size, dtype=np.bool_)
+    for before, after in off_between(nodes, chain):
+        off[chosen[before] + 1 : chosen[after]] = True
+    return chainage, off & np.isfinite(points)

@@ -293,7 +293,7 @@ def _bridged(index: pd.DatetimeIndex) -> pd.DatetimeIndex:
 def _findings(fixes: Fixes, matched: Matched) -> tuple[Finding, ...]:
     """What was set aside, by rule."""
     count = int(np.count_nonzero(matched.extrapolated))
-    computed = f"{count} extrapolated by the receiver" if count else ""
+    computed = f"{count} extrapolated, held or replayed by the receiver" if count else ""
     # A delay of fixes and speeds together concerns every speed.
     late = np.isfinite(fixes.speed) & (matched.common_delay.value > 0.0)
     counts = (

@@ -24,7 +24,7 @@ from estimators.receiver import (
     series_of,
 )
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
-from trainlog.ingest.fixes import GATE, Fixes, slipping_wheels, wheel_ratio
+from trainlog.ingest.fixes import GATE, STEEPEST, Fixes, slipping_wheels, wheel_ratio
 
 FROZEN_TIME, FROZEN_SAMPLES = 5.0, 4
 """A speed that repeats for so long [s], in so many samples, and three times as long as is usual on
@@ -169,6 +169,34 @@ def extrapolated(seconds: FloatArray, points: ComplexArray) -> BoolArray:
         returns = lost or bool(np.any(change[following] > LEAST_RETURN))
         if returns and run.size > 1 and time[end] - time[begin] + 2.0 * ahead * step >= least:
             flags[known[begin : end + ahead + 1]] = True
+    return flags
+
+
+def kept_on(seconds: FloatArray, points: ComplexArray, std: FloatArray) -> BoolArray:
+    """Fixes that a receiver repeats to the last digit while the train moves on.
+
+    It does where the next other fix lies further away than a train that stood could be.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> points = 20.0 * np.arange(60.0) + 0j
+    >>> points[20:35] = points[20]
+    >>> np.flatnonzero(kept_on(np.arange(60.0), points, np.full(60, 3.0)))[[0, -1]]
+    array([21, 34])
+    """
+    flags = np.zeros(points.size, dtype=np.bool_)
+    known = np.flatnonzero(np.isfinite(points))
+    if known.size < FROZEN_SAMPLES:
+        return flags
+    time, point = seconds[known], points[known]
+    first = np.flatnonzero(np.diff(point, prepend=np.nan) != 0.0)
+    last = np.append(first[1:], point.size) - 1
+    for begin, end in zip(first[:-1], last[:-1], strict=True):
+        step = time[end + 1] - time[end]
+        reach = 0.5 * STEEPEST * step**2 + GATE * np.sqrt(2.0) * std[known[end]]
+        if end > begin and abs(point[end + 1] - point[end]) > max(reach, LEAST_RETURN):
+            flags[known[begin + 1 : end + 1]] = True
     return flags
 
 
@@ -438,8 +466,6 @@ class Speeds:
         if not 1.0 / (1.0 + SCALE) < scale < 1.0 + SCALE and np.isfinite(scale):
             self._without(f"{scale:.2f} times what positions show", np.isfinite(self.used))
             return
-        std = np.sqrt(2.0) * float(np.nanmedian(fixes.std))
-        self._without("contradicted", contradicted(self.seconds, points, self.used, std))
 
     def compare(self, chainage: FloatArray, std: float) -> None:
         """Judge the speeds by the chainage of the fixes that fit, NaN for others."""
