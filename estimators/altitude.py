@@ -6,12 +6,13 @@ error of ride i and e_i(t) the rest of it,
 
     z_i(t) = h(s_i(t)) + b_i + e_i(t),    g = dh/ds,
 
-e_i an Ornstein-Uhlenbeck process in time (standard deviation sigma, lasting tau), g one along the
-line (gamma, lambda). e_k - rho_k e_{k-1}, rho_k = exp(-(t_k - t_{k-1}) / tau), are independent, so
-that the heights of knots follow from a sparse system of normal equations. The four sizes maximise
-the marginal likelihood with weak priors. Whether the rides err in this way is checked against how
-they differ from the common height: the covariance of the gradients is compared with its
-cluster-robust estimate, the rides being the clusters, and widened by it.
+e_i an Ornstein-Uhlenbeck process in time (standard deviation sigma, lasting tau) times r_i(t), by
+how much worse than usual the receiver states the altitude to be (as after a cold start), g one
+along the line (gamma, lambda). With u = e / r, u_k - rho_k u_{k-1}, rho_k = exp(-(t_k - t_{k-1}) /
+tau), are independent, so that the heights of knots follow from a sparse system of normal equations.
+The four sizes maximise the marginal likelihood with weak priors. Whether the rides err in this way
+is checked against how they differ from the common height: the covariance of the gradients is
+compared with its cluster-robust estimate, the rides being the clusters, and widened by it.
 
 References
 ----------
@@ -25,7 +26,7 @@ Biometrika 73(1), eq. (2.5): covariance that is robust to the correlation within
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import minimize
@@ -53,6 +54,9 @@ SIZES = np.log([5.0, 60.0, 8e-3, 500.0])
 SIZES_STD = np.array([1.0, 1.0, 0.7, 0.7])
 """Standard deviation of these logarithms."""
 
+USUAL = 0.25
+"""Quantile of the accuracies stated that is the usual one: cold starts may last for half a ride."""
+
 FEWEST = 3
 """Least number of rides: how they differ shows how they err."""
 
@@ -71,11 +75,14 @@ class Ride:
     position : array [m]
         Along the line, from 0.
     altitude : array [m]
+    accuracy : array [m]
+        Stated by the receiver; NaN, or no array, where it states none.
     """
 
     time: FloatArray
     position: FloatArray
     altitude: FloatArray
+    accuracy: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,12 +178,13 @@ def _averaged(ride: Ride) -> Ride:
     time, position, altitude = ride.time[known], ride.position[known], ride.altitude[known]
     _, first = np.unique(np.floor(time / APART), return_index=True)
     parts = zip(first, np.append(first[1:], time.size), strict=True)
+    stated = ride.accuracy[known] if ride.accuracy.size else np.full(time.size, np.nan)
     rows = [
-        (time[a:b].mean(), position[a:b].mean(), np.median(altitude[a:b]))
+        (time[a:b].mean(), position[a:b].mean(), np.median(altitude[a:b]), np.median(stated[a:b]))
         for a, b in parts
         if b > a
     ]
-    return Ride(*np.array(rows, dtype=np.float64).reshape(-1, 3).T)
+    return Ride(*np.array(rows, dtype=np.float64).reshape(-1, 4).T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,8 +210,13 @@ class _System:
     def of(rides: Sequence[Ride], length: float) -> _System:
         count = int(np.ceil(length / KNOTS)) + 1
         origin = float(np.median(np.concatenate([ride.altitude for ride in rides])))
+        accuracies = np.concatenate([ride.accuracy for ride in rides])
+        stated = accuracies[np.isfinite(accuracies)]
+        usual = np.quantile(stated, USUAL) if stated.size else np.nan
         rows = []
         for number, ride in enumerate(rides):
+            # Stated to be worse than usual, it is; stated to be better, it need not be.
+            weight = 1.0 / np.maximum(np.nan_to_num(ride.accuracy / usual, nan=1.0), 1.0)
             place = np.clip(ride.position / KNOTS, 0.0, count - 1.0)
             knot = np.minimum(place.astype(np.int64), count - 2)
             share, one = place - knot, np.arange(ride.time.size)
@@ -214,7 +227,8 @@ class _System:
                 ),
                 shape=(one.size, count + len(rides)),
             )
-            rows.append((ride.time, matrix, ride.altitude - origin))
+            weighted = (diags_array(weight) @ matrix).tocsr()
+            rows.append((ride.time, weighted, weight * (ride.altitude - origin)))
         return _System(count, origin, [row for row in rows if row[0].size > 1])
 
     def solved(self, place: FloatArray) -> _Solved:

@@ -89,6 +89,26 @@ def test_better_altitudes_give_better_gradients() -> None:
     assert stds[0] < 0.2e-3
 
 
+def test_altitudes_of_a_cold_start_count_as_little_as_they_are_stated_to() -> None:
+    """For five minutes a receiver is hundreds of metres off and says so; the others are sound."""
+    slopes, length = hills(12_000.0, 3), 12_000.0
+    rng = np.random.default_rng(8)
+    clean, cold = rides_over(slopes, length, 8, 3, 1.0), []
+    for ride in clean:
+        left = np.clip(1.0 - ride.time / 300.0, 0.0, 1.0)
+        # What it states is no true size: at random two thirds to twice of it.
+        stated = 4.0 + 600.0 * left * rng.uniform(0.7, 2.0, ride.time.size)
+        off = rng.choice([-1.0, 1.0]) * rng.uniform(100.0, 600.0) * left
+        cold.append(Ride(ride.time, ride.position, ride.altitude + off, stated))
+    sound, weighed = height_profile(clean, length), height_profile(cold, length)
+    blind = height_profile([Ride(r.time, r.position, r.altitude) for r in cold], length)
+    error = weighed.gradient - true_means(slopes, weighed.position)
+    assert weighed.sigma < 3.0 * sound.sigma < 0.2 * blind.sigma
+    assert np.mean(np.abs(error) < 1.96 * weighed.gradient_std) > 0.9
+    assert weighed.known.mean() > 0.9
+    assert weighed.gradient_std.mean() < 0.8 * blind.gradient_std.mean()
+
+
 def test_two_rides_do_not_show_how_they_err() -> None:
     with pytest.raises(InputError, match="2 rides with altitudes"):
         height_profile(rides_over(FLAT, 8_000.0, 2, 1), 8_000.0)

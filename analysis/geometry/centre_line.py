@@ -186,6 +186,7 @@ class _Pass:
     chainage: FloatArray = field(default_factory=lambda: np.zeros(0))
     reason: str = ""
     altitude: FloatArray = field(default_factory=lambda: np.zeros(0))
+    accuracy: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 def geometry_of(trips: Sequence[Trip]) -> CentreLine:
@@ -298,7 +299,8 @@ def _heights(used: list[_Pass], length: float) -> tuple[HeightProfile | None, st
         known = np.isfinite(one.chainage) & np.isfinite(one.altitude)
         if np.ptp(one.chainage[known]) < 2.0 * OVER if known.any() else True:
             continue
-        rides.append(Ride(one.fixes.seconds[known], one.chainage[known], one.altitude[known]))
+        columns = (one.fixes.seconds, one.chainage, one.altitude, one.accuracy)
+        rides.append(Ride(*(column[known] for column in columns)))
     try:
         return height_profile(rides, length), ""
     except InputError as error:
@@ -321,9 +323,12 @@ def _passes(trips: Sequence[Trip]) -> list[_Pass]:
 
 def _pass_of(trip: Trip) -> _Pass:
     fixes, frame = fixes_of(trip), trip["/gnss/fix"]
-    altitude = frame["altitude"][~frame.index.duplicated()].reindex(fixes.index)
+    frame = frame[~frame.index.duplicated()].reindex(fixes.index)
+    altitude, accuracy = (
+        frame[name].to_numpy(np.float64) for name in ("altitude", "vertical_accuracy")
+    )
     nowhere = np.zeros(0, dtype=np.complex128)
-    return _Pass(trip.name, fixes, nowhere, altitude=altitude.to_numpy(np.float64))
+    return _Pass(trip.name, fixes, nowhere, altitude=altitude, accuracy=accuracy)
 
 
 def _origin(passes: list[_Pass]) -> tuple[float, float]:

@@ -321,8 +321,7 @@ def _chain(
             remedy="give the line that was driven; a log that runs in both directions is two trips",
         )
     chainage = np.full(points.size, np.nan)
-    inside = np.flatnonzero(chain >= 0)
-    chainage[chosen[inside]] = places.chainage[chain[inside]]
+    chainage[chosen[chain >= 0]] = places.chainage[chain[chain >= 0]]
     off = np.zeros(points.size, dtype=np.bool_)
     for before, after in off_between(nodes, chain):
         off[chosen[before] + 1 : chosen[after]] = True
