@@ -265,7 +265,7 @@ class Field:
     stated : float
         Accuracy stated, over the true one; 0 states 5 m always.
     speed : str
-        "none", "good", "lasting", "late", "replayed", "frozen" or "wrong unit".
+        "none", "good", "lasting", "late", "replayed", "frozen", "stuck", "wild" or "wrong unit".
     speed_stated : float
         Speed accuracy stated, over 0.2 m/s; 0 states none.
     places : str
@@ -378,6 +378,22 @@ def shown_speed(
             inside = np.flatnonzero((t >= begin) & (t < end))
             if inside.size:
                 seen[inside] = seen[inside[0]]
+        return seen
+    if kind == "stuck":
+        # One value, from when the train begins to brake for a stop until minutes later.
+        seen = np.abs(true + white)
+        slowing = np.flatnonzero((true < 0.7 * true.max()) & (np.gradient(true, step) < -0.2))
+        for begin in generator.choice(t[slowing], 6) if slowing.size else []:
+            inside = np.flatnonzero((t >= begin) & (t < begin + generator.uniform(40.0, 200.0)))
+            seen[inside] = round(float(seen[inside[0]]), 1)
+        return seen
+    if kind == "wild":
+        # Runs of values that have nothing to do with the train, each near the one before.
+        seen = np.abs(true + white)
+        for begin, end in spans(20.0, 3.0, 60.0, t[-1], generator):
+            inside = (t >= begin) & (t < end)
+            walk = np.cumsum(generator.standard_normal(inside.sum())) * 1.5 * np.sqrt(step)
+            seen[inside] = np.abs(generator.uniform(0.0, 45.0) + walk)
         return seen
     if kind == "wrong unit":
         return np.abs(true + white) / 0.5144

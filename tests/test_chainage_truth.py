@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -27,7 +28,7 @@ from satellite_trips import (
 from simulated_line import level_line
 
 from trainlog.errors import InputError
-from trainlog.ingest import Profile, profile_of
+from trainlog.ingest import Profile, ingest, profile_of, repairs_of, report_of
 from trainlog.ingest.estimates import Estimate, estimated_state
 from trainlog.railway import Geometry, Line
 from trainlog.railway.geometry import nearest_on, track_of
@@ -386,3 +387,50 @@ def test_fixes_that_come_late_widen_the_band_along_the_line(field_rides: list[tu
     for quantity in ("position", "speed"):
         error, std = errors(found.frame, truth, quantity)
         assert np.mean(np.abs(error) <= 1.96 * std) >= 0.9, quantity
+
+
+@pytest.mark.parametrize("interval", [0.2, 1.0])
+def test_wild_speeds_go_without_a_line_and_good_ones_stay(interval: float, tmp_path: Path) -> None:
+    """The truth is the drive; the receiver's speeds wander by themselves for up to a minute."""
+    for number, (track, pace) in enumerate(((winding(), "regional"), (streets(), "tram"))):
+        run = paced(float(track.positions[-1]), PACES[pace], 3)
+        for kind in ("wild", "good"):
+            trip, truth = receive(track, run, Field(speed=kind, interval=interval), 31 + number)
+            frame = trip["/gnss/fix"].join(trip["/gnss/motion"]).reset_index()
+            columns = ["time", "latitude", "longitude", "horizontal_accuracy", "speed"]
+            path = tmp_path / "run.csv"
+            frame.rename(columns={frame.columns[0]: "time"})[columns].to_csv(path, index=False)
+            read = ingest(path, profile=GNSS_TABLE)
+            seen, given = read["/gnss/motion"]["speed"], trip["/gnss/motion"]["speed"]
+            off = [np.count_nonzero(departure(each, truth) > 3.0) for each in (seen, given)]
+            raw = repairs_of(read)
+            taken = 0 if raw is None else np.count_nonzero(raw["rule"] == "contradicted")
+            assert taken == report_of(read).count("contradicted")
+            if kind == "good":
+                assert seen.count() > 0.98 * len(frame)
+            else:
+                assert off[0] < 0.5 * off[1]
+                assert seen.count() > len(frame) - 1.5 * off[1]
+
+
+def departure(speed: pd.Series, truth: pd.DataFrame) -> np.ndarray:
+    """How far a speed is off [m/s]."""
+    begin = truth.index.as_unit("ns").asi8[0]
+    at, seconds = ((each.as_unit("ns").asi8 - begin) / 1e9 for each in (speed.index, truth.index))
+    return np.abs(speed.to_numpy() - np.interp(at, seconds, truth["speed"]))
+
+
+GNSS_TABLE = profile_of(
+    {
+        "format": "trainlog/recorder-profile",
+        "version": 1,
+        "name": "receiver",
+        "time": {"column": "time"},
+        "columns": {
+            "/gnss/fix.latitude": {"column": "latitude", "unit": "deg"},
+            "/gnss/fix.longitude": {"column": "longitude", "unit": "deg"},
+            "/gnss/fix.horizontal_accuracy": {"column": "horizontal_accuracy", "unit": "m"},
+            "/gnss/motion.speed": {"column": "speed", "unit": "m/s"},
+        },
+    }
+)

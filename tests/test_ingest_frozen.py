@@ -232,9 +232,11 @@ def test_a_receiver_that_repeats_its_speed_for_minutes(tmp_path: Path, seed: int
 def test_the_rule_can_be_switched_off(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text(mtk_frozen(1).text, "ascii")
-    trip = ingest(path, profile=plain_profile(repair={"frozen": False}), format="mtk")
+    trip = ingest(
+        path, profile=plain_profile(repair={"frozen": False, "contradicted": False}), format="mtk"
+    )
     assert trip["/gnss/motion"]["speed"].notna().all()
-    assert report_of(trip).switched_off == ("frozen",)
+    assert report_of(trip).switched_off == ("frozen", "contradicted")
 
 
 def test_a_speed_frozen_at_rest_is_found_once_the_train_moves(tmp_path: Path) -> None:

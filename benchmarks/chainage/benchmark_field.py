@@ -31,6 +31,10 @@ from trainlog.formats.line import read_line
 from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.ingest.estimates import estimated_state
 from trainlog.ingest.profile import Profile
+from trainlog.ingest.profile_parts import Limits, Repair
+from trainlog.ingest.receiver import without_contradicted
+from trainlog.ingest.recording import Table
+from trainlog.ingest.rules import repaired
 from trainlog.railway import Geometry, Line, Station, StepProfile
 from trainlog.railway.geometry import to_plane
 
@@ -203,13 +207,64 @@ def case(field: Field, seeds: int, verbose: bool) -> Sums:
     return sums
 
 
+SPEEDS = {
+    **{
+        f"{speed} speeds": Field(speed=speed)
+        for speed in ("good", "late", "frozen", "stuck", "wild")
+    },
+    **{f"good speeds, {places} fixes": Field(places=places) for places in ("held", "replayed")},
+    "stuck speeds, held fixes": Field(speed="stuck", places="held"),
+}
+"""Recorders without a line, whose speeds the rules of repair judge by the fixes."""
+
+
+def kept_speeds(field: Field, seeds: int) -> str:
+    """Which speeds the rules keep, where no line is known: those that are off, and good ones."""
+    off, good, blanked, wrong, count = 0.0, 0.0, 0.0, 0.0, 0.0
+    for ride in rides():
+        for seed in range(1, seeds + 1):
+            run = paced(float(ride.line.geometry.positions[-1]), PACES[ride.pace], seed)
+            trip, truth = receive(ride.line.geometry, run, field, seed)
+            frame = trip["/gnss/fix"].join(trip["/gnss/motion"])
+            time = frame.index.as_unit("ns").asi8
+            signals = {
+                f"/gnss/{'motion' if name == 'speed' else 'fix'}.{name}": frame[name].to_numpy()
+                for name in ("latitude", "longitude", "horizontal_accuracy", "speed")
+            }
+            table = Table(time, np.arange(time.size), signals)
+            kept = without_contradicted(repaired(table, Limits(), Repair())[0])[0]
+            speed = np.full(time.size, np.nan)
+            speed[kept.samples] = kept.signals["/gnss/motion.speed"]
+            seconds = (truth.index.as_unit("ns").asi8 - time[0]) / 1e9
+            error = np.abs(
+                signals["/gnss/motion.speed"]
+                - np.interp((time - time[0]) / 1e9, seconds, truth["speed"])
+            )
+            used = np.isfinite(speed)
+            off += np.count_nonzero(used & (error > 2.0))
+            wrong += np.count_nonzero(used & (error > 10.0))
+            count += np.count_nonzero(used)
+            good += np.count_nonzero(error < 1.0)
+            blanked += np.count_nonzero(~used & (error < 1.0))
+    shares = (100.0 * off / count, 100.0 * wrong / count, 100.0 * blanked / good)
+    return "  ".join(f"{share:8.2f}" for share in shares)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--case", nargs="*", default=list(CASES))
     parser.add_argument("--rate", type=float, nargs="*", default=RATES)
     parser.add_argument("--verbose", action="store_true")
+    parser.add_argument("--speeds", action="store_true", help="kept without a line, instead")
     options = parser.parse_args()
+    if options.speeds:
+        print(f"{'case':28s} {'every':>6s}  > 2 m/s  > 10 m/s  good, blanked [%]")
+        for name, field in SPEEDS.items():
+            for interval in options.rate:
+                shares = kept_speeds(replace(field, interval=interval), options.seeds)
+                print(f"{name:28s} {interval:6.1f}  {shares}", flush=True)
+        return
     print(
         f"{'':24s} {'every':>6s}  position [m]                              speed [m/s]"
         f"\n{'case':24s} {'[s]':>6s}  median    95 %     max    held    band"

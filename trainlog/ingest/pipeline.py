@@ -26,6 +26,7 @@ from trainlog.ingest.profile import Profile, parse_profile
 from trainlog.ingest.profile_checks import MismatchError, Quantity
 from trainlog.ingest.profile_columns import own_topics
 from trainlog.ingest.profile_parts import Limit, Limits, TripOptions
+from trainlog.ingest.receiver import without_contradicted
 from trainlog.ingest.recording import Finding, Recording, Table, field_of
 from trainlog.ingest.registry import Format, format_called, format_of, is_registered, own_profile
 from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report, changes
@@ -526,6 +527,10 @@ def _trip(
     repairs.add(0, recording.raw)
     for number, table in enumerate(recording.tables):
         kept, found, changed = repaired(table, limits, profile.repair, least)
+        if (line is None or line.geometry is None) and profile.repair.contradicted:
+            judged, contradicted = without_contradicted(kept)
+            changed += changes("contradicted", kept, judged)
+            kept, found = judged, found + contradicted
         repairs.add(number, changed)
         tables.append(_from_start(kept, profile.trip.start_position))
         findings += found

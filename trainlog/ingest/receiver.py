@@ -24,7 +24,11 @@ from estimators.receiver import (
     series_of,
 )
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
+from trainlog.ingest.clock import Result
 from trainlog.ingest.fixes import GATE, STEEPEST, Fixes, slipping_wheels, wheel_ratio
+from trainlog.ingest.recording import Table
+from trainlog.ingest.spikes import GNSS_SPEED, plane
+from trainlog.units import NANOSECONDS
 
 FROZEN_TIME, FROZEN_SAMPLES = 5.0, 4
 """A speed that repeats for so long [s], in so many samples, and three times as long as is usual on
@@ -48,18 +52,43 @@ LEAST_RETURN = 4.0
 LEAST_NOISE = 0.3
 """Usual change of a step [m] from which on even ones before an outage are suspicious."""
 
-WINDOWS = (10.0, 20.0, 40.0, 80.0)
+LEAST_STD = 1.0
+"""Standard deviation [m] of distances between fixes that is not undercut."""
+
+WINDOWS = (4.0, 10.0, 20.0, 40.0, 80.0)
 """Spans over which positions and the integral of the speed are compared [s]."""
 
 STEEPEST_ERROR = 0.1
 """Part of the distance by which the integral of a good speed may be off."""
 
-LATEST = 5.0
+LATEST = 3.0
+"""Delay of a speed [s] for which it is not yet set aside before its delay is known."""
+
+LEAST_CHORDS = ((0.7, 10.0), (0.3, 20.0))
+"""Within so long [s] no train, nor tram, turns so sharply that the distance between its fixes is
+less than this part of that along the track."""
+
+LEAST_STD = 1.0
+"""Standard deviation [m] of distances between fixes that is not undercut."""
+
+WINDOWS = (4.0, 10.0, 20.0, 40.0, 80.0)
+"""Spans over which positions and the integral of the speed are compared [s]."""
+
+STEEPEST_ERROR = 0.1
+"""Part of the distance by which the integral of a good speed may be off."""
+
+LATEST = 3.0
 """Delay of a speed [s] for which it is not yet set aside before its delay is known."""
 
 LEAST_CHORD, LONGEST_CHORD = 0.3, 20.0
 """Within so long [s] no train turns so sharply that the distance between its fixes is less than
 this part of that along the track."""
+
+AGREEING = 0.1
+"""Part by which the ways along the fixes and by the speeds may differ while both are right."""
+
+LEAST_COMPARED, FIX_STD = 60, 5.0
+"""Fixes from which on they judge speeds, and their standard deviation [m] where none is stated."""
 
 SCALE = 0.2
 """Speeds whose distance is off by this part over the whole trip are in another unit."""
@@ -408,10 +437,17 @@ def contradicted(
         noise = GATE * np.sqrt(2.0) * std + STEEPEST_ERROR * np.abs(by_speed)
         if np.iscomplexobj(moved):
             chord = np.abs(moved)
-            late = LATEST * np.abs(pace[second] - pace[first])
+            # As well as they usually agree over so long: what lasts is the same at both ends.
+            driving = by_speed > MOVING * window
+            usual = robust_std((chord - by_speed)[driving]) if driving.any() else std
+            least = GATE * max(usual, LEAST_STD) + STEEPEST_ERROR * np.abs(by_speed)
+            noise = np.minimum(noise, least)
+            late = np.minimum(np.abs(pace[second] - pace[first]), STEEPEST * window)
+            late *= LATEST
             wrong = chord - by_speed > noise + late
-            if window <= LONGEST_CHORD:
-                wrong |= LEAST_CHORD * by_speed - chord > noise + late
+            for share, longest in LEAST_CHORDS:
+                if window <= longest:
+                    wrong |= share * by_speed - chord > noise + late
         else:
             wrong = np.abs(moved - by_speed) > noise
         count = np.zeros(time.size + 1, dtype=np.int64)
@@ -439,6 +475,61 @@ def _breaks(time: FloatArray, places: NDArray[Any], along: FloatArray, std: floa
     runs, count = label(far)
     size = np.bincount(runs, minlength=count + 1)
     return np.asarray(far & (size[runs] <= 2))
+
+
+def without_contradicted(table: Table) -> Result:
+    """Take away satellite speeds that the fixes contradict, where no line is known.
+
+    Where they contradict each other, the way along the fixes, from the last one before to the first
+    one after, decides: if it is as long as the speeds say, the receiver held or replayed its place,
+    and they stay.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time = np.arange(0.0, 400.0)
+    >>> speed = np.full(400, 20.0)
+    >>> speed[100:200] = 3.0
+    >>> signals = {
+    ...     "/gnss/fix.latitude": np.full(400, 47.0),
+    ...     "/gnss/fix.longitude": 9.0 + 20.0 * time / 75_800.0,
+    ...     "/gnss/motion.speed": speed,
+    ... }
+    >>> table = Table((1e9 * time).astype(np.int64), np.arange(400), signals)
+    >>> kept, found = without_contradicted(table)
+    >>> bool(abs(np.isnan(kept.signals["/gnss/motion.speed"]).sum() - 100) < 15)
+    True
+    """
+    points, speed = plane(table), table.signals.get(GNSS_SPEED)
+    if points is None or speed is None:
+        return table, []
+    known = np.isfinite(points)
+    if np.count_nonzero(known) < LEAST_COMPARED or np.count_nonzero(np.isfinite(speed)) < 2:
+        return table, []
+    seconds = (table.time - table.time[0]) / NANOSECONDS
+    accuracy = table.signals.get("/gnss/fix.horizontal_accuracy", np.full(speed.size, np.nan))
+    stated = accuracy[known & (accuracy > 0.0)]
+    std = np.sqrt(2.0) * (float(np.median(stated)) if stated.size else FIX_STD)
+    doubtful = contradicted(seconds, points, speed, std)
+    if not doubtful.any():
+        return table, []
+    driven, _ = integral(seconds, speed)
+    fixes = series_of(seconds, points)
+    way = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(fixes.values)))))
+    wrong = np.zeros(speed.size, dtype=np.bool_)
+    runs, count = label(doubtful | ~np.isfinite(speed))
+    for run in _spans(runs, count):
+        if not doubtful[run].any():
+            continue
+        before, after = np.searchsorted(fixes.seconds, seconds[run[[0, -1]]])
+        ends = np.array([max(before - 1, 0), min(after, way.size - 1)])
+        by_fixes = way[ends[1]] - way[ends[0]]
+        by_speed = float(np.ptp(np.interp(fixes.seconds[ends], seconds, driven)))
+        if abs(by_fixes - by_speed) > AGREEING * max(by_fixes, by_speed) + GATE * std:
+            wrong[run] = True
+    wrong &= doubtful
+    found = table.found("contradicted", wrong, GNSS_SPEED, "by the way along the fixes")
+    return (table.without(GNSS_SPEED, wrong) if wrong.any() else table), found
 
 
 class Speeds:
