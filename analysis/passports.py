@@ -508,7 +508,7 @@ class _Motion:
         With the start of each window the covariance is cluster-robust.
         """
         resistance, mass = self._train.resistance, self._mass
-        coefficients = np.array([resistance.r0, resistance.r1, resistance.r2]) / mass
+        coefficients = resistance.coefficients / mass
         expected = np.zeros(rows.shape[1] - 1)
         expected[0], expected[1:4] = 1.0 / mass, coefficients
         spread = np.full(expected.size, MOST_DELAY / mass)

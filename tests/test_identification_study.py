@@ -15,7 +15,7 @@ import pytest
 from refusals import refused
 
 from analysis.resistance import TripFit, fit_trip
-from analysis.resistance.regression import powers
+from analysis.resistance.curve import powers
 from trainlog.arrays import FloatArray
 from trainlog.errors import NotIdentifiableError
 

@@ -27,10 +27,10 @@ import analysis
 from analysis.estimates import with_estimates, without_wheel_error
 from analysis.resistance import TripFit, estimated_resistance, fit_trip
 from analysis.resistance.coast_down import coast_down
+from analysis.resistance.curve import band_factor, curve_std, powers
 from analysis.resistance.fit import mass_prior
 from analysis.resistance.plot import timeline_chart
 from analysis.resistance.recording import TripRefusedError, prepare
-from analysis.resistance.regression import band_factor, curve_std, powers
 from analysis.resistance.windows import build_windows
 from trainlog.errors import InputError, LogError, NotIdentifiableError
 from trainlog.formats.attached import line_of, train_of

@@ -14,8 +14,9 @@ from test_resistance_windows import NOISE, dense, drawn_errors, rough
 
 from analysis.resistance import TripFit, combine, fit_trip, summarised
 from analysis.resistance.combination import shared_variance
+from analysis.resistance.curve import powers
 from analysis.resistance.noise import NoiseModel
-from analysis.resistance.regression import powers, regress
+from analysis.resistance.regression import regress
 from analysis.resistance.windows import build_windows
 from trainlog.formats.line import line_to_bytes
 from trainlog.formats.summaries import SURVEY, read_summaries, surveys_of, write_summaries

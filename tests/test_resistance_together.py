@@ -23,12 +23,12 @@ from analysis.resistance import (
     parameter_set,
     summarised,
 )
-from analysis.resistance.combination import nearest_physical
+from analysis.resistance.curve import nearest_physical, powers
 from analysis.resistance.fit import History
 from analysis.resistance.logs import AllRefusedError, fit
 from analysis.resistance.plot import refused_chart, trips_charts
 from analysis.resistance.recording import SpeedScale, Timeline
-from analysis.resistance.regression import Residuals, powers
+from analysis.resistance.regression import Residuals
 from analysis.resistance.windows import WindowPoints
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError, NotIdentifiableError

@@ -201,7 +201,7 @@ def wrong_mass(train: Train, weighed: Sequence[tuple[float | None, Quantity]]) -
 def _wrong_coefficient(fitted: Sequence[Evidence], factor: float) -> Wrong | None:
     """The coefficient that trips contradict, their efforts and curves over a factor."""
     model = fitted[0].model
-    own = np.array([model.resistance.r0, model.resistance.r1, model.resistance.r2])
+    own = model.resistance.coefficients
     fits = [each.fit for each in fitted if each.fit is not None]
     betas = np.array([fit.beta for fit in fits]) / factor
     single = np.array([fit.covariance[:3, :3] for fit in fits]) / factor**2

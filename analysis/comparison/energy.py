@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import uniform_filter1d
 
 from analysis.comparison.driven import DrivenTrip
+from analysis.resistance.curve import curve_std
 from trainlog.arrays import FloatArray
 from trainlog.railway import Line, ParameterSet, RunningResistance, Train
 
@@ -79,7 +80,7 @@ class ForceModel:
             return None
         if model is None:
             own = trip.train.resistance
-            beta = np.array([own.r0, own.r1, own.r2])
+            beta = own.coefficients
             covariance = RESISTANCE_SHARE**2 * np.outer(beta, beta)
             return ForceModel("train's file", trip.train, trip.line, own, covariance)
         model.check_train(trip.train.name)
@@ -88,13 +89,11 @@ class ForceModel:
 
     def resistance_std(self, speed: ArrayLike) -> FloatArray:
         """Standard deviation of the running resistance [N] at each speed [m/s]."""
-        v = np.asarray(speed, dtype=np.float64)
-        powers = np.stack((np.ones_like(v), v, v * v), axis=-1)
-        return np.asarray(np.sqrt(np.einsum("...i,ij,...j", powers, self.covariance, powers)))
+        return curve_std(self.covariance, speed)
 
     def varied(self) -> list[ForceModel]:
         """Models one standard deviation off, along each principal axis of the covariance."""
-        own = np.array([self.resistance.r0, self.resistance.r1, self.resistance.r2])
+        own = self.resistance.coefficients
         variances, axes = np.linalg.eigh(self.covariance)
         return [
             replace(self, resistance=RunningResistance(*(own + np.sqrt(variance) * axis).tolist()))
@@ -119,7 +118,7 @@ def trip_spread(resistance: RunningResistance, wind_std: float = HEAD_WIND) -> F
 
     Air resistance is that of the speed and the wind together: ``r2 (v + w)²``.
     """
-    own = np.array([resistance.r0, resistance.r1, resistance.r2])
+    own = resistance.coefficients
     covariance = TRIP_SPREAD**2 * np.outer(own, own)
     covariance[1, 1] += (2.0 * resistance.r2 * wind_std) ** 2
     covariance[0, 0] += 2.0 * (resistance.r2 * wind_std**2) ** 2
@@ -133,14 +132,12 @@ def resistance_of(
 
     A trip differs from the common curve by what trips differ among each other.
     """
-    betas = np.array(
-        [[c.resistance.r0, c.resistance.r1, c.resistance.r2] for c in model.configurations]
-    )
+    betas = np.array([each.resistance.coefficients for each in model.configurations])
     common = RunningResistance(*betas.mean(axis=0)) if model.common is None else model.common
     known = np.zeros((3, 3)) if model.common_covariance is None else model.common_covariance
     if model.common_covariance is None and len(betas) == 1:
         known = RESISTANCE_SHARE**2 * np.outer(betas[0], betas[0])
-    off = betas - np.array([common.r0, common.r1, common.r2])
+    off = betas - common.coefficients
     # Few trips hardly show how much they differ: what trips differ by anyway counts as some.
     weight = PRIOR_TRIPS + len(betas) - 1
     between = (PRIOR_TRIPS * trip_spread(common, wind_std) + off.T @ off) / weight

@@ -475,7 +475,7 @@ def explained_by(inputs: Inputs, cells: Cells) -> tuple[dict[str, float], float]
         root = axes * np.sqrt(np.maximum(variances, 0.0))
     else:
         own = model.resistance
-        root = np.diag(FILE_TRUST * np.array([own.r0, own.r1, own.r2]))
+        root = np.diag(FILE_TRUST * own.coefficients)
         mass_std = max(mass_std, FILE_MASS * inputs.mass.value)
     powers = np.stack([summed(step), summed(step * speed), summed(step * speed**2)], axis=1)
     gain_std = inputs.gain.std / inputs.gain.value

@@ -199,7 +199,7 @@ def train_limits(run: TrajectoryProblem) -> TrainLimits:
     train, every = run.train, run.configurations
     masses = [pick(c.mass for c in every) for pick in (min, max)]
     inertias = [pick(c.inertia for c in every) for pick in (min, max)]
-    drags = np.array([[c.resistance.r0, c.resistance.r1, c.resistance.r2] for c in every])
+    drags = np.array([each.resistance.coefficients for each in every])
     corners = [
         (mass, inertia, *drag)
         for mass, inertia in zip(masses, inertias, strict=True)

@@ -24,11 +24,16 @@ from analysis.resistance.combination import (
     SAME_DRIVE,
     NodeCurves,
     each_drive_once,
-    nearest_physical,
     node_curves,
 )
-from analysis.resistance.fit import CURVE_COLUMNS, RESISTANCE_COLUMN, curve_words
-from analysis.resistance.regression import CONFIDENCE, band_factor, curve_std
+from analysis.resistance.curve import (
+    CONFIDENCE,
+    CURVE_COLUMNS,
+    RESISTANCE_COLUMN,
+    DragCurve,
+    curve_std,
+    nearest_physical,
+)
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError, NotIdentifiableError
@@ -83,7 +88,7 @@ def curve_table(curves: Iterable[TrainResistance], title: str) -> WordTable:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TrainResistance(Presented):
+class TrainResistance(DragCurve, Presented):
     """A curve with its uncertainty: of a train, or of a kind of train.
 
     Attributes
@@ -117,15 +122,11 @@ class TrainResistance(Presented):
 
     def summary(self) -> dict[str, str]:
         """The curve."""
-        return {"curve": curve_words(self)}
+        return {"curve": self.words}
 
     def tables(self) -> list[WordTable]:
         """The row of the curve."""
         return [curve_table([self], self.title)]
-
-    def std(self, speed: ArrayLike) -> FloatArray:
-        """Standard deviation of the curve [N] at each speed [m/s]."""
-        return curve_std(self.covariance, speed)
 
     def reach(self, speed: ArrayLike) -> FloatArray:
         """Half width [N] of the 95 % band at each single speed [m/s]: of a Student distribution."""
@@ -135,12 +136,6 @@ class TrainResistance(Presented):
         """Lower and upper end [N] of the 95 % band at each single speed; never below zero."""
         value, reach = self.resistance(speed), self.reach(speed)
         return np.maximum(value - reach, 0.0), value + reach
-
-    def band(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper end [N] of the 95 % band of the whole curve, from standstill up."""
-        factor = band_factor(self.covariance, (0.0, self.asked[1]), self.freedom)
-        value, reach = self.resistance(speed), factor * self.std(speed)
-        return value - reach, value + reach
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -193,7 +188,7 @@ class KindResistance(Presented):
         top = self.mean.asked[1]
         spread = float(curve_std(self.between, top)) / 1e3
         return {
-            "mean": curve_words(self.mean),
+            "mean": self.mean.words,
             "between trains": f"{spread:.2f} kN at {KMH * top:.0f} km/h",
         }
 
@@ -235,7 +230,7 @@ class FleetResistance(Presented):
         """The mean of each kind."""
         return {
             each.kind: f"{counted(len(each.trains), 'train')},"
-            f" {counted(each.mean.trips, 'trip')}; {curve_words(each.mean)}"
+            f" {counted(each.mean.trips, 'trip')}; {each.mean.words}"
             for each in self.kinds
         }
 

@@ -35,9 +35,9 @@ from analysis.resistance.coasting_fit import (
     fit_segments,
 )
 from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, SOFTWARE, random_effects
+from analysis.resistance.curve import powers
 from analysis.resistance.fit import check_speeds
 from analysis.resistance.motion import TOPICS, Motion, motion_of
-from analysis.resistance.regression import LARGEST_STD, powers
 from trainlog.arrays import FloatArray
 from trainlog.display import counted, span
 from trainlog.errors import InputError, NotIdentifiableError
@@ -61,6 +61,7 @@ from trainlog.presentation import (
     new_table,
 )
 from trainlog.railway.line import Line
+from trainlog.railway.resistance import LARGEST_STD
 from trainlog.railway.train import Train
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 from trainlog.units import GRAVITY, KMH, PER_MILLE

@@ -19,22 +19,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.resistance.coasting_detection import SPACING, Segment
+from analysis.resistance.curve import DragCurve, powers
 from analysis.resistance.motion import Motion
 from analysis.resistance.noise import Expected, NoiseParts
 from analysis.resistance.recording import Recording, SpeedScale, gradient_pieces, track_slope
-from analysis.resistance.regression import (
-    LARGEST_STD,
-    Regression,
-    band_factor,
-    curve_std,
-    powers,
-    regress,
-)
+from analysis.resistance.regression import Regression, regress
 from analysis.resistance.windows import WINDOW, WindowPoints, Windows, build_windows
 from trainlog.arrays import FloatArray
 from trainlog.errors import NotIdentifiableError
 from trainlog.railway.line import Line
-from trainlog.railway.resistance import RunningResistance
+from trainlog.railway.resistance import LARGEST_STD, RunningResistance
 from trainlog.railway.train import Train
 from trainlog.spans import runs_of
 from trainlog.units import GRAVITY, KMH
@@ -92,7 +86,7 @@ class MassRatio:
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class Curve(DragCurve):
     """Running resistance over inertia, c(v) = c0 + c1 v + c2 v², with mass over inertia k.
 
     Attributes
@@ -123,25 +117,30 @@ class Curve:
         widest = max(ranges, key=lambda ends: ends[1] - ends[0], default=(0.0, 0.0))
         return widest if widest[1] - widest[0] >= SHORTEST_RANGE else None
 
+    @cached_property
+    def resistance(self) -> RunningResistance:  # type: ignore[override]
+        """c0, c1 and c2: the deceleration of the coasting train on level track [m/s²]."""
+        return RunningResistance(*self.theta[1:].tolist())
+
     def __call__(self, speed: ArrayLike) -> FloatArray:
         """Deceleration of the coasting train on level track [m/s²] at each speed [m/s]."""
-        return RunningResistance(*self.theta[1:].tolist())(speed)
+        return self.resistance(speed)
 
-    def std(self, speed: ArrayLike) -> FloatArray:
-        """Its standard deviation [m/s²] at each speed [m/s]."""
-        return curve_std(self.covariance[1:, 1:], speed)
+    @property
+    def own_covariance(self) -> FloatArray:
+        """Of c0, c1 and c2."""
+        return self.covariance[1:, 1:]
+
+    @property
+    def band_range(self) -> tuple[float, float]:
+        """Speeds [m/s] at which the train coasted."""
+        return self.covered
 
     def share(self, speed: ArrayLike) -> FloatArray:
         """Standard deviation over the curve; infinite where the curve is not positive."""
         value = self(speed)
         share = self.std(speed) / np.maximum(value, 1e-12)
         return np.where(value > 0.0, share, np.inf)
-
-    def band(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper end [m/s²] of the 95 % band of the whole curve over `covered`."""
-        factor = band_factor(self.covariance[1:, 1:], self.covered, self.freedom)
-        value, reach = self(speed), factor * self.std(speed)
-        return value - reach, value + reach
 
     def per_weight(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Running resistance over weight and its standard deviation [1]; R / (m g) = c / (k g).

@@ -34,16 +34,17 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.optimize import nnls
 
-from analysis.resistance.fit import (
+from analysis.resistance.curve import (
     CURVE_COLUMNS,
     RESISTANCE_COLUMN,
-    TripFit,
-    curve_words,
+    DragCurve,
+    curve_std,
+    nearest_physical,
+    powers,
 )
+from analysis.resistance.fit import TripFit
 from analysis.resistance.recording import TripRefusedError
-from analysis.resistance.regression import band_factor, curve_std, powers
 from trainlog import __version__
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted, span
@@ -334,7 +335,7 @@ PRIOR_TRIPS = 2.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CommonFit(Presented):
+class CommonFit(DragCurve, Presented):
     """All trips together.
 
     Attributes
@@ -375,7 +376,7 @@ class CommonFit(Presented):
         """Curve, and how trips differ."""
         top = self.asked[1]
         return {
-            "curve": curve_words(self),
+            "curve": self.words,
             "between trips": f"{float(self.spread(top)) / 1e3:.2f} kN at {KMH * top:.0f} km/h",
             "speeds": f"{span(self.speed_range, KMH)} km/h",
         }
@@ -388,19 +389,9 @@ class CommonFit(Presented):
             )
         ]
 
-    def std(self, speed: ArrayLike) -> FloatArray:
-        """Standard deviation of the mean curve [N] at each speed [m/s]."""
-        return curve_std(self.covariance, speed)
-
     def spread(self, speed: ArrayLike) -> FloatArray:
         """Standard deviation of one trip's curve around the mean [N] at each speed [m/s]."""
         return curve_std(self.between, speed)
-
-    def band(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper end [N] of the 95 % band of the whole mean curve, from standstill up."""
-        factor = band_factor(self.covariance, (0.0, self.asked[1]), self.freedom)
-        value, reach = self.resistance(speed), factor * self.std(speed)
-        return value - reach, value + reach
 
 
 def combine(trips: pd.DataFrame | Sequence[TripFit]) -> CommonFit:
@@ -594,15 +585,3 @@ def each_drive_once(summaries: pd.DataFrame) -> pd.DataFrame:
             )
         rows.loc[usable[same.number], ["refused", "message"]] = (SAME_DRIVE, words)
     return rows
-
-
-def nearest_physical(beta: FloatArray, covariance: FloatArray) -> RunningResistance:
-    """The likeliest running resistance of which no coefficient is negative.
-
-    Where r0, r1 and r2 can hardly be separated one of them may come out negative; the nearest
-    physical ones, measured by the covariance, give nearly the same curve.
-    """
-    scale = np.sqrt(np.diag(covariance))
-    half = np.linalg.inv(np.linalg.cholesky(covariance / np.outer(scale, scale)))
-    nearest, _ = nnls(half, half @ (beta / scale))
-    return RunningResistance(*(nearest * scale).tolist())

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 
 from analysis.given import Given, trip_of
 from analysis.passports import passport, with_calibrated_efforts
+from analysis.resistance.curve import (
+    CURVE_COLUMNS,
+    RESISTANCE_COLUMN,
+    DragCurve,
+    curve_std,
+    powers,
+)
 from analysis.resistance.noise import Expected
 from analysis.resistance.power import power_limit
 from analysis.resistance.recording import (
@@ -23,16 +28,7 @@ from analysis.resistance.recording import (
     check_recorded,
     speed_scale,
 )
-from analysis.resistance.regression import (
-    DELAY_STD,
-    LARGEST_STD,
-    Regression,
-    Residuals,
-    band_factor,
-    curve_std,
-    powers,
-    regress,
-)
+from analysis.resistance.regression import DELAY_STD, Regression, Residuals, regress
 from analysis.resistance.windows import Evidence, WindowPoints, Windows, part_of
 from trainlog.arrays import FloatArray
 from trainlog.display import span
@@ -41,20 +37,18 @@ from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256
 from trainlog.identity import identity_of, text_of
 from trainlog.presentation import (
-    FORCE,
     MASS,
     NUMBER,
     POWER,
     Band,
     Column,
     Presented,
-    Quantity,
     WordTable,
     new_table,
 )
 from trainlog.railway.line import Line, StepProfile
 from trainlog.railway.passport import Passport
-from trainlog.railway.resistance import RunningResistance
+from trainlog.railway.resistance import LARGEST_STD, RunningResistance
 from trainlog.railway.train import Train
 from trainlog.topics import ESTIMATED_RESISTANCE
 from trainlog.trip import Trip, frame_of, seconds
@@ -104,7 +98,7 @@ class History:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TripFit(Presented):
+class TripFit(DragCurve, Presented):
     """Running resistance and mass as observed on one trip.
 
     Attributes
@@ -215,7 +209,7 @@ class TripFit(Presented):
         ]
         notes = {"notes": "; ".join(self.notes)} if self.notes else {}
         return {
-            "curve": curve_words(self),
+            "curve": self.words,
             "mass": f"{self.mass / 1e3:.1f} ± {1.96 * self.mass_std / 1e3:.1f} t",
             "power": power,
             "speeds": f"{span(self.speed_range, KMH)} km/h, asked for {span(self.asked, KMH)} km/h",
@@ -251,87 +245,11 @@ class TripFit(Presented):
         """Standard deviation of the mass [kg]."""
         return float(np.sqrt(self.covariance[3, 3]))
 
-    @property
-    def beta(self) -> FloatArray:
-        """r0, r1 and r2 as an array (3,)."""
-        return np.array([self.resistance.r0, self.resistance.r1, self.resistance.r2])
-
-    def std(self, speed: ArrayLike) -> FloatArray:
-        """Standard deviation of the curve [N] at each speed [m/s]."""
-        return curve_std(self.covariance[:3, :3], speed)
-
-    def band(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper end [N] of the 95 % band of the whole curve at each speed [m/s].
-
-        It holds the true curve, all of it from standstill to the highest speed asked for, in 95
-        of 100 trips.
-        """
-        factor = band_factor(self.covariance[:3, :3], (0.0, self.asked[1]), self.freedom)
-        value, reach = self.resistance(speed), factor * self.std(speed)
-        return value - reach, value + reach
-
-
-class DragCurve(Protocol):
-    """A drag curve with its uncertainty."""
-
-    @property
-    def resistance(self) -> RunningResistance:
-        """Of straight, level, open track."""
-
-    @property
-    def covariance(self) -> FloatArray:
-        """Of r0, r1 and r2 first."""
-
-    @property
-    def asked(self) -> tuple[float, float]:
-        """Speeds [m/s] between which it is asked for."""
-
-    def std(self, speed: ArrayLike) -> FloatArray:
-        """Standard deviation [N] at each speed [m/s]."""
-
-    def band(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper end [N] of the 95 % band of the whole curve at each speed [m/s]."""
-
-
-def curve_words(fit: DragCurve) -> str:
-    """A curve in words: its coefficients, and its value at the highest speed asked for."""
-    curve, top = fit.resistance, fit.asked[1]
-    value, reach = float(curve(top)) / 1e3, 1.96 * float(fit.std(top)) / 1e3
-    return (
-        f"{curve.r0:.0f} N + {curve.r1:.1f} N/(m/s) v + {curve.r2:.2f} N/(m/s)² v²,"
-        f" {value:.2f} ± {reach:.2f} kN at {KMH * top:.0f} km/h"
-    )
-
-
-_STATED_AT = 80.0 / KMH
-"""Speed [m/s] at which tables state the resistance."""
-
-
-def _coefficient(number: int) -> Callable[[DragCurve], Band]:
-    """Of a curve and of its standard deviation, by the power of speed."""
-    return lambda fit: Band(
-        float((fit.resistance.r0, fit.resistance.r1, fit.resistance.r2)[number]),
-        float(np.sqrt(fit.covariance[number, number])),
-    )
-
 
 def _power(fit: TripFit) -> Band | None:
     known = fit.max_power is not None and fit.max_power_std is not None
     return Band(fit.max_power or 0.0, fit.max_power_std or 0.0) if known else None
 
-
-CURVE_COLUMNS = (
-    Column("r0", Quantity("N", ""), band=True, of=_coefficient(0), rank=1),
-    Column("r1", Quantity("N_s_m", ""), band=True, of=_coefficient(1), rank=1),
-    Column("r2", Quantity("N_s2_m2", ""), band=True, of=_coefficient(2), rank=1),
-)
-RESISTANCE_COLUMN = Column(
-    "kN at 80 km/h",
-    replace(FORCE, unit=""),
-    key="resistance_at_80_km_h",
-    band=True,
-    of=lambda fit: Band(float(fit.resistance(_STATED_AT)), float(fit.std(_STATED_AT))),
-)
 
 COLUMNS = (
     Column("trip"),

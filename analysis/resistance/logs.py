@@ -21,14 +21,12 @@ from analysis.resistance.combination import (
     each_drive_once,
     summarised,
 )
+from analysis.resistance.curve import CURVE_COLUMNS, RESISTANCE_COLUMN
 from analysis.resistance.fit import (
     COLUMNS,
-    CURVE_COLUMNS,
-    RESISTANCE_COLUMN,
     TOPICS,
     TripFit,
     check_speeds,
-    curve_words,
     effort_passport,
     fit_evidence,
     fit_trip,
@@ -134,7 +132,7 @@ class Fits(Presented):
         common, found = self.common, self.parameters
         mass = self.summaries["mass"].dropna().to_numpy(np.float64)
         rows = {
-            "together": curve_words(common),
+            "together": common.words,
             "mass": f"{span(mass, 1e-3, 1)} t",
             "supported": f"{span(common.speed_range, KMH)} km/h",
             "observed set": f"{counted(len(found.configurations), 'configuration')},"

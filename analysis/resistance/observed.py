@@ -35,16 +35,9 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import pandas as pd
 
-from analysis.resistance.combination import (
-    CommonFit,
-    checked,
-    combine,
-    each_drive_once,
-    nearest_physical,
-    summarised,
-)
+from analysis.resistance.combination import CommonFit, checked, combine, each_drive_once, summarised
+from analysis.resistance.curve import nearest_physical, powers
 from analysis.resistance.fit import TripFit
-from analysis.resistance.regression import powers
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.formats.files import sha256
@@ -167,7 +160,7 @@ def parameter_set(
     for row, weight in zip(chosen.rows.tolist(), chosen.weights.tolist(), strict=True):
         summary = rows.iloc[row]
         resistance = nearest_physical(betas[row], common.covariances[row])
-        nearest = np.array([[resistance.r0, resistance.r1, resistance.r2]])
+        nearest = resistance.coefficients[None]
         configurations.append(
             Configuration(
                 name=names[row],

@@ -31,10 +31,11 @@ from analysis.charts import (
 from analysis.resistance.coast_down import CoastDown
 from analysis.resistance.coasting_fit import TripCoastDown
 from analysis.resistance.combination import CommonFit
+from analysis.resistance.curve import powers
 from analysis.resistance.fit import TripFit
 from analysis.resistance.logs import Fits
 from analysis.resistance.recording import Timeline, TripRefusedError
-from analysis.resistance.regression import LAGS, Residuals, diagnosed, powers
+from analysis.resistance.regression import LAGS, Residuals, diagnosed
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.formats.parameters import CoastDownResult

@@ -11,7 +11,6 @@ The covariance is that of the noise model, made larger where neighbouring window
 more than the model says (wind, say): the cluster-robust covariance of Liang and Zeger (1986,
 Biometrika 73(1), eq. 6), clusters being stretches of consecutive windows, gives the factor.
 
-`curve_std` and `band_factor` give the uncertainty of the drag curve, at a speed and of the whole.
 `diagnosed` judges the residuals: whitened, they should be independent, normal, of unit variance,
 and have nothing to do with speed. Where they are not, the band holds less than it states.
 
@@ -19,8 +18,6 @@ References
 ----------
 Liang, K.-Y., Zeger, S. L. (1986), Longitudinal data analysis using generalized linear models,
 Biometrika 73(1), eq. (6).
-Sun, J., Loader, C. R. (1994), Simultaneous confidence bands for linear regression and smoothing,
-Annals of Statistics 22(3), eq. (1.5): the tube formula for a curve on the sphere.
 Ljung, G. M., Box, G. E. P. (1978), On a measure of lack of fit in time series models, Biometrika
 65(2): the statistic over several lags.
 Jarque, C. M., Bera, A. K. (1987), A test for normality of observations and regression residuals,
@@ -32,8 +29,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.special import stdtr
 
 from analysis.resistance.noise import (
     Expected,
@@ -46,58 +41,6 @@ from analysis.resistance.noise import (
 from analysis.resistance.windows import Windows
 from estimators.rls import RecursiveLeastSquares
 from trainlog.arrays import BoolArray, FloatArray
-from trainlog.railway.resistance import LARGEST_STD as LARGEST_STD
-
-CONFIDENCE = 0.95
-"""Of every band."""
-
-
-def powers(speed: ArrayLike) -> FloatArray:
-    """``(1, v, v²)`` (..., 3) at each speed [m/s]."""
-    v = np.asarray(speed, dtype=np.float64)
-    return np.stack([np.ones(v.shape), v, v**2], axis=-1)
-
-
-def curve_std(covariance: FloatArray, speed: ArrayLike) -> FloatArray:
-    """Standard deviation [N] of ``r0 + r1 v + r2 v²`` at each speed [m/s].
-
-    Parameters
-    ----------
-    covariance : (3, 3) array
-        Of r0, r1, r2.
-    speed : array [m/s]
-    """
-    basis = powers(speed)
-    return np.asarray(np.sqrt(np.einsum("...i,ij,...j->...", basis, covariance, basis)))
-
-
-def band_factor(covariance: FloatArray, speeds: tuple[float, float], freedom: float) -> float:
-    """How many standard deviations to either side hold the whole true curve in 95 of 100 cases.
-
-    A band that covers each single speed with 95 % misses some part of the curve more often than
-    that; this one does not, between the two `speeds`.
-
-    Parameters
-    ----------
-    covariance : (3, 3) array
-    speeds : (float, float) [m/s]
-    freedom : float
-        Degrees of freedom of the noise's estimate.
-    """
-    from scipy.optimize import brentq
-
-    # The path of the normalised curve on the unit sphere.
-    root = np.linalg.cholesky(covariance)
-    path = powers(np.linspace(*speeds, 201)) @ root
-    path /= np.linalg.norm(path, axis=1, keepdims=True)
-    length = float(np.sum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
-
-    def missed(factor: float) -> float:
-        tube = length / np.pi * (1.0 + factor**2 / freedom) ** (-0.5 * freedom)
-        return float(tube + 2.0 * stdtr(freedom, -factor) - (1.0 - CONFIDENCE))
-
-    return float(brentq(missed, 0.5, 200.0))
-
 
 LAGS = 10
 """Neighbours over which correlation is looked for."""

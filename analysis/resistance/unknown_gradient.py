@@ -26,13 +26,14 @@ from analysis.given import Given
 from analysis.resistance.coast_down import Sources, check_not_empty, one_train, with_origin
 from analysis.resistance.coasting_detection import SHORTEST
 from analysis.resistance.coasting_fit import SHORTEST_RANGE
+from analysis.resistance.curve import band_factor, curve_std, powers
 from analysis.resistance.motion import TOPICS, Motion, motion_of, smoothed_over
-from analysis.resistance.regression import LARGEST_STD, band_factor, curve_std, powers
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.attached import line_of
 from trainlog.formats.parameters import CoastDownResult, DragCurve, Identified
 from trainlog.railway.line import Line
+from trainlog.railway.resistance import LARGEST_STD
 from trainlog.spans import runs_of
 from trainlog.trip import LINE_ATTACHMENT, Trip, seconds
 from trainlog.units import KMH

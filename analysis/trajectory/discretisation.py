@@ -458,9 +458,7 @@ def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem
     gain = reference / inertia
 
     track, bulge = _track(run, positions)
-    coefficients = np.array(
-        [[c.resistance.r0, c.resistance.r1, c.resistance.r2] for c in run.configurations]
-    )
+    coefficients = np.array([each.resistance.coefficients for each in run.configurations])
     tunnel = train.tunnel_coefficient(run.line.tunnel_cross_section(middle))
     limit = run.permitted_speed(middle)
     lowest = np.minimum(np.append(limit, np.inf), np.insert(limit, 0, np.inf))

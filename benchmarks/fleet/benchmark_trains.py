@@ -25,7 +25,7 @@ from simulated_trains import FAULTS, KINDS, RAILS, Task, healthy, rows_of
 
 from analysis.fleet.resistance import fleet_resistance
 from analysis.fleet.trains import FleetTrains, fleet_trains
-from analysis.resistance.regression import band_factor, curve_std, powers
+from analysis.resistance.curve import band_factor, curve_std, powers
 from trainlog.formats.summaries import covariances_of, parameters_of
 from trainlog.units import KMH
 

@@ -44,7 +44,7 @@ from analysis.fleet.trains import fleet_trains, joined, trips_of
 from analysis.fleet.unlike import FALSE_ALARMS, Finding, UnlikeTrains, unlike_trains
 from analysis.network.map_scores import score_network
 from analysis.network.maps import NetworkMap, network_map
-from analysis.resistance.regression import band_factor, curve_std
+from analysis.resistance.curve import band_factor, curve_std
 from analysis.verification.forecasts import rolling_forecast
 from analysis.verification.passages import time_of
 from analysis.verification.references import climatology, persistence, place_alone

@@ -23,7 +23,7 @@ import pandas as pd
 
 from analysis.resistance import combine, parameter_set
 from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, TOLERANCE, random_effects
-from analysis.resistance.regression import powers
+from analysis.resistance.curve import powers
 from trainlog.arrays import FloatArray
 from trainlog.formats.summaries import (
     COLUMNS,

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from analysis.resistance import TripFit, combine, fit_trip, parameter_set
-from analysis.resistance.regression import powers
+from analysis.resistance.curve import powers
 from trainlog.arrays import FloatArray
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.line import line_to_bytes, read_line

@@ -17,7 +17,7 @@ import numpy as np
 
 from analysis.resistance import TripFit, fit_trip
 from analysis.resistance.combination import shared_variance
-from analysis.resistance.regression import powers
+from analysis.resistance.curve import powers
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.line import read_line

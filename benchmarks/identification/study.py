@@ -21,9 +21,9 @@ from monte_carlo import Drawn, Study, draw, trip_of
 
 from analysis.resistance import combine, fit_trip
 from analysis.resistance.combination import CommonFit, summarised
+from analysis.resistance.curve import band_factor, curve_std, powers
 from analysis.resistance.fit import TripFit, origin_of, scale_of
 from analysis.resistance.recording import TripRefusedError
-from analysis.resistance.regression import band_factor, curve_std, powers
 from analysis.resistance.windows import Evidence, part_of
 from estimators.rls import RecursiveLeastSquares
 from trainlog.arrays import FloatArray

@@ -63,6 +63,17 @@ class RunningResistance:
         if not all(np.isfinite((self.r0, self.r1, self.r2))):
             raise InputError("running resistance: coefficients must be finite numbers")
 
+    @property
+    def coefficients(self) -> FloatArray:
+        """r0, r1 and r2 as an array (3,).
+
+        Examples
+        --------
+        >>> RunningResistance(2000.0, 50.0, 10.0).coefficients.tolist()
+        [2000.0, 50.0, 10.0]
+        """
+        return np.array([self.r0, self.r1, self.r2])
+
     @overload
     def __call__(self, speed: float) -> np.float64: ...
 

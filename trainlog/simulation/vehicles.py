@@ -470,7 +470,7 @@ def _drawn(
     generator = np.random.default_rng([seed, 31, number])
     spread = np.array(TRAIN_SPREAD) * np.clip(generator.standard_normal(3), -2.2, 2.2)
     nominal = train.resistance
-    r0, r1, r2 = np.array([nominal.r0, nominal.r1, nominal.r2]) * (1.0 + spread)
+    r0, r1, r2 = nominal.coefficients * (1.0 + spread)
     every = float(generator.uniform(150e6, 250e6))
     wear = {
         "daily_distance": float(generator.uniform(250e3, 450e3)),
