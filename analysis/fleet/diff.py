@@ -8,16 +8,19 @@ together, against the scatter of the differences (is it systematic?).
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
-from analysis.fleet.analyses import ANALYSES
+from analysis.fleet.analyses import ANALYSES, analyses_named
+from analysis.fleet.codes import code_of, computation_of
 from analysis.fleet.diff_estimates import (
     UNITS,
     aligned,
@@ -41,8 +44,8 @@ from analysis.fleet.diff_judgement import (
 )
 from analysis.fleet.diff_map import PLACES, moved_places
 from analysis.fleet.update import EVIDENCE
-from analysis.fleet.versions import Version, ensure_results, opened_version
 from trainlog.arrays import FloatArray
+from trainlog.catalogue import Computation
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.presentation import (
@@ -54,6 +57,7 @@ from trainlog.presentation import (
     new_table,
     with_band,
 )
+from trainlog.progress import note
 from trainlog.units import JOULES_PER_KWH
 
 if TYPE_CHECKING:
@@ -135,6 +139,142 @@ def _number(row: Mapping[str, Any], name: str, std: float, plus: str = "") -> st
     if not math.isfinite(std) or std <= 0.0 or abs(value) > 1e9:
         return f"{plus}{value:.6g}{unit}"
     return plus + with_band(value, std, unit)
+
+
+PRESENT = "now"
+"""Names the code that runs."""
+
+
+@dataclass(frozen=True)
+class Version:
+    """One side of a comparison: which code, with which parameters, computes the trips.
+
+    Attributes
+    ----------
+    name : str
+        As it was asked for.
+    computations : mapping of str to Computation
+        Of each analysis that it has, as results are recorded.
+    present : bool
+        Whether it is the code that runs.
+    """
+
+    name: str
+    computations: Mapping[str, Computation]
+    present: bool = False
+
+    def __str__(self) -> str:
+        if "=" in self.name:  # the code that runs, as on the other side: the parameters differ
+            return self.name
+        known = ", ".join(sorted({each.code for each in self.computations.values()}))
+        return known if known.startswith(self.name) else f"{self.name} ({known})"
+
+
+def version_of(name: str, catalogue: Catalogue) -> Version:
+    """One side of a comparison, by its name.
+
+    Parameters
+    ----------
+    name : str
+        ``now``; parameters of the code that runs (``adhesion.bin_length=50``, several divided by
+        commas); or the beginning of a version of which the catalogue has results.
+    catalogue : Catalogue
+
+    Raises
+    ------
+    InputError
+        If it is none of these.
+    """
+    if name == PRESENT or "=" in name:
+        own = {each: computation_of(analysis) for each, analysis in ANALYSES.items()}
+        for each, values in parameters_of(name if "=" in name else "").items():
+            own[each] = computation_of(ANALYSES[each].with_parameters(**values))
+        return Version(name, own, present=True)
+    every = catalogue.computations()
+    made = every[every["code"].str.startswith(name)]
+    codes = sorted(set(made["code"]))
+    if len(codes) > 1:
+        raise InputError(
+            f"'{name}' begins the versions {' and '.join(codes)}", remedy="give more of its digits"
+        )
+    if not codes:
+        known = ", ".join(sorted(set(every["code"]))) or "none"
+        raise InputError(
+            f"the catalogue has no results of a version '{name}'; it has results of: {known}",
+            file=catalogue.place,
+            remedy=f"give '{PRESENT}', parameters (analysis.parameter=value) or the beginning of a"
+            " version; results of another version come by 'trainlog fleet update' of that version",
+        )
+    first = made.drop_duplicates("analysis")
+    about = first[["analysis", "code", "parameters"]].to_numpy().tolist()
+    latest = {each[0]: Computation(*each) for each in about}
+    present = {each: code_of(ANALYSES[each]) if each in ANALYSES else "" for each in latest}
+    return Version(name, latest, present=set(present.values()) == set(codes))
+
+
+def parameters_of(text: str) -> dict[str, dict[str, Any]]:
+    """Parameters of analyses, as they are typed.
+
+    Raises
+    ------
+    InputError
+        If it is no list of ``analysis.parameter=value``.
+
+    Examples
+    --------
+    >>> parameters_of("adhesion.bin_length=50, resistance.speeds=[5, 40]")
+    {'adhesion': {'bin_length': 50}, 'resistance': {'speeds': [5, 40]}}
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for part in filter(None, re.split(r",\s*(?=\w+\.\w+=)", text.strip())):
+        match = re.fullmatch(r"(\w+)\.(\w+)=(.*)", part.strip())
+        if match is None:
+            raise InputError(
+                f"'{part}' is no parameter of an analysis",
+                remedy="write analysis.parameter=value, such as adhesion.bin_length=50",
+            )
+        analysis, parameter, value = match.groups()
+        analyses_named([analysis])
+        try:
+            given = json.loads(value)
+        except json.JSONDecodeError:
+            given = value
+        found.setdefault(analysis, {})[parameter] = given
+    return found
+
+
+def ensure_results(
+    version: Version,
+    catalogue: Catalogue,
+    analyses: Sequence[str],
+    where: str | None = None,
+    workers: int | None = None,
+) -> None:
+    """Compute what the catalogue lacks of the trips on one side, if its code is the one that runs.
+
+    Raises
+    ------
+    InputError
+        If results of another version are lacking.
+    """
+    missing = [
+        name for name in analyses if len(catalogue.pending(version.computations[name], where=where))
+    ]
+    if not missing:
+        return
+    if not version.present:
+        raise InputError(
+            f"the catalogue lacks results of {version} for some of the trips",
+            file=catalogue.place,
+            remedy="run 'trainlog fleet update' of that version, or choose fewer trips",
+        )
+    from analysis.fleet.update import UpdateOptions, update_fleet
+
+    note(str(version))
+    asked = [
+        ANALYSES[name].with_parameters(**version.computations[name].parameters) for name in missing
+    ]
+    update_fleet(catalogue, asked, UpdateOptions(workers, where=where))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -316,49 +456,43 @@ def fleet_diff(
     *,
     analyses: Sequence[str] | None = None,
     where: str | None = None,
-    place: str | None = None,
     workers: int | None = None,
 ) -> FleetDiff:
     """Compare two versions of the code, or two sets of parameters, over the trips of a catalogue.
 
-    What of either side is not in the catalogue is computed, and recorded there.
+    What the code that runs has not computed yet is computed, and recorded in the catalogue.
 
     Parameters
     ----------
     catalogue : Catalogue
     first, second : str
-        As for `analysis.fleet.versions.opened_version`.
+        As for `version_of`.
     analyses : sequence of str, optional
         Names; default: all that both sides have. Where a side is given by parameters, default:
         those that it gives parameters of.
     where : str, optional
         Chooses trips, as for `Catalogue.query`.
-    place : str, optional
-        As another process opens the catalogue; default: its folder.
     workers : int, optional
         Processes.
 
     Raises
     ------
     InputError
-        If a side is no version or cannot compute the trips, or no trip is chosen.
+        If a side is no version or lacks results, or no trip is chosen.
     """
-    with opened_version(first, catalogue) as one, opened_version(second, catalogue) as other:
-        names = _asked_for(one, other, analyses)
-        if not len(catalogue.query(where, columns=["key"])):
-            raise InputError(
-                "no trip is chosen", file=catalogue.place, remedy="choose others, or add logs"
-            )
-        for side in (one, other):
-            ensure_results(side, catalogue, place or catalogue.place, names, where, workers)
-        results = {
-            name: (_read(catalogue, one, name, where), _read(catalogue, other, name, where))
-            for name in names
-        }
-        first_side, second_side = (
-            replace(side, command=(), environment={}) for side in (one, other)
+    one, other = version_of(first, catalogue), version_of(second, catalogue)
+    names = _asked_for(one, other, analyses)
+    if not len(catalogue.query(where, columns=["key"])):
+        raise InputError(
+            "no trip is chosen", file=catalogue.place, remedy="choose others, or add logs"
         )
-        return compared(first_side, second_side, results)
+    for side in (one, other):
+        ensure_results(side, catalogue, names, where, workers)
+    results = {
+        name: (_read(catalogue, one, name, where), _read(catalogue, other, name, where))
+        for name in names
+    }
+    return compared(one, other, results)
 
 
 def _asked_for(one: Version, other: Version, analyses: Sequence[str] | None) -> list[str]:

@@ -431,8 +431,8 @@ def fleet_diff(
     first: Annotated[
         str,
         typer.Argument(
-            help="now, a revision, a folder with another checkout, the Python of another"
-            " environment, a version of results, or parameters: adhesion.bin_length=50."
+            help="now, the beginning of a version of which the catalogue has results, or"
+            " parameters: adhesion.bin_length=50."
         ),
     ],
     second: Annotated[str, typer.Argument(help="The same, of the other side.")],
@@ -447,12 +447,13 @@ def fleet_diff(
 ) -> None:
     """List every estimate that moved between two versions of the code or two sets of parameters.
 
-    Both sides compute the same trips; what of either is in the catalogue is not computed again, and
-    what is computed is kept there. An estimate moved beyond its band where the difference exceeds
-    1.96 standard deviations; of many trips the mean shift is judged by its own scatter. Trips that
-    one side alone accepts are listed. Exit status 1 if anything moved beyond its band.
+    The results of another version are those that its own fleet update left in the catalogue; what
+    this version has not computed yet is computed. An estimate moved beyond its band where the
+    difference exceeds 1.96 standard deviations; of many trips the mean shift is judged by its own
+    scatter. Trips that one side alone accepts are listed. Exit status 1 if anything moved beyond
+    its band.
 
-    Example: trainlog fleet diff v0.1.0 now --trips "line = 'Wil - Gossau'" -o changes
+    Example: trainlog fleet diff 8dfc3ada now --trips "line = 'Wil - Gossau'" -o changes
 
     Example: trainlog fleet diff now resistance.largest_std=0.2
     """
@@ -460,9 +461,7 @@ def fleet_diff(
     from trainlog.catalogue import open_catalogue
 
     with open_catalogue(catalogue, create=False) as opened:
-        found = compare(
-            opened, first, second, analyses=analyses, where=trips, place=catalogue, workers=workers
-        )
+        found = compare(opened, first, second, analyses=analyses, where=trips, workers=workers)
     if output is not None:
         from analysis.reports.fleet_diff import write_diff
 
