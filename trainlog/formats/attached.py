@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -24,6 +25,9 @@ MAX_LOAD_SHARE = 0.25
 WEIGHING_SHARE, WEIGHING_OFFSET = 0.03, 0.02
 """Standard deviation of a recorded load: this share of the load, and this share of the largest."""
 
+KEPT = 4
+"""Lines and trains that are kept, so that the analyses of a trip read its attachments once."""
+
 
 def line_of(trip: Trip) -> Line:
     """The line that the trip was driven on, as the train met it.
@@ -44,14 +48,20 @@ def line_of(trip: Trip) -> Line:
     >>> line_of(read_log("sample_logs/nonstop.mcap")).name
     'CH_StGallen_Wil'
     """
-    line = line_from_bytes(_attachment(trip, LINE_ATTACHMENT), file=_called(trip, LINE_ATTACHMENT))
+    data = _attachment(trip, LINE_ATTACHMENT)
     direction = trip.metadata.get("direction", "forward")
     if direction not in ("forward", "reverse"):
         raise LogError(
             f"trip '{trip.name}': direction is '{direction}'",
             remedy="metadata 'direction' must be 'forward' or 'reverse'",
         )
-    return line.reversed() if direction == "reverse" else line
+    return _line(data, _called(trip, LINE_ATTACHMENT), direction == "reverse")
+
+
+@lru_cache(KEPT)
+def _line(data: bytes, called: str, backwards: bool) -> Line:
+    line = line_from_bytes(data, file=called)
+    return line.reversed() if backwards else line
 
 
 def line_of_plan(trajectory: Trajectory) -> Line | None:
@@ -97,8 +107,12 @@ def train_of(trip: Trip) -> Train:
     >>> train_of(read_log("sample_logs/nonstop.mcap")).name
     'CH_Stadler_FLIRT_TPF'
     """
-    data = _attachment(trip, TRAIN_ATTACHMENT)
-    return train_from_bytes(data, file=_called(trip, TRAIN_ATTACHMENT))
+    return _train(_attachment(trip, TRAIN_ATTACHMENT), _called(trip, TRAIN_ATTACHMENT))
+
+
+@lru_cache(KEPT)
+def _train(data: bytes, called: str) -> Train:
+    return train_from_bytes(data, file=called)
 
 
 def passport_of(trip: Trip) -> Passport | None:
