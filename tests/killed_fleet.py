@@ -176,8 +176,7 @@ def recorded(catalogue: str) -> int:
 
 def forget_all(catalogue: str, where: str | None = None) -> None:
     """Make the results of all analyses pending again."""
-    from analysis.fleet.analyses import ANALYSES
-    from analysis.fleet.codes import computation_of
+    from analysis.fleet.analyses import ANALYSES, computation_of
 
     with open_catalogue(catalogue) as opened:
         for each in ANALYSES.values():

@@ -30,8 +30,7 @@ import sqlalchemy as sa
 from killed import Passed, Watched
 
 from analysis.fleet import maps, update, work
-from analysis.fleet.analyses import FleetAnalysis, analyses_named
-from analysis.fleet.codes import computation_of
+from analysis.fleet.analyses import FleetAnalysis, analyses_named, computation_of
 from trainlog.catalogue import Catalogue, open_catalogue, results
 from trainlog.catalogue.database import Database
 from trainlog.catalogue.schema import result_files, results as table

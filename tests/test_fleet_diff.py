@@ -320,8 +320,8 @@ def updated_by(checkout: Path, catalogue: Path, analysis: str) -> str:
     words = ["fleet", "update", "--catalogue", str(catalogue), "--analysis", analysis]
     command = [sys.executable, "-m", "trainlog", *words, "--workers", "0"]
     subprocess.run(command, check=True, capture_output=True, env=environment, cwd=checkout)
-    stated = [sys.executable, "-c", "import analysis.fleet.codes as c, analysis.fleet.analyses as a"
-              f"; print(c.code_of(a.ANALYSES['{analysis}']))"]  # fmt: skip
+    asked = f"import analysis.fleet.analyses as a; print(a.code_of(a.ANALYSES['{analysis}']))"
+    stated = [sys.executable, "-c", asked]
     done = subprocess.run(stated, check=True, capture_output=True, env=environment, cwd=checkout)
     return done.stdout.decode().strip()
 

@@ -16,8 +16,7 @@ from command import run
 
 pytest.importorskip("sqlalchemy")
 
-from analysis.fleet.analyses import ANALYSES
-from analysis.fleet.codes import computation_of
+from analysis.fleet.analyses import ANALYSES, computation_of
 from analysis.fleet.naming import Cause, Explanation
 from analysis.fleet.trains import FleetTrains
 from analysis.fleet.unlike import Finding, UnlikeTrains

@@ -430,7 +430,7 @@ def test_a_fit_of_chosen_trips_uses_stored_summaries_instead_of_logs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("sqlalchemy", reason="needs the extra fleet")
-    from analysis.fleet import stored
+    from analysis.fleet import analyses
     from analysis.fleet.analyses import ANALYSES
     from analysis.fleet.trips import fleet_trips
     from analysis.resistance.logs import fit
@@ -438,7 +438,7 @@ def test_a_fit_of_chosen_trips_uses_stored_summaries_instead_of_logs(
     from trainlog.cli.options import chosen_summaries
 
     analysis = ANALYSES["resistance"]
-    computation = stored.computation_of(analysis)
+    computation = analyses.computation_of(analysis)
     with open_catalogue(tmp_path) as catalogue:
         catalogue.add("sample_logs")
         row = next(catalogue.pending(computation).itertuples())
@@ -454,5 +454,5 @@ def test_a_fit_of_chosen_trips_uses_stored_summaries_instead_of_logs(
     assert np.array_equal(kept.common_covariance, read.common_covariance)
     # By other code nothing is stored: the logs are read.
     other = replace(computation, code="other")
-    monkeypatch.setattr(stored, "computation_of", lambda _: other)
+    monkeypatch.setattr(analyses, "computation_of", lambda _: other)
     assert [path.suffix for path in chosen_summaries("all", str(tmp_path))] == [".mcap"] * 2

@@ -32,15 +32,14 @@ from killed_fleet import (
 from killed_points import ANALYSES as TWO, POINTS
 
 from analysis.adhesion.updating import update_map
-from analysis.fleet.analyses import ANALYSES, FleetAnalysis
-from analysis.fleet.codes import code_of, computation_of
+from analysis.fleet.analyses import ANALYSES, FleetAnalysis, code_of, computation_of
 from analysis.fleet.maps import maps_folder, update_maps
-from analysis.fleet.table import problems_table
 from analysis.fleet.update import (
     FleetUpdate,
     Problem,
     UpdateOptions,
     fleet_status,
+    problems_table,
     update_fleet,
 )
 from trainlog import version

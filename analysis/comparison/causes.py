@@ -29,3 +29,6 @@ GAINED = {
     "recording": "position missing or corrected",
 }
 """The same where time was gained."""
+
+LOST = tuple(cause for cause in CAUSES if cause not in ("start", "dwell", "stop"))
+"""Causes of lost time against the shortest run that makes the same stops."""

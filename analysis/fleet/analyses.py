@@ -8,30 +8,140 @@ docs/fleet.md lists the columns.
 from __future__ import annotations
 
 import json
+import sys
 import zlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from analysis.fleet.columns import ADHESION, CHECKS, DRIVING, KEY, PASSPORT, QUANTITIES
+from analysis.comparison.causes import CAUSES, LOST
 from trainlog.errors import InputError
 from trainlog.formats.files import sha256
 from trainlog.formats.summaries import COLUMNS as SUMMARY, Column, arrow_of, frame_of
 from trainlog.railway.condition import BIN_LENGTH
 from trainlog.railway.resistance import LARGEST_STD
+from trainlog.version import code_version, code_version_of
 
 if TYPE_CHECKING:
     from analysis.fleet.trips import FleetTrip
+    from trainlog.catalogue import Catalogue, Computation
     from trainlog.railway.passport import Quantity
 
 # What computes is imported where it is called: a process that only names analyses, and asks for
 # their parameters and columns, loads none of it. Workers load all of it once (`load_analyses`).
 
 Run = Callable[..., pd.DataFrame]
+
+
+# docs/fleet.md lists the columns of the tables.
+
+KEY = Column("key", "", "of the trip in the catalogue", "text")
+"""First column of each table of results."""
+
+QUANTITIES = {
+    "effort_delay": ("s", "by which recorded efforts are late"),
+    "effort_gain": ("1", "recorded over true effort"),
+    "mass": ("kg", "of the loaded train, without the rotating part"),
+    "load": ("kg", "above the empty train"),
+    "effort_over_mass": ("1", "effort gain times true mass over empty mass"),
+    "axle_effort_ratio": ("1", "sum of the axles' efforts over that of the train"),
+}
+
+PASSPORT: tuple[Column, ...] = (
+    Column("trip", "", "name of the trip", "text"),
+    *(
+        column
+        for name, (unit, meaning) in QUANTITIES.items()
+        for column in (
+            Column(name, unit, meaning),
+            Column(f"{name}_std", unit, "its standard deviation"),
+            Column(f"{name}_source", "", "recorded, estimated or assumed", "text"),
+        )
+    ),
+    Column("effort_delay_shared_std", "s", "of its standard deviation, what trips share"),
+    Column("speed_noise", "m/s", "of the recorded speed of the train"),
+    Column("wheel_factors", "1", "recorded over true speed of each axle", "numbers"),
+    Column("wheel_factor_stds", "1", "their standard deviations", "numbers"),
+    Column(
+        "wheel_factor_source", "", "estimated where satellites or recorded distance show it", "text"
+    ),
+    Column("sample_time", "s", "between samples of the train's state"),
+    Column("findings", "", "what a reader should know, in sentences", "text"),
+)
+
+ADHESION: tuple[Column, ...] = (
+    Column("trip", "", "name of the trip; on an edge of a network TRIP@EDGE", "text"),
+    Column("edge", "", "edge of the network, or line", "text"),
+    Column("edge_length", "m", "of the whole edge"),
+    Column("bin_length", "m", "of the bins"),
+    Column("layer", "", "rail condition", "text"),
+    Column("main_layer", "", "rail condition that held longest on this edge", "text"),
+    Column("first_day", "d", "first day with evidence, counted from 1970-01-01 UTC", "count"),
+    Column("last_day", "d", "last day with evidence", "count"),
+    Column("onsets", "1", "onsets of slip that measured the maximum adhesion", "count"),
+    Column("bins", "1", "bins with any evidence", "count"),
+    Column("weight", "1", "sum of the weights of the onsets"),
+    Column("weighted_log", "1", "sum of the weighted logarithms of the maximum adhesion"),
+    Column("sha256", "", "of the log; empty of a part of a long one", "text"),
+    Column("identity", "", "of the drive, by its recorded samples", "text"),
+    Column("steps", "1", "of processing since it was recorded", "count"),
+    Column("entry", "", "what a map keeps of the trip, as JSON", "text"),
+    Column("evidence", "", "sums by day and bin, packed and compressed", "data"),
+)
+
+DRIVING: tuple[Column, ...] = (
+    Column("trip", "", "name of the trip", "text"),
+    Column("edge", "", "edge of the network, or line", "text"),
+    Column("direction", "", "forward or reverse on the edge's chainage", "text"),
+    Column("first", "m", "chainage on the edge where the trip came upon it"),
+    Column("last", "m", "chainage on the edge where it left it"),
+    Column("entered", "ns", "when it came upon it, since 1970 UTC", "count"),
+    Column("distance", "m", "run on the edge"),
+    Column("running_time", "s", "without stands"),
+    Column("dwell", "s", "at stations"),
+    Column("held", "s", "stands off stations"),
+    Column("stops", "1", "at stations, those where the trip ends not counted", "count"),
+    Column("traction", "J", "work of the tractive effort at the wheel rims"),
+    Column("dynamic_braking", "J", "work of the dynamic brake at the wheel rims"),
+    Column("braking", "J", "work of all brakes at the wheel rims"),
+    Column("line_energy", "J", "drawn from the line less fed back"),
+    Column("line_energy_source", "", "recorded, or efficiencies of the train's file", "text"),
+    Column("coasting", "1", "share of the distance"),
+    Column("excess", "m/s", "largest speed above the permitted one; 0 within 1 km/h"),
+    Column("excess_distance", "m", "run above it"),
+    Column("slips", "1", "actions of the slip protection"),
+    Column("mass", "kg", "of the loaded train, as the log or its passport states it"),
+    Column("mass_std", "kg", "its standard deviation"),
+    Column("shortest_time", "s", "running time of the shortest run with the same stops"),
+    *(Column(f"lost_{cause.replace(' ', '_')}", "s", CAUSES[cause]) for cause in LOST),
+)
+
+CHECKS: tuple[Column, ...] = (
+    Column("trip", "", "name of the trip", "text"),
+    Column("duration", "s", "from the first sample to the last"),
+    Column("distance", "m", "between the lowest and the highest position"),
+    Column("damage", "", "what of the log is lost; empty if it is whole", "text"),
+    Column("gaps", "1", "pauses of the train's state", "count"),
+    Column("gap_time", "s", "in all of them"),
+    Column("longest_gap", "s", "of them"),
+    Column("repairs", "1", "cells and rows that ingest repaired or dropped", "count"),
+    Column("repaired", "", "how often each rule was applied: rule=count, ...", "text"),
+    Column("missing", "", "channels that are not recorded, separated by commas", "text"),
+    Column("frozen", "", "columns that repeat a value while the train moves", "text"),
+    Column("frozen_samples", "1", "of them", "count"),
+    Column("speed_scale", "1", "measured over true speed, by satellites or recorded distance"),
+    Column("speed_scale_std", "1", "its standard deviation"),
+    Column("speed_scale_source", "", "by what", "text"),
+    Column("fix_beside", "m", "median distance of fixes beside the line's geometry"),
+    Column("fix_along", "m", "median difference of the fixes' chainage to the recorded one"),
+    Column("fix_spread", "m", "half of the fixes' chainages are within this of that median"),
+    Column("doubts", "", "what could not be checked, and why", "text"),
+)
 
 
 @dataclass(frozen=True)
@@ -284,3 +394,73 @@ def analyses_named(names: Iterable[str] | None = None) -> tuple[FleetAnalysis, .
         if name not in ANALYSES:
             raise InputError(f"there is no analysis '{name}'", remedy=f"give {', '.join(ANALYSES)}")
     return tuple(each for name, each in ANALYSES.items() if name in wanted)
+
+
+# ------------------------------------------------------------------- results of a catalogue
+
+_WORK = "analysis.fleet.work"
+"""Module from which all code is imported that a registered analysis runs through."""
+
+
+def code_of(analysis: FleetAnalysis) -> str:
+    """Version of the code of an analysis: of all modules that it can run through, and of no other.
+
+    What draws, reports, plans or keeps results may change without results being computed anew. Of
+    an analysis that is not a part of trainlog: of its own file, and all of trainlog.
+
+    Examples
+    --------
+    >>> from analysis.fleet.analyses import ANALYSES
+    >>> code_of(ANALYSES["checks"]) == code_version_of("analysis.fleet.work")
+    True
+    """
+    module = analysis.run.__module__
+    if module.partition(".")[0] in ("analysis", "trainlog"):
+        return code_version_of(_WORK)
+    file = getattr(sys.modules.get(module), "__file__", None)
+    own = Path(file).read_bytes() if file else b""
+    return sha256(code_version().encode() + own)[:16]
+
+
+def computation_of(analysis: FleetAnalysis) -> Computation:
+    """The analysis by its present code, as a catalogue keeps what it gives."""
+    from trainlog.catalogue import Computation
+
+    return Computation(analysis.name, code_of(analysis), analysis.parameters)
+
+
+def stored_summaries(catalogue: Catalogue, where: str | None) -> tuple[pd.DataFrame, list[Path]]:
+    """Summaries of trips that are stored, and the logs of those of which none is.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+    where : str or None
+        As for `Catalogue.query`.
+
+    Returns
+    -------
+    DataFrame
+        Of the analysis "resistance" by the present code and its ordinary parameters, with the
+        columns of `trainlog.formats.summaries.COLUMNS`.
+    list of Path
+        Of all other trips, whose logs must be read.
+
+    Raises
+    ------
+    InputError
+        As `Catalogue.paths`.
+    """
+    resistance = computation_of(ANALYSES["resistance"])
+    paths = catalogue.paths(where)
+    names = [column.name for column in SUMMARY]
+    found = catalogue.results(resistance, where=where)
+    if found.empty:
+        return pd.DataFrame(columns=names), paths
+    pending = catalogue.pending(resistance, where=where)
+    unknown = {str(Path(path)) for path in pending["path"]}
+    summaries = found[names]
+    for column in SUMMARY:
+        if column.kind == "text":
+            summaries = summaries.assign(**{column.name: summaries[column.name].fillna("")})
+    return summaries, [path for path in paths if str(path) in unknown]

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from analysis.fleet.analyses import ANALYSES, analyses_named
-from analysis.fleet.codes import code_of, computation_of
+from analysis.fleet.analyses import ANALYSES, analyses_named, code_of, computation_of
 from analysis.fleet.diff_estimates import (
     UNITS,
     aligned,

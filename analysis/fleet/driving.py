@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from analysis.comparison.causes import LOST
 from analysis.comparison.driven import DrivenTrip, Stand
 from analysis.comparison.losses import lost_time
 from analysis.comparison.sections import (
@@ -16,7 +17,6 @@ from analysis.comparison.sections import (
     Sections,
     section_table,
 )
-from analysis.fleet.columns import LOST
 from analysis.fleet.trips import FleetTrip
 from analysis.network.edges import Stretch, edges_of
 from trainlog.arrays import FloatArray

@@ -8,6 +8,7 @@ the next goes on with what is missing, and each trip counts once.
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
@@ -16,7 +17,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from analysis.fleet.codes import computation_of
+from analysis.fleet.analyses import computation_of
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.presentation import NUMBER, Column, Presented, WordTable, new_table
@@ -73,6 +74,69 @@ class Problem:
     state: str
     reason: str
     name: str = ""
+
+
+FEW = 5
+"""Trips without a result up to which each has a row."""
+
+_NUMBERS = re.compile(r"[-+]?\d+(?:[.,]\d+)*(?:e[-+]?\d+)?")
+_QUOTED = re.compile(r"'[^']*'")
+_PRESENT = re.compile(r"; topics present: .*")
+
+
+def problems_table(problems: Sequence[Problem], most: int = FEW) -> WordTable:
+    """Trips that gave no result, with the reasons; what several analyses state alike once.
+
+    Of more than `most` trips those of one state and reason are one row, with their number; figures
+    and names do not part reasons.
+    """
+    together: dict[tuple[str, str, str], list[Problem]] = {}
+    for each in problems:
+        together.setdefault((each.key, each.state, each.reason), []).append(each)
+    if len({each.key for each in problems}) > most:
+        return _by_reason(list(together.values()))
+    table = new_table("Without a result", "trip", "analysis", "state", "reason", name="problems")
+    for (_, state, reason), group in together.items():
+        table.add_row(_trip_of(group[0]), _analyses_of(group), state, reason)
+    return table
+
+
+def _by_reason(groups: Sequence[Sequence[Problem]]) -> WordTable:
+    """How many trips gave no result for each reason, the most first."""
+    alike: dict[tuple[str, str, str], list[Problem]] = {}
+    for group in groups:
+        form = form_of_reason(group[0].reason)
+        alike.setdefault((_analyses_of(group), group[0].state, form), []).append(group[0])
+    table = new_table(
+        "Without a result", "analysis", "state", Column("trips", NUMBER), "reason, of one of them",
+        "this trip", name="problems",
+    )  # fmt: skip
+    for (names, state, _), rows in sorted(alike.items(), key=lambda each: -len(each[1])):
+        table.add_cells(names, state, len(rows), rows[0].reason, _trip_of(rows[0]))
+    return table
+
+
+def form_of_reason(reason: str) -> str:
+    """A reason without its figures, names and what else the log has, which part it from no other.
+
+    Examples
+    --------
+    >>> form_of_reason("trip 'a' has 3 axles") == form_of_reason("trip 'b' has 12 axles")
+    True
+    """
+    return _NUMBERS.sub("#", _QUOTED.sub("''", _PRESENT.sub("", reason)))
+
+
+def _trip_of(problem: Problem) -> str:
+    """The trip by its name, with that of its file where it is another."""
+    path = Path(problem.path)
+    if problem.name and problem.path and path.stem != problem.name:
+        return f"{problem.name} ({path.name})"
+    return problem.name or path.stem or problem.key[:12]
+
+
+def _analyses_of(group: Sequence[Problem]) -> str:
+    return ", ".join(each.analysis for each in group if each.analysis)
 
 
 @dataclass
@@ -162,8 +226,6 @@ class FleetUpdate(Presented):
 
     def tables(self) -> list[WordTable]:
         """What was computed by analysis, and trips that gave no result."""
-        from analysis.fleet.table import problems_table
-
         columns = (Column("analysis"), *(Column(each, NUMBER) for each in STATES), Column("code"))
         computed = new_table("Computed", *columns, name="analyses").add_rows(self.counts.values())
         return [computed, problems_table(self.problems)]
@@ -560,8 +622,6 @@ class FleetStatus(Presented):
 
     def tables(self) -> list[WordTable]:
         """How many trips of each analysis are in each state; those without a result on request."""
-        from analysis.fleet.table import problems_table
-
         states = ("done", "refused", "failed", "pending")
         columns = (Column("analysis"), *(Column(each, NUMBER) for each in states))
         table = new_table("Computed by this code", *columns, name="analyses")

@@ -12,13 +12,12 @@ import numpy as np
 import pandas as pd
 
 from analysis.charts import BLUE, GREEN, GREY, ORANGE, Chart, Curve, Panel, Rule
+from analysis.comparison.causes import LOST
 from analysis.comparison.losses import CAUSES
-from analysis.fleet.analyses import ANALYSES
-from analysis.fleet.codes import code_of, computation_of
-from analysis.fleet.columns import LOST
+from analysis.fleet.analyses import ANALYSES, code_of, computation_of
 from analysis.fleet.maps import maps_folder
-from analysis.fleet.table import form_of_reason
 from analysis.fleet.trains import FleetTrains, trains_in
+from analysis.fleet.update import form_of_reason
 from analysis.reports.answers import (
     SPEED_OFF,
     doubts,

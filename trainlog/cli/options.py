@@ -483,7 +483,7 @@ def chosen_summaries(where: str, catalogue: str | None) -> list[Path]:
     import shutil
     import tempfile
 
-    from analysis.fleet.stored import stored_summaries
+    from analysis.fleet.analyses import stored_summaries
     from trainlog.catalogue import open_catalogue
     from trainlog.formats.summaries import SUFFIX, write_summaries
 
