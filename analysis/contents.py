@@ -15,7 +15,7 @@ import numpy as np
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import LOOKED_AT, is_map, mistaken_json, refuse_workbook
-from trainlog.formats.network import read_network, route_of_path
+from trainlog.formats.railway import read_network, route_of_path
 from trainlog.presentation import WordTable, facts_table, new_table
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class Contents:
         return [f"{self.path}: {self.kind}", self.text]
 
     def _passport(self) -> list[str]:
-        from trainlog.formats.attached import passport_of
+        from trainlog.formats.railway import passport_of
         from trainlog.mcap import read_log
         from trainlog.trip import PASSPORT_ATTACHMENT
 
@@ -151,7 +151,7 @@ def contents_of(path: str | Path) -> Contents:
     if stated is not None:
         return _of_format(path, stated[1].decode())
     if head.startswith(b"MDF ") and b"trainlog.json" in path.read_bytes()[-65_536:]:
-        from trainlog.formats.mdf import read_mdf_trip
+        from trainlog.formats.trip_tables import read_mdf_trip
 
         return Contents(path, "trip as MDF", read_mdf_trip(path))
     refuse_workbook(head[:LOOKED_AT], path)
@@ -223,10 +223,15 @@ def _of_format(path: Path, stated: str) -> Contents:
     """What a file of trainlog's own formats holds."""
     from trainlog.formats.characteristic import read_characteristic
     from trainlog.formats.declared import read_thing
-    from trainlog.formats.line import read_journey, read_line
-    from trainlog.formats.parameters import read_coast_down, read_parameters
-    from trainlog.formats.train import read_consist, read_train
-    from trainlog.formats.trajectory import read_trajectory
+    from trainlog.formats.railway import (
+        read_coast_down,
+        read_consist,
+        read_journey,
+        read_line,
+        read_parameters,
+        read_train,
+        read_trajectory,
+    )
     from trainlog.ingest.profile import PROFILE_FORMAT, read_profile
     from trainlog.railway.passport import Passport
 

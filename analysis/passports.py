@@ -46,7 +46,7 @@ from analysis.resistance.windows import Windows, build_windows, effort_impulse, 
 from trainlog.arrays import FloatArray, robust_std
 from trainlog.display import counted
 from trainlog.errors import NotIdentifiableError
-from trainlog.formats.attached import (
+from trainlog.formats.railway import (
     largest_load,
     line_of,
     passport_of,

@@ -16,8 +16,8 @@ import numpy as np
 
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError, LogError, TrainlogError
-from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256_of
+from trainlog.formats.railway import line_of, train_of
 from trainlog.identity import SHARED, TripIdentity
 from trainlog.mcap import read_log
 from trainlog.mcap.reader import identity_of_log

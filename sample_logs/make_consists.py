@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from trainlog.formats.train import write_consist
+from trainlog.formats.railway import write_consist
 from trainlog.railway.consist import Consist, ConsistBrake, Coupler, RollingVehicle, Vehicle
 from trainlog.railway.resistance import RunningResistance
 

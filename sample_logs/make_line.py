@@ -14,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from trainlog.formats.line import write_line
+from trainlog.formats.railway import write_line, write_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN
-from trainlog.formats.train import write_train
 from trainlog.formats.ttobench import read_track, read_train
 from trainlog.railway.geometry import Anchor, Placement, nearest_on, place, track_of
 from trainlog.railway.line import Line, Station

@@ -12,9 +12,8 @@ from pathlib import Path
 
 from analysis.adhesion.condition_map import adhesion_map
 from trainlog.formats.condition import write_map
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
 from trainlog.mcap import write_log
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.simulation.recorders import write_recorder_csv, write_ublox_csv

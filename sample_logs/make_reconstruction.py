@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from trainlog.formats.line import write_line
+from trainlog.formats.railway import write_line
 from trainlog.railway.line import Line, Station, StepProfile
 
 NAME = "DE_Chemnitz_Cranzahl.line.json"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from trainlog.arrays import FloatArray
-from trainlog.formats.line import line_to_bytes
+from trainlog.formats.railway import line_to_bytes
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.topics import ESTIMATED_STATE, GNSS_MOTION
 from trainlog.trip import LINE_ATTACHMENT, Trip, frame_of

@@ -29,7 +29,7 @@ from estimators.odometry import OdometryFilter
 from estimators.rls import RecursiveLeastSquares, edges_crossed, record_with_resets
 from estimators.slip import SlipDetector
 from trainlog.arrays import FloatArray
-from trainlog.formats.attached import line_of, train_of
+from trainlog.formats.railway import line_of, train_of
 from trainlog.formats.samples import folder
 from trainlog.trip import Trip, seconds
 

@@ -17,7 +17,7 @@ import pandas as pd
 from simulated_line import KMH, flirt, hilly_line
 
 from trainlog.errors import InputError
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line
 from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.ingest import NO_TIME, Proposal, propose_profile
 from trainlog.ingest.tabular import read_delimited, read_parquet

@@ -10,7 +10,7 @@ import pyarrow as pa
 from rerun.chunk import RrdReader
 
 from trainlog import topics
-from trainlog.formats.line import line_to_bytes
+from trainlog.formats.railway import line_to_bytes
 from trainlog.railway import (
     Configuration,
     Geometry,

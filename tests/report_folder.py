@@ -10,12 +10,16 @@ from analysis.resistance.logs import fit
 from analysis.studies.report import as_markdown
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
-from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line
-from trainlog.formats.parameters import write_parameters
+from trainlog.formats.railway import (
+    line_from_bytes,
+    line_to_bytes,
+    read_line,
+    read_train,
+    write_parameters,
+    write_trajectory,
+)
 from trainlog.formats.samples import sample
 from trainlog.formats.summaries import write_summaries
-from trainlog.formats.train import read_train
-from trainlog.formats.trajectory import write_trajectory
 from trainlog.mcap import read_log, write_log
 from trainlog.presentation import new_table
 from trainlog.railway import Configuration, Station, Trajectory

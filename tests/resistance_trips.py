@@ -12,8 +12,7 @@ from simulated_line import level_line
 
 from analysis.resistance.recording import Recording
 from trainlog.arrays import FloatArray
-from trainlog.formats.line import line_to_bytes
-from trainlog.formats.train import train_to_bytes
+from trainlog.formats.railway import line_to_bytes, train_to_bytes
 from trainlog.railway import (
     Axles,
     RunningResistance,

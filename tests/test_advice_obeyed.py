@@ -17,7 +17,7 @@ from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observ
 
 from analysis.trajectory.advice import journey_advice, limits_of, write_journey_advice
 from analysis.trajectory.phases import Phase
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line
 from trainlog.formats.samples import sample
 from trainlog.railway import Configuration, Line, RunningResistance, Train
 from trainlog.units import KMH

@@ -17,8 +17,8 @@ from trainlog.along_line import (
     time_distance_of,
 )
 from trainlog.errors import InputError
+from trainlog.formats.railway import read_train
 from trainlog.formats.samples import DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
 from trainlog.mcap import read_log
 from trainlog.railway import Configuration, Trajectory
 from trainlog.units import NANOSECONDS

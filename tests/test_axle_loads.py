@@ -16,7 +16,7 @@ from slip_truth import Seen, seen
 from analysis.adhesion.slip import slip
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.train import read_train, train_from_bytes, train_to_bytes, write_train
+from trainlog.formats.railway import read_train, train_from_bytes, train_to_bytes, write_train
 from trainlog.railway import Axles, Train
 from trainlog.railway.axle_loads import AxleGeometry, axle_loads, load_transfer
 from trainlog.simulation import draw_scenarios

@@ -17,8 +17,8 @@ from analysis.resistance import fit_trip
 from trainlog import read_line, read_train
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
+from trainlog.formats.railway import write_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import write_train
 from trainlog.mcap import read_log
 from trainlog.railway import Configuration, ParameterSet, RunningResistance, Train
 from trainlog.simulation import draw_scenarios, simulate

@@ -12,7 +12,7 @@ from analysis.geometry.centre_line import CentreLine, geometry_of, line_of
 from estimators.centre_line import CURVATURE_CHANGE, fitted_curve
 from trainlog.cli.main import run
 from trainlog.errors import InputError
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line
 from trainlog.ingest import ingest_each, profile_of
 from trainlog.ingest.estimates import estimated_state
 from trainlog.mcap import write_log

@@ -16,9 +16,8 @@ from command import run
 import analysis
 from trainlog.cli import demo, terminal
 from trainlog.errors import InputError
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
 from trainlog.ingest.batch import no_recording
 from trainlog.presentation import new_table
 

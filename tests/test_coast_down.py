@@ -28,9 +28,8 @@ from tests.coasting_trips import (
 )
 from trainlog.cli.main import run
 from trainlog.errors import InputError, LogError, NotIdentifiableError
-from trainlog.formats.attached import train_of
 from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
-from trainlog.formats.parameters import CoastDownResult, read_coast_down
+from trainlog.formats.railway import CoastDownResult, read_coast_down, train_of
 from trainlog.formats.samples import sample
 from trainlog.ingest import ingest_each
 from trainlog.mcap import read_log, write_log

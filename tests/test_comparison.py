@@ -21,7 +21,7 @@ from analysis.comparison.plot import comparison_charts
 from trainlog import read_line, read_train
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
-from trainlog.formats.line import line_to_bytes
+from trainlog.formats.railway import line_to_bytes
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import Configuration, Line, StepProfile, Trajectory

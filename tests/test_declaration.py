@@ -13,10 +13,8 @@ from refusals import refused
 from trainlog.declaration import NOT_NEGATIVE, Quantity, check_plausible, entries, meanings
 from trainlog.errors import InputError
 from trainlog.formats.declared import file_content, read_thing, thing_to_bytes, write_thing
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, read_train, template_of
 from trainlog.formats.samples import sample
-from trainlog.formats.templates import template_of
-from trainlog.formats.train import read_train
 from trainlog.railway import Journey, Line, TimingPoint, Train
 
 

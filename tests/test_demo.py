@@ -22,10 +22,8 @@ from analysis.truth import curve_error, map_error, truth_of
 from trainlog.cli import demo, main as cli
 from trainlog.display import at_most
 from trainlog.errors import InputError
-from trainlog.formats.attached import line_of
 from trainlog.formats.condition import read_map
-from trainlog.formats.parameters import read_parameters
-from trainlog.formats.trajectory import read_trajectory
+from trainlog.formats.railway import line_of, read_parameters, read_trajectory
 from trainlog.mcap import describe
 
 pytestmark = pytest.mark.usefixtures("remembered_estimates")

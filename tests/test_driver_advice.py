@@ -26,11 +26,15 @@ from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.phases import Phase
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InputError
-from trainlog.formats.attached import line_of_plan
-from trainlog.formats.line import line_to_bytes, read_line
+from trainlog.formats.railway import (
+    line_of_plan,
+    line_to_bytes,
+    read_line,
+    read_train,
+    read_trajectory,
+    write_trajectory,
+)
 from trainlog.formats.samples import sample
-from trainlog.formats.train import read_train
-from trainlog.formats.trajectory import read_trajectory, write_trajectory
 from trainlog.railway import Configuration, Line, Trajectory
 
 DWELL = 45.0

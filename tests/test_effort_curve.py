@@ -16,15 +16,15 @@ from typer.testing import CliRunner
 from trainlog.cli.main import app
 from trainlog.errors import InputError
 from trainlog.formats import osrd, railtoolkit
+from trainlog.formats.csv_tables import read_effort_curve
 from trainlog.formats.imports import ImportOptions, import_file
-from trainlog.formats.samples import DEFAULT_TRAIN, sample
-from trainlog.formats.train import (
-    read_effort_curve,
+from trainlog.formats.railway import (
     read_train,
     train_from_bytes,
     train_to_bytes,
     write_train,
 )
+from trainlog.formats.samples import DEFAULT_TRAIN, sample
 from trainlog.railway import EffortCurve
 
 DATA = Path(__file__).parents[2] / "shared" / "data"

@@ -26,8 +26,7 @@ from analysis.reports.fleet_attention import FleetFacts, attention_parts
 from analysis.reports.fleet_condition import lowest_parts
 from analysis.reports.page import Page, Section
 from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue
-from trainlog.formats.line import read_line
-from trainlog.formats.network import write_network
+from trainlog.formats.railway import read_line, write_network
 from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.presentation import WordTable
 from trainlog.railway import Edge, Network, Node

@@ -12,7 +12,7 @@ from analysis.verification.forecasts import forecast_of, stated_forecast
 from analysis.verification.references import climatology
 from trainlog.errors import InputError
 from trainlog.formats.condition import read_map
-from trainlog.formats.forecast import read_forecast, write_forecast
+from trainlog.formats.csv_tables import read_forecast, write_forecast
 from trainlog.formats.samples import sample
 from trainlog.railway.condition import TrackConditionMap
 

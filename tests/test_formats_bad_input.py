@@ -17,9 +17,16 @@ from trainlog.declaration import check_plausible
 from trainlog.errors import InputError
 from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
 from trainlog.formats.files import read_bytes
-from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line, write_line
+from trainlog.formats.railway import (
+    line_from_bytes,
+    line_to_bytes,
+    read_line,
+    read_train,
+    train_from_bytes,
+    train_to_bytes,
+    write_line,
+)
 from trainlog.formats.samples import sample
-from trainlog.formats.train import read_train, train_from_bytes, train_to_bytes
 from trainlog.railway import (
     BrakingCurves,
     Configuration,

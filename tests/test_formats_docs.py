@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from trainlog.declaration import Declared, entries
-from trainlog.formats.parameters import CoastDownResult, DragCurve, Identified
+from trainlog.formats.railway import CoastDownResult, DragCurve, Identified
 from trainlog.formats.samples import sample
 from trainlog.railway.axle_loads import AxleGeometry
 from trainlog.railway.consist import Consist, ConsistBrake, Coupler, Vehicle

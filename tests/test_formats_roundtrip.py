@@ -22,24 +22,31 @@ from hypothesis import HealthCheck, given, settings
 from refusals import refused
 
 from trainlog.errors import InputError, LogError
-from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.condition import read_map, write_map
 from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
 from trainlog.formats.files import plain, read_json
-from trainlog.formats.line import (
+from trainlog.formats.mapfile import MapFile, whole_file
+from trainlog.formats.railway import (
     line_from_bytes,
+    line_of,
     line_to_bytes,
     read_journey,
     read_line,
+    read_network,
+    read_parameters,
+    read_train,
+    read_trajectory,
+    train_from_bytes,
+    train_of,
+    train_to_bytes,
     write_journey,
     write_line,
+    write_network,
+    write_parameters,
+    write_train,
+    write_trajectory,
 )
-from trainlog.formats.mapfile import MapFile, whole_file
-from trainlog.formats.network import read_network, write_network
-from trainlog.formats.parameters import read_parameters, write_parameters
 from trainlog.formats.samples import sample
-from trainlog.formats.train import read_train, train_from_bytes, train_to_bytes, write_train
-from trainlog.formats.trajectory import read_trajectory, write_trajectory
 from trainlog.railway import (
     Configuration,
     Line,

@@ -13,8 +13,7 @@ from refusals import refused
 
 from trainlog.errors import InputError
 from trainlog.formats import samples, ttobench
-from trainlog.formats.line import line_to_bytes, read_line
-from trainlog.formats.train import read_train, train_to_bytes
+from trainlog.formats.railway import line_to_bytes, read_line, read_train, train_to_bytes
 from trainlog.railway.geometry import plane_curve, similarity, to_plane
 
 ROOT = Path(__file__).parents[1]

@@ -18,8 +18,7 @@ from refusals import refused
 from trainlog.errors import InputError
 from trainlog.formats import ttobench
 from trainlog.formats.imports import import_file
-from trainlog.formats.line import read_journey, read_line
-from trainlog.formats.train import read_train
+from trainlog.formats.railway import read_journey, read_line, read_train
 from trainlog.formats.ttobench import JourneyLayout, TrackLayout, TrainLayout
 from trainlog.railway import BrakingCurves, Line, Station, Train
 from trainlog.railway.journey import Journey, TimingPoint

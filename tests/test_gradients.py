@@ -15,7 +15,7 @@ from analysis.resistance import TripRefusedError, fit_trip
 from analysis.resistance.coast_down import coast_down
 from estimators.altitude import OVER, Ride, height_profile
 from trainlog.errors import InputError, NotIdentifiableError
-from trainlog.formats.line import line_to_bytes, read_line, write_line
+from trainlog.formats.railway import line_to_bytes, read_line, write_line
 from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.mcap import read_log
 from trainlog.railway import StepProfile

@@ -413,7 +413,7 @@ class TestMap:
 
 
 def _line() -> object:
-    from trainlog.formats.attached import line_of
+    from trainlog.formats.railway import line_of
 
     return line_of(WHOLE)
 

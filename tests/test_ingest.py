@@ -15,7 +15,7 @@ from simulated_line import flirt, hilly_line, level_line
 
 from trainlog import __version__
 from trainlog.errors import InputError, LogError
-from trainlog.formats.attached import line_of, train_of
+from trainlog.formats.railway import line_of, train_of
 from trainlog.formats.samples import sample
 from trainlog.ingest import PROFILE_ATTACHMENT, ingest, report_of
 from trainlog.mcap import read_log, write_log

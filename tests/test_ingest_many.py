@@ -277,8 +277,7 @@ def test_interrupted_it_keeps_whole_logs_and_lists_them(tmp_path: Path) -> None:
 
 
 def test_logs_of_a_vehicle_recorder_with_line_and_train(tmp_path: Path) -> None:
-    from trainlog.formats.line import read_line
-    from trainlog.formats.train import read_train
+    from trainlog.formats.railway import read_line, read_train
 
     known = {
         "line": read_line(sample(DEFAULT_LINE)),

@@ -17,9 +17,8 @@ from analysis import fit_trip
 from analysis.comparison.groups import trip_cost
 from trainlog.cli.main import app
 from trainlog.errors import InputError
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
 from trainlog.ingest import Proposal, ingest, propose_profile
 from trainlog.ingest.proposal.vocabulary import vocabulary
 from trainlog.mcap import read_log

@@ -23,7 +23,7 @@ from ingest_logs import (
 from recorder_files import MTK_HEADER, drive, mtk_at_rest, mtk_rows
 
 from trainlog.errors import InputError
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line
 from trainlog.formats.samples import sample
 from trainlog.ingest import RULES, ingest, report_of
 from trainlog.ingest.clock import longest_nondecreasing

@@ -33,9 +33,8 @@ from route_networks import (
 )
 
 from trainlog.errors import InputError
-from trainlog.formats.attached import line_of
 from trainlog.formats.imports import networks_in
-from trainlog.formats.network import write_network
+from trainlog.formats.railway import line_of, write_network
 from trainlog.ingest import Profile, ingest, ingest_all, ingest_each, report_of
 from trainlog.ingest.live import LiveIngest, LiveOptions
 from trainlog.ingest.pipeline import Given

@@ -18,7 +18,7 @@ from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.reports import trip as report
 from trainlog.cli.options import part_of
 from trainlog.errors import InputError
-from trainlog.formats.line import line_to_bytes, read_line, write_line
+from trainlog.formats.railway import line_to_bytes, read_line, write_line
 from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.mcap import read_log, write_log
 from trainlog.presentation import WordTable

@@ -14,7 +14,7 @@ from refusals import refused
 from analysis.studies.hauck_2023 import model as dynamics
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from trainlog.errors import InputError
-from trainlog.formats.line import line_to_bytes, read_line
+from trainlog.formats.railway import line_to_bytes, read_line
 from trainlog.formats.samples import sample
 from trainlog.units import GRAVITY
 

@@ -11,7 +11,7 @@ from refusals import refused
 from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.line_table import UNITS, line_table
 from trainlog.errors import InputError
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line
 from trainlog.formats.samples import sample
 from trainlog.railway import CurvatureProfile, Line, Station, StepProfile, Tunnel
 

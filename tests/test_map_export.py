@@ -23,7 +23,7 @@ from analysis.adhesion.condition_table import (
 )
 from trainlog.cli.main import run
 from trainlog.errors import InputError, MissingExtraError
-from trainlog.formats.line import line_to_bytes
+from trainlog.formats.railway import line_to_bytes
 from trainlog.formats.ttobench import read_adhesion
 from trainlog.railway import Line, LineReference, TrackConditionMap
 from trainlog.railway.condition import ConditionChange, PassingSpot

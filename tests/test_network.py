@@ -18,10 +18,17 @@ from refusals import refused
 import trainlog
 from analysis.charts import draw_charts
 from trainlog.errors import InputError
-from trainlog.formats.attached import line_of
 from trainlog.formats.declared import thing_to_bytes
-from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line, write_line
-from trainlog.formats.network import network_from_bytes, read_network, write_network
+from trainlog.formats.railway import (
+    line_from_bytes,
+    line_of,
+    line_to_bytes,
+    network_from_bytes,
+    read_line,
+    read_network,
+    write_line,
+    write_network,
+)
 from trainlog.formats.samples import sample
 from trainlog.railway import (
     CurvatureProfile,
@@ -416,7 +423,7 @@ def test_evidence_counts_for_the_condition_of_each_edge(tmp_path: Path) -> None:
 
 def test_a_trip_on_a_route_is_trips_on_its_edges(tmp_path: Path) -> None:
     from analysis.network.edges import edge_line, trips_on_edges
-    from trainlog.formats.attached import line_of
+    from trainlog.formats.railway import line_of
 
     network = Network("cut", (Node("East"), Node("Mid", "junction"), Node("West")), (
         Edge("east", WHOLE.section(0.0, 10_000.0), "East", "Mid"),

@@ -22,8 +22,7 @@ from analysis.network.export import export_network
 from trainlog.errors import InputError
 from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.imports import import_file, networks_in
-from trainlog.formats.line import read_line
-from trainlog.formats.network import read_network, write_network
+from trainlog.formats.railway import read_line, read_network, write_network
 from trainlog.formats.tracks import Infrastructure
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.railway.line_network import network_of_lines

@@ -31,7 +31,7 @@ from analysis.reports.fleet_condition import condition_parts, known_maps
 from trainlog.cli.main import app
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import sha256_of
-from trainlog.formats.line import line_to_bytes, read_line
+from trainlog.formats.railway import line_to_bytes, read_line
 from trainlog.formats.samples import sample
 from trainlog.presentation import WordTable
 from trainlog.railway import Edge, Line, Network, Node

@@ -18,11 +18,14 @@ from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.condition import read_map
-from trainlog.formats.line import read_line, write_line
-from trainlog.formats.parameters import read_parameters
+from trainlog.formats.railway import (
+    read_line,
+    read_parameters,
+    read_train,
+    read_trajectory,
+    write_line,
+)
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
-from trainlog.formats.trajectory import read_trajectory
 from trainlog.railway import Configuration, Trajectory
 from trainlog.railway.train import POWER_OF_FILE
 from trainlog.units import KMH

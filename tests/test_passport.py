@@ -19,8 +19,8 @@ from analysis.passports import (
     with_effort_delay,
 )
 from trainlog.errors import InputError, LogError
-from trainlog.formats.attached import passport_of, recorded_load, with_passport
 from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
+from trainlog.formats.railway import passport_of, recorded_load, with_passport
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.railway import Passport, Quantity
 from trainlog.railway.adhesion import AdhesionCharacteristic, CreepCurve, polach_curve

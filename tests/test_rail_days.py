@@ -16,10 +16,9 @@ import trainlog
 from analysis.truth import truth_of
 from trainlog.cli.main import app
 from trainlog.errors import InputError
-from trainlog.formats.line import read_line
+from trainlog.formats.csv_tables import read_weather
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
-from trainlog.formats.weather import read_weather
 from trainlog.railway import Line, StepProfile
 from trainlog.simulation import Change, Rail, draw_days, simulate
 from trainlog.simulation.rail import KINDS

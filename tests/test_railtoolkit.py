@@ -13,8 +13,7 @@ import trainlog
 from trainlog.cli import main as cli
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.railtoolkit import coupled, read_any, read_rolling_stock, read_running_paths
-from trainlog.formats.train import read_train
-from trainlog.formats.trajectory import read_trajectory
+from trainlog.formats.railway import read_train, read_trajectory
 from trainlog.railway import EffortCurve, Train
 from trainlog.railway.consist import RollingVehicle
 from trainlog.railway.motion import shortest_run

@@ -28,7 +28,7 @@ from rerun.chunk import RrdReader
 
 from trainlog import topics
 from trainlog.errors import InputError, LogError
-from trainlog.formats.line import line_to_bytes
+from trainlog.formats.railway import line_to_bytes
 from trainlog.railway import TrackConditionMap
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, PassingSpot
 from trainlog.replay import ReplayOptions, write_replay

@@ -13,7 +13,7 @@ from replay_trips import LENGTH, LINE, entities, made_trip, rows, static, trajec
 
 from trainlog.cli.main import run
 from trainlog.errors import InputError
-from trainlog.formats.line import line_to_bytes
+from trainlog.formats.railway import line_to_bytes
 from trainlog.mcap import stream_log, write_log
 from trainlog.railway import LineReference
 from trainlog.replay import ReplayOptions, write_replay

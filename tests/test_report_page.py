@@ -29,11 +29,9 @@ from analysis.reports.pictures import DARK, LIGHT, drawn, inline
 from analysis.reports.trip import Motion, Zone, known_zone, station_calls
 from analysis.resistance.logs import fit
 from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.attached import line_of
-from trainlog.formats.parameters import write_parameters
+from trainlog.formats.railway import line_of, write_parameters, write_trajectory
 from trainlog.formats.samples import sample
 from trainlog.formats.summaries import write_summaries
-from trainlog.formats.trajectory import write_trajectory
 from trainlog.ingest.recording import Finding
 from trainlog.ingest.report import Report
 from trainlog.mcap import read_log, write_log

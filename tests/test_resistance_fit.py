@@ -33,10 +33,15 @@ from analysis.resistance.plot import timeline_chart
 from analysis.resistance.recording import TripRefusedError, prepare
 from analysis.resistance.windows import build_windows
 from trainlog.errors import InputError, LogError, NotIdentifiableError
-from trainlog.formats.attached import line_of, train_of
-from trainlog.formats.line import line_to_bytes, read_line
+from trainlog.formats.railway import (
+    line_of,
+    line_to_bytes,
+    read_line,
+    read_train,
+    train_of,
+    train_to_bytes,
+)
 from trainlog.formats.samples import sample
-from trainlog.formats.train import read_train, train_to_bytes
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import EffortCurve, RunningResistance, StepProfile, Train, Tunnel
 from trainlog.railway.adhesion import polach_curve

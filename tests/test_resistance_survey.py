@@ -18,7 +18,7 @@ from analysis.resistance.curve import powers
 from analysis.resistance.noise import NoiseModel
 from analysis.resistance.regression import regress
 from analysis.resistance.windows import build_windows
-from trainlog.formats.line import line_to_bytes
+from trainlog.formats.railway import line_to_bytes
 from trainlog.formats.summaries import SURVEY, read_summaries, surveys_of, write_summaries
 from trainlog.railway import StepProfile, Survey
 from trainlog.trip import LINE_ATTACHMENT

@@ -32,10 +32,8 @@ from analysis.resistance.regression import Residuals
 from analysis.resistance.windows import WindowPoints
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError, NotIdentifiableError
-from trainlog.formats.line import read_line
-from trainlog.formats.parameters import read_parameters, write_parameters
+from trainlog.formats.railway import read_line, read_parameters, read_train, write_parameters
 from trainlog.formats.samples import sample
-from trainlog.formats.train import read_train
 from trainlog.mcap import write_log
 from trainlog.railway import Passport, Quantity, RunningResistance
 from trainlog.simulation import draw_scenarios, simulate

@@ -31,7 +31,7 @@ from analysis.trajectory.table import PlannedRun
 from trainlog.catalogue import open_catalogue
 from trainlog.cli.terminal import as_json_text
 from trainlog.declaration import Declared
-from trainlog.formats.parameters import write_parameters
+from trainlog.formats.railway import write_parameters
 from trainlog.ingest import ingest_all, propose_profile
 from trainlog.presentation import Presented
 from trainlog.railway.adhesion import AdhesionPoints

@@ -13,7 +13,7 @@ from refusals import refused
 
 import trainlog
 from trainlog.errors import InputError
-from trainlog.formats.attached import line_of, train_of
+from trainlog.formats.railway import line_of, train_of
 from trainlog.railway import Network
 from trainlog.railway.geometry import plane_curve, to_plane
 from trainlog.simulation import (

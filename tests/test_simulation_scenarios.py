@@ -15,8 +15,8 @@ from refusals import refused
 from simulated_line import flirt, hilly_line
 
 from trainlog.errors import InputError, LogError
-from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256
+from trainlog.formats.railway import line_of, train_of
 from trainlog.mcap import read_log, write_log
 from trainlog.simulation import (
     Scenario,

@@ -21,9 +21,7 @@ from analysis.adhesion.slip import SlipAnalysis, slip, wheel_noise
 from analysis.estimates import estimate_log
 from trainlog.arrays import FloatArray
 from trainlog.errors import LogError
-from trainlog.formats.attached import line_of
-from trainlog.formats.line import line_to_bytes
-from trainlog.formats.train import train_to_bytes
+from trainlog.formats.railway import line_of, line_to_bytes, train_to_bytes
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import Axles, Quantity, RunningResistance
 from trainlog.resampling import interpolated

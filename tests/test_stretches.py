@@ -13,7 +13,7 @@ from analysis.adhesion.condition_map import adhesion_map
 from analysis.estimates import estimate_log, with_estimates
 from analysis.resistance.logs import TOPICS, fit_log
 from tests.mcap_trips import assert_same, trip_of
-from trainlog.formats.attached import passport_of, with_passport
+from trainlog.formats.railway import passport_of, with_passport
 from trainlog.formats.samples import folder
 from trainlog.mcap import read_log, reader as module, write_log
 from trainlog.mcap.reader import stretches

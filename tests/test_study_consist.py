@@ -19,9 +19,8 @@ from trainlog.cli.main import run as command
 from trainlog.cli.terminal import console
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.declared import thing_from_bytes
-from trainlog.formats.line import write_line
+from trainlog.formats.railway import read_consist, write_consist, write_line
 from trainlog.formats.samples import names, sample
-from trainlog.formats.train import read_consist, write_consist
 from trainlog.mcap import read_log, write_log
 from trainlog.railway.consist import Consist
 from trainlog.simulation.consist import ConsistPlant

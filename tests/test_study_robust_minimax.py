@@ -14,7 +14,7 @@ from analysis.trajectory.discretisation import discretise
 from analysis.trajectory.phases import Phase
 from trainlog.cli.main import run as command
 from trainlog.cli.terminal import console
-from trainlog.formats.trajectory import read_trajectory
+from trainlog.formats.railway import read_trajectory
 from trainlog.railway import Trajectory
 
 LEVEL, DOWNHILL, CHOSEN = study.level(), study.downhill(), study.configurations()

@@ -14,8 +14,8 @@ import pytest
 
 from analysis.studies.in_train_forces.simulation import crest_and_sag, run
 from trainlog.cli.main import run as command
+from trainlog.formats.railway import read_consist
 from trainlog.formats.samples import sample
-from trainlog.formats.train import read_consist
 from trainlog.units import KMH
 
 PAGE = Path(__file__).parents[1] / "docs" / "studies.md"

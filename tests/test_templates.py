@@ -12,19 +12,22 @@ from refusals import refused
 
 from trainlog.declaration import entries, example, meanings
 from trainlog.errors import InputError
-from trainlog.formats import templates
+from trainlog.formats import railway as templates
 from trainlog.formats.declared import thing_from_bytes
-from trainlog.formats.line import (
+from trainlog.formats.railway import (
     line_from_bytes,
     line_to_bytes,
     read_journey,
     read_line,
+    read_line_table,
+    read_train,
+    train_from_bytes,
     write_journey,
     write_line,
+    write_template,
+    write_train,
 )
 from trainlog.formats.samples import sample
-from trainlog.formats.templates import read_line_table, write_template
-from trainlog.formats.train import read_train, train_from_bytes, write_train
 from trainlog.ingest import ingest, read_profile
 from trainlog.railway import Line, Train
 from trainlog.railway.journey import Journey

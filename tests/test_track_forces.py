@@ -19,10 +19,16 @@ from analysis.resistance.recording import TripRefusedError, track_slope
 from analysis.trajectory.audit import audit
 from trainlog.arrays import FloatArray
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.formats.attached import TRAIN_ATTACHMENT
-from trainlog.formats.line import line_from_bytes, line_to_bytes, read_line
+from trainlog.formats.railway import (
+    TRAIN_ATTACHMENT,
+    line_from_bytes,
+    line_to_bytes,
+    read_line,
+    read_train,
+    train_from_bytes,
+    train_to_bytes,
+)
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train, train_from_bytes, train_to_bytes
 from trainlog.railway import (
     Axles,
     Configuration,

@@ -10,8 +10,7 @@ import pytest
 from refusals import refused
 
 from trainlog.errors import InputError
-from trainlog.formats.line import read_line
-from trainlog.formats.train import read_train
+from trainlog.formats.railway import read_line, read_train
 from trainlog.railway import StepProfile
 from trainlog.simulation import (
     DriveReading,

@@ -26,8 +26,7 @@ from analysis.control.traction import (
 from trainlog.cli.main import app
 from trainlog.errors import InputError
 from trainlog.formats.condition import read_map, write_map
-from trainlog.formats.line import read_line, write_line
-from trainlog.formats.train import read_train
+from trainlog.formats.railway import read_line, read_train, write_line
 from trainlog.mcap import read_log
 from trainlog.railway import StepProfile, Train
 from trainlog.railway.adhesion import AdhesionCharacteristic, creep_coefficients, polach_curve

@@ -11,9 +11,8 @@ from analysis.adhesion.condition_map import empty_map, update
 from analysis.adhesion.evidence import evidence
 from analysis.truth import Truth, true_adhesion, truth_of
 from trainlog.arrays import FloatArray
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
 from trainlog.railway import TrackConditionMap
 from trainlog.simulation import draw_scenarios, simulate
 

@@ -28,10 +28,8 @@ from analysis.trajectory.optimiser import energy_against_time, optimise
 from analysis.trajectory.phases import Phase, agreement
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, read_train, read_trajectory
 from trainlog.formats.samples import sample
-from trainlog.formats.train import read_train
-from trainlog.formats.trajectory import read_trajectory
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import Configuration, ParameterSet, StepProfile, Trajectory
 from trainlog.replay import write_replay
@@ -323,7 +321,7 @@ def test_commands_write_sections_a_front_and_advice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from trainlog.cli.main import main
-    from trainlog.formats.line import write_journey
+    from trainlog.formats.railway import write_journey
     from trainlog.railway import Journey, TimingPoint
 
     def run(*words: object) -> None:

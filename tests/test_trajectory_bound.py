@@ -18,7 +18,7 @@ from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.guess import initial_guess, interpolated_guess
 from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.sqp import Solution, minimise
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line
 from trainlog.formats.samples import sample
 
 TIME = 450.0

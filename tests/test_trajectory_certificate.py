@@ -26,7 +26,7 @@ from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from analysis.trajectory.table import trajectory_table
 from trainlog.errors import InputError
-from trainlog.formats.trajectory import read_trajectory, write_trajectory
+from trainlog.formats.railway import read_trajectory, write_trajectory
 from trainlog.railway import Trajectory
 
 FINE = 1_200

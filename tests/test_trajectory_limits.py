@@ -21,7 +21,7 @@ from trajectory_cases import (
 )
 
 from trainlog.errors import InputError
-from trainlog.formats.trajectory import read_trajectory, write_trajectory
+from trainlog.formats.railway import read_trajectory, write_trajectory
 from trainlog.railway import Configuration, Line, TrackConditionMap, Trajectory
 
 

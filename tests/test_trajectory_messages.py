@@ -21,8 +21,8 @@ from analysis.trajectory.table import trajectory_table
 from trainlog.cli.main import run
 from trainlog.display import at_most
 from trainlog.errors import InfeasibleError, InputError
+from trainlog.formats.railway import read_trajectory, write_trajectory
 from trainlog.formats.samples import sample
-from trainlog.formats.trajectory import read_trajectory, write_trajectory
 from trainlog.railway import Trajectory
 
 ENERGY = {

@@ -11,9 +11,8 @@ from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, observ
 from analysis.charts import draw
 from analysis.trajectory.discretisation import graded_mesh
 from analysis.trajectory.phases import Phase, phase_letters, phases_by_control, phases_by_switching
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import sample
-from trainlog.formats.train import read_train
 
 
 @pytest.mark.parametrize("objective", ["wheel", "line"])

@@ -21,9 +21,8 @@ from analysis.adhesion.demonstrated import (
 from analysis.control.route import _adhesion, counted_on
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.errors import InputError
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
 from trainlog.railway import Configuration
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence

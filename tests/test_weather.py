@@ -15,10 +15,9 @@ from analysis.adhesion.evidence import Evidence, evidence
 from trainlog.cli.main import app
 from trainlog.errors import InputError, LogError
 from trainlog.formats.condition import read_map
-from trainlog.formats.line import read_line
+from trainlog.formats.csv_tables import read_weather, write_weather
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
-from trainlog.formats.weather import read_weather, write_weather
 from trainlog.mcap import write_log
 from trainlog.railway.weather import Weather, sun_elevation
 from trainlog.simulation import draw_scenarios, simulate

@@ -33,46 +33,36 @@ if TYPE_CHECKING:
         write_characteristic as write_characteristic,
     )
     from trainlog.formats.condition import read_map as read_map, write_map as write_map
-    from trainlog.formats.forecast import (
+    from trainlog.formats.csv_tables import (
         read_forecast as read_forecast,
+        read_weather as read_weather,
         write_forecast as write_forecast,
+        write_weather as write_weather,
     )
-    from trainlog.formats.line import (
+    from trainlog.formats.railway import (
+        read_consist as read_consist,
         read_journey as read_journey,
         read_line as read_line,
+        read_network as read_network,
+        read_parameters as read_parameters,
+        read_train as read_train,
+        read_trajectory as read_trajectory,
+        write_consist as write_consist,
         write_journey as write_journey,
         write_line as write_line,
-    )
-    from trainlog.formats.network import (
-        read_network as read_network,
         write_network as write_network,
-    )
-    from trainlog.formats.parameters import (
-        read_parameters as read_parameters,
         write_parameters as write_parameters,
+        write_train as write_train,
+        write_trajectory as write_trajectory,
     )
     from trainlog.formats.samples import (
         DEFAULT_LINE as DEFAULT_LINE,
         DEFAULT_TRAIN as DEFAULT_TRAIN,
         sample as sample,
     )
-    from trainlog.formats.train import (
-        read_consist as read_consist,
-        read_train as read_train,
-        write_consist as write_consist,
-        write_train as write_train,
-    )
-    from trainlog.formats.trajectory import (
-        read_trajectory as read_trajectory,
-        write_trajectory as write_trajectory,
-    )
     from trainlog.formats.trip_tables import (
         read_parquet as read_parquet,
         write_parquet as write_parquet,
-    )
-    from trainlog.formats.weather import (
-        read_weather as read_weather,
-        write_weather as write_weather,
     )
     from trainlog.identity import identity_of as identity_of
     from trainlog.ingest import (

@@ -35,8 +35,8 @@ from trainlog import __version__
 from trainlog.condition import estimated
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.attached import line_of
 from trainlog.formats.files import sha256_of
+from trainlog.formats.railway import line_of
 from trainlog.identity import (
     COLUMNS,
     Known,

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from trainlog.arrays import FloatArray
-from trainlog.formats.attached import line_of
+from trainlog.formats.railway import line_of
 from trainlog.railway.weather import Weather, sun_elevation
 from trainlog.trip import LINE_ATTACHMENT, Trip
 from trainlog.units import NANOSECONDS

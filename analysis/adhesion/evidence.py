@@ -21,7 +21,7 @@ from analysis.adhesion.slip import SlipAnalysis, joined_details, slip
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.condition import setting
 from trainlog.errors import InputError, LogError, NotRecordedError
-from trainlog.formats.attached import line_of
+from trainlog.formats.railway import line_of
 from trainlog.identity import TripIdentity, identity_of
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence

@@ -32,9 +32,8 @@ from analysis.adhesion.condition_table import (
 from trainlog.condition import day_of_trip, known_before, left_out
 from trainlog.display import counted
 from trainlog.errors import TrainlogError
-from trainlog.formats.attached import line_of
-from trainlog.formats.line import read_line
 from trainlog.formats.mapfile import MapFile
+from trainlog.formats.railway import line_of, read_line
 from trainlog.formats.samples import names, sample
 from trainlog.mcap import read_log
 from trainlog.presentation import NUMBER, Column, Presented, Said, WordTable, frame_table, new_table

@@ -39,7 +39,7 @@ from estimators.slip import (
 from trainlog.arrays import BoolArray, FloatArray
 from trainlog.display import span
 from trainlog.errors import LogError
-from trainlog.formats.attached import line_of, train_of
+from trainlog.formats.railway import line_of, train_of
 from trainlog.presentation import Presented, WordTable, frame_table
 from trainlog.railway.axle_loads import axle_loads
 from trainlog.railway.kilometres import in_km

@@ -43,7 +43,7 @@ from trainlog.arrays import FloatArray
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.formats.files import check_kind
-from trainlog.formats.train import train_to_bytes
+from trainlog.formats.railway import train_to_bytes
 from trainlog.presentation import (
     DURATION,
     ENERGY,

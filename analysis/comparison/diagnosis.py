@@ -21,7 +21,7 @@ from analysis.comparison.energy import TRIP_SPREAD, ForceModel
 from analysis.resistance.fit import TripFit, fit_trip
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.attached import recorded_load
+from trainlog.formats.railway import recorded_load
 from trainlog.railway import Train
 from trainlog.railway.passport import Quantity
 from trainlog.trip import Trip

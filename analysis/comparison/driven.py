@@ -26,7 +26,7 @@ from trainlog.along_line import (
 from trainlog.arrays import BoolArray, FloatArray
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError
-from trainlog.formats.attached import line_of, passport_of, recorded_load, train_of
+from trainlog.formats.railway import line_of, passport_of, recorded_load, train_of
 from trainlog.mcap import read_log
 from trainlog.railway import Line, Train, Trajectory
 from trainlog.railway.kilometres import STATION_REACH, km_words, station_at

@@ -14,7 +14,7 @@ from analysis.comparison.reading import described, pieces_of
 from analysis.given import Given, each_given
 from trainlog.display import counted
 from trainlog.errors import LogError
-from trainlog.formats.attached import line_of, train_of
+from trainlog.formats.railway import line_of, train_of
 from trainlog.mcap import read_log
 from trainlog.presentation import (
     DURATION,

@@ -24,7 +24,7 @@ from analysis.passports import estimated_passport, with_effort_delay
 from analysis.resistance.fit import scale_of
 from analysis.resistance.recording import recorded_head_wind
 from trainlog.arrays import BoolArray, FloatArray, IntArray
-from trainlog.formats.attached import largest_load, recorded_load, train_of
+from trainlog.formats.railway import largest_load, recorded_load, train_of
 from trainlog.railway import ParameterSet, RunningResistance, Train
 from trainlog.railway.passport import Quantity
 from trainlog.spans import runs_of

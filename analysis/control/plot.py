@@ -27,7 +27,7 @@ from analysis.charts import (
 from trainlog.arrays import FloatArray
 from trainlog.display import counted
 from trainlog.errors import LogError
-from trainlog.formats.attached import line_of
+from trainlog.formats.railway import line_of
 from trainlog.railway import Line, TrackConditionMap
 from trainlog.trip import LINE_ATTACHMENT, Trip
 from trainlog.units import KMH

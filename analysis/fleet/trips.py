@@ -29,7 +29,7 @@ from analysis.given import Given
 from analysis.passports import passport
 from trainlog.arrays import BoolArray, IntArray
 from trainlog.errors import LogError
-from trainlog.formats.attached import line_of, train_of
+from trainlog.formats.railway import line_of, train_of
 from trainlog.identity import TripIdentity, identity_of
 from trainlog.mcap import DamageWarning, account_of, read_log, stream_log
 from trainlog.mcap.reader import rows_of_log

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 from analysis.adhesion.slip import SlipAnalysis
 from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import InputError
-from trainlog.formats.attached import line_of
-from trainlog.formats.line import line_to_bytes
+from trainlog.formats.railway import line_of, line_to_bytes
 from trainlog.railway.line import (
     CurvatureProfile,
     Geometry,

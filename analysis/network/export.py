@@ -47,7 +47,7 @@ def export_network(network: Network, path: str | Path) -> Exported:
     Examples
     --------
     >>> import tempfile
-    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.railway import read_line
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> nodes = (Node("St. Gallen"), Node("Wil"))
     >>> network = Network("one", nodes, (Edge("only", line, "St. Gallen", "Wil"),))

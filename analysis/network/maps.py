@@ -33,7 +33,7 @@ from trainlog.formats.files import (
     write_bytes,
 )
 from trainlog.formats.mapfile import MapFile
-from trainlog.formats.network import network_from_bytes
+from trainlog.formats.railway import network_from_bytes
 from trainlog.presentation import Presented, WordTable
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence

@@ -22,7 +22,7 @@ from analysis.trajectory.advice import (
 )
 from trainlog import __version__
 from trainlog.errors import InputError
-from trainlog.formats.trajectory import read_trajectory
+from trainlog.formats.railway import read_trajectory
 from trainlog.railway import Line
 from trainlog.railway.kilometres import in_km
 from trainlog.units import KMH, clock

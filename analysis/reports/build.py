@@ -33,7 +33,6 @@ from analysis.reports.trip import Motion, Zone, recorded_trip, trip_sections
 from trainlog import __version__
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.attached import line_of
 from trainlog.formats.files import (
     LOOKED_AT,
     check_kind,
@@ -46,6 +45,7 @@ from trainlog.formats.files import (
     to_bytes,
 )
 from trainlog.formats.mapfile import MapFile
+from trainlog.formats.railway import line_of
 from trainlog.mcap import read_log
 from trainlog.presentation import WordTable, kwh, new_table
 from trainlog.progress import note

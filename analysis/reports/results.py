@@ -26,13 +26,16 @@ from analysis.verification.scoring import score_rolling
 from trainlog.arrays import IntArray
 from trainlog.display import at_most, counted, lateness
 from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.attached import line_of_plan
 from trainlog.formats.condition import read_map
-from trainlog.formats.line import read_line
-from trainlog.formats.parameters import read_coast_down, read_parameters
+from trainlog.formats.railway import (
+    line_of_plan,
+    read_coast_down,
+    read_line,
+    read_parameters,
+    read_trajectory,
+)
 from trainlog.formats.samples import names, sample
 from trainlog.formats.summaries import SUFFIX
-from trainlog.formats.trajectory import read_trajectory
 from trainlog.presentation import (
     FORCE,
     MASS,

@@ -16,13 +16,16 @@ from analysis.trajectory.table import section_name
 from analysis.truth import SimulatedLogs, Truth, curve_error, map_error
 from trainlog.display import counted, lateness, span
 from trainlog.errors import InputError, LogError
-from trainlog.formats.attached import line_of_plan
 from trainlog.formats.condition import read_map
 from trainlog.formats.files import LOOKED_AT
-from trainlog.formats.line import read_line
 from trainlog.formats.mapfile import MapFile
-from trainlog.formats.parameters import read_coast_down, read_parameters
-from trainlog.formats.trajectory import read_trajectory
+from trainlog.formats.railway import (
+    line_of_plan,
+    read_coast_down,
+    read_line,
+    read_parameters,
+    read_trajectory,
+)
 from trainlog.mcap.convert import span_of
 from trainlog.presentation import Presented, WordTable, kwh, new_table, overspeed, with_band
 from trainlog.railway.condition import TrackConditionMap

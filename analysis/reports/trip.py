@@ -37,7 +37,7 @@ from analysis.reports.page import Part, Section, Warned
 from trainlog.arrays import FloatArray
 from trainlog.display import counted, lateness
 from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.attached import line_of, passport_of
+from trainlog.formats.railway import line_of, passport_of
 from trainlog.ingest.report import report_of
 from trainlog.mcap import describe, read_log
 from trainlog.mcap.description import LogDescription
@@ -185,7 +185,7 @@ def station_calls(motion: Motion, line: Line | None) -> tuple[StationCall, ...]:
     Examples
     --------
     >>> import trainlog
-    >>> from trainlog.formats.attached import line_of
+    >>> from trainlog.formats.railway import line_of
     >>> trip = trainlog.read("sample_logs/stopping.mcap")
     >>> calls = station_calls(Motion.of(trip), line_of(trip))
     >>> [(call.name, call.dwell) for call in calls if call.dwell]

@@ -41,10 +41,15 @@ from analysis.resistance.motion import TOPICS, Motion, motion_of
 from trainlog.arrays import FloatArray
 from trainlog.display import counted, span
 from trainlog.errors import InputError, NotIdentifiableError
-from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256_of
-from trainlog.formats.line import read_line
-from trainlog.formats.parameters import CoastDownResult, DragCurve, Identified
+from trainlog.formats.railway import (
+    CoastDownResult,
+    DragCurve,
+    Identified,
+    line_of,
+    read_line,
+    train_of,
+)
 from trainlog.identity import Known, TripIdentity, identity_of, same_drives, text_of
 from trainlog.mcap.reader import stretches
 from trainlog.presentation import (

@@ -33,8 +33,8 @@ from analysis.resistance.windows import Evidence, WindowPoints, Windows, part_of
 from trainlog.arrays import FloatArray
 from trainlog.display import span
 from trainlog.errors import InputError
-from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256
+from trainlog.formats.railway import line_of, train_of
 from trainlog.identity import identity_of, text_of
 from trainlog.presentation import (
     MASS,

@@ -45,8 +45,8 @@ from analysis.resistance.regression import diagnosed
 from analysis.resistance.windows import Evidence, part_of, within
 from trainlog.display import counted, span
 from trainlog.errors import LogError, NotIdentifiableError
-from trainlog.formats.attached import line_of, train_of
 from trainlog.formats.files import sha256, sha256_of
+from trainlog.formats.railway import line_of, train_of
 from trainlog.formats.summaries import SUFFIX, merged, read_summaries
 from trainlog.identity import text_of
 from trainlog.mcap import read_log

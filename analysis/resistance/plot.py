@@ -38,7 +38,7 @@ from analysis.resistance.recording import Timeline, TripRefusedError
 from analysis.resistance.regression import LAGS, Residuals, diagnosed
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted
-from trainlog.formats.parameters import CoastDownResult
+from trainlog.formats.railway import CoastDownResult
 from trainlog.formats.summaries import parameters_of
 from trainlog.units import KMH
 

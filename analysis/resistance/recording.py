@@ -12,7 +12,7 @@ import pandas as pd
 from estimators.motion import smooth_motion
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import LogError, NotIdentifiableError
-from trainlog.formats.attached import line_of
+from trainlog.formats.railway import line_of
 from trainlog.ingest.report import CLOCK_RULES
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train

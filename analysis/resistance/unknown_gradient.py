@@ -30,8 +30,7 @@ from analysis.resistance.curve import band_factor, curve_std, powers
 from analysis.resistance.motion import TOPICS, Motion, motion_of, smoothed_over
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import NotIdentifiableError
-from trainlog.formats.attached import line_of
-from trainlog.formats.parameters import CoastDownResult, DragCurve, Identified
+from trainlog.formats.railway import CoastDownResult, DragCurve, Identified, line_of
 from trainlog.railway.line import Line
 from trainlog.railway.resistance import LARGEST_STD
 from trainlog.spans import runs_of

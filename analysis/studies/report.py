@@ -12,7 +12,7 @@ import pandas as pd
 from analysis.charts import Chart, draw_all
 from trainlog import __version__
 from trainlog.formats.files import atomic_write, made_folder, sha256
-from trainlog.formats.line import line_to_bytes
+from trainlog.formats.railway import line_to_bytes
 from trainlog.mcap import write_log
 from trainlog.presentation import WordTable
 from trainlog.progress import track

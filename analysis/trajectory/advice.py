@@ -24,9 +24,9 @@ from analysis.trajectory.phases import Phase
 from trainlog import __version__
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
-from trainlog.formats.attached import line_of_plan
 from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.files import sha256, write_bytes
+from trainlog.formats.railway import line_of_plan
 from trainlog.presentation import Presented, WordTable, new_table
 from trainlog.railway import Line, StepProfile, Trajectory
 from trainlog.railway.kilometres import in_km, near, station_at

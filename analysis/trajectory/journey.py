@@ -389,8 +389,8 @@ def optimise_journey(
     Examples
     --------
     >>> from trainlog import Journey
-    >>> from trainlog.formats.line import read_line
-    >>> from trainlog.formats.train import read_train
+    >>> from trainlog.formats.railway import read_line
+    >>> from trainlog.formats.railway import read_train
     >>> from trainlog.railway import Configuration, TimingPoint
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")

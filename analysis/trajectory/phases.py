@@ -107,8 +107,8 @@ def phases_of(trajectory: Trajectory, row: int) -> IntArray:
     Examples
     --------
     >>> from analysis.trajectory.phases import Phase
-    >>> from trainlog.formats.line import read_line
-    >>> from trainlog.formats.train import read_train
+    >>> from trainlog.formats.railway import read_line
+    >>> from trainlog.formats.railway import read_train
     >>> from trainlog.railway import Configuration
     >>> from analysis import OptimiserOptions, TrajectoryProblem, optimise
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")

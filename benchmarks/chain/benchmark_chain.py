@@ -19,10 +19,8 @@ from analysis.adhesion.evidence import Evidence, evidence
 from analysis.resistance import TripFit, combine, fit_trip
 from analysis.truth import Truth, curve_error, map_error, truth_of
 from trainlog.errors import NotIdentifiableError
-from trainlog.formats.attached import line_of, train_of
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import line_of, read_line, read_train, train_of
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
 from trainlog.railway import Line, RunningResistance, Train
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip, seconds

@@ -20,9 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
 from trainlog.ingest.estimates import estimated_state
 from trainlog.ingest.profile import Profile
 from trainlog.railway.geometry import nearest_on, track_of

@@ -38,7 +38,7 @@ from satellite_trips import PACES, paced, streets, valley
 from scipy.signal import lfilter
 
 from trainlog.errors import InputError
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line
 from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.ingest.profile_parts import Limits, Repair
 from trainlog.ingest.recording import Table

@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from satellite_trips import PACES, Field, errors, paced, receive, streets, valley
 
 from trainlog.errors import InputError
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line
 from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.ingest.estimates import estimated_state
 from trainlog.ingest.profile import Profile

@@ -29,9 +29,8 @@ from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.arrays import FloatArray
 from trainlog.formats.condition import read_map
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
 from trainlog.railway import Configuration, Line, TrackConditionMap, Train, Trajectory
 from trainlog.simulation import Scenario, drive, trajectory_scenarios
 from trainlog.simulation.drivers import DEPARTURE, Demand, Observation

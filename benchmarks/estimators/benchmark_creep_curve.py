@@ -28,9 +28,8 @@ import numpy as np
 from analysis.adhesion.events import adhesion_noise
 from analysis.adhesion.slip import CURVE_AFTER, CURVE_BEFORE, CURVE_SPEED_STD, slip, wheel_noise
 from estimators import creep_curve
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
 from trainlog.railway.adhesion import CreepCurve, polach_curve
 from trainlog.simulation import Scenario, draw_scenarios, drive, recorded
 from trainlog.simulation.plant import Plant

@@ -47,7 +47,7 @@ from route_networks import (
 )
 
 from trainlog.errors import TrainlogError
-from trainlog.formats.attached import line_of
+from trainlog.formats.railway import line_of
 from trainlog.ingest.pipeline import Given, ingested
 from trainlog.ingest.routes import NetworkRoutes
 from trainlog.railway.geometry import to_plane

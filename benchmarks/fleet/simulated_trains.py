@@ -25,8 +25,7 @@ from analysis.passports import estimated_passport
 from analysis.resistance import fit_trip
 from analysis.resistance.combination import summarised
 from analysis.resistance.recording import TripRefusedError
-from trainlog.formats.attached import with_passport
-from trainlog.formats.train import train_to_bytes
+from trainlog.formats.railway import train_to_bytes, with_passport
 from trainlog.formats.ttobench import read_track, read_train
 from trainlog.railway import Line, RunningResistance, Train
 from trainlog.railway.adhesion import CreepCurve, polach_curve

@@ -28,10 +28,8 @@ from analysis.resistance.coast_down import CoastDown, coast_down
 from analysis.resistance.coasting_fit import TripCoastDown
 from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import NotIdentifiableError
-from trainlog.formats.attached import line_of
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import line_of, read_line, read_train
 from trainlog.formats.samples import sample
-from trainlog.formats.train import read_train
 from trainlog.simulation import Scenario, draw_scenarios, simulate
 from trainlog.topics import GNSS_MOTION
 from trainlog.trip import Trip, frame_of, seconds

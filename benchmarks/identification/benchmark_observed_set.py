@@ -21,9 +21,8 @@ from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import TrajectoryProblem
 from analysis.trajectory.rollout import cell_times, rollout
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
 from trainlog.railway import Configuration, Line, ParameterSet, Train
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.units import JOULES_PER_KWH

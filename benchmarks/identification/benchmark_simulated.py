@@ -20,9 +20,8 @@ from analysis.resistance import TripFit, combine, fit_trip, parameter_set
 from analysis.resistance.curve import powers
 from trainlog.arrays import FloatArray
 from trainlog.errors import NotIdentifiableError
-from trainlog.formats.line import line_to_bytes, read_line
+from trainlog.formats.railway import line_to_bytes, read_line, read_train
 from trainlog.formats.samples import sample
-from trainlog.formats.train import read_train
 from trainlog.railway import Line, StepProfile
 from trainlog.simulation import Scenario, draw_scenarios, simulate
 from trainlog.trip import LINE_ATTACHMENT, Trip

@@ -20,9 +20,8 @@ from analysis.resistance.combination import shared_variance
 from analysis.resistance.curve import powers
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import NotIdentifiableError
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
 from trainlog.railway import RunningResistance
 from trainlog.simulation import draw_scenarios, simulate
 

@@ -16,9 +16,7 @@ import numpy as np
 from numba import njit
 
 from trainlog.arrays import BoolArray, FloatArray
-from trainlog.formats.attached import with_passport
-from trainlog.formats.line import line_to_bytes
-from trainlog.formats.train import train_to_bytes
+from trainlog.formats.railway import line_to_bytes, train_to_bytes, with_passport
 from trainlog.railway import (
     Line,
     Passport,

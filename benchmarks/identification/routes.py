@@ -31,8 +31,7 @@ from trainlog import (
     read_train,
     sample,
 )
-from trainlog.formats.line import line_to_bytes
-from trainlog.formats.train import train_to_bytes
+from trainlog.formats.railway import line_to_bytes, train_to_bytes
 from trainlog.topics import TRAIN_CONTROLS, TRAIN_STATE
 
 TRAIN = read_train(sample(DEFAULT_TRAIN))

@@ -27,7 +27,7 @@ from analysis.resistance.recording import TripRefusedError
 from analysis.resistance.windows import Evidence, part_of
 from estimators.rls import RecursiveLeastSquares
 from trainlog.arrays import FloatArray
-from trainlog.formats.attached import line_of, train_of
+from trainlog.formats.railway import line_of, train_of
 from trainlog.formats.summaries import covariances_of
 from trainlog.trip import Trip
 

@@ -19,9 +19,8 @@ from analysis.adhesion.evidence import evidence_of
 from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.truth import Truth, true_adhesion, truth_of
 from estimators.slip import SlipDetector
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
 from trainlog.simulation import Scenario, draw_scenarios, drive, recorded
 from trainlog.simulation.sensors import Sensors
 from trainlog.spans import runs_of

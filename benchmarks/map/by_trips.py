@@ -30,9 +30,8 @@ from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.evidence import evidence_of
 from analysis.adhesion.slip import slip
 from trainlog.condition import estimated
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
 from trainlog.formats.ttobench import read_track
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.evidence import DailyEvidence

@@ -34,8 +34,7 @@ from analysis.passports import estimated_passport
 from analysis.truth import true_adhesion, truth_of
 from estimators.slip import SlipDetector
 from trainlog.errors import TrainlogError
-from trainlog.formats.attached import with_passport
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, with_passport
 from trainlog.formats.samples import sample
 from trainlog.formats.ttobench import read_track, read_train as read_foreign_train
 from trainlog.railway.adhesion import AdhesionCharacteristic, CreepCurve, polach_curve

@@ -24,9 +24,8 @@ from defects import LIBRARY, OtherRail, driven
 from analysis.adhesion.condition_map import adhesion_map
 from analysis.adhesion.slip import slip
 from analysis.truth import true_adhesion, truth_of
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, train_to_bytes
 from trainlog.formats.samples import sample
-from trainlog.formats.train import train_to_bytes
 from trainlog.formats.ttobench import read_track, read_train
 from trainlog.railway import Train
 from trainlog.railway.axle_loads import AxleGeometry

@@ -40,9 +40,8 @@ import trainlog
 from analysis.adhesion.evidence import Evidence, evidence_of
 from analysis.adhesion.slip import SlipAnalysis, slip
 from trainlog.errors import InfeasibleError
-from trainlog.formats.line import line_to_bytes, read_line
+from trainlog.formats.railway import line_to_bytes, read_line, read_train, train_to_bytes
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train, train_to_bytes
 from trainlog.formats.ttobench import read_track, read_train as read_foreign_train
 from trainlog.railway import Line, StepProfile, TrackConditionMap, Train
 from trainlog.simulation import simulate
@@ -52,7 +51,7 @@ from trainlog.simulation.scenario import Scenario, draw_days
 LIBRARY = Path(__file__).resolve().parent / "../../../shared/data/ttobench"
 """TTOBench beside the checkout; another place with ``--library``."""
 
-PARTS = ("simulation/*.py", "railway/*.py", "formats/attached.py")
+PARTS = ("simulation/*.py", "railway/*.py", "formats/railway.py")
 """Of `trainlog`: what a simulated trip depends on."""
 
 ANALYSIS = ("adhesion/slip.py", "adhesion/events.py", "adhesion/axles.py")

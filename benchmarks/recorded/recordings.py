@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
 from trainlog.formats.ttobench import read_track, read_train as read_published_train
 from trainlog.railway import CurvatureProfile, Geometry, Line, Train
 from trainlog.railway.geometry import from_plane

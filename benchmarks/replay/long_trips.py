@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from trainlog.formats.line import line_to_bytes
+from trainlog.formats.railway import line_to_bytes
 from trainlog.mcap import write_log
 from trainlog.railway import Geometry, Line, Station, StepProfile
 from trainlog.topics import (

@@ -47,8 +47,7 @@ LEFT_OUT = {1, 9, 14, 21, 24, 26, 34, 37, 42, 48, 57}
 
 def files() -> Iterator[str]:
     """Hash of each file, and of each written anew."""
-    from trainlog.formats.line import read_line, write_line
-    from trainlog.formats.train import read_train, write_train
+    from trainlog.formats.railway import read_line, read_train, write_line, write_train
 
     folders = (ROOT / "sample_logs", ROOT / "tests" / "data")
     for path in sorted(each for folder in folders for each in folder.rglob("*")):

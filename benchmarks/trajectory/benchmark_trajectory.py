@@ -24,9 +24,8 @@ from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from analysis.trajectory.referee import IpoptResult, solve_with_ipopt
 from analysis.trajectory.rollout import paced_run
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import sample
-from trainlog.formats.train import read_train
 from trainlog.railway import (
     Configuration,
     Line,

@@ -22,10 +22,8 @@ from analysis.reports.trip import known_zone
 from analysis.trajectory.advice import time_of_day
 from analysis.trajectory.journey import optimise_journey
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line, read_train, write_trajectory
 from trainlog.formats.samples import sample
-from trainlog.formats.train import read_train
-from trainlog.formats.trajectory import write_trajectory
 from trainlog.railway import Configuration, Journey, TimingPoint
 
 IMAGES = Path(__file__).parents[1] / "images"

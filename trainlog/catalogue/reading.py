@@ -16,7 +16,7 @@ import numpy as np
 
 from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.formats.files import sha256_of
-from trainlog.formats.line import line_from_bytes
+from trainlog.formats.railway import line_from_bytes
 from trainlog.identity import COLUMNS, TripIdentity, identity_of
 from trainlog.mcap.index import Contents, MisplacedError
 from trainlog.mcap.reader import bare_trip, check_readable

@@ -117,9 +117,9 @@ def import_(
 
     trainlog import DB_V90.yaml Facs124.yaml --formation "DB_V90, 10 Facs124" -o railway
     """
+    from trainlog.formats.csv_tables import read_effort_curve
     from trainlog.formats.files import output_folder
     from trainlog.formats.imports import ImportOptions, import_file, import_formation
-    from trainlog.formats.train import read_effort_curve
 
     traction, braking = (
         None if path is None else read_effort_curve(path)
@@ -199,8 +199,7 @@ def new(
 
     Example: trainlog new network --from A-B.line.json --from B-C.line.json -o my.network.json
     """
-    from trainlog.formats.network import route_of_path
-    from trainlog.formats.templates import write_template
+    from trainlog.formats.railway import route_of_path, write_template
 
     made_from = source or []
     if kind == "samples":
@@ -228,8 +227,7 @@ def new(
 def _join(lines: list[Path], output: Path, name: str | None) -> None:
     """Join lines to a network."""
     destination(output, ".json")
-    from trainlog.formats.line import read_line
-    from trainlog.formats.network import write_network
+    from trainlog.formats.railway import read_line, write_network
     from trainlog.railway.line_network import network_of_lines
 
     if not lines:
@@ -253,7 +251,7 @@ def _join(lines: list[Path], output: Path, name: str | None) -> None:
 def _write_route(given: list[Path], output: Path, name: str | None) -> None:
     """Write the line of the shortest route through places of a network."""
     from analysis.contents import contents_of
-    from trainlog.formats.line import write_line
+    from trainlog.formats.railway import write_line
 
     destination(output, ".json")
     if len(given) > 1:
@@ -269,7 +267,7 @@ def _line_of_fixes(logs: list[Path], output: Path, name: str | None, picture: Pa
     """Build a line from the satellite fixes of trips along it."""
     from analysis.charts import draw
     from analysis.geometry.centre_line import geometry_of, line_of
-    from trainlog.formats.line import write_line
+    from trainlog.formats.railway import write_line
     from trainlog.mcap import read_log
 
     destination(output, ".json")
@@ -544,8 +542,7 @@ def _export_profile(sources: list[Path], output: Path) -> None:
     """Write trajectories of a journey as one table over the kilometres."""
     from analysis.trajectory.advice import journey_advice
     from analysis.trajectory.table import write_profile
-    from trainlog.formats.attached import line_of_plan
-    from trainlog.formats.trajectory import read_trajectory
+    from trainlog.formats.railway import line_of_plan, read_trajectory
 
     found = journey_advice([read_trajectory(each) for each in sections_in(sources)])
     write_profile(found, line_of_plan(found.sections[-1]), destination(output, ".csv"))
@@ -555,7 +552,7 @@ def _export_profile(sources: list[Path], output: Path) -> None:
 def _export_network(file: Path, output: Path) -> None:
     """Write a network for geographic programs."""
     from analysis.network.export import export_network
-    from trainlog.formats.network import read_network
+    from trainlog.formats.railway import read_network
 
     found = export_network(read_network(file), output)
     console.print(

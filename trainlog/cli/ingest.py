@@ -85,7 +85,7 @@ def ingest(
     Example: trainlog ingest recorder.csv --profile recorder.profile.toml -o results/recorded
     """
     from analysis.passports import with_estimated_passport
-    from trainlog.formats.train import read_train
+    from trainlog.formats.railway import read_train
     from trainlog.ingest import Ingested, Outcome, ingest_all
 
     alone = len(recordings) == 1 and not recordings[0].is_dir()

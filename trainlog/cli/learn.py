@@ -131,7 +131,7 @@ def fit(
         from analysis.resistance.logs import AllRefusedError, fit as fit_trips
         from analysis.resistance.plot import trips_charts
         from trainlog.formats.files import output_folder
-        from trainlog.formats.parameters import write_parameters
+        from trainlog.formats.railway import write_parameters
         from trainlog.formats.summaries import SUFFIX, write_summaries
 
         kept = destination(output.with_suffix(SUFFIX), SUFFIX)
@@ -156,7 +156,7 @@ def fit(
     if method == "coasting":
         from analysis.resistance.coast_down import coast_down
         from analysis.resistance.unknown_gradient import coast_down_without_gradient
-        from trainlog.formats.parameters import write_coast_down
+        from trainlog.formats.railway import write_coast_down
 
         every = track(logs_in(logs), "finding coasting", "log")
         if gradient == "unknown":

@@ -98,7 +98,7 @@ def record(
 
     trainlog record --from file /var/log/gnss.nmea -o today.mcap --replay
     """
-    from trainlog.formats.train import read_train
+    from trainlog.formats.railway import read_train
     from trainlog.ingest.live import LiveIngest, LiveOptions
     from trainlog.ingest.pipeline import Given
 

@@ -99,9 +99,7 @@ def compare(
     from analysis.comparison.compare import compare as compare_trips
     from analysis.comparison.groups import compare_groups
     from analysis.comparison.plot import comparison_charts
-    from trainlog.formats.line import read_line
-    from trainlog.formats.parameters import read_parameters
-    from trainlog.formats.trajectory import read_trajectory
+    from trainlog.formats.railway import read_line, read_parameters, read_trajectory
 
     if picture is not None:
         destination(picture, ".png")
@@ -170,8 +168,7 @@ def _calculated(logs: list[Path], file: Path, wind: float | None, picture: Path 
 def _model(path: Path) -> ParameterSet | Train:
     """A parameters file, or a train's file."""
     from trainlog.formats.files import read_json, refuse_map
-    from trainlog.formats.parameters import read_parameters
-    from trainlog.formats.train import read_train
+    from trainlog.formats.railway import read_parameters, read_train
 
     refuse_map(path, "the parameters that 'trainlog fit' wrote, or a train's file, are expected")
     content = read_json(path) if path.suffix == ".json" else None
@@ -242,8 +239,7 @@ def replay(
     Example: trainlog replay results/trips -o replay.png --view map
     """
     from trainlog.formats.condition import read_map
-    from trainlog.formats.line import read_line
-    from trainlog.formats.trajectory import read_trajectory
+    from trainlog.formats.railway import read_line, read_trajectory
     from trainlog.mcap import read_log
     from trainlog.replay import ReplayOptions, run_viewer, take_picture, write_replay
     from trainlog.replay.layout import check_view
@@ -398,7 +394,7 @@ def report(
             )
         from analysis.reports.fleet import FleetReportOptions, write_fleet_report
         from trainlog.catalogue import open_catalogue
-        from trainlog.formats.network import read_network
+        from trainlog.formats.railway import read_network
 
         known = None if network is None else read_network(network)
         options = FleetReportOptions(trips, known, maps, moment(at, zone))

@@ -100,15 +100,15 @@ def map_update(
     from functools import partial
 
     from analysis.adhesion.updating import update_map
+    from trainlog.formats.csv_tables import read_weather
     from trainlog.formats.mapfile import MapFile
-    from trainlog.formats.weather import read_weather
 
     if condition.is_file():
         MapFile(condition).close()  # what is no map is named before logs are read
     of_network = network is not None or condition.is_dir()
     if of_network:
         from analysis.network.maps import update_network_map
-        from trainlog.formats.network import read_network
+        from trainlog.formats.railway import read_network
 
         edges = None if network is None else read_network(network)
         adding: Callable[..., MapUpdate] = partial(update_network_map, network=edges)
@@ -395,8 +395,8 @@ def map_forecast(
     from analysis.verification.forecasts import first_free, forecast_of
     from trainlog.condition import left_out
     from trainlog.formats.condition import read_map
+    from trainlog.formats.csv_tables import write_forecast
     from trainlog.formats.files import output_folder
-    from trainlog.formats.forecast import write_forecast
 
     time = moment(at, zone)
     if condition.is_dir():
@@ -474,8 +474,7 @@ def _scored(
     from analysis.network.maps import network_map
     from analysis.verification.scoring import line_of_logs, score_forecast, score_map, score_rolling
     from trainlog.formats.condition import read_map
-    from trainlog.formats.forecast import read_forecast
-    from trainlog.formats.weather import read_weather
+    from trainlog.formats.csv_tables import read_forecast, read_weather
 
     foreign = forecast.suffix.lower() == ".csv"
     if rolling:

@@ -217,7 +217,7 @@ def stretch(text: str | None, line: Line | None = None) -> tuple[float | None, f
 
 def line_of_log(log: Path, given: Line | None = None) -> Line | None:
     """The line that a log carries, or else the one given, as travelled; None without."""
-    from trainlog.formats.attached import line_of
+    from trainlog.formats.railway import line_of
     from trainlog.mcap import read_log
     from trainlog.trip import LINE_ATTACHMENT
 
@@ -408,9 +408,8 @@ def line_and_train(
     InputError
         If one of them is neither given nor set, or cannot be read.
     """
-    from trainlog.formats.line import read_line
+    from trainlog.formats.railway import read_line, read_train
     from trainlog.formats.settings import read_settings
-    from trainlog.formats.train import read_train
 
     known = read_settings()
     own_line = line or (Path(known.line).expanduser() if known.line else None)
@@ -507,8 +506,7 @@ def line_or_network(
     line: Path | None, network: Path | None = None, stations: str | None = None
 ) -> tuple[Line | None, NetworkRoutes | None]:
     """The line that is given, or the network."""
-    from trainlog.formats.line import read_line
-    from trainlog.formats.network import read_network
+    from trainlog.formats.railway import read_line, read_network
     from trainlog.ingest.routes import NetworkRoutes, places_in
 
     if line is not None:

@@ -237,7 +237,7 @@ def plan(
     from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
     from analysis.trajectory.table import PlannedRun, write_profile
     from trainlog.formats.files import output_folder
-    from trainlog.formats.trajectory import write_trajectory
+    from trainlog.formats.railway import write_trajectory
 
     own_line, the_train = line_and_train(line, train)
     observed = _configurations(parameters, the_train, chosen.pop("load", None))
@@ -338,7 +338,7 @@ def _reserves(given: str | None) -> list[float]:
 
 def _journey_of(stops: str, line: Line, running_time: float | None) -> Journey:
     """The journey of a file, or of the stations named, with the running time that is given."""
-    from trainlog.formats.line import read_journey
+    from trainlog.formats.railway import read_journey
     from trainlog.railway.journey import Journey, TimingPoint
 
     if Path(stops).exists() or stops.endswith((".json", ".toml")):
@@ -373,7 +373,7 @@ def _journey_of(stops: str, line: Line, running_time: float | None) -> Journey:
 
 def _configurations(parameters: Path | None, train: Train, load: float | None) -> ParameterSet:
     """The observed set; without one the train as its file describes it."""
-    from trainlog.formats.parameters import read_parameters
+    from trainlog.formats.railway import read_parameters
     from trainlog.railway import Configuration, ParameterSet
     from trainlog.railway.train import check_load
 
@@ -453,7 +453,7 @@ def advice(
             {"--departure": departure, "--line": line, "--dwell": dwell},
         )
         from analysis.trajectory.advice import with_advice
-        from trainlog.formats.trajectory import read_trajectory
+        from trainlog.formats.railway import read_trajectory
         from trainlog.mcap import read_log, write_log
 
         if len(files) > 1:

@@ -124,8 +124,7 @@ def follow(
     from analysis.control.follow import following_line, following_scenarios
     from analysis.control.plot import following_charts
     from analysis.control.route import counted_on
-    from trainlog.formats.attached import line_of_plan
-    from trainlog.formats.trajectory import read_trajectory
+    from trainlog.formats.railway import line_of_plan, read_trajectory
 
     if condition is None:
         refuse_rivals("there is no --map to be read", {"--risk": risk, "--at": at}, "or give a map")
@@ -175,7 +174,7 @@ def days(
 
     Example: trainlog simulate days --line my.line.json --train sample --days 30 -o october
     """
-    from trainlog.formats.weather import write_weather
+    from trainlog.formats.csv_tables import write_weather
     from trainlog.simulation import Rail, draw_days
 
     the_line, the_train = line_and_train(line, train)
@@ -302,7 +301,7 @@ def fleet(
 
     Example: trainlog simulate fleet drawn --trains 20 --days 30 --count 1000 -o results/fleet
     """
-    from trainlog.formats.network import read_network
+    from trainlog.formats.railway import read_network
     from trainlog.simulation import Fault, draw_fleet, draw_network, write_fleet
 
     if count is not None:

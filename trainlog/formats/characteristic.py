@@ -11,8 +11,8 @@ import numpy as np
 
 from trainlog.declaration import Column, Declared, Json, Must, Quantity, Table
 from trainlog.errors import InputError
+from trainlog.formats.csv_tables import HeadedTable, read_headed
 from trainlog.formats.declared import built, file_content, read_thing, write_thing
-from trainlog.formats.headed import HeadedTable, read_headed
 from trainlog.railway.adhesion import (
     GREATEST_ADHESION,
     AdhesionCharacteristic,

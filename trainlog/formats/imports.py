@@ -111,7 +111,7 @@ def with_curves(
     Examples
     --------
     >>> import numpy as np
-    >>> from trainlog.formats.train import read_train
+    >>> from trainlog.formats.railway import read_train
     >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
     >>> curve = EffortCurve(np.array([0.0, 10.0, 45.0]), np.array([180e3, 150e3, 40e3]))
     >>> with_curves(train, curve).tractive_effort_limit([0.0, 10.0]).tolist()
@@ -204,7 +204,7 @@ def import_formation(
     Examples
     --------
     >>> import tempfile
-    >>> from trainlog.formats.train import read_train
+    >>> from trainlog.formats.railway import read_train
     >>> text = '''
     ... schema: https://railtoolkit.org/schema/rolling-stock.json
     ... schema_version: "2022.05"

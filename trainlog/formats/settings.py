@@ -17,9 +17,9 @@ from typing import Any
 
 from trainlog.display import SPEED_UNITS
 from trainlog.errors import InputError, similar
+from trainlog.formats.declared import parse_toml
 from trainlog.formats.files import write_bytes
 from trainlog.formats.samples import SAMPLE
-from trainlog.formats.toml import parse_toml
 
 VARIABLE = "TRAINLOG_SETTINGS"
 """Environment variable that names another file."""

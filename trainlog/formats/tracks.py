@@ -685,7 +685,7 @@ def joined(lines: Sequence[Line], name: str, source: str) -> Line:
 
     Examples
     --------
-    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.railway import read_line
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> both = joined([line.section(0.0, 4e3), line.section(4e3, line.length)], "again", "")
     >>> both.length, bool(both.gradient(20e3) == line.gradient(20e3))

@@ -521,7 +521,7 @@ def write_track(line: Line, path: str | Path) -> list[str]:
     Examples
     --------
     >>> import tempfile
-    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.railway import read_line
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_track(line, Path(folder) / "track.json")
@@ -561,7 +561,7 @@ def write_train(train: Train, path: str | Path) -> list[str]:
     Examples
     --------
     >>> import tempfile
-    >>> from trainlog.formats.train import read_train as read_own
+    >>> from trainlog.formats.railway import read_train as read_own
     >>> train = read_own("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_train(train, Path(folder) / "train.json")

@@ -16,8 +16,7 @@ from trainlog.arrays import IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
-from trainlog.formats.line import line_to_bytes
-from trainlog.formats.train import train_to_bytes
+from trainlog.formats.railway import line_to_bytes, train_to_bytes
 from trainlog.ingest.framing import frames
 from trainlog.ingest.pipeline import (
     PROFILE_ATTACHMENT,

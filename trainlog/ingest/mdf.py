@@ -21,7 +21,7 @@ import pyarrow as pa
 from trainlog.arrays import IntArray
 from trainlog.errors import InputError
 from trainlog.extras import load
-from trainlog.formats.mdf import called
+from trainlog.formats.trip_tables import called
 from trainlog.ingest.mapping import EARLIEST, LATEST, recording_of
 from trainlog.ingest.profile import Profile
 from trainlog.ingest.profile_checks import MismatchError, suggestion

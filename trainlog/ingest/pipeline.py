@@ -14,8 +14,7 @@ import pandas as pd
 from trainlog import __version__
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import read_bytes, sha256, sha256_of
-from trainlog.formats.line import line_to_bytes
-from trainlog.formats.train import train_to_bytes
+from trainlog.formats.railway import line_to_bytes, train_to_bytes
 from trainlog.identity import source_of
 from trainlog.ingest.chainage import AgainstLineError
 from trainlog.ingest.estimates import Estimate, estimated_state, position_offset

@@ -18,9 +18,9 @@ from pydantic_core import ErrorDetails
 
 from trainlog.display import as_text
 from trainlog.errors import InputError
+from trainlog.formats.declared import parse_toml
 from trainlog.formats.files import read_bytes
 from trainlog.formats.schema import must_be
-from trainlog.formats.toml import parse_toml
 from trainlog.ingest.profile_checks import (
     ProblemsError,
     Strict,

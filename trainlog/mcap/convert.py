@@ -12,12 +12,14 @@ from typing import Any
 import pandas as pd
 
 from trainlog.errors import InputError, LogError
-from trainlog.formats.mdf import MdfWriter, mdf_writer, read_mdf_trip
 from trainlog.formats.trip_tables import (
     CsvTripIndex,
     FolderWriter,
+    MdfWriter,
     TripIndex,
     folder_writer,
+    mdf_writer,
+    read_mdf_trip,
     stream_parquet,
     time_span,
     trip_index,

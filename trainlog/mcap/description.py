@@ -18,7 +18,7 @@ from trainlog.arrays import IntArray, UintArray
 from trainlog.display import counted
 from trainlog.errors import LogError, TrainlogError
 from trainlog.formats.files import sha256
-from trainlog.formats.line import line_from_bytes
+from trainlog.formats.railway import line_from_bytes
 from trainlog.mcap.account import Account
 from trainlog.mcap.codec import UNIT, axles_of
 from trainlog.mcap.index import ChunkPlace, Contents, MisplacedError, index_in

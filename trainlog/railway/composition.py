@@ -52,7 +52,7 @@ def composed(
 
     Examples
     --------
-    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.railway import read_line
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> parts = [(0.0, line.section(0.0, 4e3)), (4e3, line.section(4e3, line.length))]
     >>> both = composed("again", parts, line.stations)

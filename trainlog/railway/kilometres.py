@@ -36,7 +36,7 @@ def in_km(line: Line | None, position: ArrayLike) -> FloatArray:
     Examples
     --------
     >>> from dataclasses import replace
-    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.railway import read_line
     >>> from trainlog.railway import LineReference
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> in_km(line, 1_000.0).item(), in_km(None, 1_000.0).item()

@@ -431,7 +431,7 @@ class Line(Declared, Plotted):
 
         Examples
         --------
-        >>> from trainlog.formats.line import read_line
+        >>> from trainlog.formats.railway import read_line
         >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
         >>> line.track_acceleration([1_000.0, 5_000.0]).round(4).tolist()
         [-0.0971, 0.0573]
@@ -518,7 +518,7 @@ class Line(Declared, Plotted):
 
         Examples
         --------
-        >>> from trainlog.formats.line import read_line
+        >>> from trainlog.formats.railway import read_line
         >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
         >>> line.breakpoints.size, line.edges().size, line.edges(58.6).size
         (396, 396, 787)
@@ -589,7 +589,7 @@ class Line(Declared, Plotted):
 
         Examples
         --------
-        >>> from trainlog.formats.line import read_line
+        >>> from trainlog.formats.railway import read_line
         >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
         >>> line.speed_limits.positions[:3].round(1).tolist()
         [0.0, 49.6, 125.6]
@@ -612,7 +612,7 @@ class Line(Declared, Plotted):
 
         Examples
         --------
-        >>> from trainlog.formats.line import read_line
+        >>> from trainlog.formats.railway import read_line
         >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
         >>> line.reversed().stations[0].name
         'Wil'
@@ -648,7 +648,7 @@ class Line(Declared, Plotted):
 
         Examples
         --------
-        >>> from trainlog.formats.line import read_line
+        >>> from trainlog.formats.railway import read_line
         >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
         >>> part = line.section(5_000.0, 12_000.0)
         >>> part.length, bool(part.gradient(1_000.0) == line.gradient(6_000.0))

@@ -58,7 +58,7 @@ def network_of_lines(name: str, lines: Sequence[Line]) -> NetworkOfLines:
 
     Examples
     --------
-    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.railway import read_line
     >>> from trainlog.railway import Station
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> line = replace(line, geometry=None)

@@ -99,7 +99,7 @@ class Edge:
 
     Examples
     --------
-    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.railway import read_line
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> Edge("850", line, "St. Gallen", "Wil").line.name
     '850'
@@ -143,7 +143,7 @@ def climbs(line: Line) -> tuple[float, float]:
 
     Examples
     --------
-    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.railway import read_line
     >>> rise, fall = climbs(read_line("sample_logs/CH_StGallen_Wil.line.json"))
     >>> round(rise, 1), round(fall, 1)
     (40.2, 144.5)
@@ -214,7 +214,7 @@ class Network(Declared):
 
     Examples
     --------
-    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.railway import read_line
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> network = Network(
     ...     "short",
@@ -563,7 +563,7 @@ class Network(Declared):
 
         Examples
         --------
-        >>> from trainlog.formats.line import read_line
+        >>> from trainlog.formats.railway import read_line
         >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
         >>> nodes = (Node("St. Gallen"), Node("Wil"))
         >>> network = Network("one", nodes, (Edge("850", line, "St. Gallen", "Wil"),))
@@ -646,7 +646,7 @@ class Route(Presented):
 
     Examples
     --------
-    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.railway import read_line
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> nodes = (Node("St. Gallen"), Node("Wil"))
     >>> network = Network("one", nodes, (Edge("850", line, "St. Gallen", "Wil"),))
@@ -720,7 +720,7 @@ class Route(Presented):
 
         Examples
         --------
-        >>> from trainlog.formats.line import read_line
+        >>> from trainlog.formats.railway import read_line
         >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
         >>> nodes = (Node("St. Gallen"), Node("Wil"))
         >>> network = Network("one", nodes, (Edge("only", line, "St. Gallen", "Wil"),))
@@ -774,7 +774,7 @@ def assumed_on(edges: Sequence[Edge]) -> str:
 
     Examples
     --------
-    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.railway import read_line
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> assumed_on([Edge("850", line, "St. Gallen", "Wil")])
     'on all or a part of 1 edge, 29.556 km long together'
@@ -817,7 +817,7 @@ class RouteSearch:
 
     Examples
     --------
-    >>> from trainlog.formats.line import read_line
+    >>> from trainlog.formats.railway import read_line
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> first, second = line.section(0.0, 800.0), line.section(800.0, 1_300.0)
     >>> edges = {"a": Edge("a", first, "X", "Y"), "b": Edge("b", second, "Y", "Z")}

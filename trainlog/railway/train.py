@@ -448,7 +448,7 @@ class Train(Declared):
 
         Examples
         --------
-        >>> from trainlog.formats.train import read_train
+        >>> from trainlog.formats.railway import read_train
         >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
         >>> train.tractive_effort_limit([0.0, 26.0]).tolist()
         [200000.0, 100000.0]
@@ -464,7 +464,7 @@ class Train(Declared):
 
         Examples
         --------
-        >>> from trainlog.formats.train import read_train
+        >>> from trainlog.formats.railway import read_train
         >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
         >>> train.dynamic_braking_effort_limit([10.0, 26.0]).tolist()
         [200000.0, 100000.0]
@@ -635,7 +635,7 @@ class Configuration(Declared):
 
         Examples
         --------
-        >>> from trainlog.formats.train import read_train
+        >>> from trainlog.formats.railway import read_train
         >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
         >>> Configuration.of(train, load=8_000.0).inertia
         142200.0

@@ -61,7 +61,7 @@ class Trajectory(Declared):
     Examples
     --------
     >>> import numpy as np
-    >>> from trainlog.formats.train import read_train
+    >>> from trainlog.formats.railway import read_train
     >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
     >>> trajectory = Trajectory(
     ...     "line", train.name, np.array([0.0, 500.0, 1000.0]), (Configuration.of(train),),

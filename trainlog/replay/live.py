@@ -26,7 +26,7 @@ import rerun as rr
 
 from trainlog.along_line import POSITION_SOURCES, known_rows, time_distance
 from trainlog.errors import InputError
-from trainlog.formats.attached import line_of
+from trainlog.formats.railway import line_of
 from trainlog.mcap.recorder import Recording
 from trainlog.replay.chart import chart_of
 from trainlog.replay.clock import Clock, nanoseconds

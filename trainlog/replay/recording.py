@@ -17,7 +17,7 @@ import rerun as rr
 from trainlog.along_line import POSITION_SOURCES, known_rows
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write
-from trainlog.formats.line import line_to_bytes
+from trainlog.formats.railway import line_to_bytes
 from trainlog.progress import track
 from trainlog.railway import Line, TrackConditionMap, Trajectory
 from trainlog.replay.chart import chart_of

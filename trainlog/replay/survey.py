@@ -18,7 +18,7 @@ import pandas as pd
 
 from trainlog.along_line import OnGrid, grid_over, on_grid
 from trainlog.arrays import FloatArray
-from trainlog.formats.attached import line_of
+from trainlog.formats.railway import line_of
 from trainlog.railway import Line
 from trainlog.replay.clock import (
     POSITION_SOURCES,

@@ -222,7 +222,7 @@ class ConsistPlant:
 
         Examples
         --------
-        >>> from trainlog.formats.train import read_consist
+        >>> from trainlog.formats.railway import read_consist
         >>> plant = ConsistPlant(read_consist("sample_logs/passenger_8_coaches.consist.json"))
         >>> state = plant.at(position=300.0)
         >>> plant.advance(state, tractive_efforts=100e3, braking_efforts=0.0, steps=1_000)

@@ -108,8 +108,8 @@ def plan(
 
     Examples
     --------
-    >>> from trainlog.formats.line import read_line
-    >>> from trainlog.formats.train import read_train
+    >>> from trainlog.formats.railway import read_line
+    >>> from trainlog.formats.railway import read_train
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
     >>> [round(stop.arrival) for stop in plan(line, train, line.stations)]

@@ -18,8 +18,7 @@ import pandas as pd
 
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
-from trainlog.formats.line import line_to_bytes
-from trainlog.formats.train import train_to_bytes
+from trainlog.formats.railway import line_to_bytes, train_to_bytes
 from trainlog.railway import Line, Network, StepProfile
 from trainlog.railway.geometry import to_plane
 from trainlog.railway.motion import timetable_run

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from trainlog.errors import InfeasibleError, InputError
+from trainlog.formats.csv_tables import write_weather
 from trainlog.formats.files import made_folder, read_bytes, write_bytes
-from trainlog.formats.network import write_network
-from trainlog.formats.train import write_train
-from trainlog.formats.weather import write_weather
+from trainlog.formats.railway import write_network, write_train
 from trainlog.mcap import write_log
 from trainlog.processes import in_processes
 from trainlog.progress import task

@@ -194,8 +194,8 @@ class Plant:
 
         Examples
         --------
-        >>> from trainlog.formats.line import read_line
-        >>> from trainlog.formats.train import read_train
+        >>> from trainlog.formats.railway import read_line
+        >>> from trainlog.formats.railway import read_train
         >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
         >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
         >>> plant = Plant.of(line, train, mass=130_000.0)

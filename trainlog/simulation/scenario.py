@@ -14,8 +14,7 @@ from trainlog.arrays import FloatArray
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.formats.characteristic import characteristic_content
-from trainlog.formats.line import line_to_bytes
-from trainlog.formats.train import train_to_bytes
+from trainlog.formats.railway import line_to_bytes, train_to_bytes
 from trainlog.railway import Line, RunningResistance, StepProfile, Train, Trajectory
 from trainlog.railway.adhesion import AdhesionCharacteristic
 from trainlog.simulation.drivers import (
@@ -312,8 +311,8 @@ def draw_scenarios(
 
     Examples
     --------
-    >>> from trainlog.formats.line import read_line
-    >>> from trainlog.formats.train import read_train
+    >>> from trainlog.formats.railway import read_line
+    >>> from trainlog.formats.railway import read_train
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> train = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
     >>> [(each.direction, each.weather) for each in draw_scenarios(line, train, 3)]

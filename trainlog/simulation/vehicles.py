@@ -23,8 +23,8 @@ import numpy as np
 import pandas as pd
 
 from trainlog.errors import InputError
+from trainlog.formats.railway import read_train
 from trainlog.formats.samples import DEFAULT_TRAIN, sample
-from trainlog.formats.train import read_train
 from trainlog.railway import EffortCurve, RunningResistance, Train
 from trainlog.railway.train import Axles, Brake
 from trainlog.simulation.sensors import Sensors

@@ -19,8 +19,8 @@ import numpy as np
 from estimators.rls import RecursiveLeastSquares, edges_crossed, periods_elapsed
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
+from trainlog.formats.railway import read_consist
 from trainlog.formats.samples import sample
-from trainlog.formats.train import read_consist
 from trainlog.railway import Line, RunningResistance, Station, StepProfile
 from trainlog.railway.consist import Consist
 from trainlog.simulation.consist import ConsistPlant, Variation

@@ -5,7 +5,7 @@ from __future__ import annotations
 from analysis.studies.cunillera_2022 import model as study, table
 from analysis.studies.cunillera_2022.plot import others_charts
 from analysis.studies.report import StudyReport
-from trainlog.formats.trajectory import write_trajectory
+from trainlog.formats.railway import write_trajectory
 from trainlog.railway import Trajectory
 
 

@@ -45,7 +45,7 @@ from analysis.studies.hauck_2023.simulation import (
 from analysis.studies.report import START
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_line
 from trainlog.formats.samples import sample
 from trainlog.mcap import write_log
 from trainlog.railway import Line, StepProfile, TrackConditionMap

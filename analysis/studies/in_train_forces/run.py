@@ -12,9 +12,8 @@ from analysis.studies.in_train_forces.simulation import STEP, ConsistRun, crest_
 from analysis.studies.in_train_forces.table import forces_tables
 from analysis.studies.report import START, StudyReport, study_trip
 from trainlog.formats.declared import thing_to_bytes
-from trainlog.formats.line import read_line
+from trainlog.formats.railway import read_consist, read_line
 from trainlog.formats.samples import sample
-from trainlog.formats.train import read_consist
 from trainlog.mcap import write_log
 from trainlog.topics import (
     ENVIRONMENT,

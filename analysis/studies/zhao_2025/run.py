@@ -17,7 +17,7 @@ from analysis.studies.zhao_2025.table import (
     start_table,
     torque_table,
 )
-from trainlog.formats.train import train_to_bytes
+from trainlog.formats.railway import train_to_bytes
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.railway.train import Axles, Train
 from trainlog.topics import (

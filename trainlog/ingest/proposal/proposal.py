@@ -13,7 +13,7 @@ import pandas as pd
 
 from trainlog.display import counted
 from trainlog.errors import InputError
-from trainlog.formats.toml import toml_value
+from trainlog.formats.declared import toml_value
 from trainlog.ingest.parts import parts_of
 from trainlog.ingest.placing import OVERRUN, placed
 from trainlog.ingest.profile import Profile, parse_profile
