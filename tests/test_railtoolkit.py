@@ -106,7 +106,7 @@ def test_every_invalid_case_is_refused_with_what_is_wrong(file: Path) -> None:
         "minimal": "neither trains nor vehicles",
         "not_unique_CS": "two sections begin at 0 m",
         "missing_sections": "'characteristic_sections' is missing",
-        "not_null_speed": "greater than 0",
+        "not_null_speed": "is not positive",
         "missing_id": "'id' is missing",
         "not_unique_path": "path '1' comes twice",
         "no_two_items_section": "at least 2 items",

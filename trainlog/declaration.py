@@ -27,6 +27,7 @@ from typing import (
     Literal,
     TypeVar,
     Union,
+    dataclass_transform,
     get_args,
     get_origin,
     get_type_hints,
@@ -825,7 +826,7 @@ class Many(Form):
         """The things, in the type that holds them."""
         form, inner = form_of(get_args(kind)[0]), without_none(get_args(kind)[0])
         if not self.runs:
-            values = _items(found, lambda each: form.read(each, inner), self.least)
+            values = _items(found, lambda each: _within(form, each, inner), self.least)
             if get_origin(kind) is tuple and get_args(kind)[-1] is not Ellipsis:
                 wanted = len(get_args(kind))
                 if len(values) != wanted:
@@ -867,6 +868,14 @@ class Many(Form):
             yield from form_of(type(each)).implausible(each, f"{place}[{number}]")
 
 
+def _within(form: Form, found: Any, kind: Any) -> Any:
+    """One of several values, within the bounds of their form."""
+    value = form.read(found, kind)
+    if form.must is not None and (problem := form.refused(value, "", kind)) is not None:
+        raise problem
+    return value
+
+
 def _run_length(entry: dict[str, Any]) -> int:
     """How many equal things an entry stands for."""
     try:
@@ -887,7 +896,7 @@ class ByName(Form):
         inner = get_args(kind)[1]
         form = form_of(inner)
         _valid(found, (dict,), "dictionary")
-        read = _keys(found, **{name: lambda each: form.read(each, inner) for name in found})
+        read = _keys(found, **{name: lambda each: _within(form, each, inner) for name in found})
         return dict(zip(found, read, strict=True))
 
     def write(self, value: Any, in_si: bool = False) -> Any:
@@ -1094,7 +1103,8 @@ def from_content(kind: type[Thing], content: Any, judged: bool = False) -> Thing
     """
     _valid(content, (dict,), "dictionary")
     known = {entry.key: entry for entry in entries(kind)}
-    problems = [_unknown(key) for key in content if key not in known]
+    foreign = issubclass(kind, Foreign)
+    problems = [_unknown(key) for key in content if key not in known and not foreign]
     values: dict[str, Any] = {}
     unread = False
     for key, entry in known.items():
@@ -1275,6 +1285,30 @@ class Declared(Presented):
     def summary(self) -> dict[str, str]:
         """The rows of the summary."""
         return summary_of(self)
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True, eq_default=False)
+class Foreign(Declared):
+    """An object in a file of another project; keys that are not known are passed over.
+
+    Its classes are dataclasses as they stand.
+
+    Examples
+    --------
+    >>> class Wagon(Foreign):
+    ...     length: Annotated[float, Number(must=POSITIVE)]
+    >>> from_content(Wagon, {"length": 14.0, "colour": "green"}).length
+    14.0
+    """
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)
+
+
+Name = Annotated[str, Text(least=1)]
+Positive = Annotated[float, Number(must=POSITIVE)]
+NotNegative = Annotated[float, Number(must=NOT_NEGATIVE)]
 
 
 def hold_arrays(thing: Any) -> None:

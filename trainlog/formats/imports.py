@@ -9,11 +9,11 @@ from typing import Any
 
 from trainlog.declaration import check_plausible
 from trainlog.errors import InputError
-from trainlog.formats import osrd, railml2, railml3, railtoolkit, ttobench
+from trainlog.formats import osrd, railtoolkit, ttobench
 from trainlog.formats.declared import built, thing_from_bytes, write_thing
 from trainlog.formats.files import parse_json, read_bytes
+from trainlog.formats.railml import read_railml
 from trainlog.formats.tracks import Infrastructure, LimitChoice
-from trainlog.formats.xml_tree import Element, read_xml
 from trainlog.railway import EffortCurve, Journey, Line, Train
 from trainlog.railway.network import Network
 from trainlog.railway.resistance import CurveFormula
@@ -316,57 +316,6 @@ def networks_in(
     if osrd.is_infrastructure(parse_json(data, file=path)):
         return osrd.read_infrastructure(path, limits)
     return None
-
-
-VERSIONS = {
-    "2009": "2.0",
-    "2011": "2.1",
-    "2013": "2.2",
-    "2016": "2.3",
-    "2018": "2.4",
-    "2021": "2.5",
-}
-"""Versions of railML 2 by the year in their namespace."""
-
-
-def read_railml(path: str | Path, limits: LimitChoice) -> Infrastructure:
-    """Read the infrastructure of a railML file, version 2 or 3, as a network.
-
-    Tracks that follow each other without a choice are one edge. Stations are the operational points
-    with a place on a track.
-
-    Parameters
-    ----------
-    path : str or Path
-    limits : LimitChoice
-        Which of its speed limits hold.
-
-    Raises
-    ------
-    InputError
-        If the file is no railML 2 or 3, has no infrastructure, or no limits of a category, or
-        refers to what it does not have.
-    """
-    root = read_xml(path)
-    version = _version_of(root)
-    if version is None:
-        raise InputError(
-            f"is no railML 2 or 3: its root is '{root.tag}'"
-            + (f" of version {root.text('version')}" if root.text("version") else ""),
-            file=path,
-            remedy="export infrastructure as railML 2.2 to 2.5, or 3.1 to 3.3",
-        )
-    networks_of = railml2.networks_of if version.startswith("2") else railml3.networks_of
-    return built(lambda: networks_of(root, version, Path(path).stem, limits), path)
-
-
-def _version_of(root: Element) -> str | None:
-    """The version of railML that a file states, or that its namespace is of; None of others."""
-    if root.tag.lower() != "railml":
-        return None
-    own = root.namespace.rstrip("/").rpartition("/")[2]
-    version = root.text("version") or VERSIONS.get(own, own)
-    return version if version.startswith(("2.", "3.")) else None
 
 
 def _write(thing: Thing, target: Path) -> None:

@@ -8,18 +8,28 @@ speed sections; operational points; positions from a section's beginning.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import field, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
 
+from trainlog.declaration import (
+    Foreign,
+    Many,
+    Must,
+    Name,
+    NotNegative,
+    Number,
+    Positive,
+    from_content,
+    placed,
+)
 from trainlog.display import span
 from trainlog.errors import InputError
 from trainlog.formats.declared import built
 from trainlog.formats.files import read_json
-from trainlog.formats.schema import Finite, Foreign, NotNegative, Positive, checked
 from trainlog.formats.tracks import (
     EVERY_LIMIT,
     Account,
@@ -45,14 +55,14 @@ _ASSUMED = (*UNPUBLISHED, "max_load", "axles", "brake")
 
 
 class _Efforts(Foreign):
-    speeds: list[NotNegative]
-    max_efforts: list[NotNegative]
+    speeds: tuple[NotNegative, ...]
+    max_efforts: tuple[NotNegative, ...]
 
     def curve(self, place: str) -> EffortCurve:
         try:
             return EffortCurve(np.array(self.speeds), np.array(self.max_efforts))
         except InputError as error:
-            raise InputError(error.problem, place=place, remedy=error.remedy) from error
+            raise InputError.listing(placed(error, place)) from error
 
 
 class _Conditional(Foreign):
@@ -61,14 +71,14 @@ class _Conditional(Foreign):
 
 
 class _Mode(Foreign):
-    curves: list[_Conditional] = Field(default_factory=list)
+    curves: tuple[_Conditional, ...] = ()
     default_curve: _Efforts
     is_electric: bool = False
 
 
 class _EffortCurves(Foreign):
     default_mode: str
-    modes: Annotated[dict[str, _Mode], Field(min_length=1)]
+    modes: dict[str, _Mode]
 
 
 class _Davis(Foreign):
@@ -86,13 +96,15 @@ class _Gamma(Foreign):
 class _RollingStock(Foreign):
     """Keys that are not known are passed over and listed."""
 
-    name: str = Field(min_length=1)
+    name: Name
     railjson_version: str
     mass: Positive
     length: Positive
     max_speed: Positive
     comfort_acceleration: Positive
-    inertia_coefficient: Annotated[float, Field(ge=1.0, allow_inf_nan=False)]
+    inertia_coefficient: Annotated[
+        float, Number(must=Must("is below 1", "give mass with rotating part over mass", 1.0))
+    ]
     rolling_resistance: _Davis
     effort_curves: _EffortCurves
     gamma: _Gamma | None = None
@@ -197,9 +209,9 @@ def read_train(path: str | Path, electrification: str | None = None) -> tuple[Tr
             file=path,
             remedy="expected the keys 'railjson_version' and 'effort_curves'",
         )
-    stock = checked(_RollingStock, content, path)
+    stock = built(lambda: from_content(_RollingStock, content), path)
     train = built(lambda: stock.train(electrification), path)
-    used = _RollingStock.model_fields.keys()
+    used = {each.name for each in fields(_RollingStock)}
     unused = sorted(key for key in content if key not in used)
     dropped = stock.dropped(electrification)
     return train, dropped + ([f"keys {', '.join(unused)}"] if unused else [])
@@ -240,24 +252,24 @@ class _Range(Foreign):
 
 
 class _Slope(_Range):
-    gradient: Finite
+    gradient: float
 
 
 class _Curve(_Range):
-    radius: Finite
+    radius: float
 
 
 class _Course(Foreign):
     type: Literal["LineString"]
-    coordinates: Annotated[list[Annotated[list[Finite], Field(min_length=2)]], Field(min_length=2)]
+    coordinates: Annotated[tuple[Annotated[tuple[float, ...], Many(least=2)], ...], Many(least=2)]
 
 
 class _Section(Foreign):
-    id: str = Field(min_length=1)
+    id: Name
     length: Positive
-    slopes: list[_Slope] = Field(default_factory=list)
-    curves: list[_Curve] = Field(default_factory=list)
-    loading_gauge_limits: list[Any] = Field(default_factory=list)
+    slopes: tuple[_Slope, ...] = ()
+    curves: tuple[_Curve, ...] = ()
+    loading_gauge_limits: tuple[Any, ...] = ()
     geo: _Course | None = None
 
 
@@ -267,7 +279,7 @@ class _Port(Foreign):
 
 
 class _Switch(Foreign):
-    id: str = Field(min_length=1)
+    id: Name
     switch_type: str
     ports: dict[str, _Port]
 
@@ -279,8 +291,8 @@ class _Connection(Foreign):
 
 class _SwitchType(Foreign):
     id: str
-    ports: list[str]
-    groups: dict[str, list[_Connection]]
+    ports: tuple[str, ...]
+    groups: dict[str, tuple[_Connection, ...]]
 
 
 class _Place(Foreign):
@@ -297,8 +309,8 @@ class _Extensions(Foreign):
 
 
 class _OperationalPoint(Foreign):
-    id: str = Field(min_length=1)
-    parts: list[_Place]
+    id: Name
+    parts: tuple[_Place, ...]
     extensions: _Extensions | None = None
 
     @property
@@ -315,25 +327,25 @@ class _TrackRange(_Range):
 class _SpeedSection(Foreign):
     id: str
     speed_limit: Positive | None = None
-    speed_limit_by_tag: dict[str, Positive] = Field(default_factory=dict)
-    track_ranges: list[_TrackRange]
-    on_routes: list[str] | None = None
+    speed_limit_by_tag: dict[str, Positive] = field(default_factory=dict)
+    track_ranges: tuple[_TrackRange, ...]
+    on_routes: tuple[str, ...] | None = None
 
 
 class _BufferStop(_Place):
-    id: str = Field(min_length=1)
+    id: Name
 
 
 class _Infrastructure(Foreign):
     """Keys that are not known are passed over and listed."""
 
     version: str
-    track_sections: Annotated[list[_Section], Field(min_length=1)]
-    switches: list[_Switch]
-    extended_switch_types: list[_SwitchType] = Field(default_factory=list)
-    operational_points: list[_OperationalPoint] = Field(default_factory=list)
-    speed_sections: list[_SpeedSection] = Field(default_factory=list)
-    buffer_stops: list[_BufferStop] = Field(default_factory=list)
+    track_sections: Annotated[tuple[_Section, ...], Many(least=1)]
+    switches: tuple[_Switch, ...]
+    extended_switch_types: tuple[_SwitchType, ...] = ()
+    operational_points: tuple[_OperationalPoint, ...] = ()
+    speed_sections: tuple[_SpeedSection, ...] = ()
+    buffer_stops: tuple[_BufferStop, ...] = ()
 
 
 def is_infrastructure(content: Any) -> bool:
@@ -375,7 +387,7 @@ def read_infrastructure(path: str | Path, limits: LimitChoice = EVERY_LIMIT) -> 
     trainlog.errors.InputError: absent.json: does not exist; check the path
     """
     content = read_json(path)
-    infra = checked(_Infrastructure, content, path)
+    infra = built(lambda: from_content(_Infrastructure, content), path)
     return built(lambda: _networks(infra, content, Path(path).stem, limits), path)
 
 
@@ -396,7 +408,7 @@ def _networks(
         graph.label(stop.track, track.length, stop.position, stop.id)
     for key, what in NOT_HELD.items():
         graph.account.left_out[what] += len(content.get(key) or [])
-    unknown = content.keys() - NOT_HELD.keys() - _Infrastructure.model_fields.keys()
+    unknown = content.keys() - NOT_HELD.keys() - {each.name for each in fields(_Infrastructure)}
     for key in sorted(unknown):
         here = content[key]
         graph.account.left_out[f"'{key}'"] += len(here) if isinstance(here, list | dict) else 1
@@ -432,7 +444,7 @@ def _tracks(infra: _Infrastructure, account: Account) -> dict[str, TrackData]:
     return tracks
 
 
-def _lay(track: TrackData, coordinates: list[list[float]]) -> float:
+def _lay(track: TrackData, coordinates: Sequence[Sequence[float]]) -> float:
     """Give a track its course, laid evenly over its length; how many times as long it is.
 
     NaN where it does not lie on the earth. Such and much longer or shorter ones are drawings.

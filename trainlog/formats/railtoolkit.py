@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial, reduce
 from operator import add
 from pathlib import Path
@@ -16,12 +16,20 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 import yaml
-from pydantic import BeforeValidator, Field
 
+from trainlog.declaration import (
+    Foreign,
+    Many,
+    Must,
+    NotNegative,
+    Number,
+    Part,
+    Positive,
+    from_content,
+)
 from trainlog.errors import InputError
 from trainlog.formats.declared import built
 from trainlog.formats.files import read_bytes
-from trainlog.formats.schema import Finite, Foreign, NotNegative, Positive, checked
 from trainlog.formats.ttobench import UNPUBLISHED, assumed_axles
 from trainlog.railway import EffortCurve, Line, Station, StepProfile, Train
 from trainlog.railway.consist import RollingVehicle
@@ -44,56 +52,60 @@ class _Vehicle(Foreign):
     load_limit: Positive | None = None
     mass_traction: Positive | None = None
     speed_limit: Positive | None = None
-    rotation_mass: Annotated[float, Field(ge=1.0, allow_inf_nan=False)] | None = None
+    rotation_mass: Annotated[
+        float | None, Number(must=Must("is below 1", "give mass with rotating part over mass", 1.0))
+    ] = None
     base_resistance: Positive | None = None
     rolling_resistance: Positive | None = None
     air_resistance: Positive | None = None
-    a_braking: Finite | None = None
-    tractive_effort: (
-        Annotated[list[tuple[NotNegative, NotNegative]], Field(min_length=3)] | None
-    ) = None
+    a_braking: float | None = None
+    tractive_effort: Annotated[
+        tuple[tuple[NotNegative, NotNegative], ...] | None, Many(least=3)
+    ] = None
 
 
 class _Train(Foreign):
     name: str
     id: str
-    formation: Annotated[list[str], Field(min_length=1)]
+    formation: Annotated[tuple[str, ...], Many(least=1)]
 
 
 class _RollingStock(Foreign):
-    trains: Annotated[list[_Train], Field(min_length=1)] | None = None
-    vehicles: Annotated[list[_Vehicle], Field(min_length=1)] | None = None
+    trains: Annotated[tuple[_Train, ...] | None, Many(least=1)] = None
+    vehicles: Annotated[tuple[_Vehicle, ...] | None, Many(least=1)] = None
 
 
-def _row(value: Any) -> Any:
-    """A section of the schema of 2022.05, ``[m, km/h, per mille]``, as one of 2024.07."""
-    if isinstance(value, list):
-        if len(value) != 3:
-            raise ValueError("needs position, speed and resistance")
-        return dict(zip(("position", "speed", "resistance"), value, strict=True))
-    return value
+@dataclass(frozen=True)
+class _Row(Part):
+    """A section, perhaps as a list of position, speed and resistance."""
+
+    def read(self, found: Any, kind: Any) -> Any:
+        """The section."""
+        if isinstance(found, list):
+            if len(found) != 3:
+                raise InputError("needs position, speed and resistance")
+            found = dict(zip(("position", "speed", "resistance"), found, strict=True))
+        return super().read(found, kind)
 
 
 class _Section(Foreign):
-    position: Finite
+    position: float
     speed: Positive | None = None
-    resistance: Finite | None = None
+    resistance: float | None = None
 
 
 class _Path(Foreign):
     id: str
     name: str | None = None
     description: str | None = None
-    characteristic_sections: Annotated[
-        list[Annotated[_Section, BeforeValidator(_row)]], Field(min_length=2)
-    ]
+    characteristic_sections: Annotated[tuple[Annotated[_Section, _Row()], ...], Many(least=2)]
 
 
 Identified = TypeVar("Identified", _Vehicle, _Path)
 
 
 class _Paths(Foreign):
-    paths: Annotated[list[_Path], Field(min_length=1)]
+    paths: Annotated[tuple[_Path, ...], Many(least=1)]
 
 
 def read_rolling_stock(path: str | Path) -> tuple[dict[str, RollingVehicle], dict[str, Formation]]:
@@ -121,7 +133,7 @@ def read_rolling_stock(path: str | Path) -> tuple[dict[str, RollingVehicle], dic
     22000.0
     """
     content = _content(path, "rolling-stock.json")
-    stock = checked(_RollingStock, content, path)
+    stock = built(lambda: from_content(_RollingStock, content), path)
     if stock.trains is None and stock.vehicles is None:
         raise InputError("holds neither trains nor vehicles", file=path, remedy="add 'vehicles'")
     named = _by_id(stock.vehicles or (), "vehicle", path)
@@ -169,7 +181,7 @@ def read_running_paths(path: str | Path) -> dict[str, Line]:
     8000.0
     """
     content = _content(path, "running-path.json")
-    named = _by_id(checked(_Paths, content, path).paths, "path", path)
+    named = _by_id(built(lambda: from_content(_Paths, content), path).paths, "path", path)
     return {
         own: built(partial(_line, each, f"paths[{number}]"), path)
         for number, (own, each) in enumerate(named.items())

@@ -20,7 +20,6 @@ from trainlog.display import as_text
 from trainlog.errors import InputError
 from trainlog.formats.declared import parse_toml
 from trainlog.formats.files import read_bytes
-from trainlog.formats.schema import must_be
 from trainlog.ingest.profile_checks import (
     ProblemsError,
     Strict,
@@ -198,7 +197,13 @@ def _problems(complaint: ErrorDetails) -> list[InputError]:
         return [InputError(f"unknown key '{key}'", place=where, remedy=suggestion(key, known))]
     if complaint["type"] == "missing":
         return [InputError(f"key '{key}' is missing", place=where, remedy="add it")]
-    return [_split(must_be(complaint["msg"].removeprefix("Value error, ")), where)]
+    return [_split(_must_be(complaint["msg"].removeprefix("Value error, ")), where)]
+
+
+def _must_be(message: str) -> str:
+    """A complaint of pydantic ("Input should be a valid string") as what the value must be."""
+    demand = re.sub(r"^(?:\w+ )?should ", "must ", message)
+    return demand[:1].lower() + demand[1:] if demand == message else demand
 
 
 def _split(message: str, place: str | None = None) -> InputError:
