@@ -32,7 +32,7 @@ from refusals import refused
 
 from trainlog.errors import InputError, LogError
 from trainlog.mcap import frames_of, write_log
-from trainlog.mcap.foreign_decoders import MOST_ELEMENTS
+from trainlog.mcap.foreign import MOST_ELEMENTS
 
 SHARED = Path(__file__).parents[2] / "shared" / "data" / "foreign_mcap"
 KEPT = Path(__file__).parent / "data" / "foxglove_flatbuffer.mcap"
@@ -279,7 +279,7 @@ def test_messages_that_are_large_as_objects_are_not_held_together(tmp_path):
 
 
 def test_a_message_beyond_all_size_is_not_decoded(tmp_path, monkeypatch):
-    monkeypatch.setattr("trainlog.mcap.foreign_decoders.LARGEST", 2**20)
+    monkeypatch.setattr("trainlog.mcap.foreign.LARGEST", 2**20)
     huge = {"x": np.random.default_rng(1).bytes(600_000).hex()}
     found = frames_of(json_log(tmp_path / "huge.mcap", "/huge", [huge, {"x": "b"}]))
     assert found.frames["/huge"]["x"].tolist() == ["b"]

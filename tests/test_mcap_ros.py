@@ -10,7 +10,7 @@ from refusals import refused
 
 from trainlog.errors import MissingExtraError
 from trainlog.mcap import frames_of
-from trainlog.mcap.foreign_decoders import (
+from trainlog.mcap.foreign import (
     BYTES,
     LONG_ARRAY,
     MOST_ELEMENTS,

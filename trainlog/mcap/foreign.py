@@ -1,42 +1,43 @@
-"""Any MCAP file as frames: whoever wrote it, in whichever encoding, as far as it can be read."""
+"""Any MCAP file as frames: whoever wrote it, in whichever encoding, as far as it can be read.
+
+Messages in protobuf, JSON, ROS 1 and ROS 2 (CDR) are decoded by the published decoders
+(mcap-protobuf, rosbags) and turned into plain values. Files are not trusted: whatever a decoder can
+raise on bytes that it was not made for becomes an `UndecodableError` (the channel) or a
+`BrokenMessage` (one message), and what a message can claim of memory is bounded by its length.
+"""
 
 from __future__ import annotations
 
+import json
+import re
 import struct
 from array import array
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from itertools import chain, takewhile
-from operator import itemgetter
+from functools import partial
+from keyword import iskeyword
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 import pandas as pd
+from google.protobuf.descriptor import FieldDescriptor
+from google.protobuf.message import DecodeError
+from google.protobuf.unknown_fields import UnknownFieldSet
+from mcap.exceptions import McapError
 from mcap.records import Channel, Schema
+from mcap_protobuf.decoder import DecoderFactory
 
 from trainlog.arrays import IntArray
 from trainlog.errors import LogError
+from trainlog.extras import load
 from trainlog.mcap.account import Account
-from trainlog.mcap.foreign_decoders import (
-    DEEPEST,
-    LONG_ARRAY,
-    MOST_ELEMENTS,
-    TOO_DEEP,
-    BrokenMessage,
-    Decode,
-    Message,
-    UndecodableError,
-    Unexpanded,
-    decoder_of,
-)
-from trainlog.mcap.index import ChunkPlace, Contents, MisplacedError, fetched
+from trainlog.mcap.index import Contents, MisplacedError, fetched
 from trainlog.mcap.reader import check_data_section, report_losses
 from trainlog.mcap.records import (
     MESSAGE,
     RECORD_HEAD,
-    Index,
     Source,
     in_file,
     index_of,
@@ -45,29 +46,74 @@ from trainlog.mcap.records import (
 )
 from trainlog.mcap.scan import contents_used
 
+if TYPE_CHECKING:
+    from rosbags.interfaces.typing import FieldDesc, Typesdict
+
 MOST_COLUMNS = 2_000
 """Columns of a topic; names that are made up message by message must not fill the memory."""
 
-_BATCH = 1_024
-"""Messages that are turned into columns at once."""
+MOST_ELEMENTS = 64
+"""Longer arrays are not expanded into columns."""
 
-_BATCH_BYTES = 2**20
-"""Length of these messages; as objects they take many times that."""
+DEEPEST = 32
+"""Messages within messages beyond this are not expanded."""
 
-_PLAIN = {bool, int, float, str}
+LARGEST = 2**25
+"""Longer messages are not decoded [bytes]: as objects they would take many times their length."""
+
+_PACKED = 4_096
+"""Numbers of a column that are turned into an array at once, to save memory."""
+
+_MOST_NAMED = 8
+"""Topics that an error names."""
+
+_MOST_VALUES = 4096
+"""Numbers and texts in a ROS message, apart from arrays whose length stands in the message."""
+
+_MOST_OBJECTS = 2**23
+"""Texts and messages that the arrays of one ROS message can hold."""
+
+_LONGEST = 1_000_000
+"""Longer definitions of ROS messages are not read [bytes]."""
+
+_LAST = pd.Timestamp.max
+"""The last time that an index can hold."""
 
 _TOO_MANY = f"beyond the first {MOST_COLUMNS:,} columns of the topic"
 _TWICE = "named twice in a message; the first is kept"
 _VARYING = "an array whose length changes, not expanded"
 _MIXED = "numbers in some messages, text in others"
+_TOO_DEEP = f"nested more than {DEEPEST} levels deep"
+_UNDECLARED = "fields that the schema does not declare"
 
-_MOST_NAMED = 8
-"""Topics that an error names."""
 
-_LAST = pd.Timestamp.max
-"""The last time that an index can hold."""
+@dataclass(frozen=True)
+class Unexpanded:
+    """A value that does not become columns, with a reason that is the same for all messages."""
 
-_LATEST = _LAST.value
+    reason: str
+
+
+BYTES = Unexpanded("bytes, not expanded")
+LONG_ARRAY = Unexpanded(f"an array of more than {MOST_ELEMENTS} elements, not expanded")
+_MAP = Unexpanded("a map, not expanded")
+
+Message = dict[str, Any]
+"""
+A decoded message: names (or paths) to numbers, texts, `Unexpanded`, lists and further messages;
+None where a value is absent.
+"""
+
+Decode = Callable[[bytes], Message]
+"""From a message's bytes to what it says; raises `BrokenMessage` and nothing else."""
+
+
+class BrokenMessage(ValueError):  # noqa: N818 - it is a state of the data, counted, not reported
+    """A message that cannot be decoded; the text says why."""
+
+
+class UndecodableError(ValueError):
+    """A channel that cannot be decoded; the text says why."""
 
 
 @dataclass(frozen=True)
@@ -191,33 +237,73 @@ class _Column:
     def __init__(self) -> None:
         self.rows = array("q")
         self.kinds: set[type] = set()
-        self.pieces: list[Any] = []
+        self.packed: list[Any] = []
+        self.last: list[Any] = []
 
-    def extend(self, rows: Iterable[int], values: Sequence[Any], kinds: set[type]) -> None:
-        """Add the values of many messages."""
-        self.pieces.append(_packed(values, kinds))
-        self.rows.extend(rows)
-        self.kinds |= kinds
+    def add(self, row: int, value: Any) -> None:
+        """Add the value of a message; many numbers of one kind become an array."""
+        self.rows.append(row)
+        self.kinds.add(type(value))
+        self.last.append(value)
+        if len(self.last) >= _PACKED and self.kinds <= {int, float} and len(self.kinds) == 1:
+            kind = np.float64 if self.kinds == {float} else np.int64
+            try:
+                self.packed.append(np.array(self.last, dtype=kind))
+            except OverflowError:
+                return
+            self.last = []
 
     def values(self) -> list[Any]:
         """All values, as they came."""
-        return list(
-            chain.from_iterable(
-                piece if isinstance(piece, list) else piece.tolist() for piece in self.pieces
-            )
-        )
+        return [each for piece in self.packed for each in piece.tolist()] + self.last
+
+    def array(self, count: int) -> Any:
+        """The column as an array of `count` rows; None if it holds both numbers and text."""
+        if str in self.kinds:
+            return self._texts(count) if self.kinds == {str} else None
+        rows = np.frombuffer(self.rows, dtype=np.int64)
+        whole = None if float in self.kinds else self._whole()
+        if whole is not None:
+            if len(rows) == count:
+                return whole
+            # Nullable kinds leave large numbers exact.
+            names = {"b": "boolean", "i": "Int64", "u": "UInt64"}
+            series: Any = pd.Series(np.zeros(count, dtype=whole.dtype))
+            series = series.astype(names[whole.dtype.kind]).array
+            absent = np.ones(count, dtype=np.bool_)
+            series[rows], absent[rows] = whole, False
+            series[absent] = pd.NA
+            return series
+        values = np.full(count, np.nan)
+        try:
+            values[rows] = np.concatenate([*self.packed, np.array(self.last, dtype=np.float64)])
+        except OverflowError:
+            values[rows] = [_as_float(each) for each in self.values()]
+        return values
+
+    def _whole(self) -> Any:
+        """Flags or whole numbers, as int64 or uint64; None if they fit none of these."""
+        values = self.values()
+        for kind in (np.bool_,) if self.kinds == {bool} else (np.int64, np.uint64):
+            try:
+                return np.array(values, dtype=kind)
+            except OverflowError:
+                continue
+        return None
+
+    def _texts(self, count: int) -> Any:
+        texts: list[str | None] = [None] * count
+        for row, text in zip(self.rows, self.last, strict=True):
+            # JSON can name halves of surrogate pairs, which no file can be written with.
+            texts[row] = text if text.isascii() else text.encode("utf-8", "replace").decode()
+        return pd.array(texts, dtype="str")
 
 
-def _packed(values: Sequence[Any], kinds: set[type]) -> Any:
-    """Numbers of one kind as an array, to save memory; everything else as a list."""
+def _as_float(value: int | float) -> float:
     try:
-        if kinds == {float}:
-            return np.array(values, dtype=np.float64)
-        if kinds == {int}:
-            return np.array(values, dtype=np.int64)
+        return float(value)
     except OverflowError:
-        pass
-    return list(values)
+        return np.inf if value > 0 else -np.inf
 
 
 class Columns:
@@ -233,204 +319,69 @@ class Columns:
         self.skipped: Counter[tuple[str, str]] = Counter()
         self._columns: dict[str, _Column] = {}
         self._lengths: dict[str, Counter[int]] = {}
-        self._batch: list[Message] = []
-        self._waiting = 0
         self._count = 0
 
-    def add(self, message: Message, size: int) -> None:
-        """Add what a decoded message of `size` bytes says as the next row."""
-        self._batch.append(message)
-        self._waiting += size
-        if len(self._batch) >= _BATCH or self._waiting >= _BATCH_BYTES:
-            self._flush()
+    def add(self, message: Message) -> None:
+        """Add what a decoded message says as the next row."""
+        for name, value in message.items():
+            self._take(name, value, 0)
+        self._count += 1
 
     def frame(self) -> dict[str, Any]:
         """The columns; absent values are NaN, or NA in whole numbers and flags."""
-        self._flush()
         for path, lengths in self._lengths.items():
             if sum(1 for length in lengths if length) > 1:
-                self._drop(f"{path}[")
+                self._columns = {
+                    name: column
+                    for name, column in self._columns.items()
+                    if not name.startswith(f"{path}[")
+                }
                 self.skipped[path, _VARYING] += lengths.total()
         found = {}
         for path, column in self._columns.items():
-            values = _array(column, self._count)
+            values = column.array(self._count)
             if values is None:
                 self.skipped[path, _MIXED] += len(column.rows)
             else:
                 found[path] = values
         return found
 
-    def _flush(self) -> None:
-        """Turn the messages that wait into columns."""
-        batch, self._batch, self._waiting = self._batch, [], 0
-        rows = range(self._count, self._count + len(batch))
-        if batch:
-            self._spread(rows, batch, "", 0)
-        self._count = rows.stop
-
-    def _spread(
-        self, rows: Sequence[int], messages: Sequence[Message], prefix: str, depth: int
-    ) -> None:
-        """Take messages, or messages within them, that stand at the same path."""
-        for name, (held, values) in _by_name(rows, messages).items():
-            self._take(held, f"{prefix}.{name}" if prefix else name, values, depth)
-
-    def _take(self, rows: Sequence[int], path: str, values: Sequence[Any], depth: int) -> None:
-        """Take what stands at the same path of all these rows."""
-        kinds = set(map(type, values))
-        if kinds <= _PLAIN:
-            self._extend(rows, path, values, kinds)
-        elif len(kinds) > 1:
-            for held, same in _by_kind(rows, values):
-                self._take(held, path, same, depth)
-        elif kinds == {Unexpanded}:
-            for reason, count in Counter(value.reason for value in values).items():
-                self._skip(path, reason, count)
-        elif not kinds <= {dict, list}:
-            (kind,) = kinds
-            if kind is not type(None):
-                self._skip(path, f"a {kind.__name__}, not expanded", len(values))
-        elif depth >= DEEPEST:
-            self._skip(path, TOO_DEEP.reason, len(values))
-        elif kinds == {dict}:
-            self._spread(rows, values, path, depth + 1)
-        else:
-            self._take_lists(rows, path, values, depth)
-
-    def _take_lists(
-        self, rows: Sequence[int], path: str, values: Sequence[list[Any]], depth: int
-    ) -> None:
-        """Take the elements of arrays; of changing lengths only until that shows."""
-        lengths = Counter(map(len, values))
-        for length in [each for each in lengths if each > MOST_ELEMENTS]:
-            self._skip(path, LONG_ARRAY.reason, lengths.pop(length))
-        if path in self._lengths or len(self._lengths) < MOST_COLUMNS:
-            self._lengths.setdefault(path, Counter()).update(lengths)
-        for length in lengths:
-            held, lists = rows, values
-            if len(lengths) > 1 or len(values) > lengths[length]:
-                pairs = zip(rows, values, strict=True)
-                held, lists = zip(*(pair for pair in pairs if len(pair[1]) == length), strict=True)
-            for at in range(length):
-                self._take(held, f"{path}[{at}]", list(map(itemgetter(at), lists)), depth + 1)
-
-    def _extend(
-        self, rows: Sequence[int], path: str, values: Sequence[Any], kinds: set[type]
-    ) -> None:
-        column = self._columns.get(path)
-        if column is None:
-            if len(self._columns) >= MOST_COLUMNS:
-                self._skip("", _TOO_MANY, len(rows))
+    def _take(self, path: str, value: Any, depth: int) -> None:
+        """Take what stands at a path of the message."""
+        kind = type(value)
+        if kind is float or kind is int or kind is str or kind is bool:
+            column = self._columns.get(path)
+            if column is None:
+                if len(self._columns) >= MOST_COLUMNS:
+                    self._skip("", _TOO_MANY)
+                    return
+                column = self._columns[path] = _Column()
+            elif column.rows and column.rows[-1] == self._count:
+                self._skip(path, _TWICE)
                 return
-            column = self._columns[path] = _Column()
-        elif column.rows and column.rows[-1] >= self._count:
-            known = set(takewhile(lambda row: row >= self._count, reversed(column.rows)))
-            new = {row: each for row, each in zip(rows, values, strict=True) if row not in known}
-            if len(new) < len(rows):
-                self._skip(path, _TWICE, len(rows) - len(new))
-            rows, values, kinds = [*new], [*new.values()], set(map(type, new.values()))
-        if len(rows):
-            column.extend(rows, values, kinds)
+            column.add(self._count, value)
+        elif kind is dict or kind is list:
+            if depth >= DEEPEST:
+                self._skip(path, _TOO_DEEP)
+            elif kind is dict:
+                for name, each in value.items():
+                    self._take(f"{path}.{name}", each, depth + 1)
+            elif len(value) > MOST_ELEMENTS:
+                self._skip(path, LONG_ARRAY.reason)
+            else:
+                lengths = self._lengths.get(path)
+                if lengths is None and len(self._lengths) < MOST_COLUMNS:
+                    lengths = self._lengths[path] = Counter()
+                if lengths is not None:
+                    lengths[len(value)] += 1
+                for at, each in enumerate(value):
+                    self._take(f"{path}[{at}]", each, depth + 1)
+        elif kind is Unexpanded:
+            self._skip(path, value.reason)
 
-    def _skip(self, path: str, reason: str, messages: int = 1) -> None:
+    def _skip(self, path: str, reason: str) -> None:
         known = (path, reason) in self.skipped or len(self.skipped) < MOST_COLUMNS
-        self.skipped[(path, reason) if known else ("", _TOO_MANY)] += messages
-
-    def _drop(self, start: str) -> None:
-        self._columns = {
-            path: column for path, column in self._columns.items() if not path.startswith(start)
-        }
-
-
-def _by_name(
-    rows: Sequence[int], messages: Sequence[Message]
-) -> Mapping[str, tuple[Sequence[int], list[Any]]]:
-    """What messages say under each name, and in which rows."""
-    if all(message.keys() == messages[0].keys() for message in messages):
-        return {name: (rows, list(map(itemgetter(name), messages))) for name in messages[0]}
-    found: dict[str, tuple[list[int], list[Any]]] = {}
-    for row, message in zip(rows, messages, strict=True):
-        for name, value in message.items():
-            held, values = found.setdefault(name, ([], []))
-            held.append(row)
-            values.append(value)
-    return found
-
-
-def _by_kind(
-    rows: Sequence[int], values: Sequence[Any]
-) -> Iterable[tuple[Sequence[int], Sequence[Any]]]:
-    """Numbers and texts, and values of each other kind, with their rows."""
-    found: dict[type, tuple[list[int], list[Any]]] = {}
-    for row, value in zip(rows, values, strict=True):
-        kind = str if type(value) in _PLAIN else type(value)
-        held, same = found.setdefault(kind, ([], []))
-        held.append(row)
-        same.append(value)
-    return found.values()
-
-
-def _array(column: _Column, count: int) -> Any:
-    """A column as an array of `count` rows; None if it holds both numbers and text."""
-    rows = np.frombuffer(column.rows, dtype=np.int64)
-    if str in column.kinds:
-        return _texts(column, count) if column.kinds == {str} else None
-    if column.kinds == {bool}:
-        return _whole(rows, np.array(column.values(), dtype=np.bool_), count, "boolean")
-    if float not in column.kinds:
-        whole = _whole_numbers(column)
-        if whole is not None:
-            return _whole(rows, whole, count, "Int64" if whole.dtype == np.int64 else "UInt64")
-    values = np.full(count, np.nan)
-    values[rows] = np.concatenate([_floats(piece) for piece in column.pieces])
-    return values
-
-
-def _whole_numbers(column: _Column) -> Any:
-    """Whole numbers as int64 or uint64; None if they fit neither."""
-    if all(isinstance(piece, np.ndarray) for piece in column.pieces):
-        return np.concatenate(column.pieces)
-    values = column.values()
-    for kind in (np.int64, np.uint64):
-        try:
-            return np.array(values, dtype=kind)
-        except OverflowError:
-            continue
-    return None
-
-
-def _whole(rows: Any, found: Any, count: int, nullable: Any) -> Any:
-    """Whole numbers or flags; with NA, which leaves large ones exact, where there are none."""
-    if len(rows) == count:
-        return found
-    values = np.zeros(count, dtype=found.dtype)
-    values[rows] = found
-    absent = np.ones(count, dtype=np.bool_)
-    absent[rows] = False
-    series: Any = pd.Series(values).astype(nullable).array
-    series[absent] = pd.NA
-    return series
-
-
-def _texts(column: _Column, count: int) -> Any:
-    texts: list[str | None] = [None] * count
-    for row, text in zip(column.rows, column.values(), strict=True):
-        # JSON can name halves of surrogate pairs, which no file can be written with.
-        texts[row] = text if text.isascii() else text.encode("utf-8", "replace").decode()
-    return pd.array(texts, dtype="str")
-
-
-def _floats(piece: Any) -> Any:
-    if isinstance(piece, np.ndarray):
-        return piece.astype(np.float64)
-    return np.array([_as_float(value) for value in piece])
-
-
-def _as_float(value: int | float) -> float:
-    try:
-        return float(value)
-    except OverflowError:
-        return np.inf if value > 0 else -np.inf
+        self.skipped[(path, reason) if known else ("", _TOO_MANY)] += 1
 
 
 # --------------------------------------------------------------------------------------- topics
@@ -455,15 +406,17 @@ class _Table:
             _, length, _, _, time, published = MESSAGE.unpack_from(content, offset)
             if length < MESSAGE.size - RECORD_HEAD:
                 raise BrokenMessage("its record is too short")
-            if time > _LATEST or published > _LATEST:
+            if max(time, published) > _LAST.value:
                 raise BrokenMessage(f"its time is after {_LAST.year}")
+            if length - MESSAGE.size + RECORD_HEAD > LARGEST:
+                raise BrokenMessage(f"it has more than {LARGEST // 2**20} MiB")
             message = self.decode(content[offset + MESSAGE.size : offset + RECORD_HEAD + length])
         except struct.error:
             self.broken["its record is too short"] += 1
         except BrokenMessage as error:
             self.broken[str(error)] += 1
         else:
-            self.columns.add(message, length)
+            self.columns.add(message)
             self.time.append(time)
             self.published.append(published)
 
@@ -487,6 +440,10 @@ class _Table:
         ]
 
 
+def _index(time: IntArray) -> pd.DatetimeIndex:
+    return pd.DatetimeIndex(time.view("M8[ns]"), tz="UTC")
+
+
 def _frames(source: Source, contents: Contents, channels: list[Channel]) -> ForeignFrames:
     """The frames of the channels; chunks that turn out damaged are dropped from the contents.
 
@@ -500,7 +457,8 @@ def _frames(source: Source, contents: Contents, channels: list[Channel]) -> Fore
         if place.counts.keys().isdisjoint(by_channel):
             continue
         try:
-            content, index = _opened(source, place)
+            content = opened(fetched(source, place), check=True)
+            index = index_of(content, place.offset)
         except LogError as error:
             if contents.indexed and isinstance(error, MisplacedError):
                 raise
@@ -510,9 +468,8 @@ def _frames(source: Source, contents: Contents, channels: list[Channel]) -> Fore
             raise MisplacedError("the summary counts other messages", place=f"byte {place.offset}")
         for channel, entries in index.items():
             if channel in by_channel:
-                table = by_channel[channel]
                 for offset in entries[:, 1].tolist():
-                    table.add(content, offset)
+                    by_channel[channel].add(content, offset)
     frames, published = {}, {}
     for name, table in _named(by_channel.values()):
         frames[name], published[name] = table.frame()
@@ -528,7 +485,8 @@ def _tables(contents: Contents, channels: list[Channel]) -> tuple[dict[int, _Tab
     skipped = []
     for channel in channels:
         schema = contents.schema(channel)
-        key = _kind(channel, schema)
+        described = (schema.name, schema.encoding, schema.data) if schema else None
+        key = channel.topic, channel.message_encoding, described
         try:
             if key not in tables:
                 name = schema.name if schema else ""
@@ -538,18 +496,6 @@ def _tables(contents: Contents, channels: list[Channel]) -> tuple[dict[int, _Tab
         except UndecodableError as error:
             skipped.append(Skipped(channel.topic, "", str(error), counts[channel.id]))
     return by_channel, skipped
-
-
-def _opened(source: Source, place: ChunkPlace) -> tuple[bytes, Index]:
-    """The content of a chunk and, by its own records, where its messages are."""
-    content = opened(fetched(source, place), check=True)
-    return content, index_of(content, place.offset)
-
-
-def _kind(channel: Channel, schema: Schema | None) -> tuple[object, ...]:
-    """What the channels of one frame have in common."""
-    of_schema = (schema.name, schema.encoding, schema.data) if schema else None
-    return channel.topic, channel.message_encoding, of_schema
 
 
 def _named(tables: Iterable[_Table]) -> Iterator[tuple[str, _Table]]:
@@ -565,5 +511,358 @@ def _named(tables: Iterable[_Table]) -> Iterator[tuple[str, _Table]]:
         yield (f"{name} {names[name]}" if names[name] > 1 else name), table
 
 
-def _index(time: IntArray) -> pd.DatetimeIndex:
-    return pd.DatetimeIndex(time.view("M8[ns]"), tz="UTC")
+# ------------------------------------------------------------------------------------- decoders
+
+
+def decoder_of(channel: Channel, schema: Schema | None) -> Decode:
+    """The decoder of a channel's messages.
+
+    Raises
+    ------
+    UndecodableError
+        If there is none for its encoding, or its schema is missing or broken.
+    """
+    encoding = channel.message_encoding
+    if encoding == "json":
+        return _json
+    kinds: dict[tuple[str, str], Callable[[Schema], Decode]] = {
+        ("protobuf", "protobuf"): _protobuf,
+        ("cdr", "ros2msg"): lambda schema: ros_decoder(schema.name, schema.data, "ros2"),
+        ("ros1", "ros1msg"): lambda schema: ros_decoder(schema.name, schema.data, "ros1"),
+    }
+    if encoding not in {known for known, _ in kinds}:
+        raise UndecodableError(f"encoding {shown(encoding)} is not decoded")
+    if schema is None:
+        raise UndecodableError(f"encoding {shown(encoding)} needs a schema, there is none")
+    make = kinds.get((encoding, schema.encoding))
+    if make is None:
+        raise UndecodableError(
+            f"encoding {shown(encoding)} with a schema in {shown(schema.encoding)} is not decoded"
+        )
+    return make(schema)
+
+
+def _json(data: bytes) -> Message:
+    try:
+        found = json.loads(data)
+    except (ValueError, RecursionError):
+        raise BrokenMessage("it is not JSON") from None
+    if not isinstance(found, dict):
+        raise BrokenMessage("it is JSON, but no object")
+    return found
+
+
+_Plain = Callable[[Any], Any] | None
+"""From a decoder's value of a field to a plain one; None if it is plain already."""
+
+
+def _listed(values: Any, one: _Plain) -> Any:
+    """The elements of an array as plain values, if there are not too many."""
+    if len(values) > MOST_ELEMENTS:
+        return LONG_ARRAY
+    elements = values.tolist() if isinstance(values, np.ndarray) else list(values)
+    return elements if one is None else [one(each) for each in elements]
+
+
+def _protobuf(schema: Schema) -> Decode:
+    try:
+        parse = DecoderFactory().decoder_for("protobuf", schema)
+    except (McapError, DecodeError, KeyError, TypeError, ValueError, RecursionError) as error:
+        raise UndecodableError(f"schema {shown(schema.name)} is no descriptor of it") from error
+    if parse is None:
+        raise UndecodableError(f"schema {shown(schema.name)} is no descriptor of it")
+    known: dict[str, list[tuple[str, bool, _Plain]]] = {}
+
+    def read(message: Any) -> Message:
+        kind = message.DESCRIPTOR.full_name
+        if kind not in known:
+            known[kind] = [
+                (each.name, each.has_presence, _plain(each, read))
+                for each in message.DESCRIPTOR.fields
+            ]
+        found: Message = {}
+        for name, has_presence, plain in known[kind]:
+            if not has_presence or message.HasField(name):
+                value = getattr(message, name)
+                found[name] = value if plain is None else plain(value)
+        return found
+
+    def decode(data: bytes) -> Message:
+        try:
+            message = parse(data)
+        except (DecodeError, RecursionError):
+            raise BrokenMessage(f"it is no {schema.name[:60]}") from None
+        found = read(message)
+        if len(UnknownFieldSet(message)):
+            found["(unknown)"] = Unexpanded(_UNDECLARED)
+        return found
+
+    return decode
+
+
+def _plain(field: Any, read: Callable[[Any], Message]) -> _Plain:
+    """What turns the value of a protobuf field into a plain one."""
+    nested, blob = field.message_type, field.type == FieldDescriptor.TYPE_BYTES
+    if nested is not None and nested.GetOptions().map_entry:
+        return lambda values: _MAP if len(values) else None
+    one: _Plain = (lambda _: BYTES) if blob else read if nested is not None else None
+    # Before version 6 the package has no `is_repeated`, after it the label is given up.
+    repeated = field.is_repeated if hasattr(field, "is_repeated") else field.label == _REPEATED
+    return (lambda values: _listed(values, one)) if repeated else one
+
+
+_REPEATED = 3
+"""The label of a repeated field in a protobuf descriptor."""
+
+
+# ----------------------------------------------------------------------------------- ROS 1, ROS 2
+
+Dialect = Literal["ros1", "ros2"]
+
+_ALIASES = {
+    "ros1": {"byte": "int8", "char": "uint8"},
+    "ros2": {"byte": "uint8", "char": "uint8"},
+}
+
+_BUILT_IN = {
+    "ros1": {
+        "builtin_interfaces/Time": "uint32 secs\nuint32 nsecs",
+        "builtin_interfaces/Duration": "int32 secs\nint32 nsecs",
+    },
+    "ros2": {
+        "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
+        "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec",
+    },
+}
+"""Messages that need no definition; ``time`` and ``duration`` of ROS 1 are two of them."""
+
+_NAME = re.compile(r"[A-Za-z]\w*(?:/\w+){0,2}", re.ASCII)
+
+_FIELD = re.compile(
+    rf"(?P<type>{_NAME.pattern})(?:<=\d+)?"
+    r"(?P<array>\[(?P<bound><=)?(?P<size>\d*)\])?"
+    r"\s+(?P<name>[A-Za-z]\w*)(?P<rest>\s*=.*|\s.*|)",
+    re.ASCII,
+)
+
+_PLACEHOLDER = "structure_needs_at_least_one_member"
+"""The field that rosbags gives a message without content."""
+
+
+def ros_decoder(name: str, data: bytes, dialect: Dialect) -> Decode:
+    """The decoder of the ROS messages that a schema defines, by the type store of rosbags.
+
+    rosbags makes Python code of a definition. It is given nothing of the schema but names, checked
+    to be such, and no definition whose messages have no bounded size.
+
+    Parameters
+    ----------
+    name : str
+        Of the schema: the message that its text begins with.
+    data : bytes
+        Its text.
+    dialect : {"ros1", "ros2"}
+
+    Raises
+    ------
+    UndecodableError
+        If the definitions cannot be read, or describe messages that have no bounded size.
+    MissingExtraError
+        If rosbags is not installed.
+    """
+    load("rosbags")
+    from rosbags.serde import SerdeError
+    from rosbags.typesys import TypesysError, get_types_from_msg
+    from rosbags.typesys.store import Typestore
+
+    text = _definitions(name, data, dialect)
+    store = Typestore()
+    try:
+        types = get_types_from_msg(text, name)
+        root = next(iter(types))
+        objects = _extent(root, types, dialect, {}).objects
+        store.register(types)
+        parse = store.deserialize_ros1 if dialect == "ros1" else store.deserialize_cdr
+        read = _ros_reader(root, store.fielddefs, {})
+        store.get_msgdef(root)
+    except (TypesysError, SerdeError, SyntaxError, TypeError) as error:
+        raise UndecodableError("the schema is no definition of ROS messages") from error
+
+    def decode(data: bytes) -> Message:
+        if objects * len(data) > _MOST_OBJECTS:
+            raise BrokenMessage(f"its arrays can hold more than {_MOST_OBJECTS:,} elements")
+        try:
+            return read(parse(data, root))
+        except (SerdeError, IndexError, OverflowError):
+            raise BrokenMessage(f"it is no {name[:60]}") from None
+
+    return decode
+
+
+def _definitions(name: str, data: bytes, dialect: Dialect) -> str:
+    """The text of a schema with nothing but types and names of fields: no constants, no bounds."""
+    if len(data) > _LONGEST:
+        raise UndecodableError(f"the schema has {len(data):,} bytes")
+    try:
+        first, *others = re.split(r"^={3,}[ \t]*\r?$", data.decode(), flags=re.MULTILINE)
+    except UnicodeDecodeError:
+        raise UndecodableError("the schema is not UTF-8 text") from None
+    sections = [(name, first)]
+    for section in others:
+        head, _, body = section.lstrip().partition("\n")
+        if not head.startswith("MSG:"):
+            raise UndecodableError("a part of the schema does not say which message it defines")
+        sections.append((head.removeprefix("MSG:").strip(), body))
+    known = {_short(each) for each, _ in sections}
+    sections += [(each, body) for each, body in _BUILT_IN[dialect].items() if each not in known]
+    texts, count = [], 0
+    for message, body in sections:
+        if not _NAME.fullmatch(message):
+            raise UndecodableError(f"{message[:40]!r} is no name of a message")
+        fields = _fields(message, body, known, dialect)
+        count += len(fields)
+        if count > _MOST_VALUES:
+            raise UndecodableError(f"the schema has more than {_MOST_VALUES:,} fields")
+        texts.append("\n".join([f"MSG: {message}", *fields]))
+    return f"\n{'=' * 80}\n".join(texts).removeprefix(f"MSG: {name}\n") + "\n"
+
+
+def _fields(message: str, body: str, known: set[str], dialect: Dialect) -> list[str]:
+    """The fields of a message, one a line."""
+    fields = {}
+    for line in body.splitlines():
+        declaration = line.partition("#")[0].strip()
+        match = _FIELD.fullmatch(declaration)
+        if declaration and match is None:
+            raise UndecodableError(f"{declaration[:40]!r} in {message[:60]} is no field")
+        if match is None or match["rest"].lstrip().startswith("="):
+            continue  # a comment, or a constant
+        kind, size = _ALIASES[dialect].get(match["type"], match["type"]), match["size"] or ""
+        beside = f"{message.partition('/')[0]}/{kind}"
+        kind = beside if beside in known else kind
+        fixed = size and not match["bound"]
+        if fixed and (len(size) > 9 or int(size) == 0):
+            raise UndecodableError(
+                f"{match['name'][:40]} in {message[:60]} has {size[:12]} elements"
+            )
+        if match["name"] in fields:
+            raise UndecodableError(f"{message[:60]} has two fields of the same name")
+        array = "" if match["array"] is None else f"[{size if fixed else ''}]"
+        fields[match["name"]] = f"{kind}{array} {match['name']}"
+    return list(fields.values())
+
+
+def _short(name: str) -> str:
+    """``package/Name`` of a message, also if given as ``package/msg/Name``."""
+    parts = name.split("/")
+    return f"{parts[0]}/{parts[-1]}" if len(parts) > 2 else name
+
+
+@dataclass(frozen=True)
+class _Extent:
+    """How large the messages of a definition can become.
+
+    Attributes
+    ----------
+    values : int
+        Numbers and texts that each has, long arrays of numbers counted once.
+    least : int
+        Length of the shortest one [bytes].
+    objects : float
+        Most texts and messages that arrays hold, for each byte.
+    """
+
+    values: int
+    least: int
+    objects: float = 0.0
+
+
+def _extent(
+    name: str, types: Typesdict, dialect: Dialect, known: dict[str, _Extent | None]
+) -> _Extent:
+    """The extent of a message; UndecodableError if it has none."""
+    if name not in types:
+        raise UndecodableError(f"the schema does not define {name.rpartition('/')[2][:60]!r}")
+    if name in known:
+        found = known[name]
+        if found is None:
+            raise UndecodableError(f"{name[:60]} contains itself")
+        return found
+    if len([each for each in known.values() if each is None]) > DEEPEST:
+        raise UndecodableError(f"{name[:60]} is nested more than {DEEPEST} levels deep")
+    known[name] = None
+    values, least, objects = 0, 0, 0.0
+    for _, description in types[name][1]:
+        kind, element, count = _element(description)
+        if isinstance(element, str):
+            one = _extent(element, types, dialect, known)
+        elif element[0] == "string":
+            one = _Extent(1, 4 if dialect == "ros1" else 5)
+        else:
+            one = _Extent(1, int(re.sub(r"\D", "", element[0]) or 8) // 8)
+        number = not isinstance(element, str) and element[0] != "string"
+        objects = max(objects, one.objects)
+        if kind == _SEQUENCE:
+            values, least = values + 1, least + 4
+            if not one.least:
+                raise UndecodableError(f"{name[:60]} has an array of messages without content")
+            objects = max(objects, 0.0 if number else (1 + one.values) / one.least)
+        else:
+            values += 1 if number and count > MOST_ELEMENTS else count * max(1, one.values)
+            least += count * one.least
+        if values > _MOST_VALUES:
+            raise UndecodableError(f"the schema has more than {_MOST_VALUES:,} fields")
+    # CDR has no message without content: one byte stands for it.
+    found = known[name] = _Extent(values, least or int(dialect == "ros2"), objects)
+    return found
+
+
+_BASE, _NESTED, _FIXED, _SEQUENCE = 1, 2, 3, 4
+"""Kinds of fields in the type store of rosbags."""
+
+
+def _element(description: FieldDesc) -> tuple[int, Any, int]:
+    """Kind of a field, what it or its elements are, and how many of them it has if it says so.
+
+    What they are is the name of a message, or name and bound of a number or text.
+    """
+    kind, what = int(description[0]), cast("Any", description[1])
+    if kind in (_FIXED, _SEQUENCE):
+        (_, element), count = what
+        return kind, element, int(count)
+    return kind, what, 1
+
+
+def _ros_reader(
+    name: str, types: Typesdict, readers: dict[str, Callable[[Any], Message]]
+) -> Callable[[Any], Message]:
+    """What turns the objects of rosbags for one kind of message into plain values."""
+    names: list[tuple[str, str, _Plain]] = []
+    for field_name, description in types[name][1]:
+        if field_name == _PLACEHOLDER:
+            continue
+        kind, element, _ = _element(description)
+        one: _Plain = None
+        if isinstance(element, str):
+            if element not in readers:
+                readers[element] = _ros_reader(element, types, readers)
+            one = readers[element]
+        if kind == _SEQUENCE and element[0] in ("int8", "uint8"):
+            plain: _Plain = _blob
+        else:
+            plain = one if kind in (_BASE, _NESTED) else partial(_listed, one=one)
+        # rosbags puts a line under names that Python needs itself.
+        names.append((field_name, f"{field_name}_" if iskeyword(field_name) else field_name, plain))
+
+    def read(message: Any) -> Message:
+        values = message.__dict__
+        return {
+            each: values[attribute] if plain is None else plain(values[attribute])
+            for each, attribute, plain in names
+        }
+
+    return read
+
+
+def _blob(values: Any) -> Unexpanded:  # noqa: ARG001
+    return BYTES

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field as dataclass_field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,7 +21,7 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Schema
 from mcap_protobuf.decoder import DecoderFactory
 
-from trainlog.arrays import FloatArray, UintArray
+from trainlog.arrays import UintArray
 from trainlog.errors import LogError
 from trainlog.mcap.codec import LOG_TIME, Codec, Columns, accuracies, codec_of, gather, topic_of
 from trainlog.mcap.index import ChunkPlace, Contents, MisplacedError, fetched, fetched_index
@@ -117,66 +117,51 @@ def topic_channels(contents: Contents) -> list[TopicChannel]:
     return found
 
 
-@dataclass
-class _Part:
-    """The messages of one channel in a chunk: `count` rows of a table from `start` on.
-
-    Attributes
-    ----------
-    source : TopicChannel
-    table : _Table
-    start, count : int
-    separate : (times, columns) or None
-        Where they do not fit into the table's arrays; `_LOST` where nothing could be read.
-    """
-
-    source: TopicChannel
-    table: _Table
-    start: int
-    count: int
-    separate: tuple[UintArray, Columns] | None = None
-
-
-_LOST: tuple[UintArray, Columns] = np.empty(0, dtype=np.uint64), {}
-
-
-@dataclass
 class _Table:
     """The rows of one topic, in the order in which their messages stand in the file.
 
-    Attributes
+    Parameters
     ----------
     topic : Topic
+    held : set of str
+        Columns of the topic's channels.
+    rows : int
+        How many are expected.
     wanted : frozenset of str or None
         Columns asked for; None for all.
-    names : list of str
-        Columns, in the order of the frame.
-    time : (n,) uint64
-    columns : (columns, n) float64
-        Not of events, whose texts are separate.
-    parts : list of _Part
-        In the order of their rows.
     """
 
-    topic: Topic
-    wanted: frozenset[str] | None
-    names: list[str]
-    time: UintArray
-    columns: FloatArray
-    parts: list[_Part] = dataclass_field(default_factory=list)
+    def __init__(
+        self, topic: Topic, held: set[str], rows: int, wanted: frozenset[str] | None
+    ) -> None:
+        self.topic = topic
+        self.wanted = wanted
+        self._held = held
+        self._seen = {item.name for item in topic.fields if not item.per_axle}
+        self._fit = True
+        self._rows = 0
+        self._time = np.empty(rows, dtype=np.uint64)
+        self._names = [] if topic is EVENTS else self._in_order(self._seen | held)
+        self._table = np.empty((len(self._names), rows))
+        self._texts: list[Columns] = []
 
-    def fill(self, start: int, count: int, time: UintArray, columns: Columns) -> bool:
-        """Take messages to the rows from `start` on; False if the table has no place for them.
-
-        Safe to be called from several threads, each for its own rows.
-        """
-        if len(time) != count:
-            return False
-        part = slice(start, start + count)
-        self.time[part] = time
-        for number, name in enumerate(self.names):
-            self.columns[number, part] = columns.get(name, np.nan)
-        return True
+    def add(self, time: UintArray, columns: Columns, *, fits: bool) -> None:
+        """Add messages; `fits` says whether they have the columns of their channel."""
+        self._fit = self._fit and fits
+        start, self._rows = self._rows, self._rows + len(time)
+        more = max(0, self._rows - len(self._time))
+        new = [] if self.topic is EVENTS else self._in_order(columns.keys() - {*self._names})
+        if more or new:
+            self._time = np.pad(self._time, (0, more))
+            self._table = np.pad(self._table, ((0, len(new)), (0, more)), constant_values=np.nan)
+            self._names += new
+        self._time[start : self._rows] = time
+        if self.topic is EVENTS:
+            self._texts.append(columns)
+            return
+        self._seen |= columns.keys()
+        for row, name in zip(self._table, self._names, strict=True):
+            row[start : self._rows] = columns.get(name, np.nan)
 
     def frame(self) -> pd.DataFrame:
         """The topic's frame, in the order of time.
@@ -186,62 +171,34 @@ class _Table:
         LogError
             If a time is beyond those that pandas has.
         """
-        time, names, columns = self._joined()
+        time, table = self._time[: self._rows], self._table[:, : self._rows]
         if len(time) and time.max() > np.uint64(pd.Timestamp.max.value):
             raise unusable(f"{self.topic.name} has times after {pd.Timestamp.max.year}")
-        stamps = time.view(np.int64)
-        if np.any(stamps[1:] < stamps[:-1]):
-            order = np.argsort(stamps, kind="stable")
-            stamps = stamps[order]
-            columns = (
-                columns[:, order]
-                if isinstance(columns, np.ndarray)
-                else {name: values[order] for name, values in columns.items()}
-            )
-        index = pd.DatetimeIndex(stamps.view("M8[ns]"), tz="UTC", name="time")
-        if isinstance(columns, np.ndarray):
-            frame = pd.DataFrame(columns.T, index=index, columns=names, copy=False)
-        else:
-            frame = frame_of(self.topic, index, columns)
-            frame = frame[self.in_order(frame.columns)]
-        frame.attrs = attributes(self.topic, frame.columns)
-        return frame
-
-    def _joined(
-        self,
-    ) -> tuple[UintArray, list[str], FloatArray | dict[str, Any]]:
-        """Times and columns with what is separate in its place."""
-        events = self.topic is EVENTS
-        if not events and all(part.separate is None for part in self.parts):
-            return self.time, self.names, self.columns
-        parts: list[tuple[UintArray, Columns]] = []
-        for part in self.parts:
-            rows = slice(part.start, part.start + part.count)
-            held = dict(zip(self.names, self.columns[:, rows], strict=True))
-            parts.append(part.separate or (self.time[rows], held))
-        parts = [part for part in parts if part is not _LOST]
-        time = np.concatenate([np.empty(0, np.uint64), *(each for each, _ in parts)])
-        if events:
-            texts = [columns for _, columns in parts] or [_columns_of(EVENTS, [])]
-            joined = {
+        order = None
+        if np.any(time[1:] < time[:-1]):
+            order = np.argsort(time, kind="stable")
+            time = time[order]
+        index = pd.DatetimeIndex(time.view("M8[ns]"), tz="UTC", name="time")
+        if self.topic is EVENTS:
+            texts = self._texts or [_columns_of(EVENTS, [])]
+            joined: dict[str, Any] = {
                 name: pd.concat([pd.Series(each[name]) for each in texts], ignore_index=True).array
                 for name in texts[0]
             }
-            return time, self.names, joined
-        names = self.in_order(
-            {item.name for item in self.topic.fields if not item.per_axle}
-            | {name for _, each in parts for name in each}
-        )
-        table = np.full((len(names), len(time)), np.nan)
-        at = 0
-        for times, values in parts:
-            for number, name in enumerate(names):
-                if name in values:
-                    table[number, at : at + len(times)] = values[name]
-            at += len(times)
-        return time, names, table
+            if order is not None:
+                joined = {name: values[order] for name, values in joined.items()}
+            frame = frame_of(self.topic, index, joined)
+            frame = frame[self._in_order(frame.columns)]
+        else:
+            names = self._in_order(self._seen | self._held if self._fit else self._seen)
+            if names != self._names:
+                table = table[[self._names.index(name) for name in names]]
+            table = table if order is None else table[:, order]
+            frame = pd.DataFrame(table.T, index=index, columns=names, copy=False)
+        frame.attrs = attributes(self.topic, frame.columns)
+        return frame
 
-    def in_order(self, names: Iterable[str]) -> list[str]:
+    def _in_order(self, names: Iterable[str]) -> list[str]:
         """Those of the names that are columns of the topic and asked for, in the frame's order."""
         numbers = {item.name: number for number, item in enumerate(self.topic.fields)}
         places = {}
@@ -277,15 +234,16 @@ def frames_in(
         for each in topic_channels(contents)
         if columns is None or each.topic.name in columns
     }
-    tables = _tables(channels.values(), chunks, columns)
-    work = _work(chunks, channels, tables)
-    for (place, parts), damage in zip(work, _damages(source, work, threads), strict=True):
-        if damage is not None:
+    work = [place for place in chunks if not channels.keys().isdisjoint(place.counts)]
+    tables = _tables(channels.values(), work, columns)
+    for place, found in zip(work, _read_all(source, work, channels, threads), strict=True):
+        if isinstance(found, str):
             if contents.indexed:
-                raise MisplacedError(damage, place=f"byte {place.offset}")
-            contents.drop(place, damage)
-            for part in parts:
-                part.separate = _LOST
+                raise MisplacedError(found, place=f"byte {place.offset}")
+            contents.drop(place, found)
+            continue
+        for number, fits, time, values in found:
+            tables[channels[number].topic.name].add(time, values, fits=fits)
     return {name: tables[name].frame() for name in sorted(tables, key=_place)}
 
 
@@ -295,11 +253,9 @@ def _place(topic: str) -> tuple[int, str]:
 
 
 def _tables(
-    channels: Iterable[TopicChannel],
-    chunks: Sequence[ChunkPlace],
-    wanted: Wanted,
+    channels: Iterable[TopicChannel], chunks: Sequence[ChunkPlace], wanted: Wanted
 ) -> dict[str, _Table]:
-    """An empty table for each topic that has a channel."""
+    """An empty table for each topic that has a channel, with room for its messages."""
     counts: Counter[int] = Counter()
     sizes: Counter[int] = Counter()
     for place in chunks:
@@ -310,8 +266,13 @@ def _tables(
         by_topic.setdefault(each.topic.name, []).append(each)
     tables = {}
     for name, sources in by_topic.items():
+        topic = sources[0].topic
+        fields = {field.name: field for each in reversed(sources) for field in each.topic.fields}
+        more = [field for field in fields.values() if field not in topic.fields]
+        if fields.keys() != {field.name for field in topic.fields}:
+            topic = replace(topic, fields=(*topic.fields, *more))
         # A layout whose messages would not fit into the chunks has another number of axles.
-        columns = {
+        held = {
             column
             for each in sources
             if each.codec is not None
@@ -320,85 +281,53 @@ def _tables(
         }
         rows = sum(counts[each.channel.id] for each in sources)
         asked = None if wanted is None else wanted[name]
-        tables[name] = _empty_table(_joint_topic(sources), columns, rows, asked)
+        tables[name] = _Table(topic, held, rows, asked)
     return tables
 
 
-def _joint_topic(sources: Sequence[TopicChannel]) -> Topic:
-    """The topic that several channels carry, with the fields of all of them."""
-    topic = sources[0].topic
-    fields = {field.name: field for each in reversed(sources) for field in each.topic.fields}
-    if fields.keys() == {field.name for field in topic.fields}:
-        return topic
-    more = [field for name, field in fields.items() if field not in topic.fields]
-    return replace(topic, fields=(*topic.fields, *more))
+_Found = list[tuple[int, bool, UintArray, Columns]]
+"""Channel, whether its messages fit its layout, their times and columns."""
 
 
-def _empty_table(topic: Topic, held: set[str], rows: int, wanted: frozenset[str] | None) -> _Table:
-    """A table for so many messages of a topic, whose channels hold these columns."""
-    table = _Table(topic, wanted, [], np.empty(rows, dtype=np.uint64), np.empty((0, 0)))
-    if topic is not EVENTS:
-        table.names = table.in_order(
-            held | {item.name for item in topic.fields if not item.per_axle}
-        )
-        table.columns = np.empty((len(table.names), rows))
-    return table
-
-
-def _work(
-    chunks: Sequence[ChunkPlace], channels: dict[int, TopicChannel], tables: dict[str, _Table]
-) -> list[tuple[ChunkPlace, list[_Part]]]:
-    """The chunks that hold any of the channels, each with the rows that its messages take."""
-    filled = dict.fromkeys(tables, 0)
-    work = []
-    for place in chunks:
-        parts = []
-        for number, count in place.counts.items():
-            if number in channels:
-                name = channels[number].topic.name
-                parts.append(_Part(channels[number], tables[name], filled[name], count))
-                tables[name].parts.append(parts[-1])
-                filled[name] += count
-        if parts:
-            work.append((place, parts))
-    return work
-
-
-def _damages(
-    source: Source, work: list[tuple[ChunkPlace, list[_Part]]], threads: int
-) -> Iterator[str | None]:
-    """Fill the tables from chunks; for each in order what is wrong with it, None if nothing is."""
-    if threads == 1 or len(work) == 1:
-        yield from (_read(source, *each) for each in work)
+def _read_all(
+    source: Source,
+    chunks: Sequence[ChunkPlace],
+    channels: Mapping[int, TopicChannel],
+    threads: int,
+) -> Iterator[_Found | str]:
+    """What the chunks hold, in order, read by several threads."""
+    if threads == 1 or len(chunks) < 2:
+        yield from (_read(source, place, channels) for place in chunks)
         return
-    batches = [work[at : at + _AT_ONCE] for at in range(0, len(work), _AT_ONCE)]
+    batches = [chunks[at : at + _AT_ONCE] for at in range(0, len(chunks), _AT_ONCE)]
     with ThreadPoolExecutor(threads) as pool:
         try:
-            for batch in pool.map(lambda batch: [_read(source, *each) for each in batch], batches):
-                yield from batch
+            for found in pool.map(
+                lambda batch: [_read(source, place, channels) for place in batch], batches
+            ):
+                yield from found
         finally:
             pool.shutdown(cancel_futures=True)
 
 
-def _read(source: Source, place: ChunkPlace, parts: list[_Part]) -> str | None:
-    """Fill the tables from one chunk; what is wrong with it, None if nothing is."""
+def _read(source: Source, place: ChunkPlace, channels: Mapping[int, TopicChannel]) -> _Found | str:
+    """The messages of some channels in a chunk, or what is wrong with it."""
     try:
         chunk = fetched(source, place)
         content = opened(chunk, check=True)
     except LogError as error:
         return error.problem
+    ours = [channels[number] for number in place.counts if number in channels]
     try:
         with suppress(LogError):
-            _fill(content, _offsets(source, place, content, parts), place, parts)
-            return None
+            return _pieces(content, _offsets(source, place, content, ours), place, ours)
         # An index that does not fit the chunk is made again from the chunk's records.
-        _fill(content, _starts(index_of(content, place.offset)), place, parts)
+        return _pieces(content, _starts(index_of(content, place.offset)), place, ours)
     except LogError as error:
         if chunk.checksum and not isinstance(error, MisplacedError):
             # These are the bytes that were written.
             raise
         return error.problem
-    return None
 
 
 def _starts(index: Index) -> dict[int, _Offsets]:
@@ -406,37 +335,45 @@ def _starts(index: Index) -> dict[int, _Offsets]:
 
 
 def _offsets(
-    source: Source, place: ChunkPlace, content: bytes, parts: list[_Part]
+    source: Source, place: ChunkPlace, content: bytes, channels: Sequence[TopicChannel]
 ) -> dict[int, _Offsets]:
-    """Where in the chunk the messages of the parts begin, by channel id."""
-    sole = parts[0]
-    size = sole.source.codec.layout.size if sole.source.codec is not None else 0
-    if len(place.counts) == 1 and size * sole.count == len(content):
-        return {sole.source.channel.id: None}
+    """Where in the chunk the messages of the channels begin, by channel id."""
+    if len(place.counts) == 1:
+        sole, count = channels[0], place.messages
+        if sole.codec is not None and sole.codec.layout.size * count == len(content):
+            return {sole.channel.id: None}
     if place.indexes:
-        index = _starts(fetched_index(source, place, [part.source.channel.id for part in parts]))
+        index = _starts(fetched_index(source, place, [each.channel.id for each in channels]))
         # An index that leads to one message twice leaves out another.
         if all(bool(np.all(each[1:] > each[:-1])) for each in index.values() if each is not None):
             return index
     return _starts(index_of(content, place.offset))
 
 
-def _fill(
-    content: bytes, index: dict[int, _Offsets], place: ChunkPlace, parts: list[_Part]
-) -> None:
-    """Take the messages of a chunk to their tables; those that do not fit are separate."""
-    for part in parts:
-        number = part.source.channel.id
-        offsets = index.get(number, np.empty(0, dtype=np.uint64))
-        part.separate = part.source.arrays(content, offsets)
-        if part.separate is not None and part.table.fill(part.start, part.count, *part.separate):
-            part.separate = None
-        elif part.separate is None:
-            if offsets is None:
-                index = _starts(index_of(content, place.offset))
-                offsets = index.get(number)
-            each = np.empty(0, dtype=np.uint64) if offsets is None else offsets
-            part.separate = part.source.decoded(content, each, place.offset)
+def _pieces(
+    content: bytes,
+    index: dict[int, _Offsets],
+    place: ChunkPlace,
+    channels: Sequence[TopicChannel],
+) -> _Found:
+    """The messages of the channels; those that do not fit their layout are decoded one by one."""
+    found: _Found = []
+    for each in channels:
+        number = each.channel.id
+        offsets = index.get(number, _NOWHERE)
+        piece = each.arrays(content, offsets)
+        if piece is not None:
+            found.append((number, True, *piece))
+            continue
+        if offsets is None:
+            index = _starts(index_of(content, place.offset))
+            offsets = index.get(number)
+        separate = each.decoded(content, _NOWHERE if offsets is None else offsets, place.offset)
+        found.append((number, False, *separate))
+    return found
+
+
+_NOWHERE: UintArray = np.empty(0, dtype=np.uint64)
 
 
 def _decoder_of(channel: Channel, schema: Schema) -> Callable[[bytes], Any]:
