@@ -26,8 +26,8 @@ from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.files import logs_of
 from trainlog.mcap import DamageWarning, account_of
+from trainlog.mcap.contents import contents_of
 from trainlog.mcap.records import Source
-from trainlog.mcap.scan import contents_of
 
 SAMPLES = Path("sample_logs")
 

@@ -13,9 +13,8 @@ from mcap_conformance import INPUTS, generated, variants
 from mcap_judge import messages_in
 
 from trainlog.mcap import account_of, describe, frames_of, recover
-from trainlog.mcap.index import attachment_data
+from trainlog.mcap.contents import attachment_data, contents_of, scanned
 from trainlog.mcap.records import Source
-from trainlog.mcap.scan import contents_of, scanned
 
 
 def test_the_suite_has_all_its_files() -> None:

@@ -11,9 +11,9 @@ from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 from hypothesis import given, strategies as st
 
-from trainlog.mcap.chunks import plan_of, stream_of
 from trainlog.mcap.codec import Value, descriptor_set, gather, layout, scatter, varint
 from trainlog.mcap.records import MESSAGE
+from trainlog.mcap.writer import plan_of, stream_of
 from trainlog.topics import GNSS_FIX, TOPICS, Topic
 from trainlog.trip import frame_of
 

@@ -23,7 +23,7 @@ from refusals import refused
 import trainlog
 from trainlog.errors import InputError, LogError
 from trainlog.mcap import OverloadWarning, Recording, read_log, write_log, writer
-from trainlog.mcap.chunks import Chunk
+from trainlog.mcap.writer import Chunk
 from trainlog.topics import EVENTS, TOPICS, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip
 

@@ -35,8 +35,8 @@ from trainlog.mcap import (
     write_log,
 )
 from trainlog.mcap.account import Loss, Unfinished
+from trainlog.mcap.contents import scanned
 from trainlog.mcap.records import RECOVERY_RECORD, Source
-from trainlog.mcap.scan import scanned
 from trainlog.topics import EVENTS, TRAIN_STATE
 
 

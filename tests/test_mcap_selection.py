@@ -16,8 +16,8 @@ from refusals import refused
 
 from trainlog.errors import InputError, LogError
 from trainlog.mcap import DamageWarning, chunks, read_log, stream_log, write_log
+from trainlog.mcap.contents import contents_of
 from trainlog.mcap.records import Source
-from trainlog.mcap.scan import contents_of
 from trainlog.topics import (
     ENVIRONMENT,
     ESTIMATED_STATE,
@@ -142,7 +142,7 @@ def test_a_stretch_of_the_line_is_the_slice_of_the_whole(
     )
     with pytest.MonkeyPatch.context() as patch:
         if not indexed:
-            patch.setattr("trainlog.mcap.selection.decoded", lambda _: {})
+            patch.setattr("trainlog.mcap.reader.decoded", lambda _: {})
         part = read_log(logs(seed), position=(stretch[0], stretch[1]))
     assert_same(whole.within(*stretch), part)
 

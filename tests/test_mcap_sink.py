@@ -13,9 +13,8 @@ from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Schema
 from mcap.stream_reader import StreamReader
 
-from trainlog.mcap.chunks import Chunk, packed
 from trainlog.mcap.records import MESSAGE
-from trainlog.mcap.writer import Sink
+from trainlog.mcap.writer import Chunk, Sink, packed
 
 TIMES = [5, 3, 9]
 

@@ -15,8 +15,8 @@ import trainlog
 from tests.mcap_trips import assert_same, trip_of
 from trainlog.cli.main import run
 from trainlog.errors import InputError, LogError
-from trainlog.mcap import merge as module, read_log, write_log
-from trainlog.mcap.merge import merge
+from trainlog.mcap import convert as module, read_log, write_log
+from trainlog.mcap.convert import merge
 from trainlog.topics import EVENTS, GNSS_FIX, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip
 

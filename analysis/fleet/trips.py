@@ -34,7 +34,7 @@ from trainlog.identity import TripIdentity, identity_of
 from trainlog.mcap import DamageWarning, account_of, read_log, stream_log
 from trainlog.mcap.reader import rows_of_log
 from trainlog.mcap.records import Source
-from trainlog.mcap.scan import checksum_holds, contents_of
+from trainlog.mcap.contents import checksum_holds, contents_of
 from trainlog.railway.line import Line
 from trainlog.railway.passport import Passport
 from trainlog.railway.train import Train

@@ -33,9 +33,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from trips import read_officially, trip_of, write_officially
 
 from trainlog.mcap import LogWriter, describe, read_log, stream_log, write_log
-from trainlog.mcap.index import fetched
+from trainlog.mcap.contents import contents_of, fetched
 from trainlog.mcap.records import Source
-from trainlog.mcap.scan import contents_of
 from trainlog.topics import TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 

@@ -566,7 +566,7 @@ def _export_network(file: Path, output: Path) -> None:
 
 def _merge(logs: list[Path], output: Path, prefer: Path | None) -> None:
     """Join logs of one trip."""
-    from trainlog.mcap.merge import merge as write
+    from trainlog.mcap.convert import merge as write
 
     destination(output, ".mcap")
     with task("merging", unit="row") as step:

@@ -31,7 +31,7 @@ from trainlog.ingest.recording import Recording
 from trainlog.ingest.rides import read_rides
 from trainlog.ingest.tabular import is_delimited, is_parquet, read_delimited, read_parquet
 from trainlog.ingest.tagged import read_tagged
-from trainlog.mcap.scan import converted_line_ends
+from trainlog.mcap.contents import converted_line_ends
 
 GROUP = "trainlog.ingest"
 """Group of entry points."""

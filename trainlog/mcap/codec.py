@@ -18,6 +18,8 @@ known; there ``interpolation.<field>`` says how values between samples are found
 
 from __future__ import annotations
 
+import base64
+import binascii
 import re
 import struct
 from collections.abc import Iterable, Iterator, Sequence
@@ -46,6 +48,7 @@ from trainlog.arrays import FloatArray, IntArray, UintArray
 from trainlog.errors import InputError, LogError
 from trainlog.mcap.records import MESSAGE, RECORD_HEAD, shown, unusable
 from trainlog.topics import EVENTS, RECORDED, TOPICS, Field, Interpolation, Topic, recorded_topic
+from trainlog.trip import POSITION_TOPICS
 
 SEQUENCE, LOG_TIME, PUBLISH_TIME = "#sequence", "#log_time", "#publish_time"
 """Fields of a record that belong to its head; no field of a protobuf message has such a name."""
@@ -424,6 +427,56 @@ def _padded_varint(numbers: UintArray) -> NDArray[np.uint8]:
     shifted = numbers[:, None] >> np.arange(0, 35, 7, dtype=np.uint64)
     more = np.array([0x80, 0x80, 0x80, 0x80, 0], dtype=np.uint64)
     return (shifted & np.uint64(0x7F) | more).astype(np.uint8)
+
+
+# ------------------------------------------------------------------------------------ positions
+#
+# Where the train was in each chunk: for each topic with the train's position, one entry a chunk
+# that has messages of the topic. An entry is four little-endian words of eight bytes: where the
+# chunk begins in the file and the log time of its first message, as integers, and the least and the
+# greatest position, as doubles, NaN if none is known. The entries follow each other, in base64.
+
+Range = tuple[float, float]
+"""Least and greatest position [m]; NaN if none is known."""
+
+Entry = tuple[int, int, float, float]
+"""Where a chunk begins, the log time of its first message [ns], its least and greatest position."""
+
+_ENTRY = np.dtype([("offset", "<u8"), ("start", "<u8"), ("least", "<f8"), ("greatest", "<f8")])
+
+
+def encoded(entries: Sequence[Entry]) -> str:
+    """The entries of a topic as text."""
+    return base64.b64encode(np.array(entries, dtype=_ENTRY).tobytes()).decode("ascii")
+
+
+def decoded(text: str) -> dict[tuple[int, int], Range]:
+    """The positions by offset and start of the chunk; empty if the text is no such index."""
+    try:
+        data = base64.b64decode(text, validate=True)
+        entries = np.frombuffer(data, dtype=_ENTRY).tolist()
+    except (binascii.Error, ValueError):
+        return {}
+    return {(offset, start): (least, greatest) for offset, start, least, greatest in entries}
+
+
+def range_in(topic: str, data: NDArray[np.uint8], offsets: IntArray) -> Range | None:
+    """The positions of a topic's messages in a chunk that is being written; None if it has none."""
+    place = _place(topic)
+    if place is None or not len(offsets):
+        return None
+    windows = np.ndarray((len(data) - 7,), "V8", data, 0, (1,))
+    values = windows[offsets + place].view(np.float64)
+    known = values[np.isfinite(values)]
+    return (float(known.min()), float(known.max())) if len(known) else (np.nan, np.nan)
+
+
+@cache
+def _place(topic: str) -> int | None:
+    """Where the position stands in a message as this version writes it; None if it has none."""
+    if topic not in POSITION_TOPICS:
+        return None
+    return codec_for(TOPICS[topic], 1, {}).layout.place("position")
 
 
 # --------------------------------------------------------------------------------------- events

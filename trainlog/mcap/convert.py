@@ -1,7 +1,9 @@
-"""Logs as Parquet and back, whole or in part, piece by piece."""
+"""Logs written anew, piece by piece: as other kinds of file and back, in part, merged, rebuilt."""
 
 from __future__ import annotations
 
+import json
+import struct
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
@@ -9,9 +11,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
+from mcap.records import Attachment
 
 from trainlog.errors import InputError, LogError
+from trainlog.formats.files import atomic_write, sha256_of
 from trainlog.formats.trip_tables import (
     CsvTripIndex,
     FolderWriter,
@@ -24,13 +29,38 @@ from trainlog.formats.trip_tables import (
     time_span,
     trip_index,
 )
+from trainlog.mcap.account import Account
+from trainlog.mcap.contents import (
+    AttachmentPlace,
+    ChunkPlace,
+    Contents,
+    attachment_data,
+    check_is_mcap,
+    fetched,
+    fetched_index,
+    scanned,
+)
 from trainlog.mcap.description import LogDescription, describe
 from trainlog.mcap.foreign import frames_of
-from trainlog.mcap.reader import stream_log
-from trainlog.mcap.records import nothing_of
-from trainlog.mcap.writer import LogWriter
-from trainlog.topics import RECORDED, TOPICS
+from trainlog.mcap.reader import read_log, step_of, stream_log
+from trainlog.mcap.records import (
+    POSITIONS_RECORD,
+    PROVENANCE_RECORD,
+    RECORD_HEAD,
+    RECOVERY_RECORD,
+    Index,
+    Source,
+    checksum,
+    in_file,
+    nothing_of,
+    opened,
+    tally,
+)
+from trainlog.mcap.tables import topic_channels
+from trainlog.mcap.writer import Chunk, LogWriter, Sink, packed
+from trainlog.topics import EVENTS, RECORDED, TOPICS
 from trainlog.trip import Trip
+from trainlog.version import __version__
 
 ROWS = 100_000
 """Rows that are read at a time."""
@@ -233,3 +263,463 @@ def _foreign(
         frames[name].attrs = frame.attrs
     trip = Trip(frames, description.metadata)
     return trip if time is None else trip.between(*time)
+
+
+ONE = ("train", "line", "direction")
+"""Metadata that logs of one trip agree on."""
+
+STATED = ("load", "load_std", "weather", "configuration")
+"""Metadata that are left out where logs disagree."""
+
+
+@dataclass(frozen=True)
+class Merged:
+    """What became of the rows of the logs that were merged.
+
+    Attributes
+    ----------
+    rows : Counter of str
+        Written, by topic.
+    repeated : Counter of str
+        Rows that another log holds as well, by topic: written once.
+    left_out : Counter of str
+        Rows of other logs than the preferred one where both hold a topic, by topic.
+    notes : list of str
+        What else the logs do not agree on, a sentence each.
+    """
+
+    rows: Counter[str] = field(default_factory=Counter)
+    repeated: Counter[str] = field(default_factory=Counter)
+    left_out: Counter[str] = field(default_factory=Counter)
+    notes: list[str] = field(default_factory=list)
+
+
+def merge(
+    sources: Sequence[str | Path],
+    target: str | Path,
+    *,
+    prefer: str | Path | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> Merged:
+    """Write logs of one trip as one log, in the order of time; whole or not at all.
+
+    A topic may be in several logs where their times do not overlap (parts of a trip), or where the
+    samples are the same. Events of all are kept. The metadata are those of the first log; its
+    provenance goes on with a step ``"merge"`` that holds metadata and provenance of all others, and
+    the SHA-256 of every log.
+
+    Parameters
+    ----------
+    sources : sequence of path
+        Two logs at least, as `trainlog.write` or `trainlog.record` makes them.
+    target : path
+        Ends in ``.mcap``.
+    prefer : path, optional
+        One of the logs: where it holds a topic at the same time as another, it alone counts.
+    progress : callable, optional
+        Called with the number of rows so far.
+
+    Raises
+    ------
+    LogError
+        If a log cannot be read, the logs are of different trains, lines or directions, or hold
+        different samples of a topic at the same time.
+    InputError
+        If there are not two logs, or a file is missing or cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.mcap.convert import convert
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     parts = [f"{folder}/{name}.mcap" for name in ("first", "second", "whole")]
+    ...     for part, time in zip(parts, [(None, "2024-10-07T06:10"), ("2024-10-07T06:10", None)]):
+    ...         done = convert("sample_logs/nonstop.mcap", part, time=time)
+    ...     merged = merge(parts[:2], parts[2])
+    ...     same = read_log(parts[2]) == read_log("sample_logs/nonstop.mcap")
+    >>> same, merged.repeated["/train/state"]
+    (True, 1)
+    """
+    paths = [Path(source) for source in sources]
+    _check(paths, Path(target), prefer)
+    done = Merged()
+    descriptions = [describe(path) for path in paths]
+    for description in descriptions:
+        _check_ours(description)
+    about = _joined([read_log(path, []) for path in paths], paths, done.notes)
+    first = [] if prefer is None else [Path(prefer)]
+    order = [*first, *(path for path in paths if path not in first)]
+    spans = {
+        path: _spans(description) for path, description in zip(paths, descriptions, strict=True)
+    }
+    with LogWriter(target) as writer:
+        for start, end in _windows(descriptions):
+            pieces = {path: read_log(path, time=(start, end)) for path in order}
+            frames = _frames(pieces, spans, prefer is not None, done)
+            writer.add(replace(about, topics=frames))
+            done.rows.update({name: len(frame) for name, frame in frames.items()})
+            if progress is not None:
+                progress(done.rows.total())
+    return done
+
+
+def _check(paths: list[Path], target: Path, prefer: str | Path | None) -> None:
+    if len(paths) < 2:
+        raise InputError("one log cannot be merged", remedy="name two logs at least")
+    if target.suffix != ".mcap":
+        raise InputError("is not the name of a log", file=target, remedy="end it in .mcap")
+    for number, path in enumerate(paths):
+        if path in paths[:number]:
+            raise InputError("is given twice", file=path, remedy="name each log once")
+        if target.exists() and path.exists() and target.samefile(path):
+            raise InputError("would be overwritten", file=path, remedy="choose another name")
+    if prefer is not None and Path(prefer) not in paths:
+        raise InputError(f"'{prefer}' is none of the logs", remedy="prefer one of those named")
+
+
+def _check_ours(description: LogDescription) -> None:
+    held = {topic.name for topic in description.topics}
+    others = sorted(n for n in held - TOPICS.keys() if not n.startswith(RECORDED))
+    if description.schema_version is None or others:
+        named = f", with {', '.join(others[:4])}" if others else ""
+        raise LogError(
+            f"is a log of another program{named}",
+            file=description.path,
+            remedy="'trainlog ingest' makes a trip of it",
+        )
+
+
+def _joined(trips: list[Trip], paths: list[Path], notes: list[str]) -> Trip:
+    """Metadata, provenance and attachments of the merged log."""
+    metadata = dict(trips[0].metadata)
+    for path, trip in zip(paths[1:], trips[1:], strict=True):
+        for key in ONE:
+            ours, theirs = metadata.get(key), trip.metadata.get(key)
+            if ours is not None and theirs is not None and ours != theirs:
+                raise LogError(
+                    f"states {key} '{theirs}', {paths[0]} states '{ours}'",
+                    file=path,
+                    remedy="merge logs of one trip",
+                )
+        for key, value in trip.metadata.items():
+            metadata.setdefault(key, value)
+    for key in STATED:
+        values = {trip.metadata[key] for trip in trips if key in trip.metadata}
+        if len(values) > 1:
+            del metadata[key]
+            notes.append(f"{key} is left out, the logs state {' and '.join(sorted(values))}")
+    attachments: dict[str, bytes] = {}
+    for path, trip in zip(paths, trips, strict=True):
+        for name, content in trip.attachments.items():
+            if attachments.setdefault(name, content) != content:
+                attachments[f"{path.stem}/{name}"] = content
+                notes.append(f"attachment {name} of {path} differs: kept as {path.stem}/{name}")
+    step: dict[str, Any] = {
+        "software": f"trainlog {__version__}",
+        "inputs": {str(number): sha256_of(path) for number, path in enumerate(paths, start=1)},
+        "others": [
+            {"file": path.name, "metadata": trip.metadata, "provenance": [*trip.provenance]}
+            for path, trip in zip(paths[1:], trips[1:], strict=True)
+        ],
+    }
+    return Trip({}, metadata, trips[0].provenance, attachments).with_step("merge", **step)
+
+
+def _windows(descriptions: Sequence[LogDescription]) -> Iterator[tuple[pd.Timestamp, pd.Timestamp]]:
+    """Spans of time, both ends included, with about `ROWS` rows each."""
+    known = [each for each in descriptions if each.first is not None and each.last is not None]
+    if not known:
+        now = pd.Timestamp(0, tz="UTC")
+        yield now, now
+        return
+    first = min(each.first for each in known if each.first is not None).as_unit("ns").value
+    last = max(each.last for each in known if each.last is not None).as_unit("ns").value
+    rate = sum(
+        each.count / max((each.last - each.first).total_seconds(), 1.0)
+        for each in known
+        if each.first is not None and each.last is not None
+    )
+    length = max(int(ROWS / max(rate, 1e-3) * 1e9), 1)
+    for start in range(first, last + 1, length):
+        end = min(start + length - 1, last)
+        yield pd.Timestamp(start, tz="UTC"), pd.Timestamp(end, tz="UTC")
+
+
+_Spans = dict[str, tuple[pd.Timestamp, pd.Timestamp]]
+
+
+def _spans(description: LogDescription) -> _Spans:
+    """Times of the first and the last sample of each topic that has any."""
+    return {
+        topic.name: (topic.first, topic.last)
+        for topic in description.topics
+        if topic.first is not None and topic.last is not None
+    }
+
+
+def _frames(
+    pieces: dict[Path, Trip], spans: dict[Path, _Spans], preferring: bool, done: Merged
+) -> dict[str, pd.DataFrame]:
+    """The frames of one span of time; where logs overlap, those of the first of `pieces`."""
+    names = dict.fromkeys(name for piece in pieces.values() for name in piece)
+    found = {}
+    for name in [*(n for n in TOPICS if n in names), *(n for n in names if n not in TOPICS)]:
+        held = [(path, piece[name]) for path, piece in pieces.items() if name in piece]
+        parts = [held[0]]
+        for path, frame in held[1:]:
+            kept = frame
+            for other, before in parts:
+                if name in spans[other] and name in spans[path]:
+                    both = spans[other][name], spans[path][name]
+                    common = max(span[0] for span in both), min(span[1] for span in both)
+                    kept = _apart(name, common, (other, before), (path, kept), preferring, done)
+            parts.append((path, kept))
+        filled = [frame for _, frame in parts if len(frame)]
+        if len(filled) < 2:
+            found[name] = filled[0] if filled else held[0][1]
+            continue
+        joined = pd.concat(filled)
+        joined = joined.iloc[joined.index.argsort(kind="stable")]
+        joined.attrs = filled[0].attrs
+        found[name] = joined
+    return found
+
+
+def _apart(
+    name: str,
+    common: tuple[pd.Timestamp, pd.Timestamp],
+    first: tuple[Path, pd.DataFrame],
+    second: tuple[Path, pd.DataFrame],
+    preferring: bool,
+    done: Merged,
+) -> pd.DataFrame:
+    """The rows of the second log without those of the time that both hold."""
+    (path, before), (other, frame) = first, second
+    start, end = common
+    if name == EVENTS.name:
+        twice = pd.MultiIndex.from_frame(frame.reset_index()).isin(
+            pd.MultiIndex.from_frame(before.reset_index())
+        )
+        done.repeated[name] += int(twice.sum())
+        return _rows(frame, ~twice)
+    theirs = (frame.index >= start) & (frame.index <= end)
+    ours = (before.index >= start) & (before.index <= end)
+    if not theirs.any():
+        return frame
+    if before[ours].equals(frame[theirs]):
+        done.repeated[name] += int(theirs.sum())
+    elif preferring:
+        done.left_out[name] += int(theirs.sum())
+    else:
+        raise LogError(
+            f"holds other samples of {name} than {path} from {start:%Y-%m-%dT%H:%M:%S} to"
+            f" {end:%H:%M:%S}",
+            file=other,
+            remedy=f"prefer one of the logs, as --prefer {path}, or cut the topic or the time out"
+            " of one with 'trainlog convert'",
+        )
+    return _rows(frame, ~theirs)
+
+
+def _rows(frame: pd.DataFrame, kept: Any) -> pd.DataFrame:
+    rows: pd.DataFrame = frame[kept]
+    rows.attrs = frame.attrs
+    return rows
+
+
+def account_of(path: str | Path) -> Account:
+    """Read a whole MCAP file, verify every checksum, and say what is readable and what is lost.
+
+    Raises
+    ------
+    LogError
+        If it is not an MCAP file at all.
+    InputError
+        If there is no such file.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> trainlog.check("sample_logs/nonstop.mcap")
+    Account: is whole: 59,285 messages in 20 chunks
+    """
+    with Source(path) as source, in_file(path):
+        check_is_mcap(source)
+        return scanned(source).account
+
+
+def recover(path: str | Path, output: str | Path) -> Account:
+    """Rebuild an MCAP file, whoever wrote it, with everything of it that is readable.
+
+    The result has every message of every complete chunk, all schemas, channels, attachments and
+    metadata that are readable, and a complete index. Intact chunks are copied as they are stored.
+    The account is kept in the metadata record ``trainlog.recovery``. A whole file gives a file
+    that holds the same.
+
+    Parameters
+    ----------
+    path : path
+        The damaged file; it is only read.
+    output : path
+        The file to write, whole or not at all; another file than `path`.
+
+    Returns
+    -------
+    Account
+        Of the damaged file.
+
+    Raises
+    ------
+    LogError
+        If it is not an MCAP file, nothing of it is readable, or `read_log` would refuse what can be
+        rebuilt of a log of trainlog.
+    InputError
+        If there is no such file, or `output` cannot be written.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> from pathlib import Path
+    >>> data = Path("sample_logs/nonstop.mcap").read_bytes()
+    >>> _ = Path("cut.mcap").write_bytes(data[:1_000_000])
+    >>> account = recover("cut.mcap", "recovered.mcap")
+    >>> account.whole, trainlog.check("recovered.mcap").messages == account.messages
+    (False, True)
+    """
+    with Source(path) as source:
+        target = Path(output)
+        if target.exists() and target.samefile(path):
+            raise InputError(
+                "would be overwritten by what is recovered from it",
+                file=output,
+                remedy="name another file to write to",
+            )
+        with in_file(path):
+            check_is_mcap(source)
+            contents = scanned(source)
+            account = contents.account
+            _check_readable(contents, account)
+        with atomic_write(output) as temporary, temporary.open("wb") as stream:
+            sink = Sink(stream, profile=contents.profile)
+            with in_file(path):
+                _rebuild(source, contents, _recoveries(contents, path, source.size), sink)
+            sink.finish()
+            stream.flush()
+            if topic_channels(contents):
+                with in_file(path):
+                    _check_reads(temporary)
+    return account
+
+
+def _check_reads(path: Path) -> None:
+    """Raise a LogError if a rebuilt log of trainlog cannot be read."""
+    try:
+        for _ in stream_log(path, rows=ROWS):
+            pass
+    except LogError as error:
+        raise LogError(
+            f"what is readable of it makes no log: {error.problem}", remedy=error.remedy
+        ) from error
+
+
+def _check_readable(contents: Contents, account: Account) -> None:
+    if account.whole or account.messages or contents.attachments or contents.metadata:
+        return
+    first = account.losses[0]
+    raise LogError(
+        f"is damaged and nothing of it is readable: {first.reason}",
+        place=f"byte {first.start}",
+        remedy="copy it again from where it was recorded",
+    )
+
+
+def _rebuild(source: Source, contents: Contents, steps: dict[str, str], sink: Sink) -> None:
+    """Write everything that was found, in the order in which a log has it."""
+    sink.declare(*contents.schemas.values(), *contents.channels.values())
+    for record in contents.metadata:
+        # Chunks have moved; where the train was in each is found without that record, too.
+        if record.name not in (RECOVERY_RECORD, POSITIONS_RECORD):
+            values = record.metadata
+            if record.name == PROVENANCE_RECORD:
+                values = {key: text for key, text in values.items() if step_of(text) is not None}
+            sink.put_metadata(record.name, values)
+    sink.put_metadata(RECOVERY_RECORD, steps)
+    for place in contents.attachments:
+        sink.put_attachment(_attachment(source, place))
+    for chunk in contents.chunks:
+        sink.put_chunk(_chunk(source, chunk))
+
+
+def _recoveries(contents: Contents, path: str | Path, size: int) -> dict[str, str]:
+    """What the metadata record is to hold: earlier recoveries, and the present one behind them."""
+    steps: dict[str, str] = {}
+    for record in contents.metadata:
+        if record.name == RECOVERY_RECORD:
+            values = record.metadata.items()
+            steps |= {key: text for key, text in values if step_of(text) is not None}
+    step = {
+        "software": "trainlog",
+        "file": Path(path).name,
+        "size": size,
+        "account": contents.account.details(),
+    }
+    number = 1
+    while f"{number:04d}" in steps:
+        number += 1
+    text = json.dumps(step, ensure_ascii=True, sort_keys=True)
+    return steps | {f"{number:04d}": text}
+
+
+def _attachment(source: Source, place: AttachmentPlace) -> Attachment:
+    return Attachment(
+        create_time=place.create_time,
+        data=attachment_data(source, place),
+        log_time=place.log_time,
+        media_type=place.media_type,
+        name=place.name,
+    )
+
+
+def _chunk(source: Source, place: ChunkPlace) -> Chunk:
+    """The chunk as it is stored, or made again without messages that no channel explains."""
+    chunk = fetched(source, place)
+    content = opened(chunk)
+    index = tally(content, _index(source, place), place.offset).index
+    kept = {channel: entries for channel, entries in index.items() if channel in place.counts}
+    if place.loose or len(kept) < len(index):
+        return packed(_only(content, kept))
+    return Chunk(
+        compression=chunk.compression,
+        data=chunk.data,
+        size=chunk.size,
+        checksum=checksum(content),
+        start=place.start,
+        end=place.end,
+        index=kept,
+    )
+
+
+def _index(source: Source, place: ChunkPlace) -> Index:
+    """The message index of a chunk as the file has it; empty if it has none."""
+    return fetched_index(source, place, place.counts) if place.indexes else {}
+
+
+def _only(content: bytes, index: Index) -> Chunk:
+    """A chunk of nothing but the messages that the index lists, in the order they had."""
+    listed = [
+        (int(offset), int(time), channel)
+        for channel, entries in index.items()
+        for time, offset in entries.tolist()
+    ]
+    data = bytearray()
+    moved: dict[int, list[tuple[int, int]]] = {channel: [] for channel in index}
+    for offset, time, channel in sorted(listed):
+        (length,) = struct.unpack_from("<Q", content, offset + 1)
+        moved[channel].append((time, len(data)))
+        data += content[offset : offset + RECORD_HEAD + length]
+    return Chunk(
+        data,
+        min((time for _, time, _ in listed), default=0),
+        max((time for _, time, _ in listed), default=0),
+        {channel: np.array(pairs, dtype=np.uint64) for channel, pairs in moved.items()},
+    )

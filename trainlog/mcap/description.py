@@ -21,11 +21,9 @@ from trainlog.formats.files import sha256
 from trainlog.formats.railway import line_from_bytes
 from trainlog.mcap.account import Account
 from trainlog.mcap.codec import UNIT, axles_of
-from trainlog.mcap.index import ChunkPlace, Contents, MisplacedError, index_in
-from trainlog.mcap.reader import attachments_of, bare_trip, metadata_of, read_log
+from trainlog.mcap.contents import ChunkPlace, Contents, MisplacedError, contents_used, index_in
+from trainlog.mcap.reader import attachments_of, bare_trip, metadata_of, position_span, read_log
 from trainlog.mcap.records import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD, Source, in_file
-from trainlog.mcap.scan import contents_used
-from trainlog.mcap.selection import position_span
 from trainlog.presentation import Presented, WordTable, new_table
 from trainlog.railway.kilometres import in_km
 from trainlog.railway.line import Line

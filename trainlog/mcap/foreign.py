@@ -33,7 +33,7 @@ from trainlog.arrays import IntArray
 from trainlog.errors import LogError
 from trainlog.extras import load
 from trainlog.mcap.account import Account
-from trainlog.mcap.index import Contents, MisplacedError, fetched
+from trainlog.mcap.contents import Contents, MisplacedError, contents_used, fetched
 from trainlog.mcap.reader import check_data_section, report_losses
 from trainlog.mcap.records import (
     MESSAGE,
@@ -44,7 +44,6 @@ from trainlog.mcap.records import (
     opened,
     shown,
 )
-from trainlog.mcap.scan import contents_used
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import FieldDesc, Typesdict

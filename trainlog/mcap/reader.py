@@ -1,12 +1,18 @@
-"""Reading a trip, or a part of one, from an MCAP file: at once, or piece by piece."""
+"""Reading a trip, or a part of one, from an MCAP file: at once, piece by piece, in stretches.
+
+Chunks that cannot hold what is asked for are not read. Where the train was in each chunk is kept in
+the metadata record `POSITIONS_RECORD`, see `trainlog.mcap.codec`. A file without the record is read
+no differently, only slower.
+"""
 
 from __future__ import annotations
 
 import json
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,16 +24,21 @@ from trainlog.arrays import IntArray
 from trainlog.errors import InputError, LogError
 from trainlog.identity import COLUMNS, TripIdentity, identity_of
 from trainlog.mcap.account import Account, DamageWarning, Loss
-from trainlog.mcap.index import (
+from trainlog.mcap.codec import Range, decoded
+from trainlog.mcap.contents import (
     AttachmentPlace,
     ChunkPlace,
     Contents,
     MisplacedError,
     attachment_data,
     checksum_of,
+    contents_of,
+    contents_used,
+    scanned,
 )
 from trainlog.mcap.records import (
     FORMAT_RECORD,
+    POSITIONS_RECORD,
     PROVENANCE_RECORD,
     RECORDING_RECORD,
     RECOVERY_RECORD,
@@ -38,12 +49,10 @@ from trainlog.mcap.records import (
     threads_of,
     unusable,
 )
-from trainlog.mcap.scan import contents_of, contents_used, scanned
-from trainlog.mcap.selection import Selection, Topics, chunks_within, selection_of, spans_of
-from trainlog.mcap.tables import TopicChannel, frames_in, topic_channels
-from trainlog.spans import ALWAYS, Spans
-from trainlog.topics import SCHEMA_VERSION
-from trainlog.trip import Trip
+from trainlog.mcap.tables import TopicChannel, Wanted, frames_in, topic_channels
+from trainlog.spans import ALWAYS, Spans, merged_spans, position_limits, spans_within, time_limits
+from trainlog.topics import RECORDED, SCHEMA_VERSION, TOPICS, Topic, column_field
+from trainlog.trip import NO_POSITION, POSITION_TOPICS, Trip
 from trainlog.units import NANOSECONDS
 
 _MOST_NAMED = 8
@@ -117,12 +126,11 @@ def read_log(
     """
     selection = selection_of(topics, time, position)
     with Source(path) as source, in_file(path):
-        contents, trip = contents_used(
-            source, lambda contents: _trip_of(source, contents, selection, threads_of(threads))
-        )
-        check_readable(contents.account)
-    report_losses(path, contents)
-    return with_losses(trip, contents)
+        reading = _Reading(source, selection, threads_of(threads))
+        (frames,) = reading.groups()
+        check_readable(reading.contents.account)
+    report_losses(path, reading.contents)
+    return replace(reading.bare, topics=frames)
 
 
 def stream_log(
@@ -234,28 +242,6 @@ def with_losses(trip: Trip, contents: Contents) -> Trip:
     if not contents.losses:
         return trip
     return trip.with_step("read damaged log", account=contents.account.details())
-
-
-def _trip_of(source: Source, contents: Contents, selection: Selection, threads: int) -> Trip:
-    """The part of a trip that is asked for; what turns out damaged is dropped from `contents`.
-
-    Raises
-    ------
-    LogError
-        As `read_log`.
-    MisplacedError
-        If something is not as the summary says by which `contents` was found.
-    """
-    trip = bare_trip(source, contents)
-    spans = spans_of(source, contents, selection, threads)
-    chunks = chunks_within(contents.chunks, spans)
-    trip = replace(trip, topics=frames_in(source, contents, chunks, selection.columns, threads))
-    if selection.whole:
-        check_data_section(source, contents)
-        return trip
-    if selection.time is not None or selection.position is not None:
-        trip = trip.cut(spans)
-    return trip.with_slice(time=selection.time, position=selection.position)
 
 
 def bare_trip(source: Source, contents: Contents) -> Trip:
@@ -399,58 +385,69 @@ def check_readable(account: Account) -> None:
 
 def _pieces(path: str | Path, selection: Selection, rows: int) -> Iterator[Trip]:
     with Source(path) as source, in_file(path):
-        stream = _Stream(source, selection)
+        reading = _Reading(source, selection, threads=2)
         last = None
-        for frames in stream.groups(rows):
+        for frames in reading.groups(rows):
             for part in _cut(frames, rows):
-                last = stream.bare
+                last = reading.bare
                 yield replace(last, topics=part)
-        if last is None or last.provenance != stream.bare.provenance:
+        if last is None or last.provenance != reading.bare.provenance:
             # What is lost shows in a piece without rows, too.
-            yield replace(stream.bare, topics=stream.none)
-        check_readable(stream.contents.account)
-    report_losses(path, stream.contents)
+            yield replace(reading.bare, topics=reading.frames([]))
+        check_readable(reading.contents.account)
+    report_losses(path, reading.contents)
 
 
-class _Stream:
-    """The state of one reading: what of the file is still to come."""
+class _Reading:
+    """One reading of a part of a file: at once, or some chunks at a time."""
 
-    def __init__(self, source: Source, selection: Selection) -> None:
+    def __init__(self, source: Source, selection: Selection, threads: int) -> None:
         self._source = source
         self._selection = selection
+        self._threads = threads
         self.contents, (self._bare, self._spans) = contents_used(source, self._begin)
-        self.none = frames_in(source, self.contents, [], selection.columns, threads=1)
 
     def _begin(self, contents: Contents) -> tuple[Trip, Spans]:
         selection = self._selection
         bare = bare_trip(self._source, contents)
         bare = bare.with_slice(time=selection.time, position=selection.position)
-        return bare, spans_of(self._source, contents, selection, threads=1)
+        return bare, spans_of(self._source, contents, selection, self._threads)
 
     @property
     def bare(self) -> Trip:
         """The trip without its topics; its provenance has the losses met so far."""
         return with_losses(self._bare, self.contents)
 
-    def groups(self, rows: int) -> Iterator[_Frames]:
-        """The rows of all topics that come before all that follow, some chunks at a time."""
+    def frames(self, chunks: Sequence[ChunkPlace]) -> _Frames:
+        """The rows that chunks hold."""
         selection = self._selection
+        found = frames_in(self._source, self.contents, chunks, selection.columns, self._threads)
+        if selection.time is not None or selection.position is not None:
+            found = replace(self._bare, topics=found).cut(self._spans).topics
+        return found
+
+    def groups(self, rows: int | None = None) -> Iterator[_Frames]:
+        """The rows of all topics that come before all that follow, some chunks at a time.
+
+        Without `rows` all at once, and all of the file is verified if all of it is asked for.
+        """
         done: set[int] = set()
         waiting: _Frames = {}
-        chunks = self._chunks(done)
-        while chunks:
-            group = self._group(chunks, rows)
+        chunks = self._chunks(done, rows)
+        while True:
+            group = chunks if rows is None else self._group(chunks, rows)
             try:
-                frames = frames_in(self._source, self.contents, group, selection.columns, threads=2)
+                frames = self.frames(group)
+                if rows is None and self._selection.whole:
+                    check_data_section(self._source, self.contents)
             except MisplacedError:
                 # What was yielded stays; a scan finds what of the rest there is.
                 self.contents = scanned(self._source)
-                chunks = self._chunks(done)
+                self._bare, self._spans = self._begin(self.contents)
+                chunks = self._chunks(done, rows)
                 continue
             done.update(place.offset for place in group)
             chunks = chunks[len(group) :]
-            if selection.time is not None or selection.position is not None:
-                frames = replace(self._bare, topics=frames).cut(self._spans).topics
             waiting = {name: _joined(waiting.get(name), frame) for name, frame in frames.items()}
             if not chunks:
                 break
@@ -463,8 +460,8 @@ class _Stream:
             yield ready
         yield waiting
 
-    def _chunks(self, done: set[int]) -> list[ChunkPlace]:
-        """The chunks that are still to be read, in the order of time."""
+    def _chunks(self, done: set[int], rows: int | None) -> list[ChunkPlace]:
+        """The chunks that are still to be read; in the order of time, if not all at once."""
         self._channels = {
             each.channel.id
             for each in topic_channels(self.contents)
@@ -475,6 +472,8 @@ class _Stream:
             for place in chunks_within(self.contents.chunks, self._spans)
             if place.offset not in done and not self._channels.isdisjoint(place.counts)
         ]
+        if rows is None:
+            return wanted
         return sorted(wanted, key=lambda place: (place.start, place.offset))
 
     def _group(self, chunks: Sequence[ChunkPlace], rows: int) -> list[ChunkPlace]:
@@ -656,3 +655,261 @@ def _borders(path: str | Path, topics: Sequence[str] | None, rows: int) -> list[
     wanted = np.arange(1, count) * (sum(held) / count)
     firsts = np.unique(np.clip(np.searchsorted(before, wanted), 1, len(chunks) - 1))
     return sorted({int(chunks[index].start) for index in firsts.tolist()})
+
+
+Topics = Iterable[str] | Mapping[str, Iterable[str] | None]
+"""Names of topics, or the columns asked for by topic, None for all."""
+
+
+_AT_ONCE = 64
+"""Chunks whose positions are held at a time, where the file does not have them."""
+
+
+def position_ranges(contents: Contents, topic: str) -> list[tuple[ChunkPlace, Range]] | None:
+    """The chunks with messages of a topic, each with its positions; None if any is not known."""
+    stored = [
+        record.metadata[topic]
+        for record in contents.metadata
+        if record.name == POSITIONS_RECORD and topic in record.metadata
+    ]
+    known = {key: each for text in stored for key, each in decoded(text).items()}
+    found = []
+    for place in _with_topic(contents, topic):
+        if (place.offset, place.start) not in known:
+            return None
+        found.append((place, known[place.offset, place.start]))
+    return found
+
+
+def spans_in_log(
+    source: Source, contents: Contents, stretch: tuple[float, float], threads: int
+) -> Spans:
+    """When the train was on a stretch of the line.
+
+    Raises
+    ------
+    LogError
+        If the log does not know where the train was.
+    MisplacedError
+        If something is not as the summary says.
+    """
+    for topic in POSITION_TOPICS:
+        spans = _spans_by(source, contents, topic, stretch, threads)
+        if spans is not None:
+            return spans
+    raise LogError("does not know where the train was", remedy=NO_POSITION)
+
+
+def position_span(source: Source, contents: Contents, topic: str) -> tuple[float, float] | None:
+    """Least and greatest position by a topic [m]; None if it has none.
+
+    Raises
+    ------
+    LogError
+        If messages are not what their channel says.
+    MisplacedError
+        If something is not as the summary says.
+    """
+    ranges = position_ranges(contents, topic)
+    if ranges is None:
+        ranges = []
+        places = _with_topic(contents, topic)
+        for at in range(0, len(places), _AT_ONCE):
+            group = places[at : at + _AT_ONCE]
+            frames = frames_in(source, contents, group, {topic: frozenset(["position"])}, threads=1)
+            position = frames[topic]["position"].to_numpy()
+            known = position[np.isfinite(position)]
+            if len(known):
+                ranges.append((group[0], (float(known.min()), float(known.max()))))
+    known_ranges = [each for _, each in ranges if not np.isnan(each[0])]
+    if not known_ranges:
+        return None
+    return min(least for least, _ in known_ranges), max(most for _, most in known_ranges)
+
+
+def _spans_by(
+    source: Source, contents: Contents, topic: str, stretch: tuple[float, float], threads: int
+) -> Spans | None:
+    """The same by one topic; None if it knows no position."""
+    ranges = position_ranges(contents, topic)
+    if ranges is None or not _in_order(place for place, _ in ranges):
+        runs, known = [_with_topic(contents, topic)], False
+    else:
+        located = [(place, each) for place, each in ranges if not np.isnan(each[0])]
+        runs, known = _runs_near(located, stretch), bool(located)
+    spans = [np.empty((0, 2), dtype=np.int64)]
+    for run in runs:
+        frame = frames_in(source, contents, run, {topic: frozenset(["position"])}, threads).get(
+            topic
+        )
+        if frame is not None:
+            position = frame["position"].to_numpy()
+            known = known or bool(np.isfinite(position).any())
+            time = pd.DatetimeIndex(frame.index).as_unit("ns").asi8
+            spans.append(spans_within(time, position, *stretch))
+    return merged_spans(np.concatenate(spans)) if known else None
+
+
+def _with_topic(contents: Contents, topic: str) -> list[ChunkPlace]:
+    numbers = {each.channel.id for each in topic_channels(contents) if each.topic.name == topic}
+    return [place for place in contents.chunks if not numbers.isdisjoint(place.counts)]
+
+
+def _in_order(places: Iterable[ChunkPlace]) -> bool:
+    """Whether the chunks follow each other in time, so that neighbours are neighbours."""
+    listed = list(places)
+    return all(one.end <= other.start for one, other in pairwise(listed))
+
+
+def _runs_near(
+    located: list[tuple[ChunkPlace, Range]], stretch: tuple[float, float]
+) -> list[list[ChunkPlace]]:
+    """Chunks next to each other in which, or between which, the train can have been there."""
+    if not located:
+        return []
+    least, greatest = np.array([each for _, each in located]).T
+    # Between the last sample of a chunk and the first of the next it was between both.
+    joint = (np.minimum(least[1:], least[:-1]) <= stretch[1]) & (
+        np.maximum(greatest[1:], greatest[:-1]) >= stretch[0]
+    )
+    near = (least <= stretch[1]) & (greatest >= stretch[0])
+    near[1:] |= joint
+    near[:-1] |= joint
+    runs: list[list[ChunkPlace]] = []
+    for number in np.flatnonzero(near).tolist():
+        # Two chunks with a gap in which the train was not there need not be read together.
+        if number and near[number - 1] and runs:
+            runs[-1].append(located[number][0])
+        else:
+            runs.append([located[number][0]])
+    return runs
+
+
+# --------------------------------------------------------------------------- what is asked for
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A part of a log.
+
+    Attributes
+    ----------
+    columns : Wanted
+    time : (Any, Any) or None
+        As given; checked.
+    span : (int, int)
+        The same [ns since 1970 UTC].
+    position : (float, float) or None
+        As given; checked.
+    whole : bool
+        Whether it leaves out nothing.
+    """
+
+    columns: Wanted
+    time: tuple[Any, Any] | None
+    span: tuple[int, int]
+    position: tuple[float | None, float | None] | None
+    whole: bool
+
+    @property
+    def stretch(self) -> tuple[float, float]:
+        """The position's limits [m]; infinite where open."""
+        return position_limits(*(self.position or (None, None)))
+
+
+def selection_of(
+    topics: Topics | None,
+    time: tuple[Any, Any] | None,
+    position: tuple[float | None, float | None] | None,
+) -> Selection:
+    """The part of a log that is asked for, checked.
+
+    Raises
+    ------
+    LogError
+        If there is no such topic or column.
+    InputError
+        If a limit is no time or no position, or the limits are in the wrong order.
+    """
+    ends = _pair("time", time)
+    stretch = _pair("position", position)
+    span = ALWAYS if ends is None else time_limits(*ends)
+    if stretch is not None:
+        position_limits(*stretch)
+    whole = topics is None and ends is None and stretch is None
+    return Selection(_columns(topics), ends, span, stretch, whole)
+
+
+def _pair(name: str, limits: Sequence[Any] | None) -> tuple[Any, Any] | None:
+    if limits is None:
+        return None
+    if isinstance(limits, str) or not hasattr(limits, "__len__") or len(limits) != 2:
+        raise InputError(f"{name} is {limits!r}, not two limits", remedy=f"give {name}=(from, to)")
+    return limits[0], limits[1]
+
+
+def _columns(topics: Topics | None) -> Wanted:
+    if topics is None:
+        return None
+    if isinstance(topics, str):
+        topics = [topics]
+    asked = topics if isinstance(topics, Mapping) else dict.fromkeys(topics)
+    for name in asked:
+        if name not in TOPICS and not name.startswith(RECORDED):
+            raise LogError(f"there is no topic {name}", remedy=f"topics are {', '.join(TOPICS)}")
+    return {
+        name: None if names is None else _known(TOPICS.get(name), names)
+        for name, names in asked.items()
+    }
+
+
+def _known(topic: Topic | None, names: Iterable[str]) -> frozenset[str]:
+    """The names, of which a topic of the table must have each; what others have the log knows."""
+    names = frozenset([names] if isinstance(names, str) else names)
+    if topic is None:
+        return names
+    for name in sorted(names):
+        try:
+            column_field(topic, name)
+        except KeyError:
+            raise LogError(
+                f"{topic.name} has no column {name}",
+                remedy=f"its fields are {', '.join(item.name for item in topic.fields)}; a field "
+                "with one value for each axle has columns such as wheel_speed_1",
+            ) from None
+    return names
+
+
+def chunks_within(chunks: Iterable[ChunkPlace], spans: Spans) -> list[ChunkPlace]:
+    """The chunks that can hold messages in any of the spans of time."""
+    listed = list(chunks)
+    if len(spans) == 1 and tuple(spans[0]) == ALWAYS:
+        return listed
+    if not len(spans) or not listed:
+        return []
+    highest = np.iinfo(np.int64).max
+    first = np.array([min(place.start, highest) for place in listed], dtype=np.int64)
+    last = np.array([min(place.end, highest) for place in listed], dtype=np.int64)
+    # The first span that ends at or after the chunk's start must begin before its end.
+    number = np.searchsorted(spans[:, 1], first)
+    begins = np.append(spans[:, 0], highest)[number]
+    held = (number < len(spans)) & (begins <= last)
+    return [listed[index] for index in np.flatnonzero(held)]
+
+
+def spans_of(source: Source, contents: Contents, selection: Selection, threads: int) -> Spans:
+    """The spans of time that are asked for.
+
+    Raises
+    ------
+    LogError
+        If a stretch of the line is asked for and the log does not know where the train was.
+    MisplacedError
+        As `trip_of`.
+    """
+    first, last = selection.span
+    if selection.position is None:
+        return np.array([[first, last]], dtype=np.int64)
+    spans = spans_in_log(source, contents, selection.stretch, threads)
+    spans = spans[(spans[:, 1] >= first) & (spans[:, 0] <= last)]
+    return np.clip(spans, first, last)

@@ -218,7 +218,7 @@ RECOVERY_RECORD = "trainlog.recovery"
 with the account of what was lost."""
 
 POSITIONS_RECORD = "trainlog.positions"
-"""Metadata record that holds the positions in each chunk, see `trainlog.mcap.selection`."""
+"""Metadata record that holds the positions in each chunk, see `trainlog.mcap.codec`."""
 
 Index = dict[int, UintArray]
 """Log time and offset in the chunk, shape (n, 2), of the messages by channel id."""

@@ -24,7 +24,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from trainlog.arrays import UintArray
 from trainlog.errors import LogError
 from trainlog.mcap.codec import LOG_TIME, Codec, Columns, accuracies, codec_of, gather, topic_of
-from trainlog.mcap.index import ChunkPlace, Contents, MisplacedError, fetched, fetched_index
+from trainlog.mcap.contents import ChunkPlace, Contents, MisplacedError, fetched, fetched_index
 from trainlog.mcap.records import Index, Source, index_of, message_data, opened, unusable
 from trainlog.topics import EVENTS, GNSS_FIX, TOPICS, Topic, attributes, column_field
 from trainlog.trip import frame_of
