@@ -20,7 +20,7 @@ from dataclasses import replace
 
 import sqlalchemy as sa
 
-from trainlog.catalogue import migration, open_catalogue
+from trainlog.catalogue import database as migration, open_catalogue
 
 
 def forked(work: Callable[[], object]) -> tuple[int, int]:

@@ -27,7 +27,7 @@ from typing import Any
 from killed import PATIENCE, Forked
 
 from trainlog.catalogue import open_catalogue
-from trainlog.catalogue.schema import results, trips
+from trainlog.catalogue.database import results, trips
 from trainlog.formats.mapmerge import merge_files
 
 

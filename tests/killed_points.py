@@ -32,8 +32,7 @@ from killed import Passed, Watched
 from analysis.fleet import maps, update, work
 from analysis.fleet.analyses import FleetAnalysis, analyses_named, computation_of
 from trainlog.catalogue import Catalogue, open_catalogue, results
-from trainlog.catalogue.database import Database
-from trainlog.catalogue.schema import result_files, results as table
+from trainlog.catalogue.database import Database, result_files, results as table
 from trainlog.formats import mapfile
 from trainlog.formats.files import atomic_write
 

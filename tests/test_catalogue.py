@@ -21,7 +21,7 @@ from test_cli_help import commands
 import trainlog
 from analysis.fleet.trips import fleet_trips
 from trainlog.catalogue import Catalogue, Computation, ResultOutcome, open_catalogue
-from trainlog.catalogue.schema import metadata
+from trainlog.catalogue.database import metadata
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.files import logs_of
@@ -337,7 +337,7 @@ def test_a_damaged_log_is_a_trip_that_says_so(
 def test_many_files_are_read_by_several_processes_with_the_same_result(
     many_logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("trainlog.catalogue.adding._WORTH_PROCESSES", 2)
+    monkeypatch.setattr("trainlog.catalogue.registration._WORTH_PROCESSES", 2)
     held = []
     for jobs in (1, 2):
         with open_catalogue(tmp_path / str(jobs)) as catalogue:

@@ -16,7 +16,13 @@ import sqlglot
 from command import run
 from synthetic_trips import synthetic_entry
 
-from trainlog.catalogue import Catalogue, Computation, ResultOutcome, open_catalogue, sql
+from trainlog.catalogue import (
+    Catalogue,
+    Computation,
+    ResultOutcome,
+    catalogue as module,
+    open_catalogue,
+)
 from trainlog.errors import InputError
 
 TRIPS = 60
@@ -212,7 +218,7 @@ def test_a_statement_finds_the_same_where_only_columns_that_it_names_are_read(
         done = [ResultOutcome(row.key, row.sha256, rows=1) for row in part.itertuples()]
         catalogue.record(FIRST, done, table)
         found = {statement: catalogue.sql(statement) for statement in SAME}
-        monkeypatch.setattr(sql, "_columns_in", lambda parsed: None)
+        monkeypatch.setattr(module, "_columns_in", lambda parsed: None)
         for statement, frame in found.items():
             assert len(frame), statement
             again = as_found(statement, catalogue.sql(statement))
@@ -228,7 +234,7 @@ def test_rows_of_a_table_have_all_its_columns(catalogue: Catalogue) -> None:
     assert set(json.loads(row)) == columns
     parsed = sqlglot.parse_one("select train from trips", read="duckdb")
     assert isinstance(parsed, sqlglot.exp.Query)
-    assert sql._columns_in(parsed) == frozenset({"train"})
+    assert module._columns_in(parsed) == frozenset({"train"})
 
 
 @pytest.mark.parametrize("kept", [0, 0.5, -1])

@@ -16,7 +16,7 @@ from command import run
 from refusals import refused
 from synthetic_trips import synthetic_entry
 
-from trainlog.catalogue import Computation, ResultOutcome, migration, open_catalogue
+from trainlog.catalogue import Computation, ResultOutcome, database as migration, open_catalogue
 from trainlog.errors import InputError
 
 DATA = Path("tests/data")

@@ -19,14 +19,13 @@ from sqlalchemy.dialects import postgresql
 from synthetic_trips import synthetic_entry
 
 from trainlog.catalogue import Catalogue, open_catalogue
-from trainlog.catalogue.days import times_of
-from trainlog.catalogue.schema import metadata
+from trainlog.catalogue.database import metadata
 from trainlog.catalogue.where import condition_of
 from trainlog.cli.options import lasting_change, moment
 from trainlog.errors import InputError
 from trainlog.simulation import Fault
 from trainlog.simulation.rail import midnight
-from trainlog.spans import utc
+from trainlog.spans import times_of, utc
 
 TRIPS = 120
 ENTRIES = [synthetic_entry(number, trains=6, days=400) for number in range(TRIPS)]

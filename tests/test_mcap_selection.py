@@ -15,7 +15,7 @@ from mcap_trips import START, assert_same, trip_of
 from refusals import refused
 
 from trainlog.errors import InputError, LogError
-from trainlog.mcap import DamageWarning, chunks, read_log, stream_log, write_log
+from trainlog.mcap import DamageWarning, read_log, stream_log, write_log, writer
 from trainlog.mcap.contents import contents_of
 from trainlog.mcap.records import Source
 from trainlog.topics import (
@@ -35,7 +35,7 @@ SECOND = 10**9
 @pytest.fixture(autouse=True)
 def _short_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Many small chunks, as in a long log."""
-    monkeypatch.setattr(chunks.plan_of, "__defaults__", (2 * SECOND, 2**20))
+    monkeypatch.setattr(writer.plan_of, "__defaults__", (2 * SECOND, 2**20))
 
 
 def shuttle(seed: int = 0, rows: int = 400) -> Trip:

@@ -8,24 +8,27 @@ from trainlog.public import names_on_first_use
 require("sqlalchemy", "sqlglot")
 
 if TYPE_CHECKING:
-    from trainlog.catalogue.adding import Refreshed as Refreshed
     from trainlog.catalogue.catalogue import (
         Catalogue as Catalogue,
         open_catalogue as open_catalogue,
+        write_trips as write_trips,
     )
-    from trainlog.catalogue.export import write_trips as write_trips
+    from trainlog.catalogue.database import TRIP_COLUMNS as TRIP_COLUMNS, TripColumn as TripColumn
     from trainlog.catalogue.reading import (
         FileEntry as FileEntry,
         LogEntry as LogEntry,
         read_entry as read_entry,
         read_file as read_file,
     )
-    from trainlog.catalogue.registration import Added as Added, FileOutcome as FileOutcome
+    from trainlog.catalogue.registration import (
+        Added as Added,
+        FileOutcome as FileOutcome,
+        Refreshed as Refreshed,
+    )
     from trainlog.catalogue.results import (
         Computation as Computation,
         ResultOutcome as ResultOutcome,
     )
-    from trainlog.catalogue.schema import TRIP_COLUMNS as TRIP_COLUMNS, TripColumn as TripColumn
 
 if not TYPE_CHECKING:  # type checkers refuse names that are not listed above
     __all__, __getattr__, __dir__ = names_on_first_use(__name__, __file__)

@@ -1,17 +1,51 @@
-"""A catalogue, open: files are added, trips asked for, results kept."""
+"""A catalogue, open: files are added, trips asked for, results kept; statements of SQL over it.
+
+DuckDB runs these, over the Parquet files of results as they are and the tables that a statement
+names, of whichever database the catalogue is in. Nothing can be changed, and no other file be read.
+"""
 
 from __future__ import annotations
 
+import json
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Any, Self
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import sqlalchemy as sa
 
-from trainlog.catalogue.adding import Files
+from trainlog.catalogue.database import TRIP_COLUMNS, columns_of, files, trip_edges, trips
 from trainlog.catalogue.querying import Trips
-from trainlog.catalogue.results import Computed
+from trainlog.catalogue.registration import Files
+from trainlog.catalogue.results import (
+    ATTEMPTS,
+    KEY,
+    Computed,
+    analyses_recorded,
+    is_readable,
+    recorded,
+    unreadable,
+)
 from trainlog.display import as_text
+from trainlog.errors import InputError
+from trainlog.extras import require
+from trainlog.formats.files import atomic_write
 from trainlog.formats.settings import read_settings
+
+if TYPE_CHECKING:
+    import duckdb
+    import pyarrow as pa
+    from sqlglot import exp
+
+    from trainlog.catalogue.database import Database
+
+_EXAMPLE = "select train, count(*) from trips group by train"
 
 _DEFAULT = "catalogue"
 """Folder of the catalogue where none is named."""
@@ -112,9 +146,25 @@ class Catalogue(Files, Trips, Computed):
         0     dry      1
         1     wet      1
         """
-        from trainlog.catalogue import sql
+        require("duckdb")
+        import duckdb
 
-        return sql.asked(self, statement)
+        for attempt in range(ATTEMPTS):
+            analyses = _analyses(self)
+            named = _named_in(statement, [*_TABLES, *analyses], self.place)
+            try:
+                with _connection(self, analyses, named) as connection:
+                    return connection.execute(statement).df()
+            except duckdb.Error as error:
+                if isinstance(error, duckdb.IOException) and attempt + 1 < ATTEMPTS:
+                    # Another process put files of results together meanwhile, perhaps.
+                    continue
+                _check_files(self, analyses, named.tables, error)
+                every = _Named(named.tables)
+                with _connection(self, analyses, every, empty=True) as connection:
+                    columns = _columns(connection, named.tables)
+                raise _refused(statement, error, columns) from error
+        raise AssertionError
 
     def tables(self) -> pd.DataFrame:
         """The tables that `sql` knows, with their columns.
@@ -132,6 +182,360 @@ class Catalogue(Files, Trips, Computed):
         ...     catalogue.tables()["table"].unique().tolist()
         ['trips', 'files', 'edges']
         """
-        from trainlog.catalogue import sql
+        require("duckdb")
+        import duckdb
 
-        return sql.tables(self)
+        analyses = _analyses(self)
+        known = [*_TABLES, *analyses]
+        try:
+            with _connection(self, analyses, _Named(known), empty=True) as connection:
+                every = _columns(connection, known)
+        except duckdb.Error as error:
+            _check_files(self, analyses, known, error)
+            raise
+        found = [
+            (table, name, kind)
+            for table, columns in every.items()
+            for name, kind in columns.items()
+        ]
+        return pd.DataFrame(found, columns=["table", "column", "type"])
+
+
+@dataclass(frozen=True)
+class _Named:
+    """What a statement names: tables, and columns or parts of their names; None if all of them."""
+
+    tables: list[str]
+    columns: frozenset[str] | None = None
+
+    def wants(self, column: str) -> bool:
+        """Whether a column is among them."""
+        return self.columns is None or column in self.columns
+
+
+@dataclass(frozen=True)
+class _Analysis:
+    """The results of an analysis: the files, and which of them holds each trip that counts."""
+
+    paths: list[str]
+    rows: pd.DataFrame
+
+
+def _check_files(
+    database: Database, analyses: dict[str, str], tables: list[str], error: duckdb.Error
+) -> None:
+    """Refuse files of results that are missing or damaged, where an error may come from them."""
+    import duckdb
+
+    if isinstance(error, duckdb.ParserException | duckdb.BinderException | duckdb.CatalogException):
+        return
+    for name in tables:
+        if name in analyses:
+            for path in _results_of(database, analyses[name]).paths:
+                if not is_readable(Path(path)):
+                    raise unreadable(path) from error
+
+
+def _analyses(database: Database) -> dict[str, str]:
+    """The analyses that have results, by the name of their table."""
+    with database.reading() as connection:
+        names = analyses_recorded(connection)
+    return {f"{name}_results" if name.casefold() in _TABLES else name: name for name in names}
+
+
+def _named_in(statement: str, known: list[str], place: str) -> _Named:
+    """What a statement names, which must be one that reads."""
+    import sqlglot
+    from sqlglot import exp
+
+    try:
+        parsed = [each for each in sqlglot.parse(statement, read="duckdb") if each is not None]
+    except (sqlglot.errors.SqlglotError, RecursionError) as error:
+        raise _refused(statement, error, {}) from error
+    if len(parsed) != 1 or not isinstance(parsed[0], exp.Query):
+        raise InputError(
+            "is not one statement that reads",
+            place=_shown(statement),
+            remedy=f"write one as: {_EXAMPLE}",
+        )
+    own = {each.alias_or_name.casefold() for each in parsed[0].find_all(exp.CTE)}
+    folded = {each.casefold(): each for each in known}
+    found = []
+    for table in parsed[0].find_all(exp.Table):
+        name = table.name.casefold()
+        if not isinstance(table.this, exp.Identifier) or (name in own and name not in folded):
+            continue
+        if name not in folded or table.db:
+            close = get_close_matches(name, list(folded), n=1)
+            meant = f"; did you mean '{folded[close[0]]}'?" if close else ""
+            raise InputError(
+                f"there is no table '{table.sql(dialect='duckdb')}'{meant}",
+                place=_shown(statement),
+                remedy=f"tables of {place}: {', '.join(known)}",
+            )
+        found.append(folded[name])
+    return _Named(list(dict.fromkeys(found)), _columns_in(parsed[0]))
+
+
+def _columns_in(parsed: exp.Query) -> frozenset[str] | None:
+    """The words of a statement that may be columns; None if it uses columns that it does not name.
+
+    As ``*``, ``columns(...)``, a natural join, a pivot, new names by position, or the row of a
+    table do: ``count(distinct e) from edges e``.
+    """
+    from sqlglot import exp
+
+    if parsed.find(exp.Columns, exp.Pivot, exp.Describe, exp.Summarize):
+        return None
+    if any(not isinstance(each.parent, exp.Count) for each in parsed.find_all(exp.Star)):
+        return None
+    if any(each.args.get("method") for each in parsed.find_all(exp.Join)):
+        return None
+    if any(not isinstance(each.this, exp.Identifier) for each in parsed.find_all(exp.Table)):
+        return None
+    rows, words = set(), set()
+    for table in parsed.find_all(exp.Table, exp.TableAlias):
+        if table.args.get("columns"):
+            return None
+        rows.add(table.name.casefold())
+    for each in parsed.find_all(exp.Identifier):
+        parent = each.parent
+        if isinstance(parent, exp.Table | exp.TableAlias):
+            continue
+        about = parent.args if isinstance(parent, exp.Column) else {}
+        if about.get("table") is each and not about.get("db"):
+            continue
+        words.add(each.this.casefold())
+    return None if rows & words else frozenset(words)
+
+
+@contextmanager
+def _connection(
+    database: Database, analyses: dict[str, str], named: _Named, empty: bool = False
+) -> Iterator[duckdb.DuckDBPyConnection]:
+    """A connection with the tables that are named; `empty`: those of the database without rows."""
+    import duckdb
+
+    with duckdb.connect(config={"python_enable_replacements": False}) as connection:
+        paths: list[str] = []
+        for name in named.tables:
+            if name in analyses:
+                analysis = _results_of(database, analyses[name])
+                paths += analysis.paths
+                _view(connection, name, analysis, len(paths))
+            else:
+                connection.register(name, _TABLES[name](database, named, empty))
+        _confine(connection, paths)
+        yield connection
+
+
+def _confine(connection: duckdb.DuckDBPyConnection, paths: list[str]) -> None:
+    """Let a connection read these files alone."""
+    connection.execute(f"SET allowed_paths = [{', '.join(map(_quoted, paths))}]")
+    for setting in ("enable_external_access = false", "lock_configuration = true"):
+        connection.execute(f"SET {setting}")
+
+
+def _results_of(database: Database, analysis: str) -> _Analysis:
+    rows = recorded(database, analysis)
+    folder = (database.results_folder / analysis).absolute()
+    return _Analysis([str(folder / name) for name in sorted(set(rows["name"]))], rows)
+
+
+def _view(
+    connection: duckdb.DuckDBPyConnection, name: str, analysis: _Analysis, number: int
+) -> None:
+    """A view of the rows of the trips that count, each of the file that holds them."""
+    import pyarrow as pa
+
+    table = '"' + name.replace('"', '""') + '"'
+    if not analysis.paths:
+        connection.execute(f"CREATE VIEW {table} AS SELECT '' AS {KEY} WHERE false")
+        return
+    held = f"_counting_{number}"
+    place = pa.array(analysis.rows["name"].tolist(), pa.string())
+    counting = {"trip": pa.array(analysis.rows[KEY].tolist(), pa.string()), "name": place}
+    connection.register(held, pa.table(counting))
+    listed = ", ".join(map(_quoted, analysis.paths))
+    connection.execute(
+        f"CREATE VIEW {table} AS SELECT r.* EXCLUDE (_file)"
+        f" FROM read_parquet([{listed}], union_by_name = true, filename = '_file') r SEMI JOIN"
+        f" {held} c ON r.{KEY} = c.trip AND parse_filename(r._file) = c.name"
+    )
+
+
+def _quoted(text: str) -> str:
+    return "'" + text.replace("'", "''") + "'"
+
+
+# ------------------------------------------------------------------------ tables of the database
+
+_ARROW = {"text": "string", "json": "string", "number": "double", "count": "int64"}
+_TRIPS = {each.name: (trips.c[each.name], each.kind) for each in TRIP_COLUMNS}
+_FILES = {
+    "path": (files.c.path, "text"),
+    KEY: (trips.c.key, "text"),
+    "state": (files.c.state, "text"),
+    "reason": (files.c.reason, "text"),
+    "size": (files.c.size, "count"),
+    "changed": (files.c.changed, "time"),
+    "sha256": (files.c.sha256, "text"),
+}
+_EDGES = {
+    KEY: (trips.c.key, "text"),
+    "place": (trip_edges.c.place, "count"),
+    "edge": (trip_edges.c.edge, "text"),
+    "km_from": (trip_edges.c.km_from, "number"),
+    "km_to": (trip_edges.c.km_to, "number"),
+    "direction": (trip_edges.c.direction, "text"),
+}
+
+
+def _trips(database: Database, named: _Named, empty: bool) -> pa.Table:
+    asked = sa.select(trips.c.key).where(trips.c.standing == "counts").order_by(trips.c.key)
+    return _table(database, asked, _TRIPS, named, empty)
+
+
+def _files(database: Database, named: _Named, empty: bool) -> pa.Table:
+    asked = sa.select(files.c.path).outerjoin(trips, trips.c.id == files.c.trip)
+    return _table(database, asked.order_by(files.c.path, files.c.sha256), _FILES, named, empty)
+
+
+def _edges(database: Database, named: _Named, empty: bool) -> pa.Table:
+    asked = sa.select(trips.c.key).join(trip_edges, trips.c.id == trip_edges.c.trip)
+    asked = asked.where(trips.c.standing == "counts").order_by(trips.c.key, trip_edges.c.place)
+    return _table(database, asked, _EDGES, named, empty)
+
+
+_TABLES = {"trips": _trips, "files": _files, "edges": _edges}
+
+
+def _table(
+    database: Database,
+    asked: sa.Select[Any],
+    columns: Mapping[str, tuple[Any, str]],
+    named: _Named,
+    empty: bool,
+) -> pa.Table:
+    """The columns that are wanted of a table of the database, times as time stamps in UTC."""
+    import pyarrow as pa
+
+    kinds = {name: kind for name, (_, kind) in columns.items() if named.wants(name)}
+    kinds = kinds or {KEY: "text"}
+    asked = asked.with_only_columns(
+        *(
+            sa.cast(columns[name][0], sa.Text) if kind == "json" else columns[name][0]
+            for name, kind in kinds.items()
+        ),
+        maintain_column_froms=True,
+    )
+    with database.reading() as connection:
+        rows = connection.execute(asked.limit(0) if empty else asked).all()
+    made = {}
+    for name, values in columns_of(rows, list(kinds)).items():
+        if kinds[name] == "time":
+            made[name] = pa.array(values, pa.int64()).cast(pa.timestamp("ns"))
+            made[name] = made[name].cast(pa.timestamp("us"), safe=False)
+        else:
+            made[name] = pa.array(values, _ARROW[kinds[name]])
+    return pa.table(made)
+
+
+# ------------------------------------------------------------------------------ what is refused
+
+
+def _columns(connection: duckdb.DuckDBPyConnection, named: list[str]) -> dict[str, dict[str, str]]:
+    """Columns and their types, by table."""
+    found = {}
+    for name in named:
+        table = '"' + name.replace('"', '""') + '"'
+        rows = connection.execute(f"DESCRIBE {table}").fetchall()
+        found[name] = {str(row[0]): str(row[1]) for row in rows}
+    return found
+
+
+def _refused(statement: str, error: Exception, columns: dict[str, dict[str, str]]) -> InputError:
+    """That a statement is refused, in one sentence, with the columns of its tables."""
+    missing = re.search(r'column (?:named )?"([^"]+)"', str(error))
+    problem = _first_line(error)
+    if missing:
+        every = [each for names in columns.values() for each in names]
+        close = get_close_matches(missing[1], every, n=1)
+        problem = f"there is no column '{missing[1]}'"
+        problem += f"; did you mean '{close[0]}'?" if close else ""
+    known = "; ".join(f"{table} has {', '.join(names)}" for table, names in columns.items())
+    return InputError(problem, place=_shown(statement), remedy=known or f"write one as: {_EXAMPLE}")
+
+
+def _first_line(error: Exception) -> str:
+    """The first line of a message, without the kind of the error and colours of a terminal."""
+    line = re.sub(r"\x1b\[[\d;]*m", "", str(error)).strip().splitlines()[0]
+    return re.sub(r"^[A-Z]\w+ Error: ", "", line).rstrip(".!")
+
+
+def _shown(statement: str) -> str:
+    text = " ".join(statement.split())
+    return f'statement "{text if len(text) <= 200 else f"{text[:200]}..."}"'
+
+
+def write_trips(frame: pd.DataFrame, path: str | Path) -> None:
+    """Write a frame of trips, whole or not at all.
+
+    Headings of CSV name the unit, as ``duration [s]``; in Parquet the fields' metadata do. What
+    holds several values, as the topics do, is JSON.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        As `Catalogue.query` gives it.
+    path : path
+        Ending in ``.csv`` or ``.parquet``.
+
+    Raises
+    ------
+    InputError
+        If the ending is another, or it cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from trainlog.catalogue import open_catalogue
+    >>> with tempfile.TemporaryDirectory() as folder, open_catalogue(folder) as catalogue:
+    ...     _ = catalogue.add("sample_logs")
+    ...     write_trips(catalogue.query(columns=["name", "duration"]), Path(folder) / "trips.csv")
+    ...     print((Path(folder) / "trips.csv").read_text(), end="")
+    name,duration [s]
+    trip-01,1183.1
+    trip-03,1413.9
+    """
+    kind = Path(path).suffix
+    if kind not in (".csv", ".parquet"):
+        raise InputError(
+            "is not the name of a .csv or .parquet file", file=path, remedy="end it in one of them"
+        )
+    columns = {each.name: each for each in TRIP_COLUMNS}
+    shown = frame.copy()
+    for name in shown:
+        column = columns.get(str(name))
+        if column is not None and column.kind == "json":
+            texts = [None if each is None else _text(each) for each in shown[name]]
+            shown[name] = pd.Series(texts, index=shown.index, dtype=object)
+    units = {name: columns[name].unit for name in shown if name in columns}
+    with atomic_write(path) as temporary:
+        if kind == ".csv":
+            for name in shown:
+                if isinstance(shown[name].dtype, pd.DatetimeTZDtype):
+                    shown[name] = [None if pd.isna(t) else t.isoformat() for t in shown[name]]
+            headings = {name: f"{name} [{unit}]" for name, unit in units.items() if unit}
+            shown.rename(columns=headings).to_csv(temporary, index=False)
+            return
+        table = pa.Table.from_pandas(shown, preserve_index=False).replace_schema_metadata(None)
+        fields = [
+            field.with_metadata({"unit": units[field.name]}) if units.get(field.name) else field
+            for field in table.schema
+        ]
+        pq.write_table(table.cast(pa.schema(fields)), temporary, compression="zstd")
+
+
+def _text(value: object) -> str:
+    return json.dumps(value, sort_keys=True, ensure_ascii=False)

@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 import sqlalchemy as sa
 
-from trainlog.catalogue.database import Database, columns_of
-from trainlog.catalogue.days import times_of
-from trainlog.catalogue.schema import (
+from trainlog.catalogue.database import (
     TRIP_COLUMNS,
+    Database,
+    columns_of,
     files,
     log_of_trip,
     on_line,
@@ -23,6 +23,7 @@ from trainlog.catalogue.schema import (
 )
 from trainlog.display import counted
 from trainlog.errors import InputError
+from trainlog.spans import times_of
 
 if TYPE_CHECKING:
     from trainlog.trip import Trip

@@ -18,11 +18,9 @@ from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.formats.files import sha256_of
 from trainlog.formats.railway import line_from_bytes
 from trainlog.identity import COLUMNS, TripIdentity, identity_of
-from trainlog.mcap.contents import Contents, MisplacedError
-from trainlog.mcap.reader import bare_trip, check_readable
+from trainlog.mcap.contents import Contents, MisplacedError, checksum_holds, contents_used, scanned
+from trainlog.mcap.reader import bare_trip, check_readable, position_span
 from trainlog.mcap.records import Source, in_file
-from trainlog.mcap.contents import checksum_holds, contents_used, scanned
-from trainlog.mcap.reader import position_span
 from trainlog.mcap.tables import frames_in
 from trainlog.railway.kilometres import in_km
 from trainlog.railway.line import Line

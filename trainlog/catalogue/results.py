@@ -17,10 +17,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import pandas as pd
 import sqlalchemy as sa
 
-from trainlog.catalogue.database import Database, columns_of
-from trainlog.catalogue.querying import conditions
-from trainlog.catalogue.registration import parts
-from trainlog.catalogue.schema import (
+from trainlog.catalogue.database import (
+    Database,
+    columns_of,
     computations,
     files,
     log_of_trip,
@@ -28,6 +27,8 @@ from trainlog.catalogue.schema import (
     results,
     trips,
 )
+from trainlog.catalogue.querying import conditions
+from trainlog.catalogue.registration import parts
 from trainlog.errors import InputError
 from trainlog.formats.files import made_folder, sha256 as digest, write_bytes
 

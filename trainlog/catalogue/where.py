@@ -19,9 +19,9 @@ import sqlalchemy as sa
 import sqlglot
 from sqlglot import exp
 
-from trainlog.catalogue.days import times_of
-from trainlog.catalogue.schema import TRIP_COLUMNS, on_line, trip_edges, trips
+from trainlog.catalogue.database import TRIP_COLUMNS, on_line, trip_edges, trips
 from trainlog.errors import InputError
+from trainlog.spans import times_of
 
 UNITS: dict[str, dict[str, float]] = {
     "s": {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0},

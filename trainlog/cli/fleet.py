@@ -102,7 +102,7 @@ def fleet_add(
     Example: trainlog fleet add /data/2026 --catalogue postgresql://fleet@server/trains
     """
     from trainlog.catalogue import open_catalogue
-    from trainlog.catalogue.adding import logs_below
+    from trainlog.catalogue.registration import logs_below
 
     logs_below(paths)  # a path that does not exist is named before a catalogue is made
     done = Counter[str]()
