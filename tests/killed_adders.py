@@ -25,7 +25,14 @@ from typing import Any
 import pyarrow as pa
 from killed import Passed, Watched
 
-from trainlog.catalogue import Computation, ResultOutcome, adding, open_catalogue, reading, results
+from trainlog.catalogue import (
+    Computation,
+    ResultOutcome,
+    open_catalogue,
+    reading,
+    registration,
+    results,
+)
 from trainlog.catalogue.database import Database
 
 LENGTH = Computation("length", "1")
@@ -39,7 +46,7 @@ POINTS = (
     "rows committed",
 )
 
-adding.BATCH = 3
+registration.BATCH = 3
 
 
 def work(where: str, kept: str | None, logs: list[str], seed: int) -> None:

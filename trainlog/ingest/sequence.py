@@ -1,7 +1,7 @@
 """Rows as they come: which of them follow in time, and what of their values can be.
 
-The rules of repair are those of `trainlog.ingest.rules`, as far as they need nothing that comes
-later: docs/log.md lists which. A row whose time does not follow those before waits until the rows
+A live recording keeps what comes. Order and limits are applied at once, as the rules of
+`trainlog.ingest.rules` do; all other repair is left to ingesting what was recorded. A row whose time does not follow those before waits until the rows
 behind it show whether it is late, wrong, or the first after a gap.
 """
 
@@ -14,11 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from trainlog.arrays import BoolArray, IntArray
-from trainlog.ingest.clock import has_fix, same_as_previous
+from trainlog.arrays import BoolArray
+from trainlog.ingest.clock import same_as_previous
 from trainlog.ingest.profile_parts import Limits, Repair
 from trainlog.ingest.recording import NO_TIME, Table, base_name
-from trainlog.ingest.rules import blank_without_fix
 from trainlog.ingest.stream import joined
 from trainlog.units import NANOSECONDS
 
@@ -92,8 +91,6 @@ class Sequence:
         self._shift = 0
         self._steps = np.zeros(0, dtype=np.int64)
         self._held: Table | None = None
-        self._fixed = False
-        self._second = WholeSeconds()
         self._previous: Table | None = None
         self.met: Counter[tuple[str, str]] = Counter()
         self.longest_gap = 0.0
@@ -104,8 +101,6 @@ class Sequence:
         unreadable = table.time == NO_TIME
         self._count("time_unreadable", unreadable)
         table = table.take(~unreadable)
-        if self._repair.before_first_fix and not self._fixed and len(table):
-            table = self._from_first_fix(table)
         return self._repaired(self._in_time(table))
 
     def end(self) -> Table | None:
@@ -115,7 +110,7 @@ class Sequence:
         if held is not None:
             follows = held.time >= self._highest if self._highest != NO_TIME else held.time >= 0
             kept = self._resolved(held, follows)
-        return self._repaired(kept, last=True)
+        return self._repaired(kept)
 
     # ------------------------------------------------------------------------------------ time
 
@@ -202,32 +197,14 @@ class Sequence:
         self._highest = int(table.time[-1])
         return table
 
-    def _from_first_fix(self, table: Table) -> Table:
-        fix = has_fix(table)
-        if fix is None or not all(name.startswith("/gnss/") for name in table.signals):
-            return table
-        before = np.cumsum(fix) == 0
-        self._fixed = bool(fix.any())
-        self._count("before_first_fix", before)
-        return table.take(~before)
-
     # ---------------------------------------------------------------------------------- values
 
-    def _repaired(self, table: Table | None, *, last: bool = False) -> Table | None:
-        if self._repair.subsecond:
-            table = self._second.take(table, last=last)
-            self.met["subsecond", ""] = self._second.moved
-        if table is None or not len(table):
-            return None
-        if self._repair.duplicates:
+    def _repaired(self, table: Table | None) -> Table | None:
+        if table is not None and len(table) and self._repair.duplicates:
             table = self._without_duplicates(table)
-        if self._repair.no_fix:
-            table, found = blank_without_fix(table, self._limits)
-            for finding in found:
-                self.met["no_fix", ""] += finding.count
-        if self._repair.out_of_limits:
+        if table is not None and self._repair.out_of_limits:
             table = self._within_limits(table)
-        return table if len(table) else None
+        return table if table is not None and len(table) else None
 
     def _without_duplicates(self, table: Table) -> Table:
         before, self._previous = self._previous, table.take(np.array([len(table) - 1]))
@@ -260,61 +237,6 @@ class Sequence:
     def _count(self, rule: str, rows: BoolArray, column: str = "") -> None:
         if rows.any():
             self.met[rule, column] += int(np.count_nonzero(rows))
-
-
-class WholeSeconds:
-    """Rows of a clock that knows whole seconds only, spread over each of them.
-
-    As the rule ``subsecond``: the usual number N of rows a second lie 1/N s apart. The rows of a
-    second wait until the next one begins.
-    """
-
-    def __init__(self) -> None:
-        self.moved = 0
-        self._waiting: Table | None = None
-        self._usual = 0
-        self._alone = 0
-        self._fractions = False
-        self._first = True
-        self._before = 0
-
-    def take(self, table: Table | None, *, last: bool = False) -> Table | None:
-        """The rows of the seconds that are complete; all if these are the last."""
-        if self._waiting is not None:
-            table = self._waiting if table is None else joined(self._waiting, table)
-            self._waiting = None
-        if table is None or not len(table):
-            return None
-        self._fractions |= bool(np.any(table.time % NANOSECONDS))
-        if self._fractions or (self._usual == 1 and self._alone >= CONFIRMING):
-            return table
-        second, count = np.unique(table.time, return_counts=True)
-        # The first second is seldom whole: it waits for the second one, which shows the rate.
-        whole = second[: None if last else -1]
-        if not whole.size or (self._first and whole.size < 2 and not last):
-            self._waiting = table
-            return None
-        counts = count[: whole.size]
-        self._usual = max(self._usual, int(counts.max()))
-        self._alone = self._alone + whole.size if self._usual == 1 else 0
-        complete = table.time <= whole[-1]
-        rest = table.take(~complete)
-        self._waiting = rest if len(rest) else None
-        return self._spread(table.take(complete), counts)
-
-    def _spread(self, table: Table, counts: IntArray) -> Table:
-        order = np.argsort(table.time, kind="stable")
-        table = table.take(order)
-        rank = np.arange(len(table)) - np.repeat(np.cumsum(counts) - counts, counts)
-        share = np.maximum(np.repeat(counts, counts), self._usual)
-        second = table.time[np.cumsum(counts) - counts]
-        # The rows of a second behind a gap, or of the first one, are its last.
-        begins = np.diff(second, prepend=self._before) != NANOSECONDS
-        rank += np.repeat(np.where(begins, np.maximum(self._usual - counts, 0), 0), counts)
-        self._first, self._before = False, int(second[-1])
-        time = table.time + np.round(rank * (NANOSECONDS / share)).astype(np.int64)
-        self.moved += int(np.count_nonzero(time != table.time))
-        return table.at(time)
 
 
 def _time(time: int) -> str:
