@@ -1,8 +1,9 @@
 """Rows as they come: which of them follow in time, and what of their values can be.
 
 A live recording keeps what comes. Order and limits are applied at once, as the rules of
-`trainlog.ingest.rules` do; all other repair is left to ingesting what was recorded. A row whose time does not follow those before waits until the rows
-behind it show whether it is late, wrong, or the first after a gap.
+`trainlog.ingest.rules` do; all other repair is left to ingesting what was recorded. A row whose
+time does not follow those before waits until the rows behind it show whether it is late, wrong, or
+the first after a gap.
 """
 
 from __future__ import annotations

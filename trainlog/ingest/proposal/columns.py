@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import re
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -12,24 +13,592 @@ import pyarrow.compute as pc
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.ingest.proposal import roles
-from trainlog.ingest.proposal.checks import Motion, Ratio
-from trainlog.ingest.proposal.efforts import add_efforts, effort_signs, net_effort, place_demands
-from trainlog.ingest.proposal.fields import (
-    keep_others,
-    place_lever,
-    place_rest,
-    place_speeds,
-    place_wheels,
-)
-from trainlog.ingest.proposal.fixes import FASTEST, Position, positions_of
 from trainlog.ingest.proposal.layout import Layout, Reading
-from trainlog.ingest.proposal.motion import AMBIGUOUS, Answer, Question, Units, units_of
+from trainlog.ingest.proposal.motion import (
+    AMBIGUOUS,
+    FASTEST,
+    Answer,
+    Motion,
+    Position,
+    Question,
+    Ratio,
+    Units,
+    driven_mass,
+    positions_of,
+    same_motion,
+    units_of,
+)
 from trainlog.ingest.proposal.times import Clock
 from trainlog.ingest.proposal.trips import facts_of
-from trainlog.ingest.proposal.vocabulary import Meaning
-from trainlog.ingest.proposal.work import Proposed, Work, unit_reason
+from trainlog.ingest.proposal.vocabulary import Meaning, plain, split_unit
+from trainlog.ingest.proposal.work import Proposed, Work, said, unit_reason
+from trainlog.ingest.recording import field_of
 from trainlog.railway.train import Train
-from trainlog.units import KMH, factor
+from trainlog.topics import RECORDED, Recorded
+from trainlog.units import KMH, factor, si_unit
+
+LEVELS = 8
+"""Different values that an effort has at least."""
+
+
+STRONG = 0.05
+"""Share of the largest effort from which on its sign counts."""
+
+
+BOTH_SIGNS = 0.02
+"""Share of the samples of the rarer sign from which on a column has both."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Signs:
+    """Which signs the strong values of a column have."""
+
+    positive: float
+    negative: float
+
+    @property
+    def both(self) -> bool:
+        return min(self.positive, self.negative) > BOTH_SIGNS
+
+
+EITHER_BRAKE = "the friction brakes' or the sum of both brakes"
+"""Open of a braking effort whose brake is not stated: it is taken as the dynamic one's."""
+
+
+def _signs(values: FloatArray) -> _Signs:
+    known = values[np.isfinite(values)]
+    top = float(np.percentile(np.abs(known), 99.5)) if known.size else 0.0
+    if top == 0.0:
+        return _Signs(0.0, 0.0)
+    return _Signs(float(np.mean(known > STRONG * top)), float(np.mean(known < -STRONG * top)))
+
+
+def effort_signs(work: Work, speed: str | None) -> None:
+    """Which columns are traction, which braking, with which sign; proposals without a unit yet."""
+    for role in (roles.TRACTION, roles.SIGNED, roles.DYNAMIC, roles.PNEUMATIC, roles.BRAKING):
+        for name in list(work.names.get(role, [])):
+            if np.unique(work.numbers[name]).size < LEVELS:
+                work.names[role].remove(name)
+                work.left[name] = f"an effort of fewer than {LEVELS} values: a state?"
+    main = work.first(roles.TRACTION)
+    both = work.first(roles.SIGNED)
+    if main is not None and both is not None:
+        work.left[both] = f"an effort beside '{main}', not stated of which kind"
+        both = None
+    for role in (roles.DYNAMIC, roles.PNEUMATIC):
+        stated = work.first(role)
+        if stated is not None:
+            _add_braking(work, role, stated, "")
+    braking = work.first(roles.BRAKING)
+    if braking is not None:
+        taken = [role for role in (roles.DYNAMIC, roles.PNEUMATIC) if role in work.proposed]
+        if len(taken) == 2:
+            work.left[braking] = "a braking effort beside those of both brakes"
+        else:
+            target = roles.PNEUMATIC if taken == [roles.DYNAMIC] else roles.DYNAMIC
+            other = "" if taken else EITHER_BRAKE
+            _add_braking(work, target, braking, other)
+    driving = main or both
+    if driving is not None:
+        _add_driving(work, driving, speed, known_as_traction=main is not None)
+
+
+def _add_braking(work: Work, target: str, name: str, other: str) -> None:
+    signs = _signs(work.numbers[name])
+    if signs.both:
+        negative = signs.negative >= signs.positive
+        part: Literal["positive", "negative"] = "negative" if negative else "positive"
+        work.place(
+            target, (name,), "", part=part, why=f"of both signs, the {part} ones are taken",
+            alternative=said(other, "the other sign")
+        )  # fmt: skip
+        return
+    sign: Literal[1, -1] = -1 if signs.negative > signs.positive else 1
+    shown = "negative, sign -1" if sign < 0 else "positive"
+    work.place(target, (name,), "", sign=sign, why=f"braking is {shown}", alternative=other)
+
+
+def _add_driving(work: Work, name: str, speed: str | None, *, known_as_traction: bool) -> None:
+    """An effort that drives the train, and perhaps brakes it, too."""
+    values = work.numbers[name]
+    signs = _signs(values)
+    correlation = 0.0
+    if speed is not None:
+        correlation = driven_mass(work.motion, values, np.abs(work.numbers[speed])).correlation
+    if signs.both:
+        inverted = correlation < -0.3
+        scale = -1.0 if inverted else 1.0
+        weak = abs(correlation) < 0.3
+        why = f"of both signs, {'negative' if inverted else 'positive'} drives"
+        other = "the opposite sign" if weak else ""
+        work.place(roles.TRACTION, (name,), "", scale, part="positive", why=why, alternative=other)
+        if roles.DYNAMIC not in work.proposed:
+            work.place(
+                roles.DYNAMIC, (name,), "", scale, part="negative", why=why,
+                alternative=other or ("" if roles.PNEUMATIC in work.proposed else
+                                      "with the friction brakes in it")
+            )  # fmt: skip
+        return
+    negative = signs.negative > signs.positive
+    drives = correlation * (-1.0 if negative else 1.0) > -0.3
+    sign: Literal[1, -1] = -1 if negative else 1
+    if drives or known_as_traction:
+        # A traction that is negative where it drives is written with the sign turned.
+        why = "traction only, negative: sign -1" if negative else "traction only"
+        other = "" if drives else "braking: the train slows down with it"
+        work.place(roles.TRACTION, (name,), "", sign=sign, why=why, alternative=other)
+        return
+    target = roles.DYNAMIC if roles.DYNAMIC not in work.proposed else roles.PNEUMATIC
+    if target in work.proposed:
+        work.left[name] = "a further braking effort"
+        return
+    why = "the train slows down with it, so it brakes"
+    work.place(target, (name,), "", sign=sign, why=why, alternative="the friction brakes'")
+
+
+EFFORTS = {roles.TRACTION: 1.0, roles.DYNAMIC: -1.0, roles.PNEUMATIC: -1.0}
+"""Fields whose sum, with these signs, moves the train."""
+
+
+def net_effort(work: Work) -> tuple[FloatArray | None, str]:
+    """The effort that drives the train, in the unit that the first column states, and the unit."""
+    proposals = [work.proposed[name] for name in EFFORTS if name in work.proposed]
+    if not any(each.field == roles.TRACTION for each in proposals):
+        return None, ""
+    stated = [work.stated(each.columns[0], "force") for each in proposals]
+    unit = next((each for each in stated if each), "")
+    total = np.zeros(work.motion.order.size)
+    for each, own in zip(proposals, stated, strict=True):
+        size = factor(own, unit)[0] if own and unit else 1.0
+        total += EFFORTS[each.field] * size * np.nan_to_num(_part(work, each))
+    return total, unit
+
+
+def _part(work: Work, proposed: Proposed) -> FloatArray:
+    """A proposed column with its scale, part and sign, not yet in its unit."""
+    values = work.numbers[proposed.columns[0]] * proposed.scale + proposed.offset
+    if proposed.part == "positive":
+        values = np.maximum(values, 0.0)
+    elif proposed.part == "negative":
+        values = np.maximum(-values, 0.0)
+    return values * proposed.sign
+
+
+def add_efforts(work: Work, answer: Answer, stated: Units) -> None:
+    """Give the efforts their unit."""
+    for target in EFFORTS:
+        proposed = work.proposed.get(target)
+        if proposed is None:
+            continue
+        name = proposed.columns[0]
+        own = work.stated(name, "force")
+        if work.meanings[name].unit == "%":
+            del work.proposed[target]
+            work.left[name] = "an effort in per cent of a maximum that is not stated"
+            continue
+        unit = answer.units.force or own
+        if own and stated.force and answer.units.force == stated.force:
+            unit = own
+        if not unit:
+            del work.proposed[target]
+            work.left[name] = "an effort without a unit, and nothing to find it from"
+            continue
+        why, other = unit_reason(own, unit, answer.alternatives.get("force", ()))
+        mass = answer.mass
+        check = "no acceleration to check it with"
+        if np.isfinite(mass):
+            known = f", the train's is {work.train.mass / 1e3:.0f} t" if work.train else ""
+            check = (
+                f"it accelerates {mass / 1e3:.0f} t{known}"
+                f" (correlation with acceleration {answer.correlation:.2f})"
+            )
+        elif answer.correlation:
+            check = f"correlation with acceleration {answer.correlation:.2f}: decides nothing"
+            if not own:
+                other = other or "another unit"
+        why, other = f"{why}; {proposed.why}", said(proposed.alternative, other)
+        work.proposed[target] = replace(
+            proposed, unit=unit, why=why, check=check, alternative=other
+        )
+
+
+def place_demands(work: Work) -> None:
+    """Efforts asked for: in their stated unit, or that of the efforts."""
+    main = work.proposed.get(roles.TRACTION) or work.proposed.get(roles.DYNAMIC)
+    for target in (roles.TRACTION_DEMAND, roles.BRAKING_DEMAND):
+        name = work.first(target)
+        if name is None:
+            continue
+        stated = work.stated(name, "force")
+        unit = stated or (main.unit if main else "")
+        signs = _signs(work.numbers[name])
+        if not unit or work.meanings[name].unit == "%" or signs.both:
+            work.left[name] = "an effort asked for, without a unit, in per cent, or of both signs"
+            continue
+        why = "the file states it" if stated else "the unit of the effort"
+        work.place(
+            target, (name,), unit, sign=-1 if signs.negative > signs.positive else 1, why=why,
+            alternative="" if stated else "another unit"
+        )  # fmt: skip
+
+
+def _net_newtons(work: Work, *, powered: bool) -> FloatArray | None:
+    """The proposed efforts together [N]; `powered`: without the friction brakes."""
+    total = np.zeros(work.motion.order.size)
+    if roles.TRACTION not in work.proposed:
+        return None
+    for target, sign in EFFORTS.items():
+        if target in work.proposed and not (powered and target == roles.PNEUMATIC):
+            each = work.proposed[target]
+            total += sign * factor(each.unit, "N")[0] * np.nan_to_num(_part(work, each))
+    return total
+
+
+def place_wheel_efforts(work: Work, names: tuple[str, ...]) -> None:
+    """Propose the efforts of the axles: their sum is the train's without the friction brakes."""
+    total = np.nansum([work.numbers[name] for name in names], axis=0)
+    stated = work.stated(names[0], "force")
+    net = _net_newtons(work, powered=True)
+    check, other, unit, sign = "", "", stated, 1
+    if net is not None:
+        strong = np.abs(net) > 0.3 * np.max(np.abs(net))
+        fit = float(np.sum(net[strong] * total[strong]) / max(np.sum(total[strong] ** 2), 1e-9))
+        close = {
+            each: abs(np.log(max(abs(fit), 1e-12) / factor(each, "N")[0]))
+            for each in ("N", "kN", "daN")
+        }
+        best = min(close, key=lambda each: close[each])
+        sign = -1 if fit < 0.0 else 1
+        share = abs(fit) / factor(stated or best, "N")[0]
+        check = f"the train's effort is {share:.2f} times their sum"
+        if not stated:
+            unit = best if close[best] < 1.1 else ""
+        if unit and abs(np.log(max(share, 1e-9))) > 0.3:
+            other = "not all powered axles, or another unit"
+    elif work.speed is not None:
+        driven = driven_mass(work.motion, total, work.speed)
+        mass = {each: driven.mass * factor(each, "N")[0] for each in ("kN", "N")}
+        likely = [each for each, value in mass.items() if 1.5e4 < abs(value) < 4e6]
+        unit = stated or (likely[0] if driven.decides and likely else "")
+        if unit and driven.decides:
+            sign = -1 if driven.correlation < 0.0 else 1
+            check = f"their sum accelerates {abs(driven.mass) * factor(unit, 'N')[0] / 1e3:.0f} t"
+    if not unit:
+        work.left |= dict.fromkeys(
+            names, "efforts of axles without a unit, and nothing to find it from"
+        )
+        return
+    why = "the file states the unit" if stated else "the unit follows from the train's effort"
+    work.place(
+        roles.WHEEL_EFFORT, names, unit, sign=-1 if sign < 0 else 1, why=why, check=check,
+        alternative=other
+    )  # fmt: skip
+
+
+def place_torques(work: Work, names: tuple[str, ...]) -> None:
+    """Torques as wheel efforts: by the factor that makes their sum the train's effort."""
+    net = _net_newtons(work, powered=True)
+    if net is None:
+        work.left |= dict.fromkeys(names, "a torque, and no effort to find its lever arm from")
+        return
+    total = np.nansum([work.numbers[name] for name in names], axis=0)
+    ratio = same_motion(np.abs(net), np.abs(total))
+    if ratio.windows < 20 or ratio.agreement < 0.7:
+        work.left |= dict.fromkeys(names, "a torque that does not follow the train's effort")
+        return
+    work.place(
+        roles.WHEEL_EFFORT, names, "N", float(f"{ratio.value:.5g}"),
+        why="torques, scaled by the train's effort",
+        check=f"the effort is {ratio.value:.4g} N a unit in {ratio.agreement:.0%} of samples",
+        alternative="not all powered axles are recorded"
+    )  # fmt: skip
+
+
+USUAL_SPEEDS = ("km/h", "m/s", "mph", "knot")
+"""Units that a further speed is tried in."""
+
+
+TURNING = 0.02
+"""Deviation up to which a column that is called turns is a speed after all."""
+
+
+_TURNS = {"rpm": 60.0, "Hz": 1.0, "rad/s": 2.0 * np.pi}
+"""Of one turn a second, in each unit."""
+
+
+def place_speeds(work: Work) -> None:
+    """Further speeds, in the unit in which they are the train's: the receiver's, and limits."""
+    for target in (roles.SPEED, roles.GNSS_SPEED):
+        names = [n for n in work.names.get(target, []) if target in work.proposed]
+        for second in names[1:]:
+            work.left[second] = f"a second column for {target}; '{names[0]}' is used"
+    name = work.first(roles.GNSS_SPEED)
+    if name is not None and roles.GNSS_SPEED not in work.proposed and work.speed is not None:
+        ratio = same_motion(work.numbers[name], work.speed)
+        unit, why, other = _speed_unit(work, name, ratio)
+        if unit:
+            check = f"{ratio.value * factor(unit, 'm/s')[0]:.3f} times the train's speed"
+            work.place(roles.GNSS_SPEED, (name,), unit, why=why, check=check, alternative=other)
+        else:
+            work.left[name] = why
+    name = work.first("/environment.speed_limit")
+    if name is not None:
+        unit = work.stated(name, "speed")
+        main = work.proposed.get(roles.SPEED) or work.proposed.get(roles.GNSS_SPEED)
+        same = "" if unit else "another unit than the speed's"
+        unit = unit or (main.unit if main else "")
+        if unit:
+            top = KMH * float(np.nanmax(work.numbers[name])) * factor(unit, "m/s")[0]
+            work.place(
+                "/environment.speed_limit", (name,), unit,
+                why="the file states it" if not same else "the unit of the speed",
+                check=f"up to {top:.0f} km/h", alternative=same
+            )  # fmt: skip
+        else:
+            work.left[name] = "a speed limit without a unit"
+
+
+def _speed_unit(work: Work, name: str, ratio: Ratio) -> tuple[str, str, str]:
+    """The unit in which a column is the train's speed: unit (empty if none), why, alternative."""
+    stated = work.stated(name, "speed")
+    if ratio.windows < 20 or ratio.agreement < 0.5:
+        if stated:
+            return stated, "the file states it", "nothing to check it with"
+        return "", "a speed that does not follow the train's", ""
+    off = {unit: abs(np.log(ratio.value * factor(unit, "m/s")[0])) for unit in USUAL_SPEEDS}
+    best = min(off, key=lambda unit: off[unit])
+    if stated and off[stated] < 0.12:
+        return stated, "the file states it", ""
+    if off[best] < 0.08:
+        if stated:
+            return best, f"the file states {stated}, which contradicts the speed", f"{stated}"
+        return best, "no unit is stated; so it is the train's speed", work.speed_open
+    if stated:
+        return stated, "the file states it", f"{ratio.value:.3g} times the train's speed"
+    return "", f"{ratio.value:.3g} times the train's speed: no unit does that", ""
+
+
+def place_wheels(work: Work) -> None:
+    """Speeds and efforts of the axles."""
+    names = work.names.get(roles.WHEEL_SPEED, [])
+    if names:
+        _wheel_speeds(work, tuple(names))
+    names = work.names.get(roles.WHEEL_EFFORT, [])
+    if names:
+        place_wheel_efforts(work, tuple(names))
+    names = work.names.get(roles.TORQUE, [])
+    if names and roles.WHEEL_EFFORT in work.proposed:
+        work.left |= dict.fromkeys(names, "a torque beside the axles' efforts")
+    elif names:
+        place_torques(work, tuple(names))
+
+
+def _wheel_speeds(work: Work, names: tuple[str, ...]) -> None:
+    if work.speed is None:
+        stated = work.stated(names[0], "speed")
+        if stated:
+            why = "the file states it"
+            other = "nothing to check it with"
+            work.place(roles.WHEEL_SPEED, names, stated, why=why, alternative=other)
+        else:
+            work.left |= dict.fromkeys(
+                names, "turns, and no speed to find the wheel's circumference from"
+            )
+        return
+    ratios = [same_motion(work.numbers[name], work.speed) for name in names]
+    values = np.array([ratio.value for ratio in ratios])
+    middle = float(np.nanmedian(values)) if np.isfinite(values).any() else np.nan
+    follows = [r.agreement >= 0.5 and abs(r.value / middle - 1.0) < 0.1 for r in ratios]
+    for name, good, ratio in zip(names, follows, ratios, strict=True):
+        if not good:
+            work.left[name] = (
+                "a wheel speed that does not follow the train's"
+                f" (factor {ratio.value:.4g} in {ratio.agreement:.0%} of the samples)"
+            )
+    kept = tuple(name for name, good in zip(names, follows, strict=True) if good)
+    if not kept:
+        return
+    joint = Ratio(middle, min(r.agreement for r, g in zip(ratios, follows, strict=True) if g), 20)
+    turning = work.stated(kept[0], "rotation")
+    named = work.meanings[kept[0]].quantity == "rotation"
+    unit = why = ""
+    if not turning:
+        unit, why, other = _speed_unit(work, kept[0], joint)
+        if unit and named and abs(np.log(middle * factor(unit, "m/s")[0])) > TURNING:
+            unit = ""
+    if unit:
+        check = f"{middle * factor(unit, 'm/s')[0]:.3f} times the train's speed"
+        work.place(roles.WHEEL_SPEED, kept, unit, why=why, check=check, alternative=other)
+        return
+    if not turning and not named:
+        work.left |= dict.fromkeys(kept, why)
+        return
+    scale = float(f"{1.0 / middle:.6g}")
+    turns = _TURNS[turning or "rpm"]
+    radius = scale * turns / (2.0 * np.pi)
+    check = f"1 {turning or 'rpm'} is {scale:.5g} m/s at the train's speed"
+    if 0.25 <= radius <= 0.75:
+        check += f": wheels of radius {radius:.3f} m"
+    else:
+        check += f": {radius:.4g} m for each radian, so the turns are not the wheels' own (gear)"
+    work.place(
+        roles.WHEEL_SPEED, kept, "m/s", scale, why="turns, scaled by the train's speed",
+        alternative=work.speed_open,
+        check=check
+    )  # fmt: skip
+
+
+def place_lever(work: Work) -> None:
+    """Propose the lever, as a share of its full scale, positive where it drives."""
+    name = work.first(roles.LEVER)
+    if name is None:
+        return
+    values = work.numbers[name]
+    known = values[np.isfinite(values)]
+    size = float(np.percentile(np.abs(known), 99.9)) if known.size else 0.0
+    unit = "1" if 0.2 < size <= 1.06 else "%" if 20.0 < size <= 106.0 else ""
+    if not unit:
+        work.left[name] = f"a lever of up to {size:g}: its full scale is not known"
+        return
+    correlation = 0.0
+    if work.speed is not None:
+        correlation = driven_mass(work.motion, values, work.speed).correlation
+    turned = correlation < -0.4
+    check = (
+        f"from {known.min():g} to {known.max():g}, correlation with acceleration {correlation:.2f}"
+    )
+    why = f"read as {'a share' if unit == '1' else 'per cent'}"
+    if turned:
+        why += "; the train slows down with it, so sign -1"
+    other = "" if abs(correlation) >= 0.2 else "the opposite sign"
+    if known.min() >= 0.0:
+        other = "traction alone" if not turned else other
+        middle = 0.5 * (0.01 if unit == "%" else 1.0)
+        other += f", or neutral at {middle:g}" if other else ""
+    work.place(
+        roles.LEVER, (name,), unit, sign=-1 if turned else 1, why=why, check=check,
+        alternative=other
+    )  # fmt: skip
+
+
+def place_rest(work: Work) -> None:
+    """Fields that only their name and unit speak for."""
+    done = {
+        roles.POSITION, roles.SPEED, roles.GNSS_SPEED, roles.LATITUDE, roles.LONGITUDE,
+        roles.LEVER, roles.WHEEL_SPEED, roles.WHEEL_EFFORT, roles.TORQUE, roles.SIGNED,
+        roles.BRAKING, roles.TRACTION_DEMAND, roles.BRAKING_DEMAND, "/environment.speed_limit",
+        *EFFORTS,
+    }  # fmt: skip
+    for target in [target for target in work.names if target not in done]:
+        name = work.first(target)
+        if name is None:
+            continue
+        if target == "/events.message":
+            work.place(target, (name,), "", why="words")
+        elif target == roles.ACCELERATION:
+            _place_acceleration(work, name)
+        else:
+            _place_plain(work, target, name)
+
+
+def keep_others(work: Work) -> None:
+    """Propose what no field is for, but has a stated unit, for a topic of the recorder's own."""
+    taken: set[str] = set()
+    for name, why in list(work.left.items()):
+        meaning = work.meanings[name]
+        unknown = why.startswith((roles.NO_FIELD, roles.UNKNOWN))
+        if name not in work.numbers or meaning.unit is None or not unknown:
+            continue
+        slug = re.sub(r"[^a-z0-9]+", "_", plain(split_unit(name)[0])).strip("_")
+        if not re.match(r"[a-z]", slug) or slug in taken:
+            continue
+        try:
+            si_unit(meaning.unit)
+        except InputError:
+            continue
+        taken.add(slug)
+        del work.left[name]
+        work.place(
+            f"{RECORDED}other.{slug}", (name,), meaning.unit, meaning=name,
+            why=f"{why}: kept in a topic of the recorder's own"
+        )  # fmt: skip
+
+
+def _place_acceleration(work: Work, name: str) -> None:
+    if work.speed is None:
+        work.left[name] = "an acceleration, and no speed to check it with"
+        return
+    rate = work.motion.derivative(work.speed)
+    values = work.numbers[name]
+    known = np.isfinite(values) & np.isfinite(rate)
+    if np.std(values[known]) == 0.0:
+        work.left[name] = "an acceleration that does not change"
+        return
+    correlation = float(np.corrcoef(values[known], rate[known])[0, 1])
+    slope = float(np.sum(values[known] * rate[known]) / np.sum(rate[known] ** 2))
+    if abs(correlation) < 0.5:
+        work.left[name] = f"an acceleration that is not the speed's (correlation {correlation:.2f})"
+        return
+    off = {
+        unit: abs(np.log(abs(slope) * factor(unit, "m/s^2")[0]))
+        for unit in ("m/s^2", "standard_gravity")
+    }
+    stated = work.stated(name, "acceleration")
+    unit = stated or min(off, key=lambda each: off[each])
+    check = f"{slope * factor(unit, 'm/s^2')[0]:.2f} times the change of speed"
+    other = "" if off[unit] < 0.5 else "another unit"
+    work.place(
+        roles.ACCELERATION, (name,), unit, sign=-1 if correlation < 0 else 1,
+        why="the file states it" if stated else "as the speed changes", check=check,
+        alternative=other
+    )  # fmt: skip
+
+
+def _place_plain(work: Work, target: str, name: str) -> None:
+    """A field that is plausible in its unit, or not used."""
+    gnss = target.startswith("/gnss/fix")
+    if gnss and roles.LATITUDE not in work.proposed:
+        work.left[name] = "belongs to a satellite position, and there is none"
+        return
+    item = field_of(target)[2]
+    recorded, si = item.recorded or Recorded(""), item.unit or "1"
+    stated = work.meanings[name].unit or ""
+    unit, scale = stated or item.usual_unit, 1.0
+    values = work.numbers[name]
+    known = values[np.isfinite(values)]
+    pure = ("satellites", "pdop", "accuracy")
+    other = "" if stated or target.endswith(pure) else "another unit"
+    why = "the file states the unit" if stated else "the usual unit"
+    whole = bool(np.all(known == np.round(known)))
+    # Large integers of a receiver are thousandths or hundredths.
+    if not stated and whole and recorded.integers and float(np.median(np.abs(known))) > 60.0:
+        big = 20_000.0 if target.endswith("altitude") else 60.0
+        beside = work.proposed.get(roles.LATITUDE)
+        if float(np.median(np.abs(known))) > big and beside is not None and beside.scale != 1.0:
+            scale, why = recorded.integers, "integers, as the receiver's positions"
+            other = ""
+    dilution = work.meanings[name].quantity == "horizontal_dilution"
+    if dilution:
+        unit, why, other = "m", "HDOP; an axis has 3 m at an HDOP of 1", "another accuracy"
+        scale = 0.03 if whole and float(np.median(known)) > 20.0 else 3.0
+    low, high = recorded.plausible or (item.bounds.low, item.bounds.high)
+    try:
+        slope, offset = factor(unit, si)
+    except InputError:
+        work.left[name] = f"'{unit}' is no unit of {target}"
+        return
+    if target.endswith("line_voltage") and not stated and float(np.median(np.abs(known))) > 100.0:
+        unit, slope = "V", 1.0
+    values_si = known * scale * slope + offset
+    inside = float(np.mean((values_si >= low) & (values_si <= high)))
+    if inside < 0.9:
+        middle = float(np.median(values_si))
+        work.left[name] = f"not plausible as {target} in {unit} (median {middle:.4g} {si})"
+        return
+    middle = float(np.median(known * scale))
+    text = f"median {middle:.4g} {unit}"
+    work.place(target, (name,), unit, scale, why=why, check=text, alternative=other)
+
 
 NUMERIC = 0.6
 """Share of numbers from which on a column is one of numbers."""
@@ -159,7 +728,7 @@ def _place_motion(work: Work) -> None:
             for name in (place.latitude, place.longitude):
                 work.left[name] = f"positions that move {off:.3g} times as fast as the speed says"
             place = None
-        other = "; ".join(filter(None, [other, f"they move {off:.3g} times the speed"]))
+        other = said(other, f"they move {off:.3g} times the speed")
     _add_fixes(work, place, other)
     if speed is not None:
         work.speed = work.numbers[speed] * factor(answer.units.speed, "m/s")[0]
@@ -300,11 +869,9 @@ def _add_fixes(work: Work, place: Position | None, other: str) -> None:
         (roles.LATITUDE, place.latitude, "NS"),
         (roles.LONGITUDE, place.longitude, "EW"),
     ):
-        work.add(
-            Proposed(
-                target, (name,), unit, scale, sign=_hemisphere(work, letters), notation=notation,
-                why=why, check=check, alternative=other,
-            )
+        work.place(
+            target, (name,), unit, scale, sign=_hemisphere(work, letters), notation=notation,
+            why=why, check=check, alternative=other
         )  # fmt: skip
 
 
@@ -345,7 +912,7 @@ def _add_speed(
             answer.distance, "the distance changes by", "its integral", length / metres
         )
     if place is not None and "fixes" in answer.unexplained:
-        other = "; ".join(filter(None, [other, "no unit explains how fast the fixes move"]))
+        other = said(other, "no unit explains how fast the fixes move")
     why, alternative = unit_reason(stated.speed, answer.units.speed, answer.alternatives["speed"])
     if alternative:
         work.speed_open = f"another size: the speed may be in {alternative}"
@@ -357,11 +924,9 @@ def _add_speed(
     if sign < 0:
         work.speed = -work.speed
         why += "; negative while the train moves, sign -1"
-    work.add(
-        Proposed(
-            target, (name,), answer.units.speed, sign=sign, why=why, check=", ".join(checks),
-            alternative="; ".join(filter(None, [alternative, other])),
-        )
+    work.place(
+        target, (name,), answer.units.speed, sign=sign, why=why, check=", ".join(checks),
+        alternative=said(alternative, other)
     )  # fmt: skip
 
 
@@ -400,19 +965,12 @@ def _add_position(work: Work, name: str, answer: Answer, stated: Units) -> None:
         checks += _in_words(answer.distance, "it changes by", "the integral of the speed", to_one)
     falls = float(np.mean(np.diff(known) * (-1.0 if falling else 1.0) >= 0.0))
     checks.append(f"cumulative: {falls:.1%} of its steps go one way")
-    proposed = Proposed(
-        roles.POSITION, (name,), answer.units.length, why=why, check=", ".join(checks),
-        alternative=alternative,
-    )  # fmt: skip
+    sign, offset = 1, 0.0
     if falling:
-        start = float(np.ceil(known[0] * length / 1e3)) * 1e3 / length
-        proposed = replace(
-            proposed,
-            sign=-1,
-            offset=-start,
-            why=why + "; it falls, so the train runs against it: sign -1",
-            alternative="; ".join(
-                filter(None, [alternative, f"offset = minus the line's length, not {-start:g}"])
-            ),
-        )
-    work.add(proposed)
+        sign, offset = -1, -float(np.ceil(known[0] * length / 1e3)) * 1e3 / length
+        why += "; it falls, so the train runs against it: sign -1"
+        alternative = said(alternative, f"offset = minus the line's length, not {offset:g}")
+    work.place(
+        roles.POSITION, (name,), answer.units.length, sign=sign, offset=offset, why=why,
+        check=", ".join(checks), alternative=alternative,
+    )  # fmt: skip

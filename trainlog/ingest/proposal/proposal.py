@@ -18,13 +18,12 @@ from trainlog.ingest.parts import parts_of
 from trainlog.ingest.placing import OVERRUN, placed
 from trainlog.ingest.profile import Profile, parse_profile
 from trainlog.ingest.profile_parts import MISSING, Limits, Repair, TimeOptions
-from trainlog.ingest.proposal.columns import columns_of
-from trainlog.ingest.proposal.efforts import EITHER_BRAKE
+from trainlog.ingest.proposal.columns import EITHER_BRAKE, columns_of
 from trainlog.ingest.proposal.layout import Layout, Reading, layout_of
 from trainlog.ingest.proposal.times import Clock, clock_of
 from trainlog.ingest.proposal.trips import PAUSE, trip_lines
 from trainlog.ingest.proposal.vocabulary import meaning_of
-from trainlog.ingest.proposal.work import Proposed, Work
+from trainlog.ingest.proposal.work import Proposed, Work, said
 from trainlog.ingest.recording import NO_TIME, Recording, base_name, field_of
 from trainlog.ingest.registry import format_of, own_profile
 from trainlog.ingest.rules import repaired
@@ -128,7 +127,7 @@ class Proposal(Presented):
         """The proposal in words, a line each."""
         found = [f"{r.what}: {r.taken} ({r.why})" for r in self.readings]
         for row, unit in self._rows():
-            reason = "; ".join(filter(None, [row["why"], row["check"]]))
+            reason = said(row["why"], row["check"])
             found.append(f"{row['column']} -> {row['field']}{unit}: {reason}")
         found += [f"not used: {name}: {why}" for name, why in self.not_used.items()]
         found += [f"open: {question}" for question in self.open]
@@ -460,7 +459,7 @@ def _time_section(clock: Clock) -> list[str]:
 
 
 def _column_lines(each: Proposed) -> list[str]:
-    lines = _wrapped("; ".join(filter(None, [each.why, each.check])))
+    lines = _wrapped(said(each.why, each.check))
     if each.alternative:
         lines += _wrapped(f"open: or {each.alternative}")
     if each.field.startswith("/train/axles."):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
 
@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from trainlog.arrays import IntArray
 from trainlog.errors import InputError
-from trainlog.ingest.mapping import numbers, read_time
+from trainlog.ingest.mapping import read_time
 from trainlog.ingest.profile_parts import TimeOptions
 from trainlog.ingest.proposal.layout import Layout, Reading
 from trainlog.ingest.proposal.vocabulary import (
@@ -71,14 +71,21 @@ class Clock:
     time : (n,) int64 array [ns]
         UTC; `NO_TIME` where a row has none.
     readings : tuple of Reading
-    one_file : bool
-        Whether the options state a day that holds for this file only.
     """
 
     options: TimeOptions
     time: IntArray
     readings: tuple[Reading, ...]
-    one_file: bool = False
+
+    @property
+    def one_file(self) -> bool:
+        """Whether the options state a day that holds for this file only."""
+        return self.options.date is not None or self.options.start is not None
+
+
+_Candidates = Iterator[tuple[TimeOptions, tuple[Reading, ...]]]
+"""Ways in which the time may be written, the likelier first; what follows a `yield` of one is done
+if the table cannot be read so."""
 
 
 def clock_of(layout: Layout, meanings: dict[str, Meaning]) -> Clock:
@@ -92,13 +99,14 @@ def clock_of(layout: Layout, meanings: dict[str, Meaning]) -> Clock:
     named = [n for n in layout.names if {"clock", "date"} & set(meanings[n].quantities)]
     order = [*named, *(name for name in layout.names if name not in named)]
     tried: list[str] = []
-    found = (
-        _typed(layout, order, tried)
-        or _parts(layout)
-        or _date_and_clock(layout, order)
-        or _epoch(layout, order)
-        or _elapsed(layout, meanings, tried)
+    candidates = chain(
+        _typed(layout, order, tried),
+        _parts(layout),
+        _date_and_clock(layout, order),
+        _epoch(layout, order),
+        _elapsed(layout, meanings, tried),
     )
+    found = _first(layout, candidates)
     if found is not None:
         return _zoned(layout, order, found)
     shown = ", ".join(layout.names[:12]) + (", ..." if len(layout.names) > 12 else "")
@@ -114,11 +122,11 @@ def clock_of(layout: Layout, meanings: dict[str, Meaning]) -> Clock:
 def _zoned(layout: Layout, order: list[str], clock: Clock) -> Clock:
     """The clock with the zone that a column of Unix time beside it proves, where it was open."""
     zone = next((r for r in clock.readings if r.what == "time zone" and r.alternative), None)
-    unix = None if zone is None else _epoch(layout, order)
+    unix = None if zone is None else _first(layout, _epoch(layout, order))
     if zone is None or unix is None or unix.options.column in clock.options.names:
         return clock
     both = (clock.time != NO_TIME) & (unix.time != NO_TIME)
-    local = _clock(layout, clock.options.model_copy(update={"timezone": "UTC"}))
+    local = _clock(layout, clock.options.model_copy(update={"timezone": "UTC"}), ())
     if local is None or not both.any():
         return clock
     ahead = (local.time - unix.time)[both] / NANOSECONDS
@@ -129,15 +137,19 @@ def _zoned(layout: Layout, order: list[str], clock: Clock) -> Clock:
     offset = f"{'-' if quarters < 0 else '+'}{hours:02d}:{minutes:02d}" if quarters else "UTC"
     proven = Reading("time zone", offset, f"'{unix.options.column}' counts since 1970 beside it")
     options = clock.options.model_copy(update={"timezone": offset})
-    found = _clock(layout, options, one_file=clock.one_file)
+    found = _clock(layout, options, ())
     if found is None:
         return clock
     return replace(found, readings=tuple(proven if r is zone else r for r in clock.readings))
 
 
-def _clock(
-    layout: Layout, options: TimeOptions, *readings: Reading, one_file: bool = False
-) -> Clock | None:
+def _first(layout: Layout, candidates: _Candidates) -> Clock | None:
+    """The first of the candidates with which the table reads."""
+    clocks = (_clock(layout, options, readings) for options, readings in candidates)
+    return next((clock for clock in clocks if clock is not None), None)
+
+
+def _clock(layout: Layout, options: TimeOptions, readings: tuple[Reading, ...]) -> Clock | None:
     """The time so read; None unless most rows have one and most steps go forward."""
     try:
         time = read_time(layout.table, options, layout.options.decimal, layout.path)
@@ -154,57 +166,50 @@ def _clock(
         return None
     if turned:
         readings = (*readings, Reading("order", "the newest row first", "times fall"))
-    return Clock(options, time, readings, one_file)
+    return Clock(options, time, readings)
 
 
-def _typed(layout: Layout, order: list[str], tried: list[str]) -> Clock | None:
-    """A column that the file types as a time stamp."""
+def _typed(layout: Layout, order: list[str], tried: list[str]) -> _Candidates:
+    """Columns that the file types as time stamps."""
     for name in order:
         kind = layout.table[name].type
-        if not pa.types.is_timestamp(kind):
-            continue
-        zone, reading = (
-            ("UTC", Reading("time zone", str(kind.tz), "the file states it"))
-            if kind.tz
-            else _zone(layout, (name,))
-        )
-        typed = Reading("time", name, "the file types it as time stamps")
-        found = _clock(layout, TimeOptions(column=name, timezone=zone), typed, reading)
-        if found is not None:
-            return found
-        tried.append(f"'{name}' is a time stamp that does not go forward")
-    return None
+        if pa.types.is_timestamp(kind):
+            zone, zoned = _zone(layout, (name,))
+            if kind.tz:
+                zone, zoned = "UTC", Reading("time zone", str(kind.tz), "the file states it")
+            typed = Reading("time", name, "the file types it as time stamps")
+            yield TimeOptions(column=name, timezone=zone), (typed, zoned)
+            tried.append(f"'{name}' is a time stamp that does not go forward")
 
 
-def _parts(layout: Layout) -> Clock | None:
+def _parts(layout: Layout) -> _Candidates:
     """Six columns: year, month, day, hour, minute, second."""
     found: dict[str, str] = {}
     for part, spellings in vocabulary()["parts"].items():
         for name in layout.names:
             if set(words_of(name)) & set(spellings) and name not in found.values():
                 found.setdefault(part, name)
-    if len(found) < 6:
-        return None
-    names = tuple(found[part] for part in ("year", "month", "day", "hour", "minute", "second"))
-    zone, reading = _zone(layout, names)
-    options = TimeOptions(columns=names, format="parts", timezone=zone)
-    why = "six columns named year to second"
-    return _clock(layout, options, Reading("time", ", ".join(names), why), reading)
+    if len(found) == 6:
+        names = tuple(found[part] for part in ("year", "month", "day", "hour", "minute", "second"))
+        zone, zoned = _zone(layout, names)
+        named = Reading("time", ", ".join(names), "six columns named year to second")
+        yield TimeOptions(columns=names, format="parts", timezone=zone), (named, zoned)
 
 
-def _date_and_clock(layout: Layout, order: list[str]) -> Clock | None:
+def _date_and_clock(layout: Layout, order: list[str]) -> _Candidates:
     """Text: date and time of day in one column, in two, or the time of day alone."""
-    texts = {name: _cells(layout, name) for name in layout.names}
+    texts = {name: cells for name in layout.names if (cells := _cells(layout, name))}
     # Of several the one that states UTC, then the one whose name says time.
-    order = sorted(order, key=lambda name: zone_of(name) != "UTC")
+    order = sorted((name for name in order if name in texts), key=lambda n: zone_of(n) != "UTC")
     dates = [n for n in order if _share(_DATE, texts[n]) > READABLE or _compact_date(texts[n])]
     clocks = [n for n in order if _share(_CLOCK, texts[n]) > READABLE]
-    found = chain(
-        (_one_column(layout, name, texts[name]) for name in order),
-        (_two_columns(layout, date, clock, texts) for clock in clocks for date in dates),
-        (_clock_alone(layout, clock, texts[clock]) for clock in clocks),
-    )
-    return next((each for each in found if each is not None), None)
+    for name in order:
+        yield from _one_column(layout, name, texts[name])
+    for clock in clocks:
+        for date in dates:
+            yield from _two_columns(layout, date, clock, texts)
+    for clock in clocks:
+        yield from _clock_alone(layout, clock, texts[clock])
 
 
 def _cells(layout: Layout, name: str) -> list[str]:
@@ -223,85 +228,75 @@ def _share(pattern: re.Pattern[str], cells: list[str]) -> float:
     return sum(bool(pattern.match(cell)) for cell in cells) / len(cells) if cells else 0.0
 
 
-def _one_column(layout: Layout, name: str, cells: list[str]) -> Clock | None:
-    if not cells:
-        return None
-    aware = bool(re.search(r":\d\d.*(Z|[+-]\d\d:?\d\d)$", cells[0]))
-    if aware:
+def _one_column(layout: Layout, name: str, cells: list[str]) -> _Candidates:
+    zone, zoned = _zone(layout, (name,))
+    if re.search(r":\d\d.*(Z|[+-]\d\d:?\d\d)$", cells[0]):
         zone, zoned = "UTC", Reading("time zone", "as each cell states", f"'{cells[0]}'")
-    else:
-        zone, zoned = _zone(layout, (name,))
     if _share(_ISO, cells) > READABLE and any(":" in cell for cell in cells):
         iso = Reading("time", name, f"ISO 8601, '{cells[0]}'")
-        found = _clock(layout, TimeOptions(column=name, timezone=zone), iso, zoned)
-        if found is not None:
-            return found
+        yield TimeOptions(column=name, timezone=zone), (iso, zoned)
     compact = _COMPACT.match(cells[0])
     if compact and _share(_COMPACT, cells) > READABLE:
-        pattern = f"%Y%m%d{compact.group(2)}%H%M%S" + (
-            f"{compact.group(4)[0]}%f" if compact.group(4) else ""
-        )
-        pattern += compact.group(5)
-        if compact.group(5):
+        _, mark, _, fraction, utc = compact.groups()
+        if utc:
             zone, zoned = "UTC", Reading("time zone", "UTC", "the cells end in Z")
-        options = TimeOptions(column=name, format=pattern, timezone=zone)
-        found = _clock(layout, options, Reading("time", name, f"'{cells[0]}'"), zoned)
-        if found is not None:
-            return found
-    if _share(_BOTH, cells) <= READABLE:
-        return None
-    halves = [match for match in map(_BOTH.match, cells) if match]
-    dates, clocks = [h["date"] for h in halves], [h["clock"] for h in halves]
-    date, dated = _date_pattern(layout, dates)
-    clock = _clock_pattern(clocks)
-    if date is None or clock is None:
-        return None
-    options = TimeOptions(column=name, format=f"{date}{halves[0]['sep']}{clock}", timezone=zone)
-    named = Reading("time", f"{name}, {options.format}", f"'{cells[0]}'")
-    return _clock(layout, options, named, dated, zoned)
+        pattern = f"%Y%m%d{mark}%H%M%S{f'{fraction[0]}%f' if fraction else ''}{utc}"
+        named = Reading("time", name, f"'{cells[0]}'")
+        yield TimeOptions(column=name, format=pattern, timezone=zone), (named, zoned)
+    if _share(_BOTH, cells) > READABLE:
+        halves = [match for match in map(_BOTH.match, cells) if match]
+        date, dated = _date_pattern(layout, [half["date"] for half in halves])
+        clock = _clock_pattern([half["clock"] for half in halves])
+        if date is not None and clock is not None:
+            pattern = f"{date}{halves[0]['sep']}{clock}"
+            named = Reading("time", f"{name}, {pattern}", f"'{cells[0]}'")
+            yield TimeOptions(column=name, format=pattern, timezone=zone), (named, dated, zoned)
 
 
-def _two_columns(
-    layout: Layout, date: str, clock: str, texts: dict[str, list[str]]
-) -> Clock | None:
+def _two_columns(layout: Layout, date: str, clock: str, texts: dict[str, list[str]]) -> _Candidates:
     day, dated = _date_pattern(layout, texts[date])
     hour = _clock_pattern(texts[clock])
-    if day is None or hour is None:
-        return None
-    zone, zoned = _zone(layout, (date, clock))
-    options = TimeOptions(columns=(date, clock), format=f"{day} {hour}", timezone=zone)
-    if "%z" in hour:
-        zoned = Reading("time zone", "as each cell states", f"'{texts[clock][0]}'")
-    shown = f"'{texts[date][0]}' and '{texts[clock][0]}'"
-    named = Reading("time", f"{date}, {clock}, {options.format}", shown)
-    return _clock(layout, options, named, dated, zoned)
+    if day is not None and hour is not None:
+        zone, zoned = _zone(layout, (date, clock))
+        if "%z" in hour:
+            zoned = Reading("time zone", "as each cell states", f"'{texts[clock][0]}'")
+        shown = f"'{texts[date][0]}' and '{texts[clock][0]}'"
+        named = Reading("time", f"{date}, {clock}, {day} {hour}", shown)
+        options = TimeOptions(columns=(date, clock), format=f"{day} {hour}", timezone=zone)
+        yield options, (named, dated, zoned)
 
 
-def _clock_alone(layout: Layout, name: str, cells: list[str]) -> Clock | None:
+def _clock_alone(layout: Layout, name: str, cells: list[str]) -> _Candidates:
     """A time of day without date, or elapsed time that begins at zero."""
     pattern = _clock_pattern(cells)
     first = _CLOCK.match(cells[0])
     assert first is not None, "most cells match it"
     begins_at_zero = int(first["h"]) == 0 and int(first["m"]) == 0
     elapsed = begins_at_zero and bool({"elapsed", "laufzeit"} & set(words_of(name)))
-    day, where = _day(layout)
-    if pattern is None or elapsed or (begins_at_zero and day is None and not first["p"]):
-        start = datetime.datetime.combine(day or UNKNOWN_DAY, datetime.time(), datetime.UTC)
-        options = TimeOptions(column=name, format="elapsed", start=start)
+    day, started = _started(layout)
+    if pattern is None or elapsed or (begins_at_zero and not day and not first["p"]):
         named = Reading(
             "time", f"{name}, elapsed", f"'{cells[0]}' begins at zero", "the time of day"
         )
-        return _clock(layout, options, named, _started(day, where), one_file=True)
+        options = TimeOptions(column=name, format="elapsed", start=_midnight(day))
+        yield options, (named, started)
+        return
     zone, zoned = _zone(layout, (name,))
-    options = TimeOptions(column=name, format=pattern, date=day or UNKNOWN_DAY, timezone=zone)
     named = Reading("time", f"{name}, {pattern}", f"'{cells[0]}', without a date")
-    return _clock(layout, options, named, _started(day, where), zoned, one_file=True)
+    options = TimeOptions(column=name, format=pattern, date=day or UNKNOWN_DAY, timezone=zone)
+    yield options, (named, started, zoned)
 
 
-def _started(day: datetime.date | None, where: str) -> Reading:
+def _midnight(day: datetime.date | None) -> datetime.datetime:
+    return datetime.datetime.combine(day or UNKNOWN_DAY, datetime.time(), datetime.UTC)
+
+
+def _started(layout: Layout) -> tuple[datetime.date | None, Reading]:
+    """The day of the first row, if the file states it, and how that is known."""
+    day, where = _day(layout)
     if day is not None:
-        return Reading("day", day.isoformat(), where)
-    return Reading(
+        return day, Reading("day", day.isoformat(), where)
+    return None, Reading(
         "day",
         UNKNOWN_DAY.isoformat(),
         "the file states no date; this day stands for one that is not known",
@@ -416,40 +411,31 @@ def _clock_pattern(cells: list[str]) -> str | None:
     return pattern
 
 
-def _epoch(layout: Layout, order: list[str]) -> Clock | None:
-    """A count since 1970."""
+def _epoch(layout: Layout, order: list[str]) -> _Candidates:
+    """Counts since 1970."""
     for name in order:
-        values = numbers(layout.table[name], layout.options.decimal)[0]
+        values = layout.number(name)
         known = values[np.isfinite(values)]
-        if known.size < 2:
-            continue
-        middle = float(np.median(known))
         for unit, low, high in EPOCHS:
-            if not low <= middle <= high or float(np.ptp(known)) == 0.0:
-                continue
-            options = TimeOptions(column=name, format="epoch", unit=unit)
-            found = _clock(layout, options)
-            if found is not None:
-                first = float(found.time[found.time != NO_TIME][0]) / NANOSECONDS
-                instant = datetime.datetime.fromtimestamp(first, datetime.UTC)
+            if known.size >= 2 and low <= np.median(known) <= high and np.ptp(known) > 0.0:
+                instant = datetime.datetime.fromtimestamp(known[0] / (low / 1e9), datetime.UTC)
                 why = f"counts {unit} since 1970: the first is {instant:%Y-%m-%d %H:%M:%S} UTC"
-                return replace(found, readings=(Reading("time", f"{name}, epoch [{unit}]", why),))
-    return None
+                counted = Reading("time", f"{name}, epoch [{unit}]", why)
+                yield TimeOptions(column=name, format="epoch", unit=unit), (counted,)
 
 
 STEPS = {"s": (0.0005, 100.0), "ms": (0.5, 60_000.0), "us": (500.0, 6e7)}
 """Usual steps of recorders in each unit of a count."""
 
 
-def _elapsed(layout: Layout, meanings: dict[str, Meaning], tried: list[str]) -> Clock | None:
-    """A count since the start."""
-    named = [n for n in layout.names if "clock" in meanings[n].quantities]
-    for name in named:
-        values = numbers(layout.table[name], layout.options.decimal)[0]
-        known = values[np.isfinite(values)]
-        if known.size < 3 or np.mean(np.diff(known) > 0) < 0.5:
+def _elapsed(layout: Layout, meanings: dict[str, Meaning], tried: list[str]) -> _Candidates:
+    """Counts since the start."""
+    for name in [n for n in layout.names if "clock" in meanings[n].quantities]:
+        values = layout.number(name)
+        steps = np.diff(values[np.isfinite(values)])
+        if steps.size < 2 or np.mean(steps > 0) < 0.5:
             continue
-        step = float(np.median(np.diff(known)[np.diff(known) > 0]))
+        step = float(np.median(steps[steps > 0]))
         stated = meanings[name].unit
         if stated in ("min", "h"):
             tried.append(f"'{name}' counts in {stated}, which a profile cannot read")
@@ -464,14 +450,9 @@ def _elapsed(layout: Layout, meanings: dict[str, Meaning], tried: list[str]) -> 
             unit = "us" if step >= 2e4 and "us" in possible else unit
             why = f"rows lie {step:g} apart"
             other = ", ".join(each for each in possible if each != unit)
-        day, where = _day(layout)
-        start = datetime.datetime.combine(day or UNKNOWN_DAY, datetime.time(), datetime.UTC)
-        options = TimeOptions(column=name, format="elapsed", unit=unit, start=start)
-        counted = Reading("time", f"{name}, elapsed [{unit}]", why, other)
-        found = _clock(layout, options, counted, _started(day, where), one_file=True)
-        if found is not None:
-            return found
-    return None
+        day, started = _started(layout)
+        options = TimeOptions(column=name, format="elapsed", unit=unit, start=_midnight(day))
+        yield options, (Reading("time", f"{name}, elapsed [{unit}]", why, other), started)
 
 
 def _zone(layout: Layout, names: tuple[str, ...]) -> tuple[str, Reading]:

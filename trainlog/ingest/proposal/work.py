@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 from trainlog.arrays import FloatArray
 from trainlog.ingest.profile_parts import TripColumns
-from trainlog.ingest.proposal.checks import Motion
 from trainlog.ingest.proposal.layout import Layout, Reading
+from trainlog.ingest.proposal.motion import (
+    Motion,
+)
 from trainlog.ingest.proposal.times import Clock
 from trainlog.ingest.proposal.vocabulary import Meaning, dimension_of
 from trainlog.railway.train import Train
@@ -112,11 +114,14 @@ class Work:
         unit = self.meanings[name].unit if name is not None else None
         return unit if unit is not None and dimension_of(unit) == dimension else ""
 
-    def add(self, proposed: Proposed) -> None:
-        """Propose a field; another column that it may come from is an alternative."""
+    def place(
+        self, field: str, columns: tuple[str, ...], unit: str, scale: float = 1.0, **more: Any
+    ) -> None:
+        """Propose a field, as `Proposed`; another column of its name is an alternative."""
+        proposed = Proposed(field, columns, unit, scale, **more)
         rivals = [f"'{name}'" for name in self.rivals.get(proposed.columns[0], [])]
         if rivals and not any(rival in proposed.alternative for rival in rivals):
-            other = "; ".join(filter(None, [proposed.alternative, " or ".join(rivals)]))
+            other = said(proposed.alternative, " or ".join(rivals))
             proposed = replace(proposed, alternative=other)
         self.proposed[proposed.field] = proposed
 
@@ -133,3 +138,8 @@ def unit_reason(stated: str, taken: str, others: tuple[str, ...]) -> tuple[str, 
     return "no known unit is stated; this one agrees with the other columns", " or ".join(
         others[:2]
     )
+
+
+def said(*parts: str) -> str:
+    """Parts of a sentence that are not empty, joined."""
+    return "; ".join(filter(None, parts))
