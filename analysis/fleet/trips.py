@@ -32,9 +32,9 @@ from trainlog.errors import LogError
 from trainlog.formats.railway import line_of, train_of
 from trainlog.identity import TripIdentity, identity_of
 from trainlog.mcap import DamageWarning, account_of, read_log, stream_log
+from trainlog.mcap.contents import checksum_holds, contents_of
 from trainlog.mcap.reader import rows_of_log
 from trainlog.mcap.records import Source
-from trainlog.mcap.contents import checksum_holds, contents_of
 from trainlog.railway.line import Line
 from trainlog.railway.passport import Passport
 from trainlog.railway.train import Train
