@@ -206,10 +206,14 @@ def test_sections_cover_the_line_and_lose_no_extreme(
     analysis.export_map(track, tmp_path / "wet.json", line=line, at=AT, layers=["wet"])
     found = read_adhesion(tmp_path / "wet.json")
     wet = sections[sections["layer"] == "wet"]
-    assert (found.track, found.layer, found.length) == (track.line, "wet", track.length)
-    np.testing.assert_array_equal(found.values[0], wet["start_m"])
-    np.testing.assert_array_equal(found.values[1], wet["adhesion"])
-    np.testing.assert_array_equal(found.values[6], wet["expected_high"])
+    assert (found.metadata.associated_track, found.rail_condition, found.length) == (
+        track.line,
+        "wet",
+        track.length,
+    )
+    np.testing.assert_array_equal(found.adhesion[0], wet["start_m"])
+    np.testing.assert_array_equal(found.adhesion[1], wet["adhesion"])
+    np.testing.assert_array_equal(found.adhesion[6], wet["expected_high"])
 
 
 @pytest.mark.parametrize("name", ["map.geojson", "map.gpkg", "map.parquet", "map.csv"])

@@ -16,6 +16,7 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
 from itertools import groupby
@@ -147,9 +148,13 @@ class Form:
     shown: str = ""
     must: Must | None = None
 
+    found_as: ClassVar[tuple[tuple[type, ...], str]] = (), ""
+    """Types that JSON has it as, and how these are called; empty: any."""
+
     def read(self, found: Any, kind: Any) -> Any:  # noqa: ARG002
         """The value, of type `kind`, that stands in the file as `found`; InputError if none."""
-        return found
+        kinds, named = self.found_as
+        return _valid(found, kinds, named) if kinds else found
 
     def write(self, value: Any, in_si: bool = False) -> Any:  # noqa: ARG002
         """The value as it stands in the file, perhaps in SI units; None: it is left out."""
@@ -182,11 +187,12 @@ def _valid(found: Any, kinds: tuple[type, ...], what: str) -> Any:
 class Text(Form):
     """Text of at least so many characters."""
 
+    found_as = (str,), "string"
     least: int = 0
 
-    def read(self, found: Any, kind: Any) -> str:  # noqa: ARG002
+    def read(self, found: Any, kind: Any) -> str:
         """The text."""
-        text: str = _valid(found, (str,), "string")
+        text: str = super().read(found, kind)
         if len(text) < self.least:
             raise InputError(f"must have at least {counted(self.least, 'character')}")
         return text
@@ -216,20 +222,21 @@ class Choice(Form):
 class Whole(Form):
     """A whole number."""
 
-    def read(self, found: Any, kind: Any) -> int:  # noqa: ARG002
-        """The number."""
-        number: int = _valid(found, (int,), "integer")
-        return number
+    found_as = (int,), "integer"
 
 
 @dataclass(frozen=True)
 class Flag(Form):
     """True or false."""
 
-    def read(self, found: Any, kind: Any) -> bool:  # noqa: ARG002
-        """Which of them."""
-        flag: bool = _valid(found, (bool,), "boolean")
-        return flag
+    found_as = (bool,), "boolean"
+
+
+@dataclass(frozen=True)
+class Json(Form):
+    """A dictionary of values that JSON has."""
+
+    found_as = (dict,), "dictionary"
 
 
 @dataclass(frozen=True)
@@ -293,7 +300,7 @@ class Quantity(Form):
                 f"{found!r} has no unit",
                 remedy=f"give value and unit, for example {json.dumps(example)}",
             )
-        value, unit = _keys(found, value=_number, unit=Text())
+        value, unit = read_keys(found, value=_number, unit=Text())
         return float(in_si(value, unit, self.si))
 
     def write(self, value: Any, in_si: bool = False) -> Any:
@@ -338,32 +345,26 @@ def _factor(unit: str, si: str) -> tuple[float, float]:
 
 def in_si(values: ArrayLike, unit: str, si: str, where: str = "unit") -> FloatArray:
     """Numbers of a file in SI; a wrong unit is reported at the place `where`."""
-    try:
-        with np.errstate(over="ignore"):
-            converted = to_si(values, unit, si)
-    except InputError as error:
-        raise InputError(error.problem, place=where, remedy=error.remedy) from error
+    with at(where), np.errstate(over="ignore"):
+        converted = to_si(values, unit, si)
     if not np.all(np.isfinite(converted)):
         raise InputError("is not a finite number", remedy="give one")
     return converted
 
 
-def _keys(found: Any, **forms: Form | Callable[[Any], Any]) -> list[Any]:
+def read_keys(found: Any, **forms: Form | Callable[[Any], Any]) -> list[Any]:
     """What stands under the keys of an object that has exactly these."""
     _valid(found, (dict,), "dictionary")
-    problems = [_unknown(key) for key in found if key not in forms]
+    problems = Problems(_unknown(key) for key in found if key not in forms)
     values = []
     for key, form in forms.items():
         if key not in found:
             problems.append(_missing(key))
             continue
-        try:
+        with problems.at(key):
             each = found[key]
             values.append(form.read(each, None) if isinstance(form, Form) else form(each))
-        except InputError as error:
-            problems += placed(error, key)
-    if problems:
-        raise InputError.listing(problems)
+    problems.check()
     return values
 
 
@@ -393,6 +394,42 @@ def placed(error: InputError, before: str) -> list[InputError]:
         )
         for each in error.each
     ]
+
+
+@contextmanager
+def at(place: str) -> Iterator[None]:
+    """Put a place in front of those of the InputError that the block may raise."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError.listing(placed(error, place)) from error
+
+
+class Problems(list[InputError]):
+    """What is wrong with the parts of a thing, so that all of it is raised at once.
+
+    Examples
+    --------
+    >>> problems = Problems()
+    >>> with problems.at("mass"):
+    ...     raise InputError("is negative")
+    >>> problems.check()
+    Traceback (most recent call last):
+    trainlog.errors.InputError: mass: is negative
+    """
+
+    @contextmanager
+    def at(self, place: str = "") -> Iterator[None]:
+        """Add what the block may raise, with a place in front of its own."""
+        try:
+            yield
+        except InputError as error:
+            self += placed(error, place) if place else error.each
+
+    def check(self) -> None:
+        """Raise one InputError that lists all problems, if there are any."""
+        if self:
+            raise InputError.listing(self)
 
 
 Gap = tuple[str | None, float]
@@ -515,10 +552,8 @@ class Table(Form):
         row: Any = _row_of(kind)
         if not is_dataclass(row):
             return tuple(rows)
-        try:
+        with at("values"):
             return tuple(_items(list(rows), lambda each: row(*each)))  # type: ignore[operator]
-        except InputError as error:
-            raise InputError.listing(placed(error, "values")) from error
 
     def read_columns(self, found: Any, columns: tuple[Column, ...]) -> tuple[Any, ...]:
         """Each column in SI."""
@@ -529,22 +564,19 @@ class Table(Form):
             _check_rows(rows, columns)
             return rows
 
-        units, rows = _keys(
+        units, rows = read_keys(
             found,
             units=lambda each: dict(
-                zip(names, _keys(each, **{name: Text() for name in names}), strict=True)
+                zip(names, read_keys(each, **{name: Text() for name in names}), strict=True)
             ),
             values=rows_of,
         )
         cells = list(zip(*rows, strict=True)) or [()] * len(columns)
-        read = gathered(
-            *(
-                lambda column=column, given=given: column.read_cells(
-                    given, units.get(column.name, "")
-                )
-                for column, given in zip(columns, cells, strict=True)
-            )
-        )
+        problems, read = Problems(), []
+        for column, given in zip(columns, cells, strict=True):
+            with problems.at():
+                read.append(column.read_cells(given, units.get(column.name, "")))
+        problems.check()
         return tuple(read)
 
     def write(self, value: Any, in_si: bool = False) -> Any:
@@ -589,17 +621,13 @@ def _check_rows(rows: list[Any], columns: tuple[Column, ...]) -> None:
         _valid(row, (list,), "list")
         if len(row) > size:
             raise InputError(f"must have at most {counted(size, 'item')}, not {len(row)}")
-        problems = []
-        for number, (column, cell) in enumerate(zip(columns, row, strict=False)):
-            try:
-                column.check(cell)
-            except InputError as error:
-                problems += placed(error, f"[{number}]")
-        for number in range(len(row), size):
-            problems.append(
-                InputError(f"'{number}' is missing", place=f"[{number}]", remedy="add it")
-            )
-        raised(problems)
+        problems = Problems()
+        for number, column in enumerate(columns):
+            with problems.at(f"[{number}]"):
+                if number >= len(row):
+                    raise InputError(f"'{number}' is missing", remedy="add it")
+                column.check(row[number])
+        problems.check()
 
     whole = all(type(row) is list and len(row) == size for row in rows)
     cells = zip(*rows, strict=True) if whole else ()
@@ -627,7 +655,7 @@ class Array(Form):
     def read(self, found: Any, kind: Any) -> FloatArray:  # noqa: ARG002
         """The array in SI."""
         number = Number(gaps=self.gaps)
-        unit, numbers = _keys(
+        unit, numbers = read_keys(
             found,
             unit=Text(),
             values=lambda each: _numbers(each, number, self.dimensions),
@@ -659,14 +687,13 @@ def _items(found: Any, read: Callable[[Any], Any], least: int = 0) -> list[Any]:
     _valid(found, (list,), "list")
     if len(found) < least:
         raise InputError("has too few entries", remedy=f"give at least {counted(least, 'item')}")
-    values, problems = [], []
+    values, problems = [], Problems()
     for number, each in enumerate(found):
         try:
             values.append(read(each))
         except InputError as error:
             problems += placed(error, f"[{number}]")
-    if problems:
-        raise InputError.listing(problems)
+    problems.check()
     return values
 
 
@@ -683,12 +710,14 @@ class Named(Form):
     def read(self, found: Any, kind: Any) -> dict[str, float]:  # noqa: ARG002
         """The numbers that are there."""
         _valid(found, (dict,), "dictionary")
-        known = {name: each for name, each in self.quantities.items() if name in found}
-        unknown = [_unknown(key) for key in found if key not in self.quantities]
-        values = gathered(
-            lambda: raised(unknown), lambda: _keys({k: found[k] for k in known}, **known)
-        )[1]
-        return dict(zip(known, values, strict=True))
+        problems = Problems(_unknown(key) for key in found if key not in self.quantities)
+        values = {}
+        for name, quantity in self.quantities.items():
+            if name in found:
+                with problems.at(name):
+                    values[name] = quantity.read(found[name], float)
+        problems.check()
+        return values
 
     def write(self, value: Any, in_si: bool = False) -> Any:
         """The numbers with their units, in the order in which they are declared."""
@@ -709,7 +738,7 @@ class Ends(Form):
 
     def read(self, found: Any, kind: Any) -> tuple[float, ...]:  # noqa: ARG002
         """Both."""
-        return tuple(_keys(found, lowest=self.quantity, highest=self.quantity))
+        return tuple(read_keys(found, lowest=self.quantity, highest=self.quantity))
 
     def write(self, value: Any, in_si: bool = False) -> Any:
         """Both, each with its unit."""
@@ -740,9 +769,9 @@ class Covariance(Form):
     def read(self, found: Any, kind: Any) -> FloatArray:  # noqa: ARG002
         """The covariance in SI units."""
         names = [name for name, _ in self.units]
-        units, rows = _keys(
+        units, rows = read_keys(
             found,
-            units=lambda each: _keys(each, **{name: Text() for name in names}),
+            units=lambda each: read_keys(each, **{name: Text() for name in names}),
             values=lambda each: _items(each, lambda row: _items(row, _number)),
         )
         size = len(names)
@@ -752,25 +781,13 @@ class Covariance(Form):
                 place="values",
                 remedy=f"give {size} by {size}",
             )
-        try:
+        with at("units"):
             scale = [factor(unit, si)[0] for unit, (_, si) in zip(units, self.units, strict=True)]
-        except InputError as error:
-            raise InputError(error.problem, place="units", remedy=error.remedy) from error
         return np.asarray(rows * np.outer(scale, scale))
 
     def write(self, value: Any, in_si: bool = False) -> Any:  # noqa: ARG002
         """The covariance and its units."""
         return {"units": dict(self.units), "values": shortest(value.tolist())}
-
-
-@dataclass(frozen=True)
-class Json(Form):
-    """What was noted beside a result: an object of any JSON."""
-
-    def read(self, found: Any, kind: Any) -> dict[str, Any]:  # noqa: ARG002
-        """The object."""
-        noted: dict[str, Any] = _valid(found, (dict,), "dictionary")
-        return noted
 
 
 @dataclass(frozen=True)
@@ -837,7 +854,15 @@ class Many(Form):
         def run(each: Any) -> None:
             _valid(each, (dict,), "dictionary")
             rest = {key: value for key, value in each.items() if key != "count"}
-            count, thing = gathered(lambda: _run_length(each), lambda: form.read(rest, inner))
+            problems = Problems()
+            with problems.at("count"):
+                count = Whole().read(each.get("count", 1), int)
+                if not 0 < count <= 1000:
+                    remedy = "give how many there are"
+                    raise InputError(f"{count} is not between 1 and 1000", remedy=remedy)
+            with problems.at():
+                thing = form.read(rest, inner)
+            problems.check()
             things.extend([thing] * count)
 
         _items(found, run, self.least)
@@ -876,17 +901,6 @@ def _within(form: Form, found: Any, kind: Any) -> Any:
     return value
 
 
-def _run_length(entry: dict[str, Any]) -> int:
-    """How many equal things an entry stands for."""
-    try:
-        count = Whole().read(entry.get("count", 1), int)
-        if not 0 < count <= 1000:
-            raise InputError(f"{count} is not between 1 and 1000", remedy="give how many there are")
-    except InputError as error:
-        raise InputError.listing(placed(error, "count")) from error
-    return count
-
-
 @dataclass(frozen=True)
 class ByName(Form):
     """Things of one form under names; a dict inside."""
@@ -896,7 +910,7 @@ class ByName(Form):
         inner = get_args(kind)[1]
         form = form_of(inner)
         _valid(found, (dict,), "dictionary")
-        read = _keys(found, **{name: lambda each: _within(form, each, inner) for name in found})
+        read = read_keys(found, **{name: lambda each: _within(form, each, inner) for name in found})
         return dict(zip(found, read, strict=True))
 
     def write(self, value: Any, in_si: bool = False) -> Any:
@@ -1056,25 +1070,6 @@ def form_for(kind: type, name: str) -> Form:
     return next(entry.form for entry in entries(kind) if name in entry.names)
 
 
-def gathered(*makes: Callable[[], Any]) -> list[Any]:
-    """What each of `makes` gives; if several raise, one InputError that lists all of it."""
-    made: list[Any] = []
-    problems: list[InputError] = []
-    for make in makes:
-        try:
-            made.append(make())
-        except InputError as error:
-            problems += error.each
-    raised(problems)
-    return made
-
-
-def raised(problems: Sequence[InputError]) -> None:
-    """Raise one InputError that lists all problems, if there are any."""
-    if problems:
-        raise InputError.listing(problems)
-
-
 # ------------------------------------------------------------------ both directions
 
 
@@ -1104,37 +1099,29 @@ def from_content(kind: type[Thing], content: Any, judged: bool = False) -> Thing
     _valid(content, (dict,), "dictionary")
     known = {entry.key: entry for entry in entries(kind)}
     foreign = issubclass(kind, Foreign)
-    problems = [_unknown(key) for key in content if key not in known and not foreign]
+    problems = Problems(_unknown(key) for key in content if key not in known and not foreign)
+    unknown = len(problems)
     values: dict[str, Any] = {}
-    unread = False
     for key, entry in known.items():
         found = content.get(key)
         if key not in content or (found is None and not entry.always_written):
             if entry.required:
                 problems.append(_missing(key))
-                unread = True
             elif entry.form.stated != "never" and len(entry.names) == 1:
                 values.setdefault(entry.names[0], entry.default)
             continue
-        try:
+        with problems.at(key):
             read = entry.form.read(found, entry.kind)
-        except InputError as error:
-            problems += placed(error, key)
-            unread = True
-            continue
-        values.update(zip(entry.names, read if len(entry.names) > 1 else [read], strict=True))
+            values.update(zip(entry.names, read if len(entry.names) > 1 else [read], strict=True))
     thing: Any = None
-    if not unread:
-        try:
-            # Numbers near the end of the doubles overflow in the checks, which then refuse them.
-            with np.errstate(over="ignore", invalid="ignore"):
-                thing = kind(**values)
-        except InputError as error:
-            problems += error.each
+    if len(problems) == unknown:
+        # Numbers near the end of the doubles overflow in the checks, which then refuse them.
+        with problems.at(), np.errstate(over="ignore", invalid="ignore"):
+            thing = kind(**values)
     if judged:
         problems += implausible(kind, values)
     problems.sort(key=lambda each: not each.problem.startswith("unknown key "))
-    raised(problems)
+    problems.check()
     return thing  # type: ignore[no-any-return]
 
 
@@ -1199,13 +1186,11 @@ def check_plausible(thing: Any) -> None:
     trainlog.errors.InputError: mass: 0.122 t is not plausible: trains have 5 to 20000 t; were t...
     """
     assumed = getattr(thing, "assumed", ())
-    raised(
-        [
-            problem
-            for problem in implausible(type(thing), vars_of(thing))
-            if str(problem.place).partition(".")[0] not in assumed
-        ]
-    )
+    Problems(
+        problem
+        for problem in implausible(type(thing), vars_of(thing))
+        if str(problem.place).partition(".")[0] not in assumed
+    ).check()
 
 
 def vars_of(thing: Any) -> dict[str, Any]:
@@ -1229,9 +1214,7 @@ def check(thing: Any) -> None:
     trainlog.errors.InputError: dead_time: -1 s is negative; give 0 or more
     """
     more = getattr(thing, "problems", None)
-    problems = [*_beyond(thing), *(more() if more is not None else ())]
-    if problems:
-        raise InputError.listing(problems)
+    Problems([*_beyond(thing), *(more() if more is not None else ())]).check()
 
 
 class Declared(Presented):

@@ -26,7 +26,7 @@ from trainlog.condition import known_before
 from trainlog.errors import InputError
 from trainlog.extras import load
 from trainlog.formats.files import atomic_write, write_bytes
-from trainlog.formats.ttobench import AdhesionSections, write_adhesion
+from trainlog.formats.ttobench import AdhesionSections, Metadata, write_adhesion
 from trainlog.presentation import plain_rows
 from trainlog.railway import Line, TrackConditionMap
 from trainlog.railway.kilometres import in_km
@@ -369,12 +369,15 @@ def _write_ttobench(export: _Export, path: str | Path) -> None:
     about = export.about
     write_adhesion(
         AdhesionSections(
-            track=export.track.line,
-            layer=export.layers[0],
+            metadata=Metadata.of(
+                f"{export.track.line} {export.layers[0]}",
+                f"{about['trips']} trips; {about['software']}",
+                export.track.line,
+            ),
+            rail_condition=export.layers[0],
             length=export.track.length,
             expected_at=about["expected_at"],
-            source=f"{about['trips']} trips; {about['software']}",
-            values=tuple(rows[name].to_numpy(dtype=np.float64) for name in columns),
+            adhesion=tuple(rows[name].to_numpy(dtype=np.float64) for name in columns),
         ),
         path,
     )

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from trainlog.declaration import Column, Declared, Json, Must, Quantity, Table
+from trainlog.declaration import Column, Declared, Form, Json, Must, Quantity, Table, read_keys
 from trainlog.errors import InputError
 from trainlog.formats.csv_tables import HeadedTable, read_headed
 from trainlog.formats.declared import built, file_content, read_thing, write_thing
@@ -42,25 +42,29 @@ _ADHESION = Column(
     ),
 )
 
-_Pure = Annotated[float, Quantity("1", "1")]
-_PerSpeed = Annotated[float, Quantity("s/m", "s/m")]
-
 PRESETS = ("polach-dry", "polach-wet")
 """Names under which the characteristics of Polach (2005) can be given in place of a file."""
 
 
 @dataclass(frozen=True)
-class _OverSlipSpeed:
-    a: _PerSpeed
-    b: _PerSpeed
-    c: _Pure
+class _Exponentials(Form):
+    """The difference of two exponentials over one of the variables of slip."""
 
+    variable: SlipVariable = "creepage"
 
-@dataclass(frozen=True)
-class _OverCreepage:
-    a: _Pure
-    b: _Pure
-    c: _Pure
+    @property
+    def _forms(self) -> dict[str, Quantity]:
+        unit = "1" if self.variable == "creepage" else "s/m"
+        return {"a": Quantity(unit, unit), "b": Quantity(unit, unit), "c": Quantity("1", "1")}
+
+    def read(self, found: Any, kind: Any) -> CreepCurve:  # noqa: ARG002
+        """The curve."""
+        a, b, c = read_keys(found, **self._forms)
+        return CreepCurve(a, b, c, c, self.variable)
+
+    def write(self, value: Any, in_si: bool = False) -> Any:
+        """Its three constants."""
+        return {n: form.write(getattr(value, n), in_si) for n, form in self._forms.items()}
 
 
 @dataclass(frozen=True)
@@ -90,8 +94,10 @@ class CharacteristicFile(Declared):
 
     FORMAT: ClassVar[str] = "trainlog/characteristic"
 
-    exponentials_over_slip_speed: _OverSlipSpeed | None = None
-    exponentials_over_creepage: _OverCreepage | None = None
+    exponentials_over_slip_speed: Annotated[
+        CreepCurve | None, _Exponentials(variable="slip speed")
+    ] = None
+    exponentials_over_creepage: Annotated[CreepCurve | None, _Exponentials()] = None
     polach: PolachCurve | None = None
     table_over_creepage: Annotated[AdhesionTable | None, _Table(_CREEPAGES)] = None
     table_over_slip_speed: Annotated[
@@ -101,24 +107,21 @@ class CharacteristicFile(Declared):
 
     def problems(self) -> Iterator[InputError]:
         """Not exactly one characteristic."""
-        given = [name for name in _FAMILIES if getattr(self, name) is not None]
-        if len(given) != 1:
+        if len(given := self._given) != 1:
             yield InputError(
                 f"describes {len(given)} characteristics, expected one",
                 remedy=f"give one of {', '.join(_FAMILIES)}",
             )
 
     @property
+    def _given(self) -> list[AdhesionCharacteristic]:
+        every = [getattr(self, name) for name in _FAMILIES]
+        return [each for each in every if each is not None]
+
+    @property
     def characteristic(self) -> AdhesionCharacteristic:
         """The characteristic that the file describes."""
-        creepage, speed = self.exponentials_over_creepage, self.exponentials_over_slip_speed
-        if creepage is not None:
-            return CreepCurve(creepage.a, creepage.b, creepage.c, creepage.c, "creepage")
-        if speed is not None:
-            return CreepCurve(speed.a, speed.b, speed.c, speed.c, "slip speed")
-        found = self.polach or self.table_over_creepage or self.table_over_slip_speed
-        assert found is not None
-        return found
+        return self._given[0]
 
     @staticmethod
     def of(
@@ -126,18 +129,15 @@ class CharacteristicFile(Declared):
     ) -> CharacteristicFile:
         """The file that describes a characteristic."""
         over = characteristic.variable.replace(" ", "_")
-        part: Any = characteristic
-        if isinstance(characteristic, PolachCurve):
-            name = "polach"
-        elif isinstance(characteristic, AdhesionTable):
-            name = f"table_over_{over}"
-        elif isinstance(characteristic, CreepCurve):
-            kind = _OverCreepage if over == "creepage" else _OverSlipSpeed
-            part = kind(characteristic.a, characteristic.b, characteristic.c)
-            name = f"exponentials_over_{over}"
-        else:
+        names = {
+            PolachCurve: "polach",
+            AdhesionTable: f"table_over_{over}",
+            CreepCurve: f"exponentials_over_{over}",
+        }
+        if type(characteristic) not in names:
             raise InputError(f"a {type(characteristic).__name__} cannot be written as a file")
-        return CharacteristicFile(**{name: part}, provenance=provenance)
+        given: dict[str, Any] = {names[type(characteristic)]: characteristic}
+        return CharacteristicFile(**given, provenance=provenance)
 
 
 _FAMILIES = tuple(each.name for each in fields(CharacteristicFile) if each.name != "provenance")

@@ -8,9 +8,10 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
@@ -28,10 +29,11 @@ from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.formats.declared import built
 from trainlog.formats.files import check_written, read_bytes, write_bytes
-from trainlog.railway import Line, Station, StepProfile
+from trainlog.formats.tracks import Account, Limit, LimitChoice, Stretch, TrackData, curvature_of
+from trainlog.railway import Line, Station
 from trainlog.railway.effort import EffortCurve
 from trainlog.railway.forecast import AdhesionForecast
-from trainlog.railway.line import CurvatureProfile, Geometry, LineReference
+from trainlog.railway.line import LineReference
 from trainlog.railway.weather import LONGEST_HOLD, MILLIMETRE_PER_HOUR, Weather, check_condition
 from trainlog.spans import utc
 from trainlog.units import to_si
@@ -377,35 +379,42 @@ def read_line_table(path: str | Path, *, name: str | None = None) -> Line:
     at = known["position"]
     _check_positions(table, at)
     table.check()
+    for kind in ("gradient", "limit"):
+        if np.isnan(known[kind][0]):
+            remedy = f"give the {kind} that holds from the first row on"
+            table.refuse(f"no {kind} at the line's begin", remedy, table.rows[0][0])
     first, length = float(at[0]), float(at[-1] - at[0])
-    called = name or Path(path).stem.removesuffix(".line")
-    source = f"table {Path(path).name}"
-    reference = None
+    called, source = name or Path(path).stem.removesuffix(".line"), f"table {Path(path).name}"
+    track = TrackData(called, length, course_quality=f"from {source}")
     if first:
         source += f"; position 0 is km {first / 1e3:.3f} of the table"
-        reference = LineReference(called, np.zeros(1), np.array([first]), np.array([at[-1]]))
-    position = at - first
-    names = table.cells("station", str, "")
-    line = built(
-        lambda: Line(
-            name=called,
-            length=length,
-            stations=tuple(
-                Station(each, float(there))
-                for each, there in zip(names, position, strict=True)
-                if each
-            ),
-            speed_limits=_steps(table, position, known, "limit"),
-            gradients=_steps(table, position, known, "gradient"),
-            curvatures=_curves(position, known),
-            geometry=_geometry(table, position, known),
-            source=source,
-            reference=reference,
-        ),
-        path,
-    )
+        ends = np.array([first]), np.array([at[-1]])
+        track.reference = LineReference(called, np.zeros(1), *ends)
+    at = at - first
+    track.gradients = _stretches(at, known["gradient"])
+    track.limits = [Limit(*each[:3]) for each in _stretches(at, known["limit"])]
+    if "radius" in known:
+        curvatures = np.array([curvature_of(each) for each in known["radius"].tolist()])
+        curvatures[0] = np.nan_to_num(curvatures[0])
+        track.curves = _stretches(at, curvatures)
+    if {"latitude", "longitude"} <= known.keys():
+        rows = zip(at, known["latitude"], known["longitude"], strict=True)
+        track.course = [row for row in rows if np.all(np.isfinite(row))]
+        if len(track.course) < 2:
+            remedy = "give both in two rows or more, or remove the columns"
+            table.refuse("needs at least two points, each with two coordinates", remedy)
+    named = zip(table.cells("station", str, ""), at.tolist(), strict=True)
+    track.stations = [Station(each, place) for each, place in named if each]
+    choice = LimitChoice().among([track], Account())
+    line = built(lambda: replace(track.line(Account(), choice), source=source), path)
     built(lambda: check_plausible(line), path)
     return line
+
+
+def _stretches(at: FloatArray, values: FloatArray) -> list[Stretch]:
+    """What holds from each row that gives it to the next one; the last row is the line's end."""
+    rows = [*np.flatnonzero(np.isfinite(values[:-1])), -1]
+    return [Stretch(float(at[a]), float(at[b]), float(values[a])) for a, b in pairwise(rows)]
 
 
 def _line_numbers(table: HeadedTable, column: Column) -> FloatArray:
@@ -431,39 +440,6 @@ def _check_positions(table: HeadedTable, at: FloatArray) -> None:
         for row in backwards:
             problem = f"chainage {at[row + 1]:.12g} m follows {at[row]:.12g} m"
             table.note(table.rows[row + 1][0], problem, "chainage must increase")
-
-
-def _steps(
-    table: HeadedTable, position: FloatArray, known: Mapping[str, FloatArray], kind: str
-) -> StepProfile:
-    """What holds from each row on, where it changes; the last row is the line's end."""
-    values = known[kind]
-    if np.isnan(values[0]):
-        remedy = f"give the {kind} that holds from the first row on"
-        table.refuse(f"no {kind} at the line's begin", remedy, table.rows[0][0])
-    given = np.flatnonzero(np.isfinite(values[:-1]))
-    changed = given[np.concatenate(([True], np.diff(values[given]) != 0.0))]
-    return StepProfile(position[changed], values[changed])
-
-
-def _curves(position: FloatArray, known: Mapping[str, FloatArray]) -> CurvatureProfile | None:
-    if "radius" not in known:
-        return None
-    radius = known["radius"][:-1].copy()
-    radius[0] = 0.0 if np.isnan(radius[0]) else radius[0]
-    given = np.flatnonzero(np.isfinite(radius))
-    curvature = np.divide(1.0, radius[given], out=np.zeros(given.size), where=radius[given] != 0.0)
-    return CurvatureProfile(position[given], curvature, curvature)
-
-
-def _geometry(
-    table: HeadedTable, position: FloatArray, known: Mapping[str, FloatArray]
-) -> Geometry | None:
-    if "latitude" not in known or "longitude" not in known:
-        return None
-    both = np.isfinite(known["latitude"]) & np.isfinite(known["longitude"])
-    quality = f"from table {Path(table.path).name}"
-    return Geometry(position[both], known["latitude"][both], known["longitude"][both], quality)
 
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)

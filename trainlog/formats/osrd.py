@@ -23,8 +23,8 @@ from trainlog.declaration import (
     NotNegative,
     Number,
     Positive,
+    at,
     from_content,
-    placed,
 )
 from trainlog.display import span
 from trainlog.errors import InputError
@@ -59,10 +59,8 @@ class _Efforts(Foreign):
     max_efforts: tuple[NotNegative, ...]
 
     def curve(self, place: str) -> EffortCurve:
-        try:
+        with at(place):
             return EffortCurve(np.array(self.speeds), np.array(self.max_efforts))
-        except InputError as error:
-            raise InputError.listing(placed(error, place)) from error
 
 
 class _Conditional(Foreign):
@@ -300,23 +298,15 @@ class _Place(Foreign):
     position: NotNegative
 
 
-class _Identifier(Foreign):
-    name: str = ""
-
-
-class _Extensions(Foreign):
-    identifier: _Identifier | None = None
-
-
 class _OperationalPoint(Foreign):
     id: Name
     parts: tuple[_Place, ...]
-    extensions: _Extensions | None = None
+    extensions: dict[str, Any] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
-        known = None if self.extensions is None else self.extensions.identifier
-        return known.name if known is not None and known.name else self.id
+        known = (self.extensions.get("identifier") or {}).get("name")
+        return known if known and isinstance(known, str) else self.id
 
 
 class _TrackRange(_Range):

@@ -21,13 +21,12 @@ from trainlog.declaration import (
     Json,
     Many,
     Matrix,
+    Problems,
     content_beside,
     entries,
     example,
     from_content,
-    gathered,
     meanings,
-    placed,
 )
 from trainlog.display import counted, span
 from trainlog.errors import InputError, LogError
@@ -159,15 +158,12 @@ def _with_lines(body: dict[str, Any], folder: Path) -> dict[str, Any]:
     if not isinstance(edges, list):
         return body
 
-    def whole(number: int) -> Any:
-        try:
-            return _edge(edges[number], folder)
-        except InputError as error:
-            raise InputError.listing(placed(error, f"edges[{number}]")) from error
-
-    return body | {
-        "edges": gathered(*(lambda number=number: whole(number) for number in range(len(edges))))
-    }
+    problems, whole = Problems(), []
+    for number, edge in enumerate(edges):
+        with problems.at(f"edges[{number}]"):
+            whole.append(_edge(edge, folder))
+    problems.check()
+    return body | {"edges": whole}
 
 
 def _edge(edge: Any, folder: Path) -> Any:

@@ -10,15 +10,17 @@ import json
 import os
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
+from trainlog.declaration import meanings
 from trainlog.display import SPEED_UNITS
 from trainlog.errors import InputError, similar
 from trainlog.formats.declared import parse_toml
-from trainlog.formats.files import write_bytes
+from trainlog.formats.files import made_folder, read_bytes, write_bytes
 from trainlog.formats.samples import SAMPLE
 
 VARIABLE = "TRAINLOG_SETTINGS"
@@ -32,15 +34,17 @@ class Settings:
     Attributes
     ----------
     speed : str
-        Unit in which speeds are shown: ``"km/h"``, ``"m/s"`` or ``"mph"``.
+        unit in which speeds are shown: km/h, m/s, mph
     zone : str
-        Time zone in which times are shown: ``"UTC"``, ``"Europe/Zurich"``.
-    line, train : str
-        Files that are taken where a command is given none, or ``"sample"``; empty: none.
+        time zone in which times are shown, such as Europe/Zurich
+    line : str
+        line file where a command is given none, or sample; empty: none
+    train : str
+        train file where a command is given none, or sample; empty: none
     results : str
-        Folder that the demo writes to.
+        folder that the demo writes to
     catalogue : str
-        Catalogue of the fleet, a folder or a URL; empty: the folder ``catalogue``.
+        catalogue of the fleet: a folder or a URL; empty: the folder catalogue
 
     Examples
     --------
@@ -56,14 +60,7 @@ class Settings:
     catalogue: str = ""
 
 
-MEANINGS = {
-    "speed": f"unit in which speeds are shown: {', '.join(SPEED_UNITS)}",
-    "zone": "time zone in which times are shown, such as Europe/Zurich",
-    "line": "line file where a command is given none, or sample; empty: none",
-    "train": "train file where a command is given none, or sample; empty: none",
-    "results": "folder that the demo writes to",
-    "catalogue": "catalogue of the fleet: a folder or a URL; empty: the folder catalogue",
-}
+MEANINGS = meanings(Settings)
 """What each key sets."""
 
 
@@ -108,15 +105,10 @@ def read_settings(path: str | Path | None = None) -> Settings:
     """
     file = settings_path() if path is None else Path(path)
     try:
-        data = file.read_bytes()
-    except FileNotFoundError:
-        return Settings()
-    except OSError as error:
-        raise InputError(
-            f"cannot be read: {error.strerror or error}",
-            file=file,
-            remedy=f"name another file of settings with {VARIABLE}",
-        ) from error
+        data = read_bytes(file) if file.exists() else b""
+    except InputError as error:
+        remedy = f"name another file of settings with {VARIABLE}"
+        raise InputError(error.problem, file=file, remedy=remedy) from error
     return _checked(parse_toml(data, file=file), data.decode("utf-8-sig"), file)
 
 
@@ -147,25 +139,20 @@ def set_setting(key: str, value: str | None, path: str | Path | None = None) -> 
     new = "\n".join(kept) + "\n"
     _checked(parse_toml(new.encode(), file=file), new, file)
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"its folder cannot be made: {error.strerror or error}",
-            file=file,
-            remedy=f"name another file with {VARIABLE}",
-        ) from error
+        made_folder(file.parent)
+    except InputError as error:
+        problem, remedy = f"its folder {error.problem}", f"name another file with {VARIABLE}"
+        raise InputError(problem, file=file, remedy=remedy) from error
     write_bytes(file, new.encode())
     return file
 
 
 def _checked(content: Mapping[str, Any], text: str, file: Path | None) -> Settings:
     for key, value in content.items():
-        problem = _problem(key, value)
-        if problem is not None:
+        for problem, remedy in _problems(key, value):
             lines = (n for n, line in enumerate(text.splitlines(), 1) if _line_of(key).match(line))
-            number = next(lines, None)
-            place = f"line {number}" if number is not None else None
-            raise InputError(problem[0], file=file, place=place, remedy=problem[1])
+            place = next((f"line {number}" for number in lines), None)
+            raise InputError(problem, file=file, place=place, remedy=remedy)
     return Settings(**content)
 
 
@@ -173,34 +160,30 @@ def _line_of(key: str) -> re.Pattern[str]:
     return re.compile(rf"""\s*["']?{re.escape(key)}["']?\s*(=|\])|\s*\[{re.escape(key)}\]""")
 
 
-def _problem(key: str, value: object) -> tuple[str, str] | None:
-    """What is wrong with a key and its value, and the remedy; None if nothing is."""
+def _problems(key: str, value: object) -> Iterator[tuple[str, str]]:
+    """What is wrong with a setting, and the remedy."""
     if key not in MEANINGS:
         meant = "".join(f"did you mean '{each}'? " for each in similar(key, MEANINGS, most=1))
-        return f"'{key}' is no setting", f"{meant}known: {', '.join(MEANINGS)}"
-    if not isinstance(value, str):
-        return f"{key} must be text, not {value}", f'write it as {key} = "{value}"'
-    if key == "speed" and value not in SPEED_UNITS:
-        return f"speed '{value}' is no unit that is shown", f"choose of {', '.join(SPEED_UNITS)}"
-    if key == "zone" and not _is_zone(value):
-        return f"zone '{value}' is not known", "name one as Europe/Zurich, or UTC"
-    if key == "results" and not value:
-        return "results is empty", "name a folder, such as results"
-    named = key in ("line", "train") and value and not _named_sample(value)
-    if named and not Path(value).expanduser().is_file():
-        return f"'{value}' does not exist", "name a file, 'sample', or set it to '' for none"
+        yield f"'{key}' is no setting", f"{meant}known: {', '.join(MEANINGS)}"
+    elif not isinstance(value, str):
+        yield f"{key} must be text, not {value}", f'write it as {key} = "{value}"'
+    elif key == "speed" and value not in SPEED_UNITS:
+        yield f"speed '{value}' is no unit that is shown", f"choose of {', '.join(SPEED_UNITS)}"
+    elif key == "zone":
+        try:
+            ZoneInfo(value)
+        except (KeyError, ValueError, OSError):
+            yield f"zone '{value}' is not known", "name one as Europe/Zurich, or UTC"
+    elif key == "results" and not value:
+        yield "results is empty", "name a folder, such as results"
+    elif (
+        key in ("line", "train")
+        and value
+        and not _named_sample(value)
+        and not Path(value).expanduser().is_file()
+    ):
+        yield f"'{value}' does not exist", "name a file, 'sample', or set it to '' for none"
     # Whether there is such a catalogue is found where it is opened.
-    return None
-
-
-def _is_zone(value: str) -> bool:
-    from zoneinfo import ZoneInfo
-
-    try:
-        ZoneInfo(value)
-    except (KeyError, ValueError, OSError):
-        return False
-    return True
 
 
 def _named_sample(value: str) -> bool:

@@ -644,33 +644,24 @@ _ADHESION = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class AdhesionSections:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class AdhesionSections(Layout):
     """Maximum adhesion by section of a track, in one rail condition.
 
     Attributes
     ----------
-    track, layer : str
+    metadata : Metadata
+        `Metadata.of` the track and the condition, with the track's name.
+    rail_condition : str
     length : float [m]
         Of the track; the last section ends there.
     expected_at : str
         Time of the expected adhesion, ISO 8601; empty if none.
-    source : str
-    values : tuple of seven (n,) arrays
+    adhesion : tuple of seven (n,) arrays
         Start of the section [m]; lasting maximum adhesion and the ends of its 95 % band; the
         expected one and those of its band. NaN where nothing was observed.
     """
 
-    track: str
-    layer: str
-    length: float
-    expected_at: str
-    source: str
-    values: tuple[FloatArray, ...]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class _AdhesionLayout(Layout):
     metadata: Metadata
     rail_condition: Annotated[str, Text(least=1)]
     length: _Length
@@ -679,27 +670,22 @@ class _AdhesionLayout(Layout):
 
 
 def write_adhesion(sections: AdhesionSections, path: str | Path) -> None:
-    """Write maximum adhesion by section, whole or not at all.
+    """Write maximum adhesion by section in the layout of a TTOBench track, whole or not at all.
 
     Examples
     --------
     >>> import tempfile
-    >>> import numpy as np
-    >>> start, known = np.array([0.0, 500.0]), np.array([np.nan, 0.12])
-    >>> given = AdhesionSections("A-B", "wet", 900.0, "", "by hand", (start, *[known] * 6))
+    >>> starts, unknown = np.array([0.0, 500.0]), np.full(2, np.nan)
+    >>> named = Metadata.of("line wet", "10 trips", "line")
+    >>> sections = AdhesionSections(
+    ...     metadata=named, rail_condition="wet", length=900.0, adhesion=(starts, *[unknown] * 6)
+    ... )
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_adhesion(given, Path(folder) / "wet.json")
-    ...     read_adhesion(Path(folder) / "wet.json").values[1]
-    array([ nan, 0.12])
+    ...     write_adhesion(sections, f"{folder}/adhesion.json")
+    ...     read_adhesion(f"{folder}/adhesion.json").metadata.associated_track
+    'line'
     """
-    layout = _AdhesionLayout(
-        metadata=Metadata.of(f"{sections.track} {sections.layer}", sections.source, sections.track),
-        rail_condition=sections.layer,
-        length=sections.length,
-        expected_at=sections.expected_at,
-        adhesion=sections.values,
-    )
-    write_bytes(path, to_bytes(content_of(layout)))
+    _write(sections, path)
 
 
 def read_adhesion(path: str | Path) -> AdhesionSections:
@@ -716,12 +702,4 @@ def read_adhesion(path: str | Path) -> AdhesionSections:
     Traceback (most recent call last):
     trainlog.errors.InputError: absent.json: does not exist; check the path
     """
-    found = built(lambda: from_content(_AdhesionLayout, read_json(path)), path)
-    return AdhesionSections(
-        track=found.metadata.associated_track or found.metadata.id,
-        layer=found.rail_condition,
-        length=found.length,
-        expected_at=found.expected_at,
-        source=found.metadata.source,
-        values=found.adhesion,
-    )
+    return built(lambda: from_content(AdhesionSections, read_json(path)), path)
