@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from html import escape
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -29,6 +29,8 @@ from trainlog.values import same_values
 if TYPE_CHECKING:
     import pandas as pd
     from rich.console import Console, ConsoleOptions, RenderResult
+
+Row = TypeVar("Row")
 
 MOST_ROWS = 60
 """Of a table in a notebook."""
@@ -144,6 +146,9 @@ class Said:
     value: Any
     words: str
 
+
+Columns: TypeAlias = dict[str, Callable[[Row], object]]
+"""Of a table of words: what the cell of a row says, by heading."""
 
 Cell: TypeAlias = "str | float | Band | Ends | Said | None"
 """Of a table: words, or a number in SI units."""
@@ -635,6 +640,28 @@ def new_table(
     )
 
 
+def word_table(
+    title: str,
+    rows: Iterable[Row],
+    columns: Columns[Row],
+    *,
+    name: str = "",
+    caption: str | None = None,
+) -> WordTable:
+    """A table of words: a row for each of some things, and for each heading what its cell says.
+
+    Examples
+    --------
+    >>> speeds = {"trip": lambda each: each[0], "km/h": lambda each: f"{each[1]:.0f}"}
+    >>> word_table("Speeds", [("a", 80.0), ("b", 64.2)], speeds).words
+    [['a', '80'], ['b', '64']]
+    """
+    table = new_table(title, *columns, name=name, caption=caption)
+    for row in rows:
+        table.add_cells(*(str(cell(row)) for cell in columns.values()))
+    return table
+
+
 def frame_table(name: str, frame: pd.DataFrame) -> WordTable:
     """A frame that is a part of a result as data alone."""
     return new_table("", *(Column(str(each)) for each in frame.columns), name=name, frame=frame)
@@ -642,10 +669,8 @@ def frame_table(name: str, frame: pd.DataFrame) -> WordTable:
 
 def facts_table(title: str, rows: Mapping[str, str], name: str = "summary") -> WordTable:
     """A table of a fact a row: its name, and its words."""
-    table = new_table(title, "quantity", "value", name=name, show_header=False)
-    for each, words in rows.items():
-        table.add_cells(each, words)
-    return table
+    of = {"quantity": lambda row: row[0], "value": lambda row: row[1]}
+    return replace(word_table(title, rows.items(), of, name=name), show_header=False)
 
 
 def plain_rows(rows: pd.DataFrame) -> list[dict[str, Any]]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from analysis.studies.amirhosseini_2024.simulation import Run, worst
 from trainlog.arrays import FloatArray
-from trainlog.presentation import WordTable, new_table
+from trainlog.presentation import Columns, WordTable, new_table, word_table
 
 Figures = tuple[float | None, float | None, float | None]
 
@@ -30,24 +30,17 @@ def errors_table(
     shifted : mapping of str to sequence of Run
         Runs with the slopes shifted within one sample, of which the worst is stated.
     """
-    table = new_table(
-        "Largest errors of position (m) and speed (m/s), error at the stop (m)",
-        "estimator",
-        "published",
-        "reached",
-        "slopes shifted within a sample",
-        "speed measured",
-    )
-    for name, run in exact.items():
-        others = shifted.get(name)
-        table.add_row(
-            name,
-            _published(run.variant.published),
-            _shown(run.figures),
-            _shown(worst(others)) if others else "",
-            _shown(measured[name].figures),
-        )
-    return table
+    of: Columns[tuple[str, Run]] = {
+        "estimator": lambda row: row[0],
+        "published": lambda row: _published(row[1].variant.published),
+        "reached": lambda row: _shown(row[1].figures),
+        "slopes shifted within a sample": lambda row: (
+            _shown(worst(shifted[row[0]])) if shifted.get(row[0]) else ""
+        ),
+        "speed measured": lambda row: _shown(measured[row[0]].figures),
+    }
+    title = "Largest errors of position (m) and speed (m/s), error at the stop (m)"
+    return word_table(title, exact.items(), of)
 
 
 def coefficients_table(exact: Mapping[str, Run], measured: Mapping[str, Run]) -> WordTable:
@@ -61,15 +54,9 @@ def coefficients_table(exact: Mapping[str, Run], measured: Mapping[str, Run]) ->
     exact, measured : mapping of str to Run
         By name of the variant; those that estimate three coefficients are listed.
     """
-    table = new_table(
-        f"Estimated coefficients after {SETTLED:g} s: median error over the mean true value (%)",
-        "estimator",
-        "speed",
-        "a0 + f2",
-        "a1",
-        "a2",
-        "their sum",
-    )
+    title = f"Estimated coefficients after {SETTLED:g} s: median error over the mean true value (%)"
+    names = ("a0 + f2", "a1", "a2", "their sum")
+    table = new_table(title, "estimator", "speed", *names)
     for speed, runs in (("exact", exact), ("measured", measured)):
         for name, run in runs.items():
             if run.variant.parameters == 3:
@@ -98,25 +85,21 @@ def eight_wagons_table(exact: Mapping[str, Run], coupled: Sequence[Run]) -> Word
     coupled : sequence of Run
         Of the eight wagons.
     """
-    table = new_table(
-        "Eight wagons, eqs. (2)-(9): the same errors, and the couplers' forces (kN)",
-        "estimator",
-        "traction",
-        "one particle",
-        "eight wagons",
-        "largest draft / buff",
-    )
-    for run in coupled:
-        alone = any(vehicle.max_tractive_effort == 0.0 for vehicle in run.train.vehicles)
-        forces = run.coupler_forces / 1e3
-        table.add_row(
-            run.variant.name,
-            "first wagon" if alone else "every wagon",
-            _shown(exact[run.variant.name].figures),
-            _shown(run.figures),
-            f"{forces.max():.1f} / {-forces.min():.1f}",
-        )
-    return table
+    of: Columns[Run] = {
+        "estimator": lambda run: run.variant.name,
+        "traction": lambda run: (
+            "first wagon"
+            if any(vehicle.max_tractive_effort == 0.0 for vehicle in run.train.vehicles)
+            else "every wagon"
+        ),
+        "one particle": lambda run: _shown(exact[run.variant.name].figures),
+        "eight wagons": lambda run: _shown(run.figures),
+        "largest draft / buff": lambda run: (
+            f"{run.coupler_forces.max() / 1e3:.1f} / {-run.coupler_forces.min() / 1e3:.1f}"
+        ),
+    }
+    title = "Eight wagons, eqs. (2)-(9): the same errors, and the couplers' forces (kN)"
+    return word_table(title, coupled, of)
 
 
 def _published(figures: Figures) -> str:

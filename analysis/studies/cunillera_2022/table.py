@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from analysis.studies.cunillera_2022 import model as study
 from analysis.trajectory.discretisation import discretise
 from analysis.trajectory.phases import Phase
-from trainlog.presentation import WordTable, new_table
+from trainlog.presentation import Columns, WordTable, new_table, word_table
 from trainlog.railway import Configuration, Trajectory
 from trainlog.units import KMH
 
@@ -19,24 +19,15 @@ def configurations_table(instance: study.Instance) -> WordTable:
     ----------
     instance : Instance
     """
-    table = new_table(
-        f"Configurations, unit mass ({instance.line.source}; spread chosen here)",
-        "alpha",
-        "r0 [mm/s²]",
-        "r1 [1e-4/s]",
-        "r2 [1e-5/m]",
-        "p_max [W/kg]",
-    )
-    for each in study.configurations():
-        resistance, inertia = each.resistance, each.inertia
-        table.add_row(
-            each.name,
-            f"{1e3 * resistance.r0 / inertia:.3f}",
-            f"{1e4 * resistance.r1 / inertia:.3f}",
-            f"{1e5 * resistance.r2 / inertia:.3f}",
-            f"{each.max_power / inertia:.3f}",
-        )
-    return table
+    of: Columns[Configuration] = {
+        "alpha": lambda each: each.name,
+        "r0 [mm/s²]": lambda each: f"{1e3 * each.resistance.r0 / each.inertia:.3f}",
+        "r1 [1e-4/s]": lambda each: f"{1e4 * each.resistance.r1 / each.inertia:.3f}",
+        "r2 [1e-5/m]": lambda each: f"{1e5 * each.resistance.r2 / each.inertia:.3f}",
+        "p_max [W/kg]": lambda each: f"{each.max_power / each.inertia:.3f}",
+    }
+    title = f"Configurations, unit mass ({instance.line.source}; spread chosen here)"
+    return word_table(title, study.configurations(), of)
 
 
 def price_table(
@@ -51,33 +42,29 @@ def price_table(
     common, recourse : Trajectory
         Of all, with one braking effort and with a brake each.
     """
-    table = new_table(
-        f"Price of robustness: energy at the wheel rims in {common.running_time:.0f} s",
-        "",
-        "J/kg",
-        "at least",
-        "gap",
-        *(f"over {name} alone" for name in alone),
-        "arrivals [s]",
-        "end speeds [km/h]",
-    )
     rows = {
         **{f"{name} alone": each for name, each in alone.items()},
         "robust, common braking (the paper)": common,
         "robust, recourse": recourse,
     }
-    for name, found in rows.items():
-        mine = _per_mass(found)
-        table.add_row(
-            name,
-            f"{mine:.2f}",
-            f"{_per_mass(found, 'lower_bound'):.2f}",
-            f"{found.certificate['gap']:.4%}",
-            *(f"{mine / _per_mass(each) - 1.0:+.2%}" for each in alone.values()),
-            " / ".join(f"{time:.1f}" for time in found.times[:, -1]),
-            " / ".join(f"{KMH * speed:.1f}" for speed in found.speeds[:, -1]),
-        )
-    return table
+    of: Columns[tuple[str, Trajectory]] = {
+        "": lambda row: row[0],
+        "J/kg": lambda row: f"{_per_mass(row[1]):.2f}",
+        "at least": lambda row: f"{_per_mass(row[1], 'lower_bound'):.2f}",
+        "gap": lambda row: f"{row[1].certificate['gap']:.4%}",
+        **{
+            f"over {name} alone": lambda row, own=own: (
+                f"{_per_mass(row[1]) / _per_mass(own) - 1.0:+.2%}"
+            )
+            for name, own in alone.items()
+        },
+        "arrivals [s]": lambda row: " / ".join(f"{time:.1f}" for time in row[1].times[:, -1]),
+        "end speeds [km/h]": lambda row: " / ".join(
+            f"{KMH * speed:.1f}" for speed in row[1].speeds[:, -1]
+        ),
+    }
+    title = f"Price of robustness: energy at the wheel rims in {common.running_time:.0f} s"
+    return word_table(title, rows.items(), of)
 
 
 def printed_table(instance: study.Instance, common: Trajectory) -> WordTable:
@@ -108,23 +95,24 @@ def phases_table(answers: Sequence[tuple[str, Trajectory]]) -> WordTable:
     answers : sequence of (str, Trajectory)
         Under their names.
     """
-    table = new_table(
-        "Section 3: phases by control, in seconds, and by the sum of lambda_v / v",
-        "",
-        *(phase.label for phase in Phase),
-        "controls as the sum asks",
-        "phase by both the same",
-    )
-    for name, found in answers:
-        spent = study.phase_durations(found)
-        agreed = found.certificate["agreement"]
-        table.add_row(
-            name,
-            *(f"{spent[phase]:.0f}" if phase in spent else "–" for phase in Phase),
-            f"{min(agreed.values()):.1%}",
-            f"{study.phases_agree(found):.1%}",
-        )
-    return table
+
+    def spent(phase: Phase) -> Callable[[tuple[str, Trajectory]], str]:
+        def cell(row: tuple[str, Trajectory]) -> str:
+            found = study.phase_durations(row[1])
+            return f"{found[phase]:.0f}" if phase in found else "–"
+
+        return cell
+
+    of: Columns[tuple[str, Trajectory]] = {
+        "": lambda row: row[0],
+        **{phase.label: spent(phase) for phase in Phase},
+        "controls as the sum asks": lambda row: (
+            f"{min(row[1].certificate['agreement'].values()):.1%}"
+        ),
+        "phase by both the same": lambda row: f"{study.phases_agree(row[1]):.1%}",
+    }
+    title = "Section 3: phases by control, in seconds, and by the sum of lambda_v / v"
+    return word_table(title, answers, of)
 
 
 def cruise_table(answers: Sequence[tuple[str, Trajectory]]) -> WordTable:
@@ -135,24 +123,15 @@ def cruise_table(answers: Sequence[tuple[str, Trajectory]]) -> WordTable:
     answers : sequence of (str, Trajectory)
         On level track, under their names.
     """
-    table = new_table(
-        "Cruising on level track: lambda_t of the configuration that decides [J/(kg s)]",
-        "",
-        "cruising speed [km/h]",
-        "multiplier",
-        "analytic",
-        "apart",
-    )
-    for name, found in answers:
-        cruise = study.cruise(found)
-        table.add_row(
-            name,
-            f"{KMH * cruise.speed:.2f}",
-            f"{cruise.price:.6f}",
-            f"{cruise.analytic:.6f}",
-            f"{abs(cruise.price / cruise.analytic - 1.0):.1e}",
-        )
-    return table
+    of: Columns[tuple[str, study.Cruise]] = {
+        "": lambda row: row[0],
+        "cruising speed [km/h]": lambda row: f"{KMH * row[1].speed:.2f}",
+        "multiplier": lambda row: f"{row[1].price:.6f}",
+        "analytic": lambda row: f"{row[1].analytic:.6f}",
+        "apart": lambda row: f"{abs(row[1].price / row[1].analytic - 1.0):.1e}",
+    }
+    title = "Cruising on level track: lambda_t of the configuration that decides [J/(kg s)]"
+    return word_table(title, ((name, study.cruise(found)) for name, found in answers), of)
 
 
 def others_table(
@@ -171,26 +150,22 @@ def others_table(
     chosen : sequence of Configuration
         That drive.
     """
-    table = new_table(
-        "Efforts that were optimal for the nominal configuration, and the robust ones",
-        "driven by",
-        "nominal: late [s]",
-        f"end speed, asked {KMH * instance.final_speed:.0f} [km/h]",
-        "nominal, brake its own: late [s]",
-        "robust: late [s]",
-        "end speed [km/h]",
-    )
-    ways = (
+    own, braked, robust = (
         study.driven(instance, nominal, chosen),
         study.driven(instance, nominal, chosen, braking="recourse"),
         study.driven(instance, common, chosen),
     )
-    for row, each in enumerate(chosen):
-        planned, own, robust = (
-            (_late(way, row, instance.running_time), _end(way, row)) for way in ways
-        )
-        table.add_row(each.name, *planned, own[0], *robust)
-    return table
+    late = instance.running_time
+    of: Columns[int] = {
+        "driven by": lambda row: chosen[row].name,
+        "nominal: late [s]": lambda row: _late(own, row, late),
+        f"end speed, asked {KMH * instance.final_speed:.0f} [km/h]": lambda row: _end(own, row),
+        "nominal, brake its own: late [s]": lambda row: _late(braked, row, late),
+        "robust: late [s]": lambda row: _late(robust, row, late),
+        "end speed [km/h]": lambda row: _end(robust, row),
+    }
+    title = "Efforts that were optimal for the nominal configuration, and the robust ones"
+    return word_table(title, range(len(chosen)), of)
 
 
 def ends_table(ends: Sequence[tuple[float, float | None, Trajectory]]) -> WordTable:
@@ -202,16 +177,14 @@ def ends_table(ends: Sequence[tuple[float, float | None, Trajectory]]) -> WordTa
         Spread of the running resistance, lowest common end speed [m/s], and the trajectory with
         a brake each.
     """
-    table = new_table(
-        "Sets whose running resistance differs evenly",
-        "spread",
-        "lowest end speed, common braking",
-        "robust, recourse [J/kg]",
-    )
-    for share, speed, found in ends:
-        reached = "none in this time" if speed is None else f"{KMH * speed:.1f} km/h"
-        table.add_row(f"±{share:.0%}", reached, f"{_per_mass(found):.2f}")
-    return table
+    of: Columns[tuple[float, float | None, Trajectory]] = {
+        "spread": lambda row: f"±{row[0]:.0%}",
+        "lowest end speed, common braking": lambda row: (
+            "none in this time" if row[1] is None else f"{KMH * row[1]:.1f} km/h"
+        ),
+        "robust, recourse [J/kg]": lambda row: f"{_per_mass(row[2]):.2f}",
+    }
+    return word_table("Sets whose running resistance differs evenly", ends, of)
 
 
 def _per_mass(found: Trajectory, key: str = "energy") -> float:

@@ -6,10 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from analysis.studies.hauck_2023.reference import Reference
 from analysis.studies.hauck_2023.scenarios import SCENARIOS, Day, Days, Outcome
 from analysis.studies.hauck_2023.section import fastest, least_time_unweighed
 from analysis.studies.hauck_2023.simulation import Plan, Run
-from trainlog.presentation import WordTable, new_table
+from trainlog.arrays import FloatArray
+from trainlog.presentation import Columns, WordTable, new_table, word_table
 from trainlog.units import KMH
 
 CONSTRAINTS = (
@@ -20,14 +22,19 @@ CONSTRAINTS = (
 """Of eq. (7), at any mass and without reserve."""
 
 
+_OF_OUTCOME: Columns[Outcome] = {
+    "scenario": lambda each: each.scenario.name,
+    "mass t": lambda each: f"{each.informed.mass / 1e3:.1f}",
+}
+
+
 def published_table() -> WordTable:
     """What Hauck et al. (2023) state of their scenarios, for 78.2 t and a map that is lost."""
-    table = new_table(
-        "Published (Hauck et al., 2023)", "scenario", "errors; every constraint h is kept"
-    )
-    for each in SCENARIOS:
-        table.add_row(each.name, each.published)
-    return table
+    of = {
+        "scenario": lambda each: each.name,
+        "errors; every constraint h is kept": lambda each: each.published,
+    }
+    return word_table("Published (Hauck et al., 2023)", SCENARIOS, of)
 
 
 def references_table(plan: Plan) -> WordTable:
@@ -37,32 +44,22 @@ def references_table(plan: Plan) -> WordTable:
     ----------
     plan : tuple of Reference
     """
-    table = new_table(
-        f"References, {plan[0].mass / 1e3:.1f} t: multiple shooting",
-        "section",
-        "km",
-        "timetable s",
-        "least of a reference s",
-        "least of any driver s",
-        "nodes",
-        "iterations of IPOPT",
-        "rollout off by mm",
-        "nearest to a limit m/s²",
-    )
-    for each in plan:
-        section = each.section
-        table.add_row(
-            section.name,
-            f"{(section.destination.position - section.origin.position) / 1e3:.1f}",
-            f"{each.duration:.0f}",
-            f"{fastest(section, each.mass).duration:.1f}",
-            f"{least_time_unweighed(section, each.mass):.1f}",
-            f"{each.times.size}",
-            f"{each.iterations}",
-            f"{1e3 * each.rollout_error:.1f}",
-            f"{-each.worst[:2].max():.2f}",
-        )
-    return table
+    of: Columns[Reference] = {
+        "section": lambda each: each.section.name,
+        "km": lambda each: (
+            f"{(each.section.destination.position - each.section.origin.position) / 1e3:.1f}"
+        ),
+        "timetable s": lambda each: f"{each.duration:.0f}",
+        "least of a reference s": lambda each: f"{fastest(each.section, each.mass).duration:.1f}",
+        "least of any driver s": lambda each: (
+            f"{least_time_unweighed(each.section, each.mass):.1f}"
+        ),
+        "nodes": lambda each: each.times.size,
+        "iterations of IPOPT": lambda each: each.iterations,
+        "rollout off by mm": lambda each: f"{1e3 * each.rollout_error:.1f}",
+        "nearest to a limit m/s²": lambda each: f"{-each.worst[:2].max():.2f}",
+    }
+    return word_table(f"References, {plan[0].mass / 1e3:.1f} t: multiple shooting", plan, of)
 
 
 def tracking_table(outcomes: Sequence[Outcome]) -> WordTable:
@@ -74,37 +71,21 @@ def tracking_table(outcomes: Sequence[Outcome]) -> WordTable:
     ----------
     outcomes : sequence of Outcome
     """
-    table = new_table(
-        "With the map: largest errors, and what was left of each limit at any mass (negative:"
-        " broken)",
-        "scenario",
-        "mass t",
-        "position m",
-        "least of any driver as punctual m",
-        "speed m/s",
-        "left of comfort m/s²",
-        "left of adhesion m/s²",
-        "left of speed limit km/h",
-        "stops off by m",
-        "changes of the lever, all / most (reference)",
-    )
-    for each in outcomes:
-        found = each.informed
-        comfort, adhesion, speed = -found.worst[:3]
-        table.add_row(
-            each.scenario.name,
-            f"{found.mass / 1e3:.1f}",
-            f"{np.abs(found.position_error).max():.2f}",
-            f"{each.deviation.max():.2f}",
-            f"{np.abs(found.speed_error).max():.2f}",
-            f"{comfort:.3f}",
-            f"{adhesion:.3f}",
-            f"{speed * KMH:.2f}",
-            f"{np.abs(found.stop_error).max():.2f}",
-            f"{found.lever_changes.sum()} / {found.lever_changes.max()}"
-            f" ({found.planned_changes.sum()} / {found.planned_changes.max()})",
-        )
-    return table
+    of: Columns[Outcome] = _OF_OUTCOME | {
+        "position m": lambda each: _largest(each.informed.position_error),
+        "least of any driver as punctual m": lambda each: f"{each.deviation.max():.2f}",
+        "speed m/s": lambda each: _largest(each.informed.speed_error),
+        "left of comfort m/s²": lambda each: f"{-each.informed.worst[0]:.3f}",
+        "left of adhesion m/s²": lambda each: f"{-each.informed.worst[1]:.3f}",
+        "left of speed limit km/h": lambda each: f"{-KMH * each.informed.worst[2]:.2f}",
+        "stops off by m": lambda each: _largest(each.informed.stop_error),
+        "changes of the lever, all / most (reference)": lambda each: (
+            f"{each.informed.lever_changes.sum()} / {each.informed.lever_changes.max()}"
+            f" ({each.informed.planned_changes.sum()} / {each.informed.planned_changes.max()})"
+        ),
+    }
+    title = "With the map: largest errors, and what was left of each limit at any mass"
+    return word_table(f"{title} (negative: broken)", outcomes, of)
 
 
 def lateness_table(outcomes: Sequence[Outcome]) -> WordTable:
@@ -114,27 +95,19 @@ def lateness_table(outcomes: Sequence[Outcome]) -> WordTable:
     ----------
     outcomes : sequence of Outcome
     """
-    table = new_table(
-        "With the map: seconds late at the stops (negative: early), and the least there could be",
-        "scenario",
-        "mass t",
-        "next stop",
-        "least, mass not known",
-        "least, mass known",
-        "latest of all stops",
-        "least there, mass not known",
+    of: Columns[Outcome] = _OF_OUTCOME | {
+        "next stop": lambda each: f"{each.informed.late[0]:.1f}",
+        "least, mass not known": lambda each: f"{max(each.unweighed[0], 0.0):.1f}",
+        "least, mass known": lambda each: f"{max(each.bound[0], 0.0):.1f}",
+        "latest of all stops": lambda each: f"{each.informed.late.max():.1f}",
+        "least there, mass not known": lambda each: (
+            f"{max(each.unweighed[np.argmax(each.informed.late)], 0.0):.1f}"
+        ),
+    }
+    title = (
+        "With the map: seconds late at the stops (negative: early), and the least there could be"
     )
-    for each in outcomes:
-        late, worst = each.informed.late, int(np.argmax(each.informed.late))
-        table.add_row(
-            each.scenario.name,
-            f"{each.informed.mass / 1e3:.1f}",
-            f"{late[0]:.1f}",
-            *(f"{max(least[0], 0.0):.1f}" for least in (each.unweighed, each.bound)),
-            f"{late[worst]:.1f}",
-            f"{max(each.unweighed[worst], 0.0):.1f}",
-        )
-    return table
+    return word_table(title, outcomes, of)
 
 
 def gain_table(outcomes: Sequence[Outcome]) -> WordTable:
@@ -144,24 +117,22 @@ def gain_table(outcomes: Sequence[Outcome]) -> WordTable:
     ----------
     outcomes : sequence of Outcome
     """
-    table = new_table(
-        "With the map / without: the same trips, axle by axle",
-        "scenario",
-        "mass t",
-        "axles that began to skid or slide",
-        "slip protection",
-        "work beyond the peak MJ",
-        "all work of creep MJ",
-        "latest s",
-        "farthest from a stop m",
-    )
-    for each in outcomes:
-        table.add_row(
-            each.scenario.name,
-            f"{each.informed.mass / 1e3:.1f}",
-            *([] if each.blind is None else _beside(each.informed, each.blind)),
+    figures: Columns[Run] = {
+        "axles that began to skid or slide": lambda run: run.slip_events,
+        "slip protection": lambda run: run.protections,
+        "work beyond the peak MJ": lambda run: f"{run.skid_energy / 1e6:.2f}",
+        "all work of creep MJ": lambda run: f"{run.slip_energy / 1e6:.1f}",
+        "latest s": lambda run: f"{run.late.max():.1f}",
+        "farthest from a stop m": lambda run: _largest(run.stop_error),
+    }
+
+    def both(figure: Callable[[Run], object]) -> Callable[[Outcome], str]:
+        return lambda each: (
+            "" if each.blind is None else f"{figure(each.informed)} / {figure(each.blind)}"
         )
-    return table
+
+    of = _OF_OUTCOME | {name: both(figure) for name, figure in figures.items()}
+    return word_table("With the map / without: the same trips, axle by axle", outcomes, of)
 
 
 def difference_table(outcomes: Sequence[Outcome]) -> WordTable:
@@ -172,8 +143,7 @@ def difference_table(outcomes: Sequence[Outcome]) -> WordTable:
     outcomes : sequence of Outcome
         Of the scenarios with several masses.
     """
-    masses = [f"{mass / 1e3:.1f} t" for mass in dict.fromkeys(o.informed.mass for o in outcomes)]
-    table = new_table("Differences from the paper", "figure", "published", *masses)
+    masses = [*dict.fromkeys(each.informed.mass for each in outcomes)]
     good, bad, late = (
         [each.informed for each in outcomes if each.scenario is scenario] for scenario in SCENARIOS
     )
@@ -187,27 +157,33 @@ def difference_table(outcomes: Sequence[Outcome]) -> WordTable:
         ("good track: farthest from a stop [m]", "not stated", good, _stop_error),
         ("weather turns bad: farthest from a stop [m]", "not stated", bad, _stop_error),
     ]
+    heads = [f"{mass / 1e3:.1f} t" for mass in masses]
+    table = new_table("Differences from the paper", "figure", "published", *heads)
     for name, published, runs, figure in rows:
-        table.add_row(name, published, *(figure(run) for run in runs))
+        table.add_row(name, published, *map(figure, runs))
     for number, name in enumerate(CONSTRAINTS):
         worst = [
             max(each.informed.worst[number] for each in outcomes if each.informed.mass == mass)
-            for mass in dict.fromkeys(o.informed.mass for o in outcomes)
+            for mass in masses
         ]
         table.add_row(f"{name}, all scenarios", "not above 0", *(f"{h:+.3f}" for h in worst))
     return table
 
 
+def _largest(errors: FloatArray) -> str:
+    return f"{np.abs(errors).max():.2f}"
+
+
 def _position_error(run: Run) -> str:
-    return f"{np.abs(run.position_error).max():.2f}"
+    return _largest(run.position_error)
 
 
 def _stop_error(run: Run) -> str:
-    return f"{np.abs(run.stop_error).max():.2f}"
+    return _largest(run.stop_error)
 
 
 def _speed_error(run: Run) -> str:
-    return f"{np.abs(run.speed_error).max():.2f}"
+    return _largest(run.speed_error)
 
 
 def days_table(days: Days) -> WordTable:
@@ -217,37 +193,23 @@ def days_table(days: Days) -> WordTable:
     ----------
     days : Days
     """
-    table = new_table(
-        f"Bad rail, {len(days.days[0].runs)} trips a day: the first without a map, each other one"
-        " with the map of all logs before it",
-        "day",
-        "axles that began to skid or slide",
-        "slip protection",
-        "work beyond the peak MJ",
-        "all work of creep MJ",
-        "latest s",
-        "mean s",
-        "farthest from a stop m",
-        "largest h1, h2 / h3, h4 m/s²",
-        "bins seen / demonstrated / assumed",
-        "map's error % (bias, rms)",
-    )
-    for day in days.days:
-        late = days.late(day)
-        table.add_row(
-            f"{day.number}",
-            f"{day.slip_events}",
-            f"{sum(each.protections for each in day.runs)}",
-            f"{day.skid_energy / 1e6:.2f}",
-            f"{day.slip_energy / 1e6:.1f}",
-            f"{late.max():.1f}",
-            f"{late.mean():.2f}",
-            f"{max(np.abs(each.stop_error).max() for each in day.runs):.2f}",
-            f"{day.worst[0]:+.3f} / {day.worst[1]:+.3f}",
-            _bins(day),
-            _errors(day),
-        )
-    return table
+    of: Columns[Day] = {
+        "day": lambda day: day.number,
+        "axles that began to skid or slide": lambda day: day.slip_events,
+        "slip protection": lambda day: sum(each.protections for each in day.runs),
+        "work beyond the peak MJ": lambda day: f"{day.skid_energy / 1e6:.2f}",
+        "all work of creep MJ": lambda day: f"{day.slip_energy / 1e6:.1f}",
+        "latest s": lambda day: f"{days.late(day).max():.1f}",
+        "mean s": lambda day: f"{days.late(day).mean():.2f}",
+        "farthest from a stop m": lambda day: (
+            f"{max(np.abs(each.stop_error).max() for each in day.runs):.2f}"
+        ),
+        "largest h1, h2 / h3, h4 m/s²": lambda day: f"{day.worst[0]:+.3f} / {day.worst[1]:+.3f}",
+        "bins seen / demonstrated / assumed": _bins,
+        "map's error % (bias, rms)": _errors,
+    }
+    trips = f"{len(days.days[0].runs)} trips a day: the first without a map, each other one"
+    return word_table(f"Bad rail, {trips} with the map of all logs before it", days.days, of)
 
 
 def risks_table(driven: Mapping[str, Days]) -> WordTable:
@@ -260,35 +222,33 @@ def risks_table(driven: Mapping[str, Days]) -> WordTable:
     """
     count = max(len(each.days) for each in driven.values())
     halves = [(2, min(3, count)), (4, count)] if count > 3 else [(2, count)]
-    table = new_table(
-        f"Changing rail, {len(next(iter(driven.values())).days[0].runs)} trips a day, by how the"
-        " map is read",
-        "map read with",
-        "days driven",
-        *(f"slips, days {a} to {b}" for a, b in halves),
-        "work beyond the peak MJ",
-        "all work of creep MJ",
-        "latest s",
-        "mean s",
-        "bins seen that held less than counted on %",
-    )
-    for name, days in driven.items():
-        later = days.days[1:]
-        late = np.array([days.late(day) for day in later])
-        table.add_row(
-            name,
-            f"{len(days.days)}",
-            *(
-                f"{sum(day.slip_events for day in later if a <= day.number <= b)}"
-                for a, b in halves
-            ),
-            f"{sum(day.skid_energy for day in later) / 1e6:.2f}",
-            f"{sum(day.slip_energy for day in later) / 1e6:.1f}",
-            f"{late.max():.1f}" if late.size else "-",
-            f"{late.mean():.2f}" if late.size else "-",
-            _short(days),
+
+    def slips(first: int, last: int) -> Callable[[tuple[str, Days]], object]:
+        return lambda row: sum(
+            day.slip_events for day in row[1].days[1:] if first <= day.number <= last
         )
-    return table
+
+    def late(row: tuple[str, Days], figure: Callable[[FloatArray], float], digits: int) -> str:
+        found = np.array([row[1].late(day) for day in row[1].days[1:]])
+        return f"{figure(found):.{digits}f}" if found.size else "-"
+
+    of: Columns[tuple[str, Days]] = {
+        "map read with": lambda row: row[0],
+        "days driven": lambda row: len(row[1].days),
+        **{f"slips, days {a} to {b}": slips(a, b) for a, b in halves},
+        "work beyond the peak MJ": lambda row: (
+            f"{sum(day.skid_energy for day in row[1].days[1:]) / 1e6:.2f}"
+        ),
+        "all work of creep MJ": lambda row: (
+            f"{sum(day.slip_energy for day in row[1].days[1:]) / 1e6:.1f}"
+        ),
+        "latest s": lambda row: late(row, np.max, 1),
+        "mean s": lambda row: late(row, np.mean, 2),
+        "bins seen that held less than counted on %": lambda row: _short(row[1]),
+    }
+    trips = f"{len(next(iter(driven.values())).days[0].runs)} trips a day"
+    title = f"Changing rail, {trips}, by how the map is read"
+    return word_table(title, driven.items(), of)
 
 
 def _short(days: Days) -> str:
@@ -328,15 +288,3 @@ def _errors(day: Day) -> str:
     if errors.size == 0:
         return "-"
     return f"{errors.mean():+.1f}, {np.sqrt(np.mean(errors**2)):.1f}"
-
-
-def _beside(one: Run, other: Run) -> list[str]:
-    pairs = (
-        (one.slip_events, other.slip_events, "d"),
-        (one.protections, other.protections, "d"),
-        (one.skid_energy / 1e6, other.skid_energy / 1e6, ".2f"),
-        (one.slip_energy / 1e6, other.slip_energy / 1e6, ".1f"),
-        (one.late.max(), other.late.max(), ".1f"),
-        (np.abs(one.stop_error).max(), np.abs(other.stop_error).max(), ".2f"),
-    )
-    return [f"{a:{form}} / {b:{form}}" for a, b, form in pairs]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from itertools import groupby
+from typing import Any
 
 import numpy as np
 
-from analysis.studies.zhao_2025.simulation import CASES, Run
-from trainlog.presentation import WordTable, new_table
+from analysis.studies.zhao_2025.simulation import CASES, Case, Run
+from trainlog.arrays import FloatArray
+from trainlog.presentation import Columns, WordTable, word_table
 
 SPANS = ((5.0, 10.0), (15.0, 20.0), (22.0, 25.0), (27.0, 30.0))
 """In which the axles have come to rest at their slip speeds [s]."""
@@ -19,10 +22,12 @@ STARTING = (0.0, 0.1, 0.2, 0.5, 1.0, 2.0)
 
 def published_table() -> WordTable:
     """What Zhao et al. (2025) states of its cases."""
-    table = new_table("Published; torques in N m", "case", "", "reached there")
-    for case in CASES:
-        table.add_row(str(case.number), case.name, case.published)
-    return table
+    of: Columns[Case] = {
+        "case": lambda case: case.number,
+        "": lambda case: case.name,
+        "reached there": lambda case: case.published,
+    }
+    return word_table("Published; torques in N m", CASES, of)
 
 
 def torque_table(runs: Sequence[Run]) -> WordTable:
@@ -32,32 +37,24 @@ def torque_table(runs: Sequence[Run]) -> WordTable:
     ----------
     runs : sequence of Run
     """
-    table = new_table(
-        "Reached; means over each span",
-        "case",
-        "preset",
-        "plant",
-        "s",
-        "torques N m",
-        "slip m/s",
-        "adhesion",
-        "train m/s²",
-        "unsolved",
-    )
-    for run in runs:
-        plant = "Euler" if run.integration == "euler" else "RK4"
-        head = (str(run.case.number), run.preset.key, plant)
-        for number, (start, end) in enumerate(SPANS):
-            table.add_row(
-                *(head if number == 0 else ("", "", "")),
-                f"{start:.0f}-{end:.0f}",
-                _axles(run.mean(run.torque, start, end), ".0f"),
-                _axles(run.mean(run.slip, start, end), ".2f"),
-                _axles(run.mean(run.adhesion, start, end), ".4f"),
-                f"{run.mean(run.acceleration, start, end):.2f}",
-                f"{run.unsolved} of {run.decisions}" if number == 0 else "",
-            )
-    return table
+    of: Columns[tuple[Run, int]] = {
+        "case": lambda row: "" if row[1] else row[0].case.number,
+        "preset": lambda row: "" if row[1] else row[0].preset.key,
+        "plant": lambda row: "" if row[1] else "Euler" if row[0].integration == "euler" else "RK4",
+        "s": lambda row: "{:.0f}-{:.0f}".format(*SPANS[row[1]]),
+        "torques N m": lambda row: _axles(_mean(row, row[0].torque), ".0f"),
+        "slip m/s": lambda row: _axles(_mean(row, row[0].slip), ".2f"),
+        "adhesion": lambda row: _axles(_mean(row, row[0].adhesion), ".4f"),
+        "train m/s²": lambda row: f"{_mean(row, row[0].acceleration):.2f}",
+        "unsolved": lambda row: "" if row[1] else f"{row[0].unsolved} of {row[0].decisions}",
+    }
+    rows = ((run, number) for run in runs for number in range(len(SPANS)))
+    return word_table("Reached; means over each span", rows, of)
+
+
+def _mean(row: tuple[Run, int], values: FloatArray) -> Any:
+    run, number = row
+    return run.mean(values, *SPANS[number])
 
 
 def start_table(solved: Run, assumed: Run) -> WordTable:
@@ -68,15 +65,19 @@ def start_table(solved: Run, assumed: Run) -> WordTable:
     solved, assumed : Run
         Of case 1 in the paper's steps; see `first` of `simulation.run`.
     """
-    table = new_table(
-        "Start of case 1; torque of each motor N m / slip m/s",
-        "",
-        *(f"{when:g} s" for when in STARTING),
-    )
-    for name, run in (("solved from 0 s on", solved), ("u(0) assumed, eq. (19)", assumed)):
-        rows = np.searchsorted(run.time, np.array(STARTING) - 1e-9)
-        table.add_row(name, *(f"{run.torque[k, 0]:.0f} / {run.slip[k, 0]:.2f}" for k in rows))
-    return table
+    rows = {"solved from 0 s on": solved, "u(0) assumed, eq. (19)": assumed}
+
+    def at(when: float) -> Callable[[tuple[str, Run]], str]:
+        def cell(row: tuple[str, Run]) -> str:
+            k = np.searchsorted(row[1].time, when - 1e-9)
+            return f"{row[1].torque[k, 0]:.0f} / {row[1].slip[k, 0]:.2f}"
+
+        return cell
+
+    of: Columns[tuple[str, Run]] = {"": lambda row: row[0]}
+    of |= {f"{when:g} s": at(when) for when in STARTING}
+    title = "Start of case 1; torque of each motor N m / slip m/s"
+    return word_table(title, rows.items(), of)
 
 
 def gain_table(runs: Mapping[str, Sequence[Run]]) -> WordTable:
@@ -87,26 +88,17 @@ def gain_table(runs: Mapping[str, Sequence[Run]]) -> WordTable:
     runs : mapping of str to sequence of Run
         By strategy; the same runs in the same order.
     """
-    table = new_table(
-        "Force on the rail kN, 15-20 s / way m, 30 s / work of creep MJ, 30 s",
-        "case",
-        "preset",
-        "asked N m",
-        *runs,
-    )
-    for found in zip(*runs.values(), strict=True):
-        first = found[0]
-        table.add_row(
-            str(first.case.number),
-            first.preset.key,
-            f"{first.total:.0f}",
-            *(
-                f"{run.mean(run.force, 15.0, 20.0) / 1e3:.1f} / {run.position[-1]:.1f}"
-                f" / {run.slip_work / 1e6:.2f}"
-                for run in found
-            ),
-        )
-    return table
+    of: Columns[Sequence[Run]] = {
+        "case": lambda found: found[0].case.number,
+        "preset": lambda found: found[0].preset.key,
+        "asked N m": lambda found: f"{found[0].total:.0f}",
+    }
+    of |= {
+        name: lambda found, n=n: f"{_force_and_way(found[n])} / {found[n].slip_work / 1e6:.2f}"
+        for n, name in enumerate(runs)
+    }
+    title = "Force on the rail kN, 15-20 s / way m, 30 s / work of creep MJ, 30 s"
+    return word_table(title, zip(*runs.values(), strict=True), of)
 
 
 def knowledge_table(runs: Mapping[str, Sequence[Run | None]]) -> WordTable:
@@ -117,32 +109,27 @@ def knowledge_table(runs: Mapping[str, Sequence[Run | None]]) -> WordTable:
     runs : mapping of str to sequence of Run or None
         By what is known of the rail; the same runs in the same order.
     """
-    table = new_table(
-        "By what is known of the rail: force on it kN, 15-20 s / way m, 30 s; speeds measured",
-        "case",
-        "",
-        "asked N m",
-        *runs,
-    )
-    for found in zip(*runs.values(), strict=True):
-        first = next(run for run in found if run is not None)
-        cells = [
-            ""
-            if run is None
-            else f"{run.mean(run.force, 15.0, 20.0) / 1e3:.1f} / {run.position[-1]:.1f}"
-            for run in found
-        ]
-        table.add_row(str(first.case.number), first.case.name, f"{first.total:.0f}", *cells)
-    return table
+
+    def first(found: Sequence[Run | None]) -> Run:
+        return next(run for run in found if run is not None)
+
+    of: Columns[Sequence[Run | None]] = {
+        "case": lambda found: first(found).case.number,
+        "": lambda found: first(found).case.name,
+        "asked N m": lambda found: f"{first(found).total:.0f}",
+    }
+    of |= {name: lambda found, n=n: _force_and_way(found[n]) for n, name in enumerate(runs)}
+    title = "By what is known of the rail: force on it kN, 15-20 s / way m, 30 s; speeds measured"
+    return word_table(title, zip(*runs.values(), strict=True), of)
+
+
+def _force_and_way(run: Run | None) -> str:
+    if run is None:
+        return ""
+    return f"{run.mean(run.force, 15.0, 20.0) / 1e3:.1f} / {run.position[-1]:.1f}"
 
 
 def _axles(values: np.ndarray, form: str) -> str:
     """Values of the axles; those that are alike are listed once: ``3 x 3934, 3349``."""
-    texts = [f"{value:{form}}" for value in values]
-    groups: list[list[str]] = []
-    for text in texts:
-        if groups and groups[-1][0] == text:
-            groups[-1].append(text)
-        else:
-            groups.append([text])
-    return ", ".join(f"{len(each)} x {each[0]}" if len(each) > 1 else each[0] for each in groups)
+    groups = [(text, len([*alike])) for text, alike in groupby(f"{each:{form}}" for each in values)]
+    return ", ".join(f"{count} x {text}" if count > 1 else text for text, count in groups)
