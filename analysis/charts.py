@@ -42,6 +42,8 @@ BLUE, ORANGE, GREEN, RED, PURPLE, SKY = (
 INK, GREY, PALE = "#222222", "#7f7f7f", "#d0d0d0"
 """Text and lines; data in the background; grids."""
 
+PAPER = "#ffffff"
+
 ON_PALE = "#1a1a1a"
 """Text on a coloured ground, which stays what it is where a page turns dark."""
 

@@ -23,9 +23,8 @@ from analysis.comparison.groups import trip_cost
 from analysis.reports import build, charts
 from analysis.reports.answers import verdict
 from analysis.reports.build import ReportOptions, kind_of, write_report
-from analysis.reports.charts import as_part
-from analysis.reports.page import Commands, Page, Section
-from analysis.reports.pictures import DARK, LIGHT, drawn, inline
+from analysis.reports.charts import item_of
+from analysis.reports.page import DARK, LIGHT, Commands, Page, Section, drawn, inline
 from analysis.reports.trip import Motion, Zone, known_zone, station_calls
 from analysis.resistance.logs import fit
 from trainlog.errors import InputError, TrainlogError
@@ -300,7 +299,7 @@ def test_without_bokeh_the_page_has_still_pictures_and_says_so(
 def test_a_page_that_would_be_too_large_stands_still(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    page = Page("Curve", "", [Section("Chart", [as_part(_chart())])])
+    page = Page("Curve", "", [Section("Chart", [_chart()])])
     monkeypatch.setattr("analysis.reports.page.LARGEST", 500_000)
     page.write(tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text("utf-8")
@@ -327,9 +326,9 @@ def test_thinning_keeps_every_peak_and_both_ends() -> None:
 def test_a_band_is_not_drawn_over_what_is_not_known() -> None:
     x = np.arange(6.0)
     y = np.array([1.0, 1.0, np.nan, np.nan, 2.0, 2.0])
-    part = as_part(Chart("km", [Panel("y", [Curve("", x, y, low=y - 1, high=y + 1)])], "a band"))
-    assert part.item is not None
-    glyphs = re.findall(r'"name": "VArea"', json.dumps(part.item))
+    item = item_of(Chart("km", [Panel("y", [Curve("", x, y, low=y - 1, high=y + 1)])], "a band"))
+    assert item is not None
+    glyphs = re.findall(r'"name": "VArea"', json.dumps(item))
     # Two stretches, each in its usual, muted and unselected form.
     assert len(glyphs) in (4, 6)
 

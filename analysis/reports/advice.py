@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from analysis.charts import BLUE, Chart, Curve, Panel, limit_curve, stations_of
-from analysis.reports.charts import as_part
 from analysis.reports.page import Page, Part, Section, Warned
 from analysis.reports.results import line_of_trajectory
 from analysis.trajectory.advice import (
@@ -113,7 +112,7 @@ def _parts(found: JourneyAdvice, line: Line | None, files: Sequence[Path]) -> li
     return [
         Section("Stations", [*doubts, stations_table(found)]),
         Section("Advice", [driver_table(found), words]),
-        Section("Speed", [as_part(_chart(found, line))]),
+        Section("Speed", [_chart(found, line)]),
         Section(
             "Made of",
             [

@@ -18,7 +18,7 @@ import numpy as np
 from analysis.charts import BLUE, Chart, Curve, Panel, limit_curve, rows_to_draw, stations_of
 from analysis.comparison.groups import TripCost, compare_groups, trip_cost
 from analysis.reports.answers import VERDICTS, summary_section, verdict_counts
-from analysis.reports.charts import WITHOUT_BOKEH, as_part
+from analysis.reports.charts import WITHOUT_BOKEH
 from analysis.reports.page import Commands, Page, Part, Section, Warned
 from analysis.reports.results import (
     TABLES,
@@ -444,7 +444,7 @@ def _overlaid(group: str, curves: Sequence[Curve], lines: Mapping[str, Line]) ->
     alt = f"Speeds of {counted(len(curves), 'trip')} in {group} over kilometres."
     places = stations_of(line)
     panels = [Panel("km/h", [*limits, *curves], 1.6, from_zero=True)]
-    return as_part(Chart("km in the direction of travel", panels, alt, "", places, line=line))
+    return Chart("km in the direction of travel", panels, alt, "", places, line=line)
 
 
 # --------------------------------------------------------------------------------- provenance

@@ -1,11 +1,10 @@
-"""Charts in a report: the still picture, and for BokehJS what shows values under the pointer.
+"""Charts of a report as BokehJS draws them: they show values under the pointer.
 
-The picture is for print and for readers without scripts; Bokeh is an extra (``report``).
+Bokeh is an extra (``report``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
@@ -18,17 +17,13 @@ from analysis.charts import (
     INK,
     NARROW,
     PALE,
+    PAPER,
     Cells,
     Chart,
     Curve,
     Panel,
-    draw_charts,
-    legend_of,
     named_places,
-    rows_of,
 )
-from analysis.reports.page import Beside, Interactive
-from analysis.reports.pictures import PAPER, Picture, drawn
 from trainlog.arrays import FloatArray
 from trainlog.railway.kilometres import km_ticks
 from trainlog.spans import runs_of
@@ -51,27 +46,14 @@ WITHOUT_BOKEH = (
 )
 
 
-def as_part(chart: Chart) -> Interactive:
-    """The chart as a part of a page; without Bokeh its still picture alone."""
-    still = drawn(lambda path: draw_charts(chart, path), chart.alt, chart.caption)
-    # BokehJS would draw a unit of the axis longer than one of the ordinate.
-    item = _item(chart) if find_spec("bokeh") and not chart.equal else None
-    return Interactive(still, item, chart.title, tuple(legend_of(chart)))
+def item_of(chart: Chart) -> dict[str, Any] | None:
+    """What BokehJS draws (``bokeh.embed.json_item``); None of a chart that stands still.
 
-
-def as_picture(charts: Sequence[Chart]) -> Picture:
-    """Charts of many curves as one still picture."""
-    return drawn(lambda path: draw_charts(charts, path), " ".join(each.alt for each in charts))
-
-
-def as_parts(charts: Sequence[Chart]) -> list[Interactive | Beside]:
-    """Charts as parts of a page, those beside each other as long as the screen has space."""
-    rows = [[as_part(each) for each in row] for row in rows_of(charts)]
-    return [row[0] if len(row) == 1 else Beside(tuple(row)) for row in rows]
-
-
-def _item(chart: Chart) -> dict[str, Any]:
-    """What BokehJS draws."""
+    Those do where Bokeh is not installed, and whose units are as long on the ordinate as on the
+    axis: BokehJS would draw them longer on one of them.
+    """
+    if chart.equal or not find_spec("bokeh"):
+        return None
     from bokeh.embed import json_item
     from bokeh.layouts import column
 

@@ -25,7 +25,6 @@ from analysis.reports.answers import (
     summary_section,
     verdict_counts,
 )
-from analysis.reports.charts import as_part
 from analysis.reports.fleet_attention import FleetFacts, attention_parts, attention_rows
 from analysis.reports.fleet_condition import KnownMaps, condition_parts, known_maps
 from analysis.reports.fleet_trains import drift_parts, resistance_parts, unlike_parts
@@ -340,9 +339,7 @@ def _by_day(trips: pd.DataFrame) -> Part:
     ]
     ends = (float(at[0]) - 0.6, float(at[-1]) + 0.6)
     panel = Panel("trips per day", bars, 0.8, from_zero=True)
-    return as_part(
-        Chart("", [panel], "Trips of each day, by kind of train.", span=ends, dates=True)
-    )
+    return Chart("", [panel], "Trips of each day, by kind of train.", span=ends, dates=True)
 
 
 # --------------------------------------------------------------------------------------- energy
@@ -436,7 +433,7 @@ def _bars(found: pd.DataFrame, what: str) -> Part:
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     alt = f"Energy per kilometre by {what}: at the wheel, by the dynamic brake, and from the line."
     panel = Panel("", bars, 0.3 + 0.085 * len(rows), rows=names, rules=[Rule(0.0, upright=True)])
-    return as_part(Chart("energy, kWh/km", [panel], alt, span=(1.05 * low, 1.05 * high or 1.0)))
+    return Chart("energy, kWh/km", [panel], alt, span=(1.05 * low, 1.05 * high or 1.0))
 
 
 def _lost(rows: pd.DataFrame) -> WordTable:

@@ -11,7 +11,6 @@ from analysis.adhesion.condition_table import bins_table, with_ends
 from analysis.adhesion.map_plot import lowest_bins
 from analysis.network.map_table import network_table
 from analysis.network.maps import NetworkMap, map_files, two_maps
-from analysis.reports.charts import as_parts
 from analysis.reports.page import Part, Warned
 from trainlog.display import counted
 from trainlog.errors import TrainlogError
@@ -99,7 +98,7 @@ def condition_parts(known: KnownMaps) -> list[Part]:
         f"What is expected on {at:%Y-%m-%d %H:%M} UTC, by the maps of"
         f" {counted(len(maps.maps), 'edge')}, on each condition of the rail. Where nothing was"
         " observed the maps have no estimate.",
-        *as_parts(maps.charts(at=at)),
+        *maps.charts(at=at),
         network_table(maps, at),
         *(part for layer in maps.layers for part in lowest_parts(known.bins, layer)),
     ]

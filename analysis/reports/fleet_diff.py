@@ -9,7 +9,6 @@ import pandas as pd
 
 from analysis.charts import BLUE, GREY, RED, Chart, Curve, Panel, Rule, Span
 from analysis.fleet.diff import JUDGED, FleetDiff
-from analysis.reports.charts import as_part
 from analysis.reports.page import Page, Part, Section, Warned
 from trainlog.formats.files import made_folder, write_bytes
 
@@ -76,7 +75,7 @@ _JUDGED = (
 )
 
 
-def _shifts(found: FleetDiff) -> Part:
+def _shifts(found: FleetDiff) -> Chart:
     """Shifts of means in units of their bands."""
     rows = found.systematic[np.isfinite(found.systematic["bands"])].head(MOST_DRAWN)
     names = [
@@ -99,12 +98,10 @@ def _shifts(found: FleetDiff) -> Part:
         "", points, 0.3 + 0.1 * len(rows), rows=names, rules=[Rule(0.0, upright=True)],
         spans=[Span(-1.0, 1.0, GREY, "within the band", 0.18)],
     )  # fmt: skip
-    return as_part(
-        Chart(
-            "shift over the half width of the band",
-            [panel],
-            "Shifts of the means of estimates between two sides, in half widths of their bands.",
-            "Bars: 95 % band of the shift on the same trips.",
-            span=(-largest, largest),
-        )
+    return Chart(
+        "shift over the half width of the band",
+        [panel],
+        "Shifts of the means of estimates between two sides, in half widths of their bands.",
+        "Bars: 95 % band of the shift on the same trips.",
+        span=(-largest, largest),
     )

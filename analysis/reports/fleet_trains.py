@@ -9,8 +9,7 @@ from analysis.fleet.plot import (
     resistance_charts,
 )
 from analysis.fleet.trains import FleetTrains
-from analysis.reports.charts import as_picture
-from analysis.reports.page import Part, Warned
+from analysis.reports.page import Part, Still, Warned
 from trainlog.presentation import new_table
 
 MOST_ROWS = 60
@@ -19,7 +18,7 @@ MOST_ROWS = 60
 
 def resistance_parts(found: FleetTrains) -> list[Part]:
     """Running resistance of each train against its kind."""
-    pictures = [as_picture(resistance_charts(kind, found)) for kind in found.resistance]
+    pictures = [Still(resistance_charts(kind, found)) for kind in found.resistance]
     # Findings and limits have a section of their own.
     return [*_few(found), *pictures, found.trains_table()]
 
@@ -36,7 +35,7 @@ def unlike_parts(found: FleetTrains) -> list[Part]:
         )
     else:
         parts.append(found.findings_table())
-        parts.append(as_picture(findings_charts(found)))
+        parts.append(Still(findings_charts(found)))
     return [*parts, found.limits_table()]
 
 
@@ -47,7 +46,7 @@ def _few(found: FleetTrains) -> list[Part]:
 def drift_parts(found: FleetTrains) -> list[Part]:
     """What changes over months."""
     pictures: list[Part] = [
-        as_picture(drift_charts(kind.kind, found))
+        Still(drift_charts(kind.kind, found))
         for kind in found.resistance
         if channels_over_time(kind.kind, found)
     ]

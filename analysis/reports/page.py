@@ -1,4 +1,4 @@
-"""A page: sections of words, tables and pictures as one HTML file that needs no network.
+"""A page: sections of words, tables, charts and results as one HTML file that needs no network.
 
 Whatever comes from logs and files (names of trips, of stations, of files) is text and is escaped;
 a Content-Security-Policy lets only the scripts run that this module writes, by their digest, and
@@ -12,54 +12,171 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from html import escape
-from itertools import count
+from itertools import count, groupby
 from pathlib import Path
 from typing import Any
 
-from analysis.reports.pictures import DARK, DRAWN, LIGHT, Picture, inline
+from analysis.charts import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    PALE,
+    PAPER,
+    PURPLE,
+    RED,
+    SKY,
+    Chart,
+    draw_charts,
+    legend_of,
+    rows_of,
+)
+from analysis.reports.charts import item_of
 from trainlog import __version__
 from trainlog.display import as_text
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write
-from trainlog.presentation import WordTable
+from trainlog.presentation import Presented, WordTable
 
 LARGEST = 5_000_000
 """Bytes of a page: more is refused, as mail and browsers of a control centre would."""
 
 STILL = "The charts stand still here, so that the page is not too large to be sent."
 
+LIGHT = {
+    "paper": PAPER,
+    "ink": INK,
+    "soft": "#5a5a5a",
+    "grey": GREY,
+    "pale": PALE,
+    "line": "#e2e2e2",
+    "shade": "#f3f4f6",
+    "link": "#005a92",
+    "blue": BLUE,
+    "orange": ORANGE,
+    "green": GREEN,
+    "red": RED,
+    "purple": PURPLE,
+    "sky": SKY,
+}
+"""Colours of the page by name, those of the pictures among them."""
+
+DARK = {
+    "paper": "#16181c",
+    "ink": "#e6e6e6",
+    "soft": "#a9adb3",
+    "grey": "#8d9197",
+    "pale": "#3c4046",
+    "line": "#2c2f34",
+    "shade": "#202328",
+    "link": "#7ab8e6",
+    "blue": "#4aa3df",
+    "orange": "#f0b840",
+    "green": "#2fc59b",
+    "red": "#f08a4b",
+    "purple": "#b794d4",
+    "sky": "#8accf5",
+}
+"""The same where the reader's screen is dark."""
+
+DRAWN = ("ink", "grey", "pale", "blue", "orange", "green", "red", "purple", "sky")
+"""Names of the colours that pictures use."""
+
 _STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
 _SCRIPT = (Path(__file__).parent / "page.js").read_text(encoding="utf-8")
 
 
+LARGEST_SVG = 700_000
+"""Bytes of an SVG, beyond which the picture is a PNG."""
+
+
 @dataclass(frozen=True)
-class Interactive:
-    """A picture that answers the pointer; where no script runs, and in print, its picture stands.
+class Picture:
+    """A picture and what it shows, for those who do not see it.
 
     Attributes
     ----------
-    picture : Picture
-    item : mapping or None
-        What BokehJS draws (``bokeh.embed.json_item``); None where Bokeh is not installed.
-    title : str
-    legend : tuple of (str, str, str)
-        Names, colours and kinds of what is drawn.
+    data : bytes
+        SVG or PNG.
+    alt : str
+    caption : str
     """
 
-    picture: Picture
-    item: Mapping[str, Any] | None
-    title: str = ""
-    legend: tuple[tuple[str, str, str], ...] = ()
+    data: bytes
+    alt: str
+    caption: str = ""
+
+    @property
+    def is_svg(self) -> bool:
+        """Whether it is an SVG."""
+        return not self.data.startswith(b"\x89PNG")
+
+
+def drawn(draw: Callable[[Path], object], alt: str, caption: str = "") -> Picture:
+    """What a function draws into the file that it is given.
+
+    Parameters
+    ----------
+    draw : callable
+        Writes a picture to a path, as `draw_charts` does; called with an ``.svg``, and
+        again with a ``.png`` if that is large.
+    alt : str
+        What the picture shows.
+    caption : str
+
+    Examples
+    --------
+    >>> from analysis.charts import new_figure, write_figure
+    >>> drawn(lambda path: write_figure(new_figure(2.0, 1.0), path), "nothing").is_svg
+    True
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "picture.svg"
+        draw(path)
+        if path.stat().st_size > LARGEST_SVG:
+            path = path.with_suffix(".png")
+            draw(path)
+        return Picture(path.read_bytes(), alt, caption)
+
+
+_LONG = re.compile(r"(\d\.\d\d)\d+")
+
+
+def inline(picture: Picture, prefix: str) -> str:
+    """A picture as an element of a page; `prefix` makes the identifiers in it its own."""
+    alt = escape(picture.alt, quote=True)
+    if not picture.is_svg:
+        data = base64.b64encode(picture.data).decode()
+        return f'<img alt="{alt}" src="data:image/png;base64,{data}">'
+    text = picture.data.decode()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", text, flags=re.S)
+    text = re.sub(r'\bid="', f'id="{prefix}', text)
+    text = re.sub(r'href="#', f'href="#{prefix}', text)
+    text = re.sub(r"url\(#", f"url(#{prefix}", text)
+    text = re.sub(r'^<svg ([^>]*?)width="[^"]*"', r"<svg \1", text)
+    text = re.sub(r'^<svg ([^>]*?)height="[^"]*"', r"<svg \1", text)
+    # To a hundredth of a point: more is not seen, and is half of the file.
+    text = re.sub(r' d="[^"]*"', lambda path: _LONG.sub(r"\1", path[0]), text)
+    for name in ("paper", *DRAWN):
+        text = text.replace(f": {LIGHT[name]}", f": var(--{name})")
+    text = re.sub(r"\s*\n\s*", "\n", text)
+    return text.replace("<svg ", f'<svg role="img" aria-label="{alt}" ', 1)
+
+
+# ------------------------------------------------------------------------------------ the page
 
 
 @dataclass(frozen=True)
-class Beside:
-    """Charts beside each other as long as the screen has space, else below each other."""
+class Still:
+    """Charts of many curves as one picture that does not answer the pointer."""
 
-    parts: tuple[Interactive, ...]
+    charts: Sequence[Chart]
 
 
 @dataclass(frozen=True)
@@ -77,7 +194,12 @@ class Warned:
 
 
 Part = Any
-"""A str, WordTable, Picture, Interactive, Beside, Commands, Warned or Section."""
+"""A str, WordTable, Chart, Still, Picture, Commands, Warned, Section; or a result (`Presented`), of
+which charts, tables and sentences follow.
+
+A chart answers the pointer; where no script runs, and in print, its picture stands. Charts beside
+each other (`Chart.beside`) follow one another.
+"""
 
 
 @dataclass(frozen=True, repr=False)
@@ -119,6 +241,9 @@ class Page:
     subtitle: str
     sections: Sequence[Section]
     problems: tuple[str, ...] = ()
+    _drawn: dict[int, tuple[object, Picture]] = field(
+        default_factory=dict, repr=False, compare=False
+    )
 
     def __repr__(self) -> str:
         return as_text(
@@ -140,7 +265,7 @@ class Page:
         >>> "Trip &lt;1&gt;" in page.to_html() and "<1>" not in page.to_html()
         True
         """
-        writer = _Writer(interactive)
+        writer = _Writer(interactive, self._drawn)
         body = "".join(writer.section(each, 2) for each in self.sections)
         scripts = [_bokeh_script(), _SCRIPT] if writer.items else []
         plots = "".join(
@@ -210,8 +335,8 @@ def _anchor(number: int) -> str:
 class _Writer:
     """Parts as HTML; numbers sections and pictures, and keeps what BokehJS is to draw."""
 
-    def __init__(self, interactive: bool) -> None:
-        self._interactive_too = interactive
+    def __init__(self, interactive: bool, drawn: dict[int, tuple[object, Picture]]) -> None:
+        self._interactive, self._known = interactive, drawn
         self.items = list[dict[str, Any]]()
         self._pictures = self._sections = 0
 
@@ -221,7 +346,7 @@ class _Writer:
             self._sections += 1
             anchor = f' id="{_anchor(self._sections)}"'
         kind = ' class="new-page"' if section.whole_page else ""
-        body = "".join(self.part(each, level) for each in section.parts)
+        body = self.parts(section.parts, level)
         heading = f"<h{level}>{escape(section.title)}</h{level}>"
         if section.folded:
             # The place to which the contents lead is inside: going there opens it.
@@ -230,27 +355,47 @@ class _Writer:
             return f"<section{kind}>{body}</section>\n"
         return f"<section{anchor}{kind}>\n{heading}\n{body}</section>\n"
 
+    def parts(self, parts: Sequence[Part], level: int) -> str:
+        """Parts one after the other, charts row by row."""
+        found = list[str]()
+        for charts, group in groupby(parts, lambda each: isinstance(each, Chart)):
+            alike = [*group]
+            found += (
+                map(self._row, rows_of(alike))
+                if charts
+                else [self.part(each, level) for each in alike]
+            )
+        return "".join(found)
+
     def part(self, part: Part, level: int) -> str:
+        """A part that is no chart."""
         if isinstance(part, Section):
             return self.section(part, min(level + 1, 6))
+        if isinstance(part, Presented):
+            return self.parts([*(part.charts() if part.charts_by else ()), *part.shown()], level)
         if isinstance(part, WordTable):
             return part.html()
-        if isinstance(part, Interactive):
-            return self._interactive(part)
-        if isinstance(part, Beside):
-            legend = dict.fromkeys(key for each in part.parts for key in each.legend)
-            parts = (replace(each, legend=()) for each in part.parts)
-            row = "".join(map(self._interactive, parts))
-            return f'<div class="row">{_keys(tuple(legend))}<div class="beside">{row}</div></div>\n'
+        if isinstance(part, Still):
+            words = " ".join(each.alt for each in part.charts)
+            return self._figure(self._inline(self._picture(part, part.charts, words)), "")
         if isinstance(part, Picture):
-            return self._figure(self._drawn(part), part.caption)
+            return self._figure(self._inline(part), part.caption)
         if isinstance(part, Commands):
             return f"<pre><code>{escape(chr(10).join(part.lines))}</code></pre>\n"
         if isinstance(part, Warned):
             return f'<p class="warning" role="note">{escape(part.words)}</p>\n'
         return f"<p>{escape(str(part))}</p>\n"
 
-    def _drawn(self, picture: Picture) -> str:
+    def _picture(
+        self, key: object, charts: Sequence[Chart], alt: str, caption: str = ""
+    ) -> Picture:
+        """Charts as a picture, drawn once."""
+        if id(key) not in self._known:
+            picture = drawn(lambda path: draw_charts(charts, path), alt, caption)
+            self._known[id(key)] = key, picture
+        return self._known[id(key)][1]
+
+    def _inline(self, picture: Picture) -> str:
         self._pictures += 1
         return inline(picture, f"p{self._pictures}-")
 
@@ -259,36 +404,38 @@ class _Writer:
         words = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
         return f"<figure>{drawn}{words}</figure>\n"
 
-    def _interactive(self, part: Interactive) -> str:
-        still = self._drawn(part.picture)
-        if part.item is None or not self._interactive_too:
-            return self._figure(still, part.picture.caption)
+    def _row(self, charts: Sequence[Chart]) -> str:
+        """Charts beside each other as long as the screen has space, else below each other."""
+        if len(charts) == 1:
+            return self._chart(charts[0], _keys(legend_of(charts[0])))
+        keys = _keys(key for each in charts for key in legend_of(each))
+        row = "".join(self._chart(each, "") for each in charts)
+        return f'<div class="row">{keys}<div class="beside">{row}</div></div>\n'
+
+    def _chart(self, chart: Chart, keys: str) -> str:
+        still = self._inline(self._picture(chart, [chart], chart.alt, chart.caption))
+        item = item_of(chart) if self._interactive else None
+        if item is None:
+            return self._figure(still, chart.caption)
         target = f"plot-{len(self.items) + 1}"
-        item = _renumbered(part.item, f"{target}-")
-        self.items.append({**item, "target_id": target})
-        label = escape(part.picture.alt, quote=True)
+        self.items.append({**_renumbered(item, f"{target}-"), "target_id": target})
+        label, title = escape(chart.alt, quote=True), escape(chart.title).replace("\n", "<br>")
+        title = f'<p class="title">{title}</p>' if title else ""
         return self._figure(
-            f'<div class="still">{still}</div>'
-            f'<div class="plot">{_heading(part)}'
+            f'<div class="still">{still}</div><div class="plot">{title}{keys}'
             f'<div id="{target}" role="img" aria-label="{label}"></div></div>',
-            part.picture.caption,
+            chart.caption,
         )
 
 
-def _heading(part: Interactive) -> str:
-    """Title and legend of a chart; a name in the legend hides what it names."""
-    return (
-        f'<p class="title">{escape(part.title).replace(chr(10), "<br>")}</p>' if part.title else ""
-    ) + _keys(part.legend)
-
-
-def _keys(legend: Sequence[tuple[str, str, str]]) -> str:
+def _keys(legend: Iterable[tuple[str, str, str]]) -> str:
+    """A legend, each name once; a name hides what it names."""
     names = {value: name for name, value in LIGHT.items()}
     keys = "".join(
         f'<button type="button" class="key {kind}" data-name="{escape(name, quote=True)}"'
         f' style="--key: {f"var(--{names[colour]})" if colour in names else colour}">'
         f"{escape(name)}</button>"
-        for name, colour, kind in legend
+        for name, colour, kind in dict.fromkeys(legend)
     )
     return f'<div class="keys">{keys}</div>' if keys else ""
 

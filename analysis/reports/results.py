@@ -16,9 +16,7 @@ from analysis.adhesion.map_history import map_history
 from analysis.adhesion.map_state import MapState, line_of_map, map_state
 from analysis.charts import BLUE, SKY, Chart, Curve, Panel
 from analysis.reports.answers import map_words, summary_section
-from analysis.reports.charts import as_part, as_parts
-from analysis.reports.page import Part, Section, Warned
-from analysis.reports.pictures import Picture
+from analysis.reports.page import Part, Picture, Section, Warned
 from analysis.resistance.logs import Fits, fit
 from analysis.trajectory.advice import driver_table, journey_advice
 from analysis.trajectory.table import trajectory_table
@@ -100,7 +98,7 @@ def fit_sections(path: Path, logs: Sequence[Path] = ()) -> list[Section]:
         return [Section("Running resistance", [*doubts, *_set_alone(found), *without])]
     return [
         _fit_summary(fits),
-        Section("Running resistance", [*doubts, *as_parts(fits.charts()), *fits.shown()]),
+        Section("Running resistance", [*doubts, fits]),
         Section("Trips of the fit", [_trips_table(fits), *_residuals(fits)], folded=True),
         Section("Observed set", found.shown(), folded=True),
     ]
@@ -207,7 +205,7 @@ def _residuals(fits: Fits) -> list[Part]:
         "What the fit did not explain: within 2 σ nearly always, without a trend, if the noise is"
         " as the model has it.",
     )
-    return [as_part(chart)]
+    return [chart]
 
 
 def _sample(count: int, most: int) -> IntArray:
@@ -236,7 +234,7 @@ def _set_alone(found: ParameterSet) -> list[Part]:
         [Panel("running resistance, kN", curves, 1.6)],
         f"Running resistance of the configurations of {found.train} over speed.",
     )
-    return [as_part(chart), *found.shown()]
+    return [chart, *found.shown()]
 
 
 # ------------------------------------------------------------------------------------- a map
@@ -270,7 +268,7 @@ def map_sections(path: Path, line: Path | None = None) -> list[Section]:
                 f" {shlex.quote(path.name)}",
             ],
         ),
-        Section("Track condition", as_parts(track.charts(line=course))),
+        Section("Track condition", track.charts(line=course)),
         Section("Places, spots and changes", state.shown(), folded=True),
     ]
     note(f"{path.name}: history of the lowest places")
@@ -292,7 +290,7 @@ def _histories(track: TrackConditionMap, state: MapState, line: Line | None) -> 
         middle = 0.5 * (float(row["start_m"]) + float(row["end_m"]))
         found = map_history(track, middle, name, line=line, days=HISTORY_DAYS)
         if len(found.known) > 1:
-            parts += as_parts(found.charts())
+            parts += found.charts()
         parts += found.shown()
     return parts or ["No place was observed."]
 
@@ -303,7 +301,7 @@ def _verified(track: TrackConditionMap) -> list[Part]:
         found = score_rolling(track)
     except InputError as error:
         return [f"Not scored: {error}."]
-    return [*as_parts(found.charts()), *found.shown()]
+    return [found]
 
 
 # ------------------------------------------------------------------------------ a trajectory
@@ -321,7 +319,7 @@ def trajectory_sections(path: Path, line: Path | None = None) -> list[Section]:
     """
     trajectory = read_trajectory(path)
     course = line_of_trajectory(trajectory, line)
-    parts: list[Part] = [*as_parts(trajectory.charts(line=course))]
+    parts: list[Part] = [*trajectory.charts(line=course)]
     sections = [Section("Trajectory", parts)]
     if course is None:
         parts.append(
@@ -404,7 +402,7 @@ def coast_down_sections(path: Path) -> list[Section]:
         facts_table("", {"trips": counted(len(found.trips), "trip"), "gradient": found.gradient})
     ]
     if found.curve is not None or found.pieces:
-        parts[:0] = as_parts(found.charts())
+        parts[:0] = found.charts()
     return [Section("Coast-down", [*parts, *found.shown()])]
 
 

@@ -32,7 +32,6 @@ from analysis.comparison.driven import SHORTEST_STOP
 from analysis.comparison.groups import TripCost, trip_cost
 from analysis.fleet.trips import TOPICS
 from analysis.reports.answers import Verdict, slip_words, summary_section, verdict
-from analysis.reports.charts import as_parts
 from analysis.reports.page import Part, Section, Warned
 from trainlog.arrays import FloatArray
 from trainlog.display import counted, lateness
@@ -438,7 +437,7 @@ def trip_charts(trip: Trip, *, zone: Zone = Zone()) -> list[Chart]:
 
 def _course(trip: Trip, zone: Zone) -> list[Part]:
     charts = _tried(lambda: trip_charts(trip, zone=zone))
-    return [Warned(f"{charts}.")] if isinstance(charts, TrainlogError) else list(as_parts(charts))
+    return [Warned(f"{charts}.")] if isinstance(charts, TrainlogError) else charts
 
 
 def _speed_curve(x: FloatArray, part: Motion, line: Line | None, zone: Zone) -> Curve:
