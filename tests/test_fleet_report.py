@@ -21,9 +21,14 @@ from analysis.fleet.naming import Cause, Explanation
 from analysis.fleet.trains import FleetTrains
 from analysis.fleet.unlike import Finding, UnlikeTrains
 from analysis.fleet.update import UpdateOptions, update_fleet
-from analysis.reports.fleet import FleetReportOptions, energy_sources, fleet_page
-from analysis.reports.fleet_attention import FleetFacts, attention_parts
-from analysis.reports.fleet_condition import lowest_parts
+from analysis.reports.fleet import (
+    FleetFacts,
+    FleetReportOptions,
+    attention_parts,
+    energy_sources,
+    fleet_page,
+    lowest_parts,
+)
 from analysis.reports.page import Page, Section
 from trainlog.catalogue import Catalogue, ResultOutcome, open_catalogue
 from trainlog.formats.railway import read_line, write_network

@@ -19,7 +19,7 @@ from analysis.fleet.mixed import Group, mixed_effects
 from analysis.fleet.plot import findings_charts
 from analysis.fleet.resistance import KindResistance, TrainResistance, fleet_resistance
 from analysis.fleet.trains import FleetTrains, fleet_trains, trains_in
-from analysis.reports.fleet_attention import FleetFacts, attention_parts
+from analysis.reports.fleet import FleetFacts, attention_parts
 from trainlog.cli.terminal import as_json_text
 from trainlog.errors import InputError, NotIdentifiableError
 

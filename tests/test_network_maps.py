@@ -27,7 +27,7 @@ from analysis.network.maps import (
     network_map,
     update_network_map,
 )
-from analysis.reports.fleet_condition import condition_parts, known_maps
+from analysis.reports.fleet import condition_parts, known_maps
 from trainlog.cli.main import app
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import sha256_of

@@ -332,10 +332,16 @@ class WordTable:
         """Add a row whose last cells may be left out."""
         self.add_cells(*cells, *[""] * (len(self.forms) - len(cells)))
 
-    def add_rows(self, rows: Iterable[Any]) -> WordTable:
-        """Add a row for each of some things: its cells are as the columns state (`Column.of`)."""
-        for row in rows:
+    def add_rows(self, rows: Iterable[Any], most: int | None = None) -> WordTable:
+        """Add a row for each of some things: its cells are as the columns state (`Column.of`).
+
+        Of more than `most` the others are counted under the table.
+        """
+        every = list(rows)
+        for row in every[:most]:
             self.add_cells(*(form.cell(row) for form in self.forms))
+        if most is not None and len(every) > most:
+            self.caption = f"{len(every) - most:,} more"
         return self
 
     def add_section(self) -> None:
@@ -646,9 +652,11 @@ def word_table(
     columns: Columns[Row],
     *,
     name: str = "",
-    caption: str | None = None,
+    most: int | None = None,
 ) -> WordTable:
     """A table of words: a row for each of some things, and for each heading what its cell says.
+
+    Of more than `most` rows the others are counted under the table.
 
     Examples
     --------
@@ -656,10 +664,11 @@ def word_table(
     >>> word_table("Speeds", [("a", 80.0), ("b", 64.2)], speeds).words
     [['a', '80'], ['b', '64']]
     """
-    table = new_table(title, *columns, name=name, caption=caption)
-    for row in rows:
-        table.add_cells(*(str(cell(row)) for cell in columns.values()))
-    return table
+    forms = [
+        Column(heading, of=lambda row, cell=cell: str(cell(row)))  # type: ignore[misc]
+        for heading, cell in columns.items()
+    ]
+    return replace(new_table(title, *forms, name=name).add_rows(rows, most), plain=True)
 
 
 def frame_table(name: str, frame: pd.DataFrame) -> WordTable:

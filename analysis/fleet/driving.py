@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from analysis.comparison.causes import LOST
 from analysis.comparison.driven import DrivenTrip, Stand
-from analysis.comparison.losses import lost_time
+from analysis.comparison.losses import LOST, lost_time
 from analysis.comparison.sections import (
     STOPPING_REACH,
     CommonRange,

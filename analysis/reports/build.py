@@ -47,7 +47,7 @@ from trainlog.formats.files import (
 from trainlog.formats.mapfile import MapFile
 from trainlog.formats.railway import line_of
 from trainlog.mcap import read_log
-from trainlog.presentation import WordTable, kwh, new_table
+from trainlog.presentation import Columns, WordTable, kwh, new_table, word_table
 from trainlog.progress import note
 from trainlog.railway import Line
 from trainlog.railway.kilometres import in_km
@@ -321,10 +321,8 @@ def _bad(problems: Mapping[str, str]) -> Iterator[Part]:
     if not problems:
         return
     yield Warned(f"{counted(len(problems), 'file')} could not be shown; the rest is not affected.")
-    table = new_table("Not shown", "file", "reason")
-    for name, words in problems.items():
-        table.add_row(name, words)
-    yield table
+    of: Columns[tuple[str, str]] = {"file": lambda row: row[0], "reason": lambda row: row[1]}
+    yield word_table("Not shown", problems.items(), of)
 
 
 ANSWERS = {

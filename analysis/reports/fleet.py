@@ -2,22 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from analysis.adhesion.condition_table import bins_table, with_ends
+from analysis.adhesion.map_plot import lowest_bins
 from analysis.charts import BLUE, GREEN, GREY, ORANGE, Chart, Curve, Panel, Rule
-from analysis.comparison.causes import LOST
-from analysis.comparison.losses import CAUSES
+from analysis.comparison.losses import CAUSES, LOST
 from analysis.fleet.analyses import ANALYSES, code_of, computation_of
+from analysis.fleet.channels import CHANNELS, raw_step
 from analysis.fleet.maps import maps_folder
+from analysis.fleet.plot import (
+    channels_over_time,
+    drift_charts,
+    findings_charts,
+    resistance_charts,
+)
 from analysis.fleet.trains import FleetTrains, trains_in
+from analysis.fleet.unlike import Step
 from analysis.fleet.update import form_of_reason
+from analysis.network.map_table import network_table
+from analysis.network.maps import NetworkMap, map_files, two_maps
 from analysis.reports.answers import (
     SPEED_OFF,
     doubts,
@@ -25,23 +36,25 @@ from analysis.reports.answers import (
     summary_section,
     verdict_counts,
 )
-from analysis.reports.fleet_attention import FleetFacts, attention_parts, attention_rows
-from analysis.reports.fleet_condition import KnownMaps, condition_parts, known_maps
-from analysis.reports.fleet_trains import drift_parts, resistance_parts, unlike_parts
-from analysis.reports.page import Page, Part, Section, Warned
+from analysis.reports.page import Page, Part, Section, Still, Warned
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
+from trainlog.formats.condition import read_map
 from trainlog.presentation import (
     DURATION,
     NUMBER,
+    POSITION,
     SHARE,
     Column,
+    Columns,
     Quantity,
     WordTable,
     facts_table,
     new_table,
+    word_table,
 )
 from trainlog.progress import note
+from trainlog.railway import Network, TrackConditionMap
 from trainlog.units import JOULES_PER_KWH
 from trainlog.version import __version__, code_version
 
@@ -504,9 +517,8 @@ def _quality(fleet: _Fleet) -> list[Part]:
         values = rows[name].to_numpy(np.float64)
         known = factor * np.abs(values[np.isfinite(values)])
         if known.size:
-            numbers.add_row(
-                words, *(f"{each:.3g}" for each in (*np.quantile(known, (0.5, 0.95)), known.max()))
-            )
+            figures = (*np.quantile(known, (0.5, 0.95)), known.max())
+            numbers.add_row(words, *(f"{each:.3g}" for each in figures))
     nothing = ["Nothing is doubtful."] if not table.rows else [table]
     return [*nothing, numbers]
 
@@ -529,3 +541,327 @@ def _sizes(percent: pd.Series, train: pd.Series) -> str:
             f"{name} ({len(own):,}; median {float(own.median()):+.2f} %, largest {largest:+.2f} %)"
         )
     return ", ".join(words)
+
+
+# ----------------------------------------------------------------- what asks for attention
+
+MOST_NAMES = 3
+"""Trains that a row names."""
+
+TO_DO = {
+    "dragging brake": "look for a friction brake that does not release",
+    "running resistance": "check bearings and gears, and what was coupled or loaded",
+    "mass": "weigh the train, or correct the empty mass in its file",
+    "effort gain": "calibrate the recorded efforts",
+    "wheel diameter": "set the diameter in the recorder; expected after wheels were turned or"
+    " changed",
+    "sensor delay": "check clock and filter of the recorded efforts",
+    "speed noise": "check the speed sensor and its cable",
+}
+"""What to do about each known fault."""
+
+UNKNOWN = "look at its trips before and after ('trainlog compare')"
+"""What to do about a change that no known fault explains."""
+
+NO_RESULT = {
+    "resistance": "no curve is known of it: record longer trips with coasting and several speeds",
+    "passport": "its gain, delay and mass are not known: see the reason below",
+    "adhesion": "it adds nothing to the maps: record the speeds of its axles (/train/axles)",
+    "driving": "its times and energy are not known: see the reason below",
+    "checks": "its recordings are not checked: see the reason below",
+}
+"""What follows where an analysis has no result of any trip of a train, and what to do."""
+
+
+@dataclass(frozen=True)
+class FleetFacts:
+    """What is looked through.
+
+    Attributes
+    ----------
+    trips : DataFrame
+        Of the catalogue.
+    trains : FleetTrains or str
+        What is known of the trains, or why nothing is.
+    outcomes : mapping of str to DataFrame
+        What became of each analysis of each trip.
+    checks : DataFrame
+        Results of the checks of the recordings.
+    """
+
+    trips: pd.DataFrame
+    trains: FleetTrains | str
+    outcomes: Mapping[str, pd.DataFrame]
+    checks: pd.DataFrame
+
+
+def attention_rows(facts: FleetFacts) -> list[Row]:
+    """What asks for attention, what is most urgent first."""
+    return [*_findings(facts), *_steps(facts), *_results(facts), *_recordings(facts)]
+
+
+def attention_parts(facts: FleetFacts) -> list[Part]:
+    """What asks for attention, what is most urgent first, each with what to do."""
+    rows = attention_rows(facts)
+    # Where little can be compared, no finding is no all-clear.
+    few = "" if isinstance(facts.trains, str) else facts.trains.too_few
+    warned: list[Part] = [Warned(few)] if few else []
+    if not rows:
+        words = (
+            "every analysis has results of every train, no train has a finding or a step, no log is"
+        )
+        return [f"Nothing: {words} damaged.", *warned]
+    table = new_table("", *ATTENTION, name="attention").add_rows(rows, MOST_ROWS)
+    return [table, *warned]
+
+
+Row = tuple[str, str, str, int | None, str]
+"""Train, what, since when, in how many trips, what to do."""
+
+ATTENTION = (
+    Column("train", of=lambda row: row[0]),
+    Column("what", of=lambda row: row[1]),
+    Column("since", of=lambda row: row[2]),
+    Column("trips", NUMBER, of=lambda row: row[3]),
+    Column("what to do", of=lambda row: row[4]),
+)
+
+
+def _findings(facts: FleetFacts) -> Iterator[Row]:
+    if isinstance(facts.trains, str):
+        yield "all", f"trains are not compared: {facts.trains}", "", None, "see the reason"
+        return
+    starts = facts.trips.groupby("train")["start"]
+    by_train = {str(name): each for name, each in starts}
+    for each in facts.trains.unlike.findings:
+        causes = [each.explanation.cause, *each.explanation.others]
+        known = [TO_DO[cause.what] for cause in causes if cause.what in TO_DO]
+        todo = known if each.explanation.explained else [UNKNOWN]
+        since = by_train.get(each.train, pd.Series(dtype="datetime64[ns, UTC]")) >= each.since
+        yield (
+            each.train, str(each.explanation), f"{each.since:%Y-%m-%d %H:%M}", int(since.sum()),
+            "; or ".join(dict.fromkeys(todo)) or UNKNOWN,
+        )  # fmt: skip
+
+
+def _steps(facts: FleetFacts) -> Iterator[Row]:
+    """Steps that are no finding, also of recordings that no train was compared by."""
+    unlike = None if isinstance(facts.trains, str) else facts.trains.unlike
+    steps = list(unlike.steps) if unlike else []
+    stated = {each.train for each in steps if each.channel == SPEED.name}
+    if unlike is not None:
+        stated |= {each.train for each in unlike.findings if each.channel == SPEED.name}
+    if "speed_scale" in facts.checks and "start" in facts.checks:
+        known = facts.checks[np.isfinite(facts.checks["speed_scale"].to_numpy(np.float64))]
+        for train, rows in known.sort_values("start").groupby("train"):
+            seen = raw_step(np.log(rows["speed_scale"].to_numpy(np.float64)), SPEED.tolerance)
+            if seen is not None and train not in stated:
+                at, size, deviations = seen
+                since, after = pd.Timestamp(rows["start"].iloc[at]), len(rows) - at
+                steps.append(Step(str(train), SPEED.name, "1", size, deviations, since, after))
+    for each in steps:
+        yield each.train, str(each), f"{each.since:%Y-%m-%d %H:%M}", each.trips, UNKNOWN
+
+
+SPEED = next(each for each in CHANNELS if each.name == "speed scale")
+
+
+def _results(facts: FleetFacts) -> Iterator[Row]:
+    """Results that are missing of all trips of a train, that failed, or are not computed yet."""
+    for name, outcomes in facts.outcomes.items():
+        pending = len(facts.trips) - len(outcomes)
+        if pending:
+            words = "not computed yet" if len(outcomes) else "not computed"
+            yield "all", f"{name}: {words}", "", pending, "'trainlog fleet update' computes it"
+        failed = outcomes[outcomes["state"] == "failed"]
+        if len(failed):
+            todo = "'trainlog fleet show --problems' lists them; a fault of trainlog: report it"
+            yield _named(failed["train"]), f"{name}: failed", "", len(failed), todo
+        done = (outcomes["state"] == "done").groupby(outcomes["train"].fillna("")).any()
+        lacking = outcomes[outcomes["train"].fillna("").isin(done.index[~done])]
+        if len(lacking):
+            yield (
+                _named(lacking["train"]), f"{name}: no trip gives a result", "", len(lacking),
+                NO_RESULT.get(name, "see the reason below"),
+            )  # fmt: skip
+
+
+def _recordings(facts: FleetFacts) -> Iterator[Row]:
+    rows = facts.checks
+    if rows.empty:
+        return
+    doubts = {
+        "damaged log": (rows["damage"] != "", "recover it: 'trainlog convert'"),
+        "a channel repeats its value while the train moves": (
+            rows["frozen"] != "", "check the sensor; its values are not used",
+        ),
+    }  # fmt: skip
+    for what, (chosen, todo) in doubts.items():
+        found = rows[chosen.to_numpy(bool)]
+        if len(found):
+            yield _named(found["train"]), what, "", len(found), todo
+
+
+def _named(trains: pd.Series) -> str:
+    """The trains, those with most trips first; of many a few and how many more."""
+    names = [str(each) for each in trains.replace("", np.nan).dropna().value_counts().index]
+    if not names:
+        return "not stated"
+    more = len(names) - MOST_NAMES
+    words = ", ".join(sorted(names[:MOST_NAMES]))
+    return words if more <= 0 else f"{words} and {counted(more, 'other')}"
+
+
+# ---------------------------------------------------------------------- condition of the rail
+
+MOST_PLACES = 10
+"""Places that are listed of each rail condition."""
+
+
+class KnownMaps(NamedTuple):
+    """Maps of edges by the evidence of the days before a time.
+
+    Attributes
+    ----------
+    maps : NetworkMap
+    at : Timestamp
+    nothing : str
+        Why nothing is known; empty where something is.
+    bad : list of str
+        Maps that could not be used, and why.
+    bins : DataFrame
+        Rows of `bins_table` of all of them.
+    """
+
+    maps: NetworkMap
+    at: pd.Timestamp
+    nothing: str
+    bad: list[str]
+    bins: pd.DataFrame
+
+
+def known_maps(
+    folder: Path, network: Network | None = None, at: pd.Timestamp | None = None
+) -> KnownMaps:
+    """The maps of all edges in a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        As `trainlog fleet update` keeps them: a file an edge.
+    network : Network, optional
+        On which they are drawn.
+    at : Timestamp, optional
+        Only evidence of days before its day counts (UTC). Default: right after the last evidence.
+    """
+    paths = map_files(folder)
+    read, bad = dict[str, tuple[TrackConditionMap, Path]](), list[str]()
+    several = set[str]()
+    for path in paths:
+        try:
+            track = read_map(path)
+        except TrainlogError as error:
+            bad.append(f"{path.name} could not be read: {error}.")
+            continue
+        if track.line in read:
+            several.add(track.line)
+            bad.append(f"{two_maps(track.line, read[track.line][1], path)}; left out.")
+        read[track.line] = track, path
+    tracks = {edge: track for edge, (track, _) in read.items() if edge not in several}
+    last = max((int(each.days.max(initial=-1)) for each in tracks.values()), default=-1)
+    at = pd.Timestamp(last + 1, unit="D", tz="UTC") if at is None else at
+    maps = NetworkMap(folder, network, tracks).known_before(at)
+    tables = [
+        bins_table(each, None, at).assign(line=edge)
+        for edge, each in maps.maps.items()
+        if each.layers
+    ]
+    before = f" of days before {at:%Y-%m-%d}" if 0 <= at.timestamp() // 86_400 <= last else ""
+    nothing = "" if tables else f"The maps hold no evidence{before} yet."
+    if not paths:
+        nothing = "No trip's evidence is in a map yet: 'trainlog fleet update' adds it."
+    return KnownMaps(maps, at, nothing, bad, pd.concat([*tables, pd.DataFrame()]))
+
+
+def condition_parts(known: KnownMaps) -> list[Part]:
+    """What is expected of the rail, where, and how sure that is."""
+    bad: list[Part] = [Warned(each) for each in known.bad]
+    if known.nothing:
+        return [*bad, known.nothing]
+    maps, at = known.maps, known.at
+    return [
+        *bad,
+        f"What is expected on {at:%Y-%m-%d %H:%M} UTC, by the maps of"
+        f" {counted(len(maps.maps), 'edge')}, on each condition of the rail. Where nothing was"
+        " observed the maps have no estimate.",
+        *maps.charts(at=at),
+        network_table(maps, at),
+        *(part for layer in maps.layers for part in lowest_parts(known.bins, layer)),
+    ]
+
+
+def lowest_parts(bins: pd.DataFrame, layer: str) -> list[Part]:
+    """The places with the least adhesion to count on, and how many are not listed."""
+    table = new_table(
+        f"Lowest adhesion to count on, condition of the rail: {layer}", Column("edge", of="line"),
+        Column("chainage on the edge", POSITION, "position",
+               of=lambda row: 0.5 * (row["start_m"] + row["end_m"])),
+        with_ends("expected", "expected"), Column("onsets", NUMBER, of="events"),
+        name=f"lowest_{layer}",
+    )  # fmt: skip
+    rows = lowest_bins(bins[bins["layer"] == layer], len(bins))
+    table.add_rows(rows.head(MOST_PLACES).to_dict("records"))
+    more = len(rows) - MOST_PLACES
+    words = f"{counted(more, 'more place')} apart from these: no lower than these."
+    return [table, *[words] * (more > 0)]
+
+
+# -------------------------------------------------------------------------- trains, and drift
+
+
+def resistance_parts(found: FleetTrains) -> list[Part]:
+    """Running resistance of each train against its kind."""
+    pictures = [Still(resistance_charts(kind, found)) for kind in found.resistance]
+    # Findings and limits have a section of their own.
+    return [*_few(found), *pictures, found.trains_table()]
+
+
+def unlike_parts(found: FleetTrains) -> list[Part]:
+    """Trains that are not like the others, with the rate of false alarms and what is not seen."""
+    unlike = found.unlike
+    parts: list[Part] = [*_few(found)]
+    if not unlike.findings:
+        parts.append(
+            f"No finding in {unlike.train_months:.1f} months of trains; what would not be seen is"
+            f" below. A healthy train raises an alarm in at most {100.0 * unlike.rate:g} % of"
+            " months."
+        )
+    else:
+        parts.append(found.findings_table())
+        parts.append(Still(findings_charts(found)))
+    return [*parts, found.limits_table()]
+
+
+def _few(found: FleetTrains) -> list[Part]:
+    return [Warned(found.too_few)] if found.too_few else []
+
+
+def drift_parts(found: FleetTrains) -> list[Part]:
+    """What changes over months."""
+    pictures: list[Part] = [
+        Still(drift_charts(kind.kind, found))
+        for kind in found.resistance
+        if channels_over_time(kind.kind, found)
+    ]
+    drifting = [str(each) for each in found.drift if each.drifts]
+    if not drifting:
+        words = "No channel of a train or kind has a trend whose 95 % band leaves out zero."
+        return [*pictures, words]
+    of: Columns[str] = {
+        "train or kind": lambda words: words.partition(": ")[0],
+        "channel and trend": lambda words: words.partition(": ")[2],
+    }
+    return [
+        *pictures,
+        word_table("Channels that drift", drifting, of, name="drift", most=MOST_ROWS),
+    ]

@@ -172,10 +172,8 @@ DRIVE_COLUMNS = (
 
 
 def _trips_table(fits: Fits) -> WordTable:
-    rows = fits.drives
-    more = len(rows) - MOST_ROWS
-    table = new_table("Each trip", *DRIVE_COLUMNS, caption=f"{more} more" if more > 0 else None)
-    return table.add_rows(rows.head(MOST_ROWS).to_dict("records"))
+    rows = fits.drives.to_dict("records")
+    return new_table("Each trip", *DRIVE_COLUMNS).add_rows(rows, MOST_ROWS)
 
 
 def _residuals(fits: Fits) -> list[Part]:
@@ -442,8 +440,7 @@ def _tables(path: Path) -> Iterable[Part]:
             width = max(map(len, rows))
             heads, *others = [each + [""] * (width - len(each)) for each in rows]
             table = new_table(title, *heads)
-            for each in others:
-                table.add_row(*each)
+            table.rows = [tuple(each) for each in others]
             yield table
             title, rows = "", []
         if line.startswith("**") and line.endswith("**"):

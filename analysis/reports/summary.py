@@ -27,7 +27,15 @@ from trainlog.formats.railway import (
     read_trajectory,
 )
 from trainlog.mcap.convert import span_of
-from trainlog.presentation import Presented, WordTable, kwh, new_table, overspeed, with_band
+from trainlog.presentation import (
+    Columns,
+    Presented,
+    WordTable,
+    kwh,
+    overspeed,
+    with_band,
+    word_table,
+)
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.train import ParameterSet
 from trainlog.railway.trajectory import Trajectory
@@ -64,10 +72,12 @@ class Report(Presented):
 
     def tables(self) -> list[WordTable]:
         """A row per result."""
-        table = new_table(self.title, "", "result", "in", name="results")
-        for row in self.rows:
-            table.add_row(*row)
-        return [table]
+        of: Columns[tuple[str, str, str]] = {
+            "": lambda row: row[0],
+            "result": lambda row: row[1],
+            "in": lambda row: row[2],
+        }
+        return [word_table(self.title, self.rows, of, name="results")]
 
 
 def report(folder: str | Path) -> Report:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -40,7 +40,7 @@ from trainlog.formats.railway import line_of, passport_of
 from trainlog.ingest.report import report_of
 from trainlog.mcap import describe, read_log
 from trainlog.mcap.description import LogDescription
-from trainlog.presentation import WordTable, facts_table, kwh, new_table
+from trainlog.presentation import Columns, WordTable, facts_table, kwh, word_table
 from trainlog.railway import Line
 from trainlog.railway.kilometres import in_km, station_at
 from trainlog.resampling import interpolated
@@ -492,21 +492,19 @@ def _stops_part(trip: Trip, motion: Motion, line: Line | None, zone: Zone) -> li
     calls = station_calls(motion, line)
     if not calls:
         return []
-    table = new_table(
-        "", "station", _km_heading(trip, line), f"arrival ({zone.name})", "departure", "dwell", ""
-    )
-    for call in calls:
-        place = float(in_km(line, call.position))
-        name = call.name or "on the line"
-        arrival, departure = (
-            "" if each is None else zone.time(each) for each in (call.arrival, call.departure)
-        )
-        dwell = "" if call.dwell is None else f"{call.dwell:.0f} s"
-        if not call.stopped:
-            arrival = ""
-        note = "" if call.stopped else "passes"
-        table.add_row(name, f"{place:.3f}", arrival, departure, dwell, note)
-    return [table]
+
+    def at(time: pd.Timestamp | None) -> str:
+        return "" if time is None else zone.time(time)
+
+    of: Columns[StationCall] = {
+        "station": lambda call: call.name or "on the line",
+        _km_heading(trip, line): lambda call: f"{float(in_km(line, call.position)):.3f}",
+        f"arrival ({zone.name})": lambda call: at(call.arrival) if call.stopped else "",
+        "departure": lambda call: at(call.departure),
+        "dwell": lambda call: "" if call.dwell is None else f"{call.dwell:.0f} s",
+        "": lambda call: "" if call.stopped else "passes",
+    }
+    return [word_table("", calls, of)]
 
 
 def _energy(cost: object) -> list[Part]:
@@ -549,23 +547,22 @@ def _slip_table(found: SlipAnalysis, line: Line, km: str, zone: Zone) -> WordTab
     worst = events["peak_slip"].abs().nlargest(MOST_EVENTS).index
     chosen = events.loc[worst].sort_values("start")
     more = len(events) - len(chosen)
-    table = new_table(
-        "Slip events", f"time ({zone.name})", km, "axle", "in", "lasts", "largest slip",
-        "adhesion",
-        caption=f"the {len(chosen)} of the largest slip; {more} more" if more else None,
-    )  # fmt: skip
-    for each in chosen.to_dict("records"):
-        place, slipped = float(in_km(line, each["position"])), KMH * abs(each["peak_slip"])
-        adhesion = f"{abs(each['adhesion']):.3f} ± {1.96 * each['adhesion_std']:.3f}"
-        table.add_row(
-            zone.time(each["start"]),
-            f"{place:.3f}",
-            str(each["axle"]),
-            each["kind"],
-            f"{each['duration']:.1f} s",
-            f"{slipped:.1f} km/h",
-            adhesion if each["measured"] else f"{adhesion} (not the maximum)",
-        )
+
+    def adhesion(row: Mapping[str, Any]) -> str:
+        words = f"{abs(row['adhesion']):.3f} ± {1.96 * row['adhesion_std']:.3f}"
+        return words if row["measured"] else f"{words} (not the maximum)"
+
+    of: Columns[Mapping[str, Any]] = {
+        f"time ({zone.name})": lambda row: zone.time(row["start"]),
+        km: lambda row: f"{float(in_km(line, row['position'])):.3f}",
+        "axle": lambda row: row["axle"],
+        "in": lambda row: row["kind"],
+        "lasts": lambda row: f"{row['duration']:.1f} s",
+        "largest slip": lambda row: f"{KMH * abs(row['peak_slip']):.1f} km/h",
+        "adhesion": adhesion,
+    }
+    table = word_table("Slip events", chosen.to_dict("records"), of)
+    table.caption = f"the {len(chosen)} of the largest slip; {more} more" if more else None
     return table
 
 

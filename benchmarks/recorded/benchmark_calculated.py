@@ -28,7 +28,7 @@ from benchmark_passport import recorded
 from recordings import PAIRS, line_and_train
 
 from analysis.comparison.calculated import calculate, judged_together
-from analysis.comparison.diagnosis import Diagnosis
+from analysis.comparison.calculated import Diagnosis
 from analysis.resistance.logs import fit
 from trainlog.errors import TrainlogError
 from trainlog.railway import RunningResistance, Train
