@@ -458,7 +458,7 @@ def test_a_long_log_is_read_in_pieces_with_the_same_result(
     write_log(stopping(), tmp_path / "trip.mcap")
     whole = driven_trip(stopping())
     for rows in (3_000, 50_000):
-        monkeypatch.setattr("analysis.comparison.reading.ROWS", rows)
+        monkeypatch.setattr("analysis.comparison.driven.ROWS", rows)
         found = driven_trip(tmp_path / "trip.mcap")
         np.testing.assert_allclose(found.running, whole.running, atol=1e-9)
         np.testing.assert_allclose(found.sums["traction"], whole.sums["traction"], rtol=1e-9)

@@ -40,6 +40,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import f as f_distribution
 
+from analysis.comparison.compare import sections_between, with_units
 from analysis.comparison.driven import DrivenTrip, driven_trip
 from analysis.comparison.energy import (
     HEAD_WIND,
@@ -50,7 +51,6 @@ from analysis.comparison.energy import (
     smooth_speed,
     trip_spread,
 )
-from analysis.comparison.sections import sections_between, with_units
 from analysis.given import Given, trip_of
 from analysis.passports import estimated_passport, with_effort_delay
 from analysis.resistance.fit import TripFit, fit_trip, scale_of
@@ -471,8 +471,7 @@ class Cells:
         first, last = trip.covered
         sections = sections_between(trip.line, first, last)
         inner = np.arange(first + STEP, last - 0.5 * STEP, STEP)
-        apart = np.min(np.abs(inner[:, None] - sections.edges), axis=1) >= 0.2 * STEP
-        nodes = np.unique(np.concatenate((inner[apart], sections.edges)))
+        nodes = sections.with_edges(inner, STEP)
         middle, step = 0.5 * (nodes[1:] + nodes[:-1]), np.diff(nodes)
         speed = smooth_speed(trip, nodes)
 
@@ -565,12 +564,9 @@ class _Variant:
 
     def mirrored(self, own: _Variant) -> _Variant:
         """As far to the other side of the model as it is."""
-        names = ("r0", "r1", "r2")
-        resistance = [
-            2.0 * getattr(own.resistance, name) - getattr(self.resistance, name) for name in names
-        ]
+        resistance = 2.0 * own.resistance.coefficients - self.resistance.coefficients
         return _Variant(
-            RunningResistance(*resistance),
+            RunningResistance(*resistance.tolist()),
             2.0 * own.mass - self.mass,
             2.0 - self.gain,
             -self.slope,

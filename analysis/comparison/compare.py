@@ -1,4 +1,27 @@
-"""Trips over a line compared by position: times, losses with their causes, energy, driving."""
+"""Trips over a line compared by position: times, losses with their causes, energy, driving.
+
+Sections between stations: what a trip took in each, and what two trips have in common.
+
+Where a trip lost time against a reference, and why: every second has one cause.
+
+The running time (without stands) of both trips is compared in cells of some metres, the stands by
+station. What is attributed to what:
+
+1. A difference of dwell at a station where both stop is ``dwell``; where only one stops it is
+   ``stop``; a stand off the stations is ``held``. The difference of departure is ``start``, where
+   trips are compared by the time of day.
+2. Cells in which a position is missing, or was corrected by a jump, are ``recording``.
+3. The stretch of an event has the event's cause. Events are: a stop that only one of the trips
+   makes (``stop``); a stand off a station, or a crawl below half of the speed that limit and
+   the other trip allow, after braking (``held``); a lower limit than the other trip's that binds
+   (``limit``); slip (``slip``). A stretch reaches back to where the train began to slow down for it
+   (not for slip), and on to where it has the other trip's speed again or gains no more. Where
+   stretches overlap, ``stop`` and ``held`` come before ``limit``, that before ``slip``.
+4. Elsewhere a slower train that gave all the effort it had is ``full effort`` (load, power or
+   wind); any other is ``slower``, a faster one ``faster``.
+
+Time that the reference lost in one of these ways is gained: the same cause, with a negative sign.
+"""
 
 from __future__ import annotations
 
@@ -11,17 +34,10 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
-from analysis.comparison.driven import DrivenTrip, driven_trip, planned_trip
+from analysis.comparison.driven import UNKNOWN_TIME, DrivenTrip, Stand, driven_trip, planned_trip
 from analysis.comparison.energy import ForceModel, Normalised, normalised_energy
-from analysis.comparison.losses import Lost, lost_time
-from analysis.comparison.sections import (
-    Sections,
-    common_range,
-    section_table,
-    sections_between,
-    with_units,
-)
 from analysis.given import Given, each_given
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted, span
 from trainlog.errors import InputError, TrainlogError
 from trainlog.presentation import (
@@ -34,13 +50,692 @@ from trainlog.presentation import (
     Band,
     Column,
     Presented,
+    Quantity,
     Said,
     WordTable,
     new_table,
 )
 from trainlog.railway import Line, ParameterSet, Trajectory
-from trainlog.railway.kilometres import in_km
+from trainlog.railway.kilometres import STATION_REACH, in_km, km_words, station_at
+from trainlog.spans import runs_of
 from trainlog.units import KMH, clock
+
+EXCESS = 1.0 / KMH
+"""Speed over the limit [m/s] from which it is stated: less is within what speeds are known to."""
+
+STOPPING_REACH = 50.0
+"""A trip that goes so far into a section [m] stopped at the station before it."""
+
+
+UNITS = {
+    "kg": "mass mass_std",
+    "m": "first last first_in_common last_in_common excess_distance",
+    "s": "running_time stood dwell lateness lost duration time calculated_time time_std",
+    "m_s": "excess off_advised_speed speed_rms",
+    "J": "traction braking dynamic_braking line work calculated_work work_std"
+    " normalised_traction normalised_traction_std",
+}
+"""Columns of tables of trips and sections, by the SI unit that ends their names in files."""
+
+
+def with_units(table: pd.DataFrame) -> pd.DataFrame:
+    """The table with the SI units of its columns at the ends of their names."""
+    units = {name: unit for unit, names in UNITS.items() for name in names.split()}
+    named = {name: f"{name}_{units[name]}" for name in table if name in units}
+    found = table.rename(columns=named)
+    found.attrs["units"] = {named[n]: Quantity(units[n], "").si_unit for n in named}
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Sections:
+    """Consecutive sections of a line.
+
+    Attributes
+    ----------
+    edges : (n + 1,) array [m]
+    ends : tuple of n + 1 str
+        Station at each edge, or its kilometre.
+    """
+
+    edges: FloatArray
+    ends: tuple[str, ...]
+
+    @property
+    def names(self) -> list[str]:
+        """Of each section: both its ends."""
+        return [f"{first} - {last}" for first, last in zip(self.ends, self.ends[1:], strict=False)]
+
+    def of(self, position: float) -> int:
+        """Number of the section that holds a position [m]."""
+        found = int(np.searchsorted(self.edges, position, side="right")) - 1
+        return min(max(found, 0), self.edges.size - 2)
+
+    def with_edges(self, nodes: FloatArray, step: float) -> FloatArray:
+        """Nodes of cells as long as a step [m], and the edges, without a sliver beside one."""
+        apart = np.min(np.abs(nodes[:, None] - self.edges), axis=1) >= 0.2 * step
+        return np.unique(np.concatenate((nodes[apart], self.edges)))
+
+    def edge_of(self, stand: Stand) -> int | None:
+        """Number of the edge at whose station a train stands; None where it stands in a section."""
+        if not stand.station:
+            return None
+        near = np.flatnonzero(np.abs(self.edges - stand.position) <= 2.0 * STATION_REACH)
+        return next((int(edge) for edge in near if self.ends[edge] == stand.station), None)
+
+
+def sections_between(line: Line, first: float, last: float) -> Sections:
+    """The line's sections from one position to another.
+
+    Parameters
+    ----------
+    line : Line
+        As travelled.
+    first, last : float [m]
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> sections_between(line, 5_000.0, line.length).names
+    ['km 5.000 - Gossau SG', 'Gossau SG - Flawil', 'Flawil - Uzwil', 'Uzwil - Wil']
+    """
+    within = [
+        station.position
+        for station in line.stations
+        if first + STATION_REACH < station.position < last - STATION_REACH
+    ]
+    edges = np.array([first, *within, last])
+    # A station comes twice where two are nearer to each other than trains are to their stops.
+    edges = edges[np.concatenate(([True], np.diff(edges) > 0.0))]
+    names = [station_at(line, float(edge)) or km_words(line, float(edge)) for edge in edges]
+    return Sections(edges, tuple(names))
+
+
+def section_table(trip: DrivenTrip, sections: Sections) -> pd.DataFrame:
+    """What a trip took in each section; NaN where it is not recorded.
+
+    Parameters
+    ----------
+    trip : DrivenTrip
+    sections : Sections
+        Sections that the trip did not run through are left out; of the others the part it ran.
+
+    Returns
+    -------
+    DataFrame
+        Indexed by section, in SI units: ``first``, ``last`` [m], ``covered`` (share of the
+        section), ``running_time`` [s] without stands, ``stood`` [s] in the section off its
+        stations, ``dwell`` [s] at the station where it ends, ``traction``, ``braking`` (all
+        brakes), ``dynamic_braking`` [J] at the wheel rims, ``line`` [J], ``coasting`` (share of
+        the distance), ``excess`` [m/s] largest, ``excess_distance`` [m], ``slips`` (number),
+        ``off_advised_speed`` [m/s] from the speed that it followed, ``lateness`` [s] at its end.
+
+    Examples
+    --------
+    >>> from analysis.comparison.driven import driven_trip
+    >>> trip = driven_trip("sample_logs/stopping.mcap")
+    >>> found = section_table(trip, sections_between(trip.line, *trip.covered))
+    >>> found["dwell"].round(1).tolist()
+    [41.5, 43.8, 41.2, 0.0]
+    """
+    low = np.clip(sections.edges[:-1], *trip.covered)
+    high = np.clip(sections.edges[1:], *trip.covered)
+    ran = np.flatnonzero(high - low > STOPPING_REACH)
+    low, high = low[ran], high[ran]
+    if ran.size and abs(trip.covered[0] - low[0]) <= STOPPING_REACH:
+        low[0] = trip.covered[0]
+    if ran.size and abs(trip.covered[1] - high[-1]) <= STOPPING_REACH:
+        high[-1] = trip.covered[1]
+    index = pd.Index([sections.names[row] for row in ran], name="section")
+    whole = sections.edges[ran + 1] - sections.edges[ran]
+    stood, dwell = np.zeros(ran.size), np.zeros(ran.size)
+    rows = {int(section): row for row, section in enumerate(ran)}
+    for stand in trip.stands:
+        edge = sections.edge_of(stand)
+        row = rows.get(sections.of(stand.position) if edge is None else edge - 1)
+        if row is not None:
+            (stood if edge is None else dwell)[row] += stand.duration
+
+    def between(values: FloatArray) -> FloatArray:
+        return np.asarray(trip.at(values, high) - trip.at(values, low))
+
+    found = {
+        "first": low,
+        "last": high,
+        "covered": (high - low) / whole,
+        "running_time": between(trip.running),
+        "stood": stood,
+        "dwell": dwell,
+        **_energies(trip, between),
+        **_driving(trip, low, high),
+    }
+    return pd.DataFrame(found, index=index)
+
+
+def _energies(trip: DrivenTrip, between: object) -> dict[str, FloatArray]:
+    """Work at the wheels and energy from the line of each section [J]."""
+    assert callable(between)
+    count = between(trip.running).size
+    unknown = np.full(count, np.nan)
+    sums = trip.sums
+    found = dict.fromkeys(("traction", "braking", "dynamic_braking", "line"), unknown)
+    if "traction" in sums:
+        gaps = between(sums["unknown_effort"]) > UNKNOWN_TIME
+        brakes = {
+            name: np.where(
+                between(sums[f"unknown_{name}"]) > UNKNOWN_TIME, np.nan, between(sums[name])
+            )
+            for name in ("dynamic_braking", "pneumatic_braking")
+            if name in sums
+        }
+        found["traction"] = np.where(gaps, np.nan, between(sums["traction"]))
+        if "dynamic_braking" in sums:
+            found["dynamic_braking"] = brakes["dynamic_braking"]
+        if len(brakes) == 2:
+            found["braking"] = np.sum(list(brakes.values()), axis=0)
+    if "supply" in sums:
+        gaps = between(sums["unknown_supply"]) > UNKNOWN_TIME
+        found["line"] = np.where(gaps, np.nan, between(sums["supply"]))
+    elif trip.train is not None and "traction" in sums:
+        fed_back = found["dynamic_braking"] if "dynamic_braking" in sums else 0.0
+        found["line"] = (
+            found["traction"] / trip.train.efficiency_traction
+            - trip.train.efficiency_regeneration * fed_back
+        )
+    return found
+
+
+def _driving(trip: DrivenTrip, low: FloatArray, high: FloatArray) -> dict[str, FloatArray]:
+    """Coasting, excess speed, slip and how well advice was followed, by section."""
+    step = np.diff(trip.position, prepend=trip.position[0])
+    over = trip.speed - trip.limit
+    number = np.searchsorted(high, trip.position, side="left")
+    inside = (number < high.size) & (trip.position >= low[0])
+    bins = np.where(inside, number, high.size)
+
+    def summed(values: FloatArray) -> FloatArray:
+        sums = np.bincount(bins, weights=values, minlength=high.size + 1)
+        return np.asarray(sums[: high.size], dtype=np.float64)
+
+    unknown = np.full(high.size, np.nan)
+    found = {
+        "coasting": unknown,
+        "slips": unknown,
+        "off_advised_speed": unknown,
+        "lateness": unknown,
+    }
+    distance = np.maximum(summed(step), 1e-9)
+    if "coasting" in trip.flags:
+        found["coasting"] = summed(step * trip.flags["coasting"]) / distance
+    largest = np.full(high.size + 1, -np.inf)
+    np.maximum.at(largest, bins, over)
+    excess = np.where(largest[: high.size] > EXCESS, largest[: high.size], 0.0)
+    found |= {"excess": excess, "excess_distance": summed(step * (over > EXCESS))}
+    if trip.slips is not None:
+        places = np.interp(trip.slips, trip.time, trip.position)
+        row = np.searchsorted(high, places, side="left")
+        kept = (row < high.size) & (places >= low[0])
+        found["slips"] = np.bincount(row[kept], minlength=high.size)[: high.size].astype(float)
+    if "reference_speed" in trip.signals:
+        off = trip.speed - trip.signals["reference_speed"]
+        known = np.isfinite(off)
+        squares = summed(np.where(known, step * np.nan_to_num(off) ** 2, 0.0))
+        found["off_advised_speed"] = np.sqrt(squares / np.maximum(summed(step * known), 1e-9))
+    if "lateness" in trip.signals:
+        found["lateness"] = trip.at(trip.signals["lateness"], high)
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class CommonRange:
+    """Where two trips can be compared.
+
+    Attributes
+    ----------
+    first, last : float [m]
+    starts, ends : bool
+        Both depart at `first` and arrive at `last`: there each is at its own end, though one stood
+        some metres further on.
+    """
+
+    first: float
+    last: float
+    starts: bool
+    ends: bool
+
+
+def common_range(trip: DrivenTrip, reference: DrivenTrip) -> CommonRange | None:
+    """What two trips over a line have in common; None where that is less than a kilometre."""
+    first = max(trip.covered[0], reference.covered[0])
+    last = min(trip.covered[1], reference.covered[1])
+    if last - first < 1000.0:
+        return None
+    both = (trip, reference)
+    starts = all(_stands_at(each, 0) for each in both) and _near(trip, reference, 0)
+    ends = all(_stands_at(each, -1) for each in both) and _near(trip, reference, -1)
+    return CommonRange(first, last, starts, ends)
+
+
+def _stands_at(trip: DrivenTrip, end: int) -> bool:
+    """Whether the trip begins or ends with a stand."""
+    return bool(trip.stands) and abs(trip.stands[end].position - trip.covered[end]) < 1.0
+
+
+def _near(trip: DrivenTrip, reference: DrivenTrip, end: int) -> bool:
+    return abs(trip.covered[end] - reference.covered[end]) <= STATION_REACH
+
+
+def running_times(trip: DrivenTrip, nodes: FloatArray, common: CommonRange) -> FloatArray:
+    """Time without stands [s] at which a trip reaches each node of a common range."""
+    found = trip.at(trip.running, nodes)
+    if common.starts:
+        found[0] = 0.0
+    if common.ends:
+        found[-1] = trip.running[-1]
+    return np.asarray(found)
+
+
+def counted_stands(trip: DrivenTrip, common: CommonRange) -> list[Stand]:
+    """Stands in a common range; at an end where only one of two trips ends they do not count."""
+    low = common.first if common.starts else common.first + STATION_REACH
+    high = common.last if common.ends else common.last - STATION_REACH
+    if common.starts:
+        low = -np.inf
+    if common.ends:
+        high = np.inf
+    return [each for each in trip.stands if low < each.position < high]
+
+
+CELL = 10.0
+"""Length of the cells [m]."""
+
+SAME_SPEED = 0.3
+"""Speeds this near to each other [m/s] are the same."""
+
+REVERSAL = 0.5
+"""Fall of the speed below its highest [m/s] at which a train gains, or gives up, speed no more."""
+
+LIMIT_STEP = 0.5
+"""Limits differ from here on [m/s]."""
+
+CRAWL_SHARE = 0.5
+"""Of what limit and the other trip allow: below it a train that was braked crawls."""
+
+CRAWL_REACH = 500.0
+"""So near to a stop [m] low speeds belong to the stop."""
+
+SMOOTHED = 100.0
+"""Over so many metres to either side it is decided whether a train was slower or faster."""
+
+RECOVERY = 15_000.0
+"""Longest stretch behind an event [m] that is attributed to it."""
+
+ROUNDING = 1e-9
+"""Seconds that are none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """Time lost against the reference by one cause in one section or at one station.
+
+    Attributes
+    ----------
+    seconds : float [s]
+        Negative where time was gained.
+    cause : str
+        One of `CAUSES`.
+    place : str
+        Section, or ``"at"`` a station.
+    section : int
+        Number of the section; of a station that of the section before it.
+    first, last : float [m]
+        Where it was lost.
+    """
+
+    seconds: float
+    cause: str
+    place: str
+    section: int
+    first: float
+    last: float
+
+    @property
+    def words(self) -> str:
+        """The cause in words."""
+        return (CAUSES if self.seconds >= 0.0 else GAINED)[self.cause]
+
+
+@dataclass(frozen=True, eq=False)
+class Lost:
+    """Time lost by a trip against its reference.
+
+    Attributes
+    ----------
+    total : float [s]
+        Sum of all losses.
+    losses : tuple of Loss
+        Those that cost most first.
+    position : (n + 1,) array [m]
+        Nodes of the cells.
+    behind : (n + 1,) array [s]
+        Time lost up to each node, stands included.
+    """
+
+    total: float
+    losses: tuple[Loss, ...]
+    position: FloatArray
+    behind: FloatArray
+
+    def by_cause(self) -> dict[str, float]:
+        """Seconds by cause, the largest first."""
+        found: dict[str, float] = {}
+        for loss in self.losses:
+            found[loss.cause] = found.get(loss.cause, 0.0) + loss.seconds
+        return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+    def by_section(self, count: int) -> FloatArray:
+        """Seconds of each of `count` sections, with the station where it ends."""
+        found = np.zeros(count)
+        for loss in self.losses:
+            found[min(max(loss.section, 0), count - 1)] += loss.seconds
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """One of two trips in the cells of their common range; arrays (n,)."""
+
+    trip: DrivenTrip
+    nodes: FloatArray
+    running: FloatArray
+    speed: FloatArray
+    limit: FloatArray
+    slip: BoolArray
+    full: BoolArray
+    stands: list[Stand]
+
+    @staticmethod
+    def of(trip: DrivenTrip, nodes: FloatArray, common: CommonRange) -> _Cells:
+        middle = 0.5 * (nodes[1:] + nodes[:-1])
+        none = np.zeros(middle.size, dtype=np.bool_)
+
+        def often(flag: str, share: float) -> BoolArray:
+            if flag not in trip.flags:
+                return none
+            return np.asarray(trip.share_of(flag, nodes) > share)
+
+        return _Cells(
+            trip,
+            nodes,
+            np.diff(running_times(trip, nodes, common)),
+            trip.at(trip.speed, middle),
+            _limit(trip, middle),
+            often("slip", 0.2),
+            often("full_effort", 0.5),
+            counted_stands(trip, common),
+        )
+
+    @property
+    def ends(self) -> list[Stand]:
+        """Stands at which the trip itself begins or ends."""
+        return [each for each in self.trip.stands if each.duration == 0.0]
+
+
+def _limit(trip: DrivenTrip, position: FloatArray) -> FloatArray:
+    """Permitted speed at each position [m/s]; a recorded limit that is lower counts."""
+    stated = trip.permitted(position)
+    if "limit" not in trip.signals:
+        return stated
+    row = np.clip(np.rint(trip.sample_at(position)).astype(np.int64), 0, trip.time.size - 1)
+    return np.fmin(stated, trip.signals["limit"][row])
+
+
+def lost_time(
+    trip: DrivenTrip,
+    reference: DrivenTrip,
+    common: CommonRange,
+    sections: Sections,
+    *,
+    by_time_of_day: bool = False,
+) -> Lost:
+    """Where and why a trip lost time against a reference.
+
+    Parameters
+    ----------
+    trip, reference : DrivenTrip
+    common : CommonRange
+    sections : Sections
+        Of the common range.
+    by_time_of_day : bool
+        The difference of departure counts, by the time of day.
+
+    Returns
+    -------
+    Lost
+        The losses sum up to the total, those of a section to what was lost in it.
+    """
+    nodes = _nodes(common, sections)
+    mine, other = _Cells.of(trip, nodes, common), _Cells.of(reference, nodes, common)
+    lost = mine.running - other.running
+    causes = _causes(mine, other, lost)
+    losses = [*_of_cells(lost, causes, nodes, sections), *_of_stands(mine, other, sections)]
+    started = 0.0
+    if by_time_of_day:
+        started = _later_start(trip, reference, common)
+        place = f"at {sections.ends[0]}"
+        losses.append(Loss(started, "start", place, 0, common.first, common.first))
+    total = float(sum(each.seconds for each in losses))
+    losses = [each for each in losses if abs(each.seconds) > ROUNDING]
+    behind = started + np.concatenate(([0.0], np.cumsum(lost)))
+    for stands, sign in ((mine.stands, 1.0), (other.stands, -1.0)):
+        for stand in stands:
+            behind = behind + sign * stand.duration * (nodes > min(stand.position, nodes[-2]))
+    ordered = sorted(losses, key=lambda each: (-each.seconds, each.first, each.cause))
+    return Lost(total, tuple(ordered), nodes, behind)
+
+
+def _nodes(common: CommonRange, sections: Sections) -> FloatArray:
+    """Nodes of the cells: multiples of `CELL`, and the edges of the sections."""
+    inner = CELL * np.arange(np.ceil(common.first / CELL), np.floor(common.last / CELL) + 1.0)
+    return sections.with_edges(inner, CELL)
+
+
+def _later_start(trip: DrivenTrip, reference: DrivenTrip, common: CommonRange) -> float:
+    """By how much the trip is later at the first common position, by the time of day [s]."""
+    day = 86_400.0
+    times = [
+        each.departure / 1e9 + (0.0 if common.starts else float(each.at(each.time, common.first)))
+        for each in (trip, reference)
+    ]
+    return float((times[0] - times[1] + 0.5 * day) % day - 0.5 * day)
+
+
+def _of_stands(mine: _Cells, other: _Cells, sections: Sections) -> list[Loss]:
+    """Differences of dwell, by station, and stands off the stations."""
+    found = []
+    for edge, name in enumerate(sections.ends):
+        at = [[s for s in each.stands if sections.edge_of(s) == edge] for each in (mine, other)]
+        dwell = [sum(stand.duration for stand in stands) for stands in at]
+        ends = [any(sections.edge_of(s) == edge for s in each.ends) for each in (mine, other)]
+        both = all(stands or end for stands, end in zip(at, ends, strict=True))
+        where = float(np.mean([stand.position for stands in at for stand in stands] or [0.0]))
+        cause = "dwell" if both else "stop"
+        section = max(edge - 1, 0)
+        found.append(Loss(dwell[0] - dwell[1], cause, f"at {name}", section, where, where))
+    for each, sign in ((mine, 1.0), (other, -1.0)):
+        for stand in each.stands:
+            if sections.edge_of(stand) is None:
+                number = sections.of(stand.position)
+                seconds, where = sign * stand.duration, stand.position
+                cause = "stop" if stand.station else "held"
+                found.append(Loss(seconds, cause, sections.names[number], number, where, where))
+    return found
+
+
+def _of_cells(
+    lost: FloatArray, causes: IntArray, nodes: FloatArray, sections: Sections
+) -> list[Loss]:
+    """Running time lost by section and cause."""
+    section = np.clip(
+        np.searchsorted(sections.edges, nodes[:-1], side="right") - 1, 0, sections.edges.size - 2
+    )
+    names = list(CAUSES)
+    found = []
+    for number, cause in sorted(set(zip(section.tolist(), causes.tolist(), strict=True))):
+        cells = np.flatnonzero((section == number) & (causes == cause))
+        found.append(
+            Loss(
+                float(lost[cells].sum()),
+                names[cause],
+                sections.names[number],
+                int(number),
+                float(nodes[cells[0]]),
+                float(nodes[cells[-1] + 1]),
+            )
+        )
+    return found
+
+
+def _causes(mine: _Cells, other: _Cells, lost: FloatArray) -> IntArray:
+    """Number of the cause of each cell, in the order of `CAUSES`."""
+    number = {name: row for row, name in enumerate(CAUSES)}
+    slower = _smoothed(lost) > 0.0
+    causes = np.where(slower, number["slower"], number["faster"])
+    causes[slower & mine.full] = number["full effort"]
+    causes[~slower & other.full] = number["full effort"]
+    for kind in ("slip", "limit", "held", "stop"):
+        for each, against in ((other, mine), (mine, other)):
+            for first, last in _events(kind, each, against):
+                causes[_stretch(first, last, each, against, back=kind != "slip")] = number[kind]
+    for each in (mine, other):
+        if "doubtful" in each.trip.flags:
+            edges = mine.nodes
+            places = each.trip.position[each.trip.flags["doubtful"]]
+            before = each.trip.position[np.flatnonzero(each.trip.flags["doubtful"]) - 1]
+            for low, high in zip(before.tolist(), places.tolist(), strict=True):
+                causes[(edges[1:] > low) & (edges[:-1] < high)] = number["recording"]
+    return causes.astype(np.int64)
+
+
+def _smoothed(lost: FloatArray) -> FloatArray:
+    width = 2 * round(SMOOTHED / CELL) + 1
+    if lost.size < width:
+        return np.full(lost.size, lost.mean())
+    return np.convolve(np.pad(lost, width // 2, mode="edge"), np.ones(width) / width, mode="valid")
+
+
+def _events(kind: str, mine: _Cells, other: _Cells) -> Iterable[tuple[int, int]]:
+    """First and last cell of each event of one trip that the other does not have."""
+    if kind == "slip":
+        return _runs(mine.slip & ~other.slip & (mine.speed < other.speed - SAME_SPEED))
+    if kind == "limit":
+        lower = mine.limit < other.limit - LIMIT_STEP
+        return _runs(lower & (other.speed > mine.limit - LIMIT_STEP))
+    stations = kind == "stop"
+    found = [
+        (cell, cell)
+        for stand in (*mine.stands, *(mine.ends if stations else ()))
+        if bool(stand.station) == stations and not _stands_near(other, stand)
+        for cell in [_cell(mine, stand.position)]
+        if cell is not None
+    ]
+    return found if stations else [*found, *_crawls(mine, other)]
+
+
+def _runs(flags: BoolArray) -> list[tuple[int, int]]:
+    return [(begin, end - 1) for begin, end in runs_of(flags)]
+
+
+def _stands_near(cells: _Cells, stand: Stand) -> bool:
+    """Whether a trip stands where the other does."""
+    every = (*cells.stands, *cells.ends)
+    return any(
+        abs(each.position - stand.position) <= STATION_REACH
+        or (stand.station and each.station == stand.station)
+        for each in every
+    )
+
+
+def _cell(cells: _Cells, position: float) -> int | None:
+    """Number of the cell at a position; None outside of them all."""
+    low, high = cells.nodes[[0, -1]]
+    if not low - STATION_REACH <= position <= high + STATION_REACH:
+        return None
+    found = int(np.searchsorted(cells.nodes, position, side="right")) - 1
+    return min(max(found, 0), cells.nodes.size - 2)
+
+
+def _crawls(mine: _Cells, other: _Cells) -> list[tuple[int, int]]:
+    """Stretches on which a train that was braked crawls, away from stops and lower limits."""
+    middle = 0.5 * (mine.nodes[1:] + mine.nodes[:-1])
+    allowed = np.minimum(mine.limit, other.speed)
+    slow = mine.speed < CRAWL_SHARE * allowed
+    for stand in (*mine.stands, *mine.ends, *other.stands, *other.ends):
+        slow &= np.abs(middle - stand.position) > CRAWL_REACH
+    for first, last in _events("limit", mine, other):  # it is braked for a limit
+        slow[_stretch(first, last, mine, other, back=True)] = False
+    found = []
+    for first, last in _runs(slow):
+        before = mine.speed[max(0, first - round(1500.0 / CELL)) : first + 1]
+        lowest = float(mine.speed[first : last + 1].min())
+        # It came faster and was slowed down, and it is no start from a stop.
+        if before.size and before.max() > 2.0 * lowest and lowest < before[-1]:
+            found.append((first, last))
+    return found
+
+
+def _stretch(first: int, last: int, mine: _Cells, other: _Cells, *, back: bool) -> slice:
+    """Cells that an event from `first` to `last` costs time in: slowing down, and recovering."""
+    speed, against = mine.speed, other.speed
+    begin, top = first, speed[first]
+    for cell in range(first - 1, -1, -1) if back else ():
+        if speed[cell] > top:
+            begin, top = cell, speed[cell]
+        if speed[cell] < top - REVERSAL or speed[cell] >= against[cell] - SAME_SPEED:
+            break
+    end, top = last, speed[last]
+    most = min(speed.size, last + 1 + round(RECOVERY / CELL))
+    for cell in range(last + 1, most):
+        if speed[cell] > top:
+            end, top = cell, speed[cell]
+        if speed[cell] < top - REVERSAL or speed[cell] >= against[cell] - SAME_SPEED:
+            break
+    risen = np.flatnonzero(speed[last : end + 1] >= top - REVERSAL)
+    return slice(begin, last + int(risen[0]) + 1)
+
+
+CAUSES = {
+    "start": "later start",
+    "dwell": "longer dwell",
+    "stop": "stop that the reference does not make",
+    "held": "held: braked to a stand or a crawl off a station",
+    "limit": "lower speed limit",
+    "slip": "slip: limited by adhesion",
+    "full effort": "slower at full effort: load, power or wind",
+    "slower": "slower than needed",
+    "faster": "faster",
+    "recording": "position missing or corrected",
+}
+"""Each cause in words."""
+
+GAINED = {
+    "start": "earlier start",
+    "dwell": "shorter dwell",
+    "stop": "the reference stops here",
+    "held": "the reference was held",
+    "limit": "the reference had a lower limit",
+    "slip": "the reference slipped",
+    "full effort": "the reference was slower at full effort",
+    "slower": "slower than needed",
+    "faster": "faster",
+    "recording": "position missing or corrected",
+}
+"""The same where time was gained."""
+
+LOST = tuple(cause for cause in CAUSES if cause not in ("start", "dwell", "stop"))
+"""Causes of lost time against the shortest run that makes the same stops."""
+
 
 NEARLY_ALL = 0.98
 """Of the longest trip's distance: the reference is chosen among trips that cover so much."""
@@ -62,7 +757,7 @@ class ComparedTrip:
     ----------
     trip : DrivenTrip
     table : DataFrame
-        What it took in each section; see `analysis.comparison.sections.section_table`. Where it
+        What it took in each section; see `analysis.comparison.compare.section_table`. Where it
         has a reference, ``lost`` [s] in the section with the station where it ends.
     lost : Lost or None
         None of the reference itself, and of a trip that has less than a kilometre in common with

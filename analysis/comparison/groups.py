@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from analysis.adhesion.events import protection_onsets
-from analysis.comparison.driven import driven_trip
-from analysis.comparison.reading import described, pieces_of
+from analysis.comparison.driven import described, driven_trip, pieces_of
 from analysis.given import Given, each_given
 from trainlog.display import counted
 from trainlog.errors import LogError

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from analysis.comparison.reading import SHORT_GAP, SILENCE
+from analysis.comparison.driven import SHORT_GAP, SILENCE
 from analysis.fleet.trips import FleetTrip
 from analysis.resistance.recording import speed_scale
 from trainlog.errors import TrainlogError

@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from analysis.comparison.driven import DrivenTrip, Stand
-from analysis.comparison.losses import LOST, lost_time
-from analysis.comparison.sections import (
+from analysis.comparison.compare import (
+    LOST,
     STOPPING_REACH,
     CommonRange,
     Sections,
+    lost_time,
     section_table,
 )
+from analysis.comparison.driven import DrivenTrip, Stand
 from analysis.fleet.trips import FleetTrip
 from analysis.network.edges import Stretch, edges_of
 from trainlog.arrays import FloatArray

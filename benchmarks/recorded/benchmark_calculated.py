@@ -27,8 +27,7 @@ import numpy as np
 from benchmark_passport import recorded
 from recordings import PAIRS, line_and_train
 
-from analysis.comparison.calculated import calculate, judged_together
-from analysis.comparison.calculated import Diagnosis
+from analysis.comparison.calculated import Diagnosis, calculate, judged_together
 from analysis.resistance.logs import fit
 from trainlog.errors import TrainlogError
 from trainlog.railway import RunningResistance, Train
