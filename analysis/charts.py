@@ -380,6 +380,18 @@ def rows_to_draw(*curves: ArrayLike, most: int = MOST_POINTS) -> NDArray[np.int6
     return np.unique(np.concatenate(kept))
 
 
+def worded(form: str, *values: ArrayLike) -> list[str]:
+    """Values in words, as `Curve.hover` has them.
+
+    Examples
+    --------
+    >>> worded("{:.1f} to {:.1f} kN", [1.0, 2.0], [1.5, 2.5])
+    ['1.0 to 1.5 kN', '2.0 to 2.5 kN']
+    """
+    columns = [np.asarray(each, dtype=np.float64).tolist() for each in values]
+    return [form.format(*each) for each in zip(*columns, strict=True)]
+
+
 def shades(values: ArrayLike, colours: str, span: tuple[float, float]) -> NDArray[np.str_]:
     """Colours of values in a colour map of matplotlib; empty where a value is not known.
 

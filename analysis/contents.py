@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -14,7 +13,7 @@ import numpy as np
 
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.files import LOOKED_AT, is_map, mistaken_json, refuse_workbook
+from trainlog.formats.files import LOOKED_AT, is_map, mistaken_json, refuse_workbook, stated_format
 from trainlog.formats.railway import read_network, route_of_path
 from trainlog.presentation import WordTable, facts_table, new_table
 
@@ -22,9 +21,6 @@ if TYPE_CHECKING:
     from trainlog.mcap.description import LogDescription
 
 MCAP = b"\x89MCAP"
-
-FORMAT = re.compile(rb"""["']?format["']?\s*[:=]\s*["'](trainlog/[a-z-]{1,40})["']""")
-"""How a file of trainlog names its format, in JSON or TOML."""
 
 RECORDED = ("a Parquet file", "an MDF file")
 """Other files that recorders write, as `mistaken_json` calls them."""
@@ -147,9 +143,8 @@ def contents_of(path: str | Path) -> Contents:
         return Contents(path, "log", describe(path))
     if is_map(head[:LOOKED_AT]):
         return Contents(path, "track-condition map", lines=(_map_summary(path),))
-    stated = FORMAT.search(head[:LOOKED_AT])
-    if stated is not None:
-        return _of_format(path, stated[1].decode())
+    if stated := stated_format(head[:LOOKED_AT]):
+        return _of_format(path, stated)
     if head.startswith(b"MDF ") and b"trainlog.json" in path.read_bytes()[-65_536:]:
         from trainlog.formats.trip_tables import read_mdf_trip
 
@@ -245,10 +240,7 @@ def _of_format(path: Path, stated: str) -> Contents:
         "trainlog/coast-down": ("coast-down", read_coast_down),
         "trainlog/trajectory": ("trajectory", read_trajectory),
         "trainlog/characteristic": ("adhesion characteristic", read_characteristic),
-        "trainlog/passport": (
-            "passport",
-            partial(read_thing, Passport),
-        ),
+        "trainlog/passport": ("passport", partial(read_thing, Passport)),
         PROFILE_FORMAT: ("profile", read_profile),
     }
     if stated not in readers:
@@ -321,8 +313,7 @@ def folder_contents(folder: Path) -> list[FolderEntry]:
             continue
         words = contents.summary
         if contents.kind == "log":
-            described = contents.value
-            words = _log_in_words(described)
+            words = _log_in_words(contents.value)
         found.append(FolderEntry(path.name, contents.kind, words, contents.damaged))
     if not found:
         raise InputError("is an empty folder", file=folder, remedy="name another one")

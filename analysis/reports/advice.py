@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.charts import BLUE, Chart, Curve, Panel, limit_curve, stations_of
+from analysis.charts import BLUE, Chart, Curve, Panel, limit_curve, stations_of, worded
 from analysis.reports.page import Page, Part, Section, Warned
 from analysis.reports.results import line_of_trajectory
 from analysis.trajectory.advice import (
@@ -138,9 +138,9 @@ def _chart(found: JourneyAdvice, line: Line | None) -> Chart:
         row = section.latest
         km, speed = section.positions / 1e3, KMH * section.speeds[row]
         hover = {
-            "km": [f"{each:.3f}" for each in in_km(line, section.positions).tolist()],
+            "km": worded("{:.3f}", in_km(line, section.positions)),
             "time": [found.time(departure + each) for each in section.times[row].tolist()],
-            "speed": [f"{each:.0f} km/h" for each in speed.tolist()],
+            "speed": worded("{:.0f} km/h", speed),
         }
         curves.append(Curve("planned speed", km, speed, BLUE, hover=hover))
     ends = np.array([found.rows[0].position, found.rows[-1].position])

@@ -15,7 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from analysis.charts import BLUE, Chart, Curve, Panel, limit_curve, rows_to_draw, stations_of
+from analysis.charts import (
+    BLUE,
+    Chart,
+    Curve,
+    Panel,
+    limit_curve,
+    rows_to_draw,
+    stations_of,
+    worded,
+)
 from analysis.comparison.groups import TripCost, compare_groups, trip_cost
 from analysis.reports.answers import VERDICTS, summary_section, verdict_counts
 from analysis.reports.charts import WITHOUT_BOKEH
@@ -34,14 +43,14 @@ from trainlog import __version__
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import (
-    LOOKED_AT,
+    beginning,
     check_kind,
     is_map,
     logs_of,
     read_bytes,
-    refuse_reading,
     sha256,
     sha256_of,
+    stated_format,
     to_bytes,
 )
 from trainlog.formats.mapfile import MapFile
@@ -59,8 +68,6 @@ MOST_DETAILED = 4
 
 MOST_DRAWN = 40
 """Trips whose speeds one chart shows."""
-
-_FORMAT = re.compile(rb'"format"\s*:\s*"trainlog/([a-z_-]{1,40})"')
 
 _SHOWN = ("parameters", "trajectory", "coast-down")
 """Formats of JSON files that a report shows."""
@@ -170,17 +177,12 @@ def kind_of(path: Path) -> str:
     Traceback (most recent call last):
     trainlog.errors.InputError: sample_logs/README.md: is no result...
     """
-    try:
-        with path.open("rb") as file:
-            start = file.read(LOOKED_AT)
-    except OSError as error:
-        refuse_reading(path, error)
+    start = beginning(path)
     if start.startswith(b"\x89MCAP") or path.suffix == ".mcap":
         return "trip"
     if is_map(start) or path.suffix == ".map":
         return "map"
-    found = _FORMAT.search(start)
-    what = found[1].decode() if found else ""
+    what = stated_format(start).removeprefix("trainlog/")
     if what in _SHOWN:
         return what
     raise InputError(
@@ -428,8 +430,8 @@ def _add_trip(table: WordTable, trip: Trip, zone: Zone, lines: dict[str, Line]) 
     x, y = motion.position[rows] / 1e3, KMH * motion.speed[rows]
     hover = {
         "trip": [trip.name] * rows.size,
-        "km": [f"{each:.3f}" for each in in_km(line, motion.position[rows]).tolist()],
-        "speed": [f"{each:.1f} km/h" for each in y.tolist()],
+        "km": worded("{:.3f}", in_km(line, motion.position[rows])),
+        "speed": worded("{:.1f} km/h", y),
     }
     return Curve("each trip", x, y, BLUE, "line", hover=hover, width=0.8)
 

@@ -14,7 +14,7 @@ import numpy as np
 from analysis.adhesion.condition_table import bins_table
 from analysis.adhesion.map_history import map_history
 from analysis.adhesion.map_state import MapState, line_of_map, map_state
-from analysis.charts import BLUE, SKY, Chart, Curve, Panel
+from analysis.charts import BLUE, SKY, Chart, Curve, Panel, worded
 from analysis.reports.answers import map_words, summary_section
 from analysis.reports.page import Part, Picture, Section, Warned
 from analysis.resistance.logs import Fits, fit
@@ -187,8 +187,8 @@ def _residuals(fits: Fits) -> list[Part]:
     rows = order[_sample(order.size, 2_000)]
     hover = {
         "trip": [str(each) for each in of[rows]],
-        "speed": [f"{each:.0f} km/h" for each in (KMH * x[rows]).tolist()],
-        "residual": [f"{each:+.2f} σ" for each in y[rows].tolist()],
+        "speed": worded("{:.0f} km/h", KMH * x[rows]),
+        "residual": worded("{:+.2f} σ", y[rows]),
     }
     chart = Chart(
         "speed, km/h",
@@ -221,8 +221,8 @@ def _set_alone(found: ParameterSet) -> list[Part]:
     for label, drag, colour, width in shown:
         value = np.asarray(drag(speed)) / 1e3
         hover = {
-            "speed": [f"{each:.0f} km/h" for each in (KMH * speed).tolist()],
-            "resistance": [f"{each:.2f} kN" for each in value.tolist()],
+            "speed": worded("{:.0f} km/h", KMH * speed),
+            "resistance": worded("{:.2f} kN", value),
         }
         curves.append(Curve(label, KMH * speed, value, colour, hover=hover, width=width))
     if not curves:

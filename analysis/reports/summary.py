@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from analysis.truth import SimulatedLogs, Truth, curve_error, map_error
 from trainlog.display import counted, lateness, span
 from trainlog.errors import InputError, LogError
 from trainlog.formats.condition import read_map
-from trainlog.formats.files import LOOKED_AT
+from trainlog.formats.files import beginning, stated_format
 from trainlog.formats.mapfile import MapFile
 from trainlog.formats.railway import (
     line_of_plan,
@@ -154,15 +153,13 @@ def _recorded(logs: Sequence[Path]) -> tuple[str, str, str] | None:
 
 def _of_format(folder: Path, kind: str, usual: str = "") -> list[Path]:
     """The files of a format in a folder, that of the usual name first, whatever is in it."""
-    named = re.compile(rf'"format"\s*:\s*"trainlog/{kind}"'.encode())
     others = [path for path in sorted(folder.glob("*.json")) if path.name != usual]
-    found = [path for path in others if path.is_file() and named.search(_beginning(path))]
+    found = [
+        path
+        for path in others
+        if path.is_file() and stated_format(beginning(path)) == f"trainlog/{kind}"
+    ]
     return [folder / usual, *found] if usual and (folder / usual).exists() else found
-
-
-def _beginning(path: Path) -> bytes:
-    with path.open("rb") as file:
-        return file.read(LOOKED_AT)
 
 
 def _coasted(path: Path) -> tuple[str, str, str]:

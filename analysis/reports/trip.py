@@ -27,6 +27,7 @@ from analysis.charts import (
     limit_curve,
     rows_to_draw,
     stations_of,
+    worded,
 )
 from analysis.comparison.driven import SHORTEST_STOP
 from analysis.comparison.groups import TripCost, trip_cost
@@ -442,15 +443,14 @@ def _course(trip: Trip, zone: Zone) -> list[Part]:
 
 def _speed_curve(x: FloatArray, part: Motion, line: Line | None, zone: Zone) -> Curve:
     hover = {
-        "km": [f"{each:.3f}" for each in in_km(line, part.position).tolist()],
+        "km": worded("{:.3f}", in_km(line, part.position)),
         "time": zone.times(part.time),
-        "speed": [f"{each:.1f} km/h" for each in (KMH * part.speed).tolist()],
+        "speed": worded("{:.1f} km/h", KMH * part.speed),
     }
     if line is not None:
         within = np.clip(part.position, 0.0, line.length)
-        limits, gradients = KMH * line.speed_limit(within), PER_MILLE * line.gradient(within)
-        hover["permitted"] = [f"{each:.0f} km/h" for each in limits.tolist()]
-        hover["gradient"] = [f"{each:+.1f} ‰" for each in gradients.tolist()]
+        hover["permitted"] = worded("{:.0f} km/h", KMH * line.speed_limit(within))
+        hover["gradient"] = worded("{:+.1f} ‰", PER_MILLE * line.gradient(within))
     return Curve("speed", x, KMH * part.speed, BLUE, hover=hover)
 
 

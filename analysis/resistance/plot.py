@@ -27,6 +27,7 @@ from analysis.charts import (
     Panel,
     Rule,
     shades,
+    worded,
 )
 from analysis.resistance.coast_down import CoastDown
 from analysis.resistance.coasting_fit import TripCoastDown
@@ -484,12 +485,9 @@ def _curve_without_gradient(result: CoastDownResult) -> Chart:
         what = f"more than at {KMH * lowest:.0f} km/h [m/s²]"
         title = "growth with speed; c0 is merged with the gradient"
     hover = {
-        "speed": [f"{each:.0f} km/h" for each in (KMH * speed).tolist()],
-        "value": [f"{1e3 * each:.1f} mm/s²" for each in value.tolist()],
-        "95 % band": [
-            f"{1e3 * a:.1f} to {1e3 * b:.1f} mm/s²"
-            for a, b in zip(low.tolist(), high.tolist(), strict=True)
-        ],
+        "speed": worded("{:.0f} km/h", KMH * speed),
+        "value": worded("{:.1f} mm/s²", 1e3 * value),
+        "95 % band": worded("{:.1f} to {:.1f} mm/s²", 1e3 * low, 1e3 * high),
     }
     line = Curve("curve, 95 %", KMH * speed, value, BLUE, "line", low, high, hover, 1.8)
     return Chart(SPEED, [Panel(what, [line], 1.6, title)], f"{title[0].upper()}{title[1:]}.",
@@ -504,11 +502,9 @@ def _band_curve(fit: TripFit | CommonFit, speed: FloatArray, label: str) -> Curv
     low, high = (each / KILONEWTON for each in fit.band(speed))
     value = fit.resistance(speed) / KILONEWTON
     hover = {
-        "speed": [f"{each:.0f} km/h" for each in (KMH * speed).tolist()],
-        "resistance": [f"{each:.2f} kN" for each in value.tolist()],
-        "95 % band": [
-            f"{a:.2f} to {b:.2f} kN" for a, b in zip(low.tolist(), high.tolist(), strict=True)
-        ],
+        "speed": worded("{:.0f} km/h", KMH * speed),
+        "resistance": worded("{:.2f} kN", value),
+        "95 % band": worded("{:.2f} to {:.2f} kN", low, high),
     }
     return Curve(label, KMH * speed, value, BLUE, "line", low, high, hover, 1.8)
 

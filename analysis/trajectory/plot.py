@@ -20,6 +20,7 @@ from analysis.charts import (
     limit_curve,
     rows_to_draw,
     stations_of,
+    worded,
 )
 from analysis.trajectory.optimiser import Front
 from analysis.trajectory.phases import Phase, phases_of
@@ -116,13 +117,10 @@ def _speeds(trajectory: Trajectory, line: Line | None, chosen: int, phases: IntA
     low, high = speeds.min(axis=0), speeds.max(axis=0)
     rows = rows_to_draw(speeds[chosen], most=1_500)
     hover = {
-        "km": [f"{each:.3f}" for each in in_km(line, trajectory.positions[rows]).tolist()],
+        "km": worded("{:.3f}", in_km(line, trajectory.positions[rows])),
         "time": [clock(each) for each in trajectory.times[chosen][rows].tolist()],
-        "speed": [f"{each:.1f} km/h" for each in speeds[chosen][rows].tolist()],
-        "of all configurations": [
-            f"{a:.1f} to {b:.1f} km/h"
-            for a, b in zip(low[rows].tolist(), high[rows].tolist(), strict=True)
-        ],
+        "speed": worded("{:.1f} km/h", speeds[chosen][rows]),
+        "of all configurations": worded("{:.1f} to {:.1f} km/h", low[rows], high[rows]),
     }
     name = trajectory.configurations[chosen].name
     many = len(trajectory.configurations) > 1
@@ -201,8 +199,8 @@ def front_charts(front: Front) -> list[Chart]:
     slopes = np.column_stack((energies + prices * reach, energies - prices * reach, gap)).ravel()
     hover = {
         "running time": [clock(each) for each in times.tolist()],
-        "reserve": [f"{100.0 * each.certificate['reserve']:.1f} %" for each in front.runs],
-        "least energy": [f"{each:.1f} kWh" for each in energies.tolist()],
+        "reserve": worded("{:.1f} %", [100.0 * each.certificate["reserve"] for each in front.runs]),
+        "least energy": worded("{:.1f} kWh", energies),
     }
     first = front.runs[0]
     shortest = front.least_time + first.certificate.get("standing", 0.0)

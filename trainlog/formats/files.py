@@ -583,7 +583,34 @@ _BEGINNINGS = (
     (b"\x89PNG", "a picture", "give the log that it shows"),
 )
 _MCAP = b"\x89MCAP"
-_FORMAT = re.compile(rb'"format"\s*:\s*"(trainlog/[a-z_-]{1,40})"')
+_FORMAT = re.compile(rb"""["']?format["']?\s*[:=]\s*["'](trainlog/[a-z_-]{1,40})["']""")
+
+
+def beginning(path: Path) -> bytes:
+    """The first bytes of a file, by which it is recognised.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return file.read(LOOKED_AT)
+    except OSError as error:
+        refuse_reading(path, error)
+
+
+def stated_format(start: bytes) -> str:
+    """How a file of trainlog names its format, in JSON or TOML; empty without.
+
+    Examples
+    --------
+    >>> stated_format(b'{"format": "trainlog/line", "version": 1')
+    'trainlog/line'
+    """
+    found = _FORMAT.search(start)
+    return found[1].decode() if found else ""
 
 
 def mistaken_log(start: bytes) -> tuple[str, str]:

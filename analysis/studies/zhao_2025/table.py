@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -88,17 +88,21 @@ def gain_table(runs: Mapping[str, Sequence[Run]]) -> WordTable:
     runs : mapping of str to sequence of Run
         By strategy; the same runs in the same order.
     """
+
+    def figures(number: int) -> Callable[[Sequence[Run]], str]:
+        return lambda found: (
+            f"{_force_and_way(found[number])} / {found[number].slip_work / 1e6:.2f}"
+        )
+
     of: Columns[Sequence[Run]] = {
         "case": lambda found: found[0].case.number,
         "preset": lambda found: found[0].preset.key,
         "asked N m": lambda found: f"{found[0].total:.0f}",
+        **{name: figures(number) for number, name in enumerate(runs)},
     }
-    of |= {
-        name: lambda found, n=n: f"{_force_and_way(found[n])} / {found[n].slip_work / 1e6:.2f}"
-        for n, name in enumerate(runs)
-    }
+    rows: Iterable[Sequence[Run]] = zip(*runs.values(), strict=True)
     title = "Force on the rail kN, 15-20 s / way m, 30 s / work of creep MJ, 30 s"
-    return word_table(title, zip(*runs.values(), strict=True), of)
+    return word_table(title, rows, of)
 
 
 def knowledge_table(runs: Mapping[str, Sequence[Run | None]]) -> WordTable:
@@ -113,14 +117,18 @@ def knowledge_table(runs: Mapping[str, Sequence[Run | None]]) -> WordTable:
     def first(found: Sequence[Run | None]) -> Run:
         return next(run for run in found if run is not None)
 
+    def figures(number: int) -> Callable[[Sequence[Run | None]], str]:
+        return lambda found: _force_and_way(found[number])
+
     of: Columns[Sequence[Run | None]] = {
         "case": lambda found: first(found).case.number,
         "": lambda found: first(found).case.name,
         "asked N m": lambda found: f"{first(found).total:.0f}",
+        **{name: figures(number) for number, name in enumerate(runs)},
     }
-    of |= {name: lambda found, n=n: _force_and_way(found[n]) for n, name in enumerate(runs)}
+    rows: Iterable[Sequence[Run | None]] = zip(*runs.values(), strict=True)
     title = "By what is known of the rail: force on it kN, 15-20 s / way m, 30 s; speeds measured"
-    return word_table(title, zip(*runs.values(), strict=True), of)
+    return word_table(title, rows, of)
 
 
 def _force_and_way(run: Run | None) -> str:
