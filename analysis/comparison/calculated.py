@@ -59,9 +59,8 @@ from analysis.resistance.recording import recorded_head_wind
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.attached import largest_load, recorded_load, train_of
 from trainlog.formats.files import check_kind
-from trainlog.formats.railway import train_to_bytes
+from trainlog.formats.railway import largest_load, recorded_load, train_of, train_to_bytes
 from trainlog.presentation import (
     DURATION,
     ENERGY,
