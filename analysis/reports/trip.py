@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -548,11 +548,11 @@ def _slip_table(found: SlipAnalysis, line: Line, km: str, zone: Zone) -> WordTab
     chosen = events.loc[worst].sort_values("start")
     more = len(events) - len(chosen)
 
-    def adhesion(row: Mapping[str, Any]) -> str:
+    def adhesion(row: dict[Hashable, Any]) -> str:
         words = f"{abs(row['adhesion']):.3f} ± {1.96 * row['adhesion_std']:.3f}"
         return words if row["measured"] else f"{words} (not the maximum)"
 
-    of: Columns[Mapping[str, Any]] = {
+    of: Columns[dict[Hashable, Any]] = {
         f"time ({zone.name})": lambda row: zone.time(row["start"]),
         km: lambda row: f"{float(in_km(line, row['position'])):.3f}",
         "axle": lambda row: row["axle"],

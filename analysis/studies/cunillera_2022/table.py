@@ -47,17 +47,16 @@ def price_table(
         "robust, common braking (the paper)": common,
         "robust, recourse": recourse,
     }
+
+    def over(own: Trajectory) -> Callable[[tuple[str, Trajectory]], str]:
+        return lambda row: f"{_per_mass(row[1]) / _per_mass(own) - 1.0:+.2%}"
+
     of: Columns[tuple[str, Trajectory]] = {
         "": lambda row: row[0],
         "J/kg": lambda row: f"{_per_mass(row[1]):.2f}",
         "at least": lambda row: f"{_per_mass(row[1], 'lower_bound'):.2f}",
         "gap": lambda row: f"{row[1].certificate['gap']:.4%}",
-        **{
-            f"over {name} alone": lambda row, own=own: (
-                f"{_per_mass(row[1]) / _per_mass(own) - 1.0:+.2%}"
-            )
-            for name, own in alone.items()
-        },
+        **{f"over {name} alone": over(each) for name, each in alone.items()},
         "arrivals [s]": lambda row: " / ".join(f"{time:.1f}" for time in row[1].times[:, -1]),
         "end speeds [km/h]": lambda row: " / ".join(
             f"{KMH * speed:.1f}" for speed in row[1].speeds[:, -1]
