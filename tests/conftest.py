@@ -146,7 +146,7 @@ def remembered_estimates(estimates: dict[bytes, ConditionLayer]) -> Iterator[Non
         yield
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def unpainted() -> Iterator[None]:
     """Figures are made and written, but not painted, which takes half a second each.
 
@@ -154,12 +154,31 @@ def unpainted() -> Iterator[None]:
     """
     from matplotlib.figure import Figure
 
-    def written(_: Figure, path: Path, **__: object) -> None:
-        path.write_bytes(b"\x89PNG\r\n\x1a\n")
+    def written(_: Figure, path: Path, format: str = "png", **__: object) -> None:
+        path.write_bytes(b"<svg></svg>" if format == "svg" else b"\x89PNG\r\n\x1a\n")
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Figure, "savefig", written)
         yield
+
+
+@pytest.fixture
+def unpainted_page(unpainted: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Charts of a page are neither painted nor made for BokehJS: two seconds each page.
+
+    For tests of the words of a page; charts of pages are tested where they are looked at.
+    """
+    monkeypatch.setattr("analysis.reports.charts._item", lambda _: None)
+
+
+@pytest.fixture
+def unrenewed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plans stay on their first cells, as audited and certified, with a wider gap: half the time.
+
+    For tests of what is made of plans; how close they come is tested where they are searched.
+    """
+    for name in ("RENEWALS", "FINER_RENEWALS"):
+        monkeypatch.setattr(f"analysis.trajectory.optimiser.{name}", 0)
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ import pytest
 
 from trainlog.formats.samples import copy_samples
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates")
+pytestmark = pytest.mark.usefixtures("remembered_estimates", "unpainted_page")
 
 CHECKOUT = Path(__file__).parents[1]
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE

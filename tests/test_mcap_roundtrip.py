@@ -28,7 +28,7 @@ from trainlog.trip import Trip, frame_of
 
 
 @settings(
-    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(trip=trips())
 def test_any_trip_reads_back_as_it_was(trip: Trip, tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ def _short_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(writer.plan_of, "__defaults__", (2 * SECOND, 2**20))
 
 
-def shuttle(seed: int = 0, rows: int = 400) -> Trip:
+def shuttle(seed: int = 0, rows: int = 200) -> Trip:
     """A trip that goes back and forth, with topics of other rates, gaps and unknown positions."""
     random = np.random.default_rng(seed)
     time = START + np.cumsum(random.integers(1, 2 * 10**8, rows))
@@ -101,7 +101,7 @@ def in_time(trip: Trip, pair: tuple[float | None, float | None]) -> tuple[Any, A
 
 
 @settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(
     seed=st.integers(0, 5),
@@ -125,7 +125,7 @@ def test_a_span_of_time_is_the_slice_of_the_whole(
 
 
 @settings(
-    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(seed=st.integers(0, 5), pair=st.tuples(limits, limits), indexed=st.booleans())
 def test_a_stretch_of_the_line_is_the_slice_of_the_whole(
@@ -266,7 +266,7 @@ def together(pieces: list[Trip]) -> Trip:
 
 
 @settings(
-    max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(
     seed=st.integers(0, 5),

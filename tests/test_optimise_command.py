@@ -30,7 +30,7 @@ from trainlog.railway import Configuration, Trajectory
 from trainlog.railway.train import POWER_OF_FILE
 from trainlog.units import KMH
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates", "unpainted")
+pytestmark = pytest.mark.usefixtures("remembered_estimates", "unpainted", "unrenewed")
 
 SAMPLES = ("--line", "sample", "--train", "sample")
 MAP = ("--map", sample("CH_StGallen_Wil.map"))
@@ -48,7 +48,7 @@ def asked(parameters: Path, folder: Path, *words: object) -> Trajectory:
     """The trajectory that the command writes."""
     output = folder / "trajectory.json"
     own = shutil.copy(parameters, folder)
-    given = ("plan", own, *SAMPLES, "--set", "cells=60", *words, "-o", output)
+    given = ("plan", own, *SAMPLES, "--set", "cells=40", *words, "-o", output)
     assert cli.run([str(word) for word in given]) == 0
     return read_trajectory(output)
 
@@ -253,7 +253,7 @@ def test_a_train_file_alone_is_planned_for_and_the_result_states_it(
     output, trips = tmp_path / "trajectory.json", tmp_path / "trips"
     train = read_train(sample(DEFAULT_TRAIN))
     rail = ("--train", sample(DEFAULT_TRAIN), "--line", sample(DEFAULT_LINE))
-    words = ("plan", *rail, "--set", "load=8t", "--km", ":4", "--set", "cells=60", "-o", output)
+    words = ("plan", *rail, "--set", "load=8t", "--km", ":4", "--set", "cells=40", "-o", output)
     assert cli.run([str(word) for word in words]) == 0
     assert "without a band of observed trips" in " ".join(capsys.readouterr().out.split())
     found = read_trajectory(output)
@@ -402,7 +402,7 @@ def test_a_plan_states_where_limits_are_kept_and_what_is_assumed(
         ([], "none, at the train's front"),
         (["--set", "protect=train"], "none, over "),
     ):
-        assert cli.run([*words, "--set", "cells=60", *more, "-o", str(tmp_path / "p.json")]) == 0
+        assert cli.run([*words, "--set", "cells=40", *more, "-o", str(tmp_path / "p.json")]) == 0
         shown = " ".join(capsys.readouterr().out.split())
         assert said in shown
         assert "Assumed of the line: gradients." in shown

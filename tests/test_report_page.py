@@ -185,6 +185,7 @@ def test_the_same_inputs_give_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "one.html").read_bytes() == (tmp_path / "other.html").read_bytes()
 
 
+@pytest.mark.usefixtures("unpainted_page")
 def test_a_fit_is_shown_with_its_trips_and_an_edited_one_with_a_doubt(tmp_path: Path) -> None:
     fits = fit(sample("nonstop.mcap"))
     write_parameters(fits.parameters, tmp_path / "set.json")
@@ -206,6 +207,7 @@ def test_a_fit_is_shown_with_its_trips_and_an_edited_one_with_a_doubt(tmp_path: 
     assert "gives another set than set.json holds" in (tmp_path / "doubt.html").read_text("utf-8")
 
 
+@pytest.mark.usefixtures("unpainted_page")
 def test_a_damaged_log_is_shown_as_far_as_it_is_readable_and_says_so(tmp_path: Path) -> None:
     data = sample("nonstop.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: 2 * len(data) // 3])
@@ -238,6 +240,7 @@ def test_what_is_no_result_is_one_error_and_no_page(tmp_path: Path) -> None:
         known_zone("Europe/Wil")
 
 
+@pytest.mark.usefixtures("unpainted_page")
 def test_a_bad_file_of_a_folder_is_stated_by_its_name_with_status_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -371,6 +374,7 @@ def test_a_report_begins_with_five_answers(trip_page: str) -> None:
     assert "trainlog map update run.mcap" in first
 
 
+@pytest.mark.usefixtures("unpainted_page")
 def test_a_summary_states_why_energy_and_slip_are_not_known(tmp_path: Path) -> None:
     trip = read_log(sample("stopping.mcap"))
     controls = trip["/train/controls"]
@@ -388,6 +392,7 @@ def test_a_summary_states_why_energy_and_slip_are_not_known(tmp_path: Path) -> N
     assert "topics loaded" not in first
 
 
+@pytest.mark.usefixtures("unpainted_page")
 def test_a_report_of_a_trip_without_a_line_asks_for_it_before_a_fit(tmp_path: Path) -> None:
     trip = read_log(sample("nonstop.mcap"))
     kept = {name: data for name, data in trip.attachments.items() if name != "line.json"}
@@ -480,6 +485,7 @@ def test_details_fold_and_the_contents_lead_into_them(trip_page: str) -> None:
         assert re.search(r'<summary><h2>.*?</h2></summary>\s*<div id="section-\d"', folded)
 
 
+@pytest.mark.usefixtures("unpainted_page")
 def test_the_report_of_reverse_trips_states_which_kilometres_it_gives(tmp_path: Path) -> None:
     trip = read_log(sample("stopping.mcap"))
     state = trip["/train/state"]
@@ -504,6 +510,7 @@ def test_the_report_of_reverse_trips_states_which_kilometres_it_gives(tmp_path: 
         assert re.search(beside_triangle, page), heading
 
 
+@pytest.mark.usefixtures("unpainted_page")
 def test_the_report_of_a_folder_begins_with_answers_and_ends_with_its_files(tmp_path: Path) -> None:
     (tmp_path / "trips").mkdir()
     for name in ("a.mcap", "b.mcap"):

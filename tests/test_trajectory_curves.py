@@ -138,7 +138,7 @@ def test_a_curve_that_is_the_hyperbola_gives_what_effort_and_power_give(power: f
     for train in (FLIRT, same):
         run = TrajectoryProblem(LINES["hilly"], train, [Configuration.of(train)])
         plan = optimised(
-            LINES["hilly"], train, [Configuration.of(train)], running_time=400.0, cells=200
+            LINES["hilly"], train, [Configuration.of(train)], running_time=400.0, cells=100
         )
         results.append((float(fastest_run(run).times[0]), plan.certificate["energy"]))
     assert results[1] == pytest.approx(results[0], rel=2e-4)
@@ -190,7 +190,7 @@ def test_configurations_of_less_power_have_the_stretched_curve() -> None:
     train = TRAINS["linear"]
     weak = replace(Configuration.of(train), name="weak", max_power=0.85 * train.max_traction_power)
     trajectory = optimised(
-        LINES["level"], train, [Configuration.of(train), weak], reserve=0.1, cells=200
+        LINES["level"], train, [Configuration.of(train), weak], reserve=0.1, cells=100
     )
     assert np.all(within(train, trajectory) <= 1.0 + 1e-6)
     assert within(train, trajectory).max() > 0.999
