@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from trainlog.threads import limit_threads
 
@@ -25,11 +25,13 @@ if TYPE_CHECKING:
 
 limit_threads()
 
-# A slow machine, or a first call that compiles, is no failure. Continuous integration tries the
-# same cases each time, so that a change alone decides; other runs go on looking for new ones.
+# A slow machine, or a first call that compiles, is no failure; the examples of a test share its
+# folder. Continuous integration tries the same cases each time, so that a change alone decides;
+# other runs go on looking for new ones.
 settings.register_profile(
     "trainlog",
     deadline=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
     derandomize=bool(os.environ.get("CI")),
     database=None if os.environ.get("CI") else settings.default.database,
 )

@@ -198,7 +198,7 @@ class TestObserver:
         )
         assert rms(shifted.force / AXLE_LOAD - plant.adhesion[1:]) > 2.0 * rms(good)
 
-    @settings(max_examples=25, deadline=None)
+    @settings(max_examples=25)
     @given(st.integers(0, 2**31), st.integers(0, 60))
     def test_blocks_do_not_matter(self, seed: int, cut: int) -> None:
         rng = np.random.default_rng(seed)

@@ -125,7 +125,6 @@ def test_a_table_keeps_the_shape_of_its_points() -> None:
 
 
 @family
-@settings(deadline=None)
 @given(slip=st.floats(-20.0, 20.0), speed=st.floats(0.0, 60.0))
 def test_it_is_odd_and_never_beyond_its_maximum(
     curve: AdhesionCharacteristic, slip: float, speed: float
@@ -137,7 +136,6 @@ def test_it_is_odd_and_never_beyond_its_maximum(
 
 
 @family
-@settings(deadline=None)
 @given(share=st.floats(0.01, 5.0), speed=st.floats(3.0, 60.0))
 def test_slopes_are_those_of_the_curve_and_vanish_at_the_optimum(
     curve: AdhesionCharacteristic, share: float, speed: float
@@ -198,7 +196,7 @@ def test_what_is_no_characteristic_is_refused(make, message: str) -> None:  # ty
 
 
 @family
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=3)
 @given(
     efforts=st.lists(st.floats(-250e3, 250e3), min_size=3, max_size=6), peak=st.floats(0.05, 0.4)
 )

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import sqlalchemy as sa
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 from sqlalchemy.dialects import postgresql
 from synthetic_trips import synthetic_entry
 
@@ -259,9 +259,7 @@ def _joined(inner: st.SearchStrategy[Expression]) -> st.SearchStrategy[Expressio
     )
 
 
-@settings(
-    max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], derandomize=True
-)
+@settings(max_examples=60, derandomize=True)
 @given(expression=st.recursive(ATOMS, _joined, max_leaves=5))
 def test_an_expression_means_the_same_to_each_database_and_to_pandas(
     catalogues: dict[str, Callable[[str], list[str]]], expression: Expression

@@ -202,7 +202,7 @@ CURVES = st.one_of(
 )  # fmt: skip
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(CURVES)
 def test_files_give_back_what_was_written(curve: AdhesionCharacteristic) -> None:
     data = thing_to_bytes(CharacteristicFile.of(curve, {}))

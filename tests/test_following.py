@@ -400,7 +400,7 @@ def test_a_negative_margin_is_refused() -> None:
 # ---- the prediction -------------------------------------------------------------------------
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     name=st.sampled_from(["flirt", "friction"]),
     position=st.floats(200.0, 9_000.0),
@@ -468,7 +468,7 @@ def test_every_train_of_the_set_can_brake_below_the_ceiling() -> None:
                 assert v <= np.sqrt(ceiling_square(p, road)) + 0.15
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     position=st.floats(0.0, 10_950.0),
     share=st.floats(0.3, 1.0),

@@ -18,7 +18,7 @@ from format_examples import (
     maps,
     trajectories,
 )
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from refusals import refused
 
 from trainlog.errors import InputError, LogError
@@ -64,7 +64,7 @@ from trainlog.railway.journey import Journey, TimingPoint
 from trainlog.railway.network import Edge, Network, Node
 from trainlog.trip import Trip
 
-quick = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+quick = settings(max_examples=40)
 ROUNDING = 5e-14
 """Values that no number in the file's unit gives exactly keep 14 significant digits."""
 

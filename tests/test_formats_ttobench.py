@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from format_examples import TRAINS, assert_same, journeys, lines
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given, settings
 from refusals import refused
 
 from trainlog.errors import InputError
@@ -26,7 +26,7 @@ from trainlog.railway.journey import Journey, TimingPoint
 LIBRARY = Path(__file__).parents[2] / "shared" / "data" / "ttobench"
 FILES = sorted(LIBRARY.glob("*/*.json"))
 needs_library = pytest.mark.skipif(not FILES, reason="the TTOBench library is not here")
-quick = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+quick = settings(max_examples=25)
 
 TRACK: dict[str, Any] = {
     "metadata": {"id": "T", "library version": "TTOBench v1.5", "created by": "A"},

@@ -63,7 +63,7 @@ def test_a_clothoid_is_fresnel_s_integral() -> None:
     assert points == pytest.approx(size * (sine + 1j * cosine), abs=1e-9)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     st.lists(
         st.tuples(st.floats(5.0, 300.0), st.floats(-0.006, 0.006), st.floats(-0.006, 0.006)),

@@ -219,7 +219,7 @@ def drive(minutes: range, samples: int = 600) -> TripIdentity:
 
 
 class TestSameDrives:
-    @settings(max_examples=50, deadline=None)
+    @settings(max_examples=50)
     @given(order=st.permutations(range(6)))
     def test_what_is_left_out_does_not_depend_on_the_order(self, order: list[int]) -> None:
         trips = [

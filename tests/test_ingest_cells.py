@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 from ingest_logs import clean_run, plain_profile, plain_rows, plain_text
 from recorder_files import MTK_HEADER, mtk
 from refusals import refused
@@ -19,8 +19,6 @@ from trainlog.trip import Trip
 
 FILES = settings(
     max_examples=60,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 
 

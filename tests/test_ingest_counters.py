@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 from ingest_logs import SECOND, START, plain_profile, write
 
 from trainlog.errors import InputError
@@ -16,8 +16,6 @@ from trainlog.trip import Trip
 
 FILES = settings(
     max_examples=20,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 
 COLUMN = "/train/state.position"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 from ingest_logs import SECOND, Run, clean_run, plain_profile, ublox, write
 
 from trainlog.errors import InputError
@@ -18,8 +18,6 @@ from trainlog.trip import Trip
 
 FILES = settings(
     max_examples=25,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 
 WEEKS = 1024 * 7 * 86_400

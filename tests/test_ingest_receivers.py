@@ -241,7 +241,7 @@ def test_a_logger_that_was_restarted_is_refused(tmp_path: Path) -> None:
     refused(InputError, r"clock was restarted: .* split the file", read, tmp_path, lines)
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=25, suppress_health_check=list(HealthCheck))
 @given(st.data())
 def test_fixes_are_what_pyubx2_reads(tmp_path: Path, data: st.DataObject) -> None:
     """Every field, whatever the message holds; and a bit that is flipped is noticed."""

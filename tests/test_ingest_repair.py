@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 from ingest_logs import (
     NO_FIX_ROWS,
     SECOND,
@@ -34,8 +34,6 @@ from trainlog.trip import Trip, seconds
 
 FILES = settings(
     max_examples=60,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 
 

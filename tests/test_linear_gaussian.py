@@ -50,7 +50,7 @@ def by_filterpy(
     return (means, covariances), (smooth, spread)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10_000))
 def test_filter_and_smoother_give_filterpys_and_rauch_tung_striebels_numbers(seed: int) -> None:
     given_ = drawn(seed)

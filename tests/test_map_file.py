@@ -92,7 +92,7 @@ def nine(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Evidence], byte
 
 
 class TestSet:
-    @settings(max_examples=4, deadline=None)
+    @settings(max_examples=4)
     @given(
         order=st.permutations(range(9)), cuts=st.lists(st.integers(0, 9), min_size=2, max_size=2)
     )

@@ -360,7 +360,7 @@ def test_json_numbers_beyond_every_type(tmp_path):
     assert np.isnan(frame["x"].iloc[2])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.recursive(
         st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),

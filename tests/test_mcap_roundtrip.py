@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from mcap_trips import START, assert_same, trip_of, trips
 from refusals import refused
 
@@ -27,9 +27,7 @@ from trainlog.topics import (
 from trainlog.trip import Trip, frame_of
 
 
-@settings(
-    max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=50)
 @given(trip=trips())
 def test_any_trip_reads_back_as_it_was(trip: Trip, tmp_path: Path) -> None:
     path = tmp_path / "trip.mcap"

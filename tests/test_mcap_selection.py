@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 from mcap_trips import START, assert_same, trip_of
 from refusals import refused
 
@@ -100,9 +100,7 @@ def in_time(trip: Trip, pair: tuple[float | None, float | None]) -> tuple[Any, A
     return first, last
 
 
-@settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 5),
     pair=st.tuples(limits, limits),
@@ -124,9 +122,7 @@ def test_a_span_of_time_is_the_slice_of_the_whole(
     assert_same(replace(expected, topics=kept), part)
 
 
-@settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 5), pair=st.tuples(limits, limits), indexed=st.booleans())
 def test_a_stretch_of_the_line_is_the_slice_of_the_whole(
     seed: int,
@@ -265,9 +261,7 @@ def together(pieces: list[Trip]) -> Trip:
     return replace(first, topics=topics)
 
 
-@settings(
-    max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=20)
 @given(
     seed=st.integers(0, 5),
     rows=st.one_of(st.integers(1, 40), st.just(10**6)),

@@ -135,7 +135,7 @@ def test_a_standing_train_does_not_move_back_on_the_position_timeline(trip: Trip
     assert np.abs(position - trip["/estimates/state"]["position"]).max() < 2.0
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(arrays(np.float64, 30, elements=st.floats(0.0, 1e5)))
 def test_a_train_that_only_goes_on_is_where_it_said(position: np.ndarray) -> None:
     forward = np.sort(position)
@@ -172,7 +172,7 @@ def test_steady_samples_have_no_gaps() -> None:
     assert broken(points).time.size == 150
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(arrays(np.float64, 40, elements=st.sampled_from([0.0, 1.0, 2.0, np.nan])))
 def test_a_held_value_is_the_same_at_every_instant_after_thinning(values: np.ndarray) -> None:
     time = np.arange(40, dtype=np.int64)

@@ -96,7 +96,7 @@ def test_a_trajectory_is_the_reference_of_trips_in_its_direction(tmp_path: Path)
 # ------------------------------------------------------------------------------------- thinning
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     arrays(np.float64, 60, elements=st.floats(-1e3, 1e3) | st.just(np.nan)),
     arrays(np.int64, 60, elements=st.integers(0, 2)),

@@ -118,7 +118,7 @@ def beta_of(resistance: RunningResistance) -> FloatArray:
     return np.array([resistance.r0, resistance.r1, resistance.r2])
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(order=st.permutations(range(6)))
 def test_order_does_not_matter(order: list[int]) -> None:
     fits, _ = drawn(6, 0.05, (150.0, 60.0, 100.0), seed=1)
@@ -214,7 +214,7 @@ def test_parameter_set_is_physical_and_complete() -> None:
     assert json.loads(json.dumps(parameters.details)) == parameters.details
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     r0=st.floats(-3000.0, 5000.0),
     r1=st.floats(-300.0, 300.0),

@@ -129,7 +129,7 @@ def test_partial_reset_keeps_what_was_learnt_about_the_others() -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     forgetting=st.one_of(st.sampled_from([0.9, 0.95, 0.99, 0.999, 1.0]), st.floats(0.9, 1.0)),
     walk=st.sampled_from([0.0, 1e-6, 1e-3, 10.0]),

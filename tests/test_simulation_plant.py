@@ -60,7 +60,7 @@ def energy_residual(plant: Plant, state: PlantState, before: float = 0.0) -> tup
     return abs(kinetic_energy(plant, state) - before - gained), total
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     demands=st.lists(
         st.tuples(

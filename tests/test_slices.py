@@ -51,9 +51,6 @@ def messages(trip: Trip) -> list[str]:
 
 
 # ------------------------------------------------------------------------------------- by time
-
-
-@settings(deadline=None)
 @given(trips(), instants)
 def test_slices_by_time_partition_a_trip(trip: Trip, at: int) -> None:
     before = trip.between(None, stamp(at))
@@ -64,7 +61,7 @@ def test_slices_by_time_partition_a_trip(trip: Trip, at: int) -> None:
         assert before[name].attrs == after[name].attrs == frame.attrs
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(trips(), instants, instants)
 def test_slicing_and_writing_can_change_places(
     tmp_path_factory: pytest.TempPathFactory, trip: Trip, one: int, other: int
@@ -232,7 +229,7 @@ def test_spans_of_pieces_are_those_of_the_whole(
     )
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(rides(), limits, limits)
 def test_slicing_by_position_and_writing_can_change_places(
     tmp_path_factory: pytest.TempPathFactory,

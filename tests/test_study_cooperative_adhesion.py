@@ -314,7 +314,7 @@ def test_wheels_race_without_slip_control() -> None:
     assert float(run.mean(run.force, *WET_AT_REST)) < 0.2 * float(run.mean(run.force, *STILL_DRY))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.lists(st.floats(-1e4, 1e4), min_size=20, max_size=20),
     st.lists(st.floats(0.0, 5e3), min_size=4, max_size=4),

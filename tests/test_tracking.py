@@ -88,7 +88,6 @@ def worst(plan: Reference, rows: np.ndarray) -> np.ndarray:
     return np.max(np.array(found), axis=0)
 
 
-@settings(deadline=None)
 @given(a21=st.floats(-0.02, 0.02), a22=st.floats(-0.6, 0.6), b2=st.floats(0.0, 3.0))
 def test_the_sampled_system_is_the_matrix_exponential(a21: float, a22: float, b2: float) -> None:
     whole = np.array([[0.0, 1.0, 0.0], [a21, a22, b2], [0.0, 0.0, 0.0]])
@@ -130,7 +129,7 @@ def test_terminal_cost_is_that_of_the_stationary_regulator(gain: float) -> None:
     np.testing.assert_allclose(terminal_weight(a, b, 2.0, 0.1), expected, rtol=1e-6)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 1000))
 def test_the_solver_finds_what_another_solver_finds(seed: int) -> None:
     """Clarabel on the same program, with rules that may be broken at the same price a row.
@@ -225,7 +224,6 @@ def test_a_late_driver_arrives_near_the_least_time_that_an_unknown_mass_allows(
     assert least <= now - 70.0 < least + 2.5
 
 
-@settings(deadline=None)
 @given(off=st.floats(-600.0, 600.0))
 def test_a_train_that_is_off_returns_without_a_jerk(off: float) -> None:
     """Never past its target, at a speed that never changes faster than is gentle."""

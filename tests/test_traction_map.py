@@ -145,7 +145,7 @@ class TestField:
             np.testing.assert_allclose(added, exact, rtol=1e-6)
         np.testing.assert_array_equal(found.mean, alone.mean)
 
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=30)
     @given(st.integers(0, 10_000), st.integers(0, BINS - 1), st.integers(0, LEVELS.size - 1))
     def test_a_bound_from_below_never_lowers_the_estimate(
         self, seed: int, place: int, level: int
@@ -223,7 +223,7 @@ class TestBounds:
 
 
 class TestMerging:
-    @settings(max_examples=3, deadline=None)
+    @settings(max_examples=3)
     @given(st.permutations(range(6)), st.lists(st.integers(0, 6), min_size=2, max_size=2))
     def test_any_order_and_grouping_gives_the_same_bytes(
         self, order: list[int], cuts: list[int]

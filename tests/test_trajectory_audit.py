@@ -172,7 +172,7 @@ def lines(draw: st.DrawFn) -> Line:
     )
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(
     line=lines(),
     train=st.sampled_from([FLIRT, VIRM6]),

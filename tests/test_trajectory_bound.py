@@ -59,7 +59,7 @@ def test_multipliers_of_the_optimum_bound_it_closely(objective: str) -> None:
     assert bound <= Relaxation(problem, speeds).least_energy(TIME).bound * (1.0 + 1e-6)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.sampled_from(CASES),
     st.integers(0, 2**31),

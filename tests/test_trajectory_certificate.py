@@ -111,7 +111,7 @@ def solved(objective: str) -> tuple[Any, ...]:
     return answer, answer.problem.select(rows), own, time, fine / problem.reference
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.sampled_from(("wheel", "line", "expected")),
     st.integers(0, 2**31),
