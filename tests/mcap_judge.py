@@ -43,7 +43,7 @@ _TWICE = ("comes again", "one file ends here", "without its chunk")
 """What an account says of files in which something comes twice."""
 
 LONGEST = 20
-"""No reading of a small file may take longer [s]."""
+"""No reading of a small file may take more time of the processor [s]."""
 
 
 @dataclass(frozen=True)
@@ -163,16 +163,18 @@ class Hang(BaseException):
 
 @contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
+    """Raise `Hang` after so much time of the processor, however busy it is with others [s]."""
+
     def stop(*_: object) -> None:
         raise Hang
 
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def most_memory() -> int:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import run
+from killed import PATIENCE
 from recorder_files import drive, gpx, gpx_text
 
 from trainlog.errors import InputError
@@ -261,11 +262,11 @@ def test_interrupted_it_keeps_whole_logs_and_lists_them(tmp_path: Path) -> None:
     with subprocess.Popen(
         words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ)
     ) as process:
-        deadline = time.monotonic() + 60.0
+        deadline = time.monotonic() + PATIENCE
         while len(list(logs.glob("[0-9]*.mcap"))) < 3 and time.monotonic() < deadline:
             time.sleep(0.02)
         process.send_signal(signal.SIGINT)
-        shown, complaint = process.communicate(timeout=60)
+        shown, complaint = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130, complaint
     kept = len(list(logs.glob("[0-9]*.mcap")))
     assert complaint == f"trainlog: interrupted: {kept} files written\n"

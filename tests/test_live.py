@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from killed import PATIENCE
 from refusals import refused
 
 import trainlog
@@ -432,7 +433,7 @@ def test_what_ends_the_program_costs_a_second_at_most(number: int, tmp_path: Pat
             time.sleep(0.01)
         killed = time.time()
         os.kill(program.pid, number)
-        said = program.communicate(timeout=30)[0]
+        said = program.communicate(timeout=PATIENCE)[0]
         status = program.returncode
     description = trainlog.describe(log)
     with pytest.warns(trainlog.DamageWarning) if number == signal.SIGKILL else nullcontext():

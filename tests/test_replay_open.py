@@ -13,6 +13,7 @@ import urllib.request
 from pathlib import Path
 
 import pytest
+from killed import PATIENCE
 from replay_trips import made_trip
 
 from trainlog.errors import InputError
@@ -144,7 +145,7 @@ def test_ctrl_c_ends_the_viewer_and_leaves_nothing(number: int, tmp_path: Path) 
         assert line.startswith("http://127.0.0.1:")
         assert viewers_of(tmp_path)
         process.send_signal(number)
-        assert process.wait(20.0) == 0
+        assert process.wait(PATIENCE) == 0
     assert viewers_of(tmp_path) == []
     assert not list(tmp_path.iterdir())
 

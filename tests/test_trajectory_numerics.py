@@ -141,7 +141,7 @@ def test_a_grid_too_coarse_for_the_timetable_is_made_finer() -> None:
     assert found.certificate["audit"]["passed"]
 
 
-@pytest.mark.parametrize("coarse", [40, pytest.param(120, marks=pytest.mark.long)])
+@pytest.mark.parametrize("coarse", [60, pytest.param(120, marks=pytest.mark.long)])
 @pytest.mark.parametrize("objective", ["wheel", "line"])
 def test_a_run_without_reserve_is_the_fastest_and_audited(objective: str, coarse: int) -> None:
     configurations = drawn(FLIRT, 3, seed=2)
