@@ -19,22 +19,20 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import sqlalchemy as sa
+from killed import PATIENCE, Forked
 
 from trainlog.catalogue import database as migration, open_catalogue
 
 
-def forked(work: Callable[[], object]) -> tuple[int, int]:
-    """A process that works, and where what it found is read."""
+def forked(work: Callable[[int], object]) -> tuple[Forked, int]:
+    """A process that works, and where what it found, and writes into its pipe meanwhile, is read.
+
+    This process keeps no end to write: of one that fails nothing is read, and nobody waits.
+    """
     reader, writer = os.pipe()
-    number = os.fork()
-    if number:
-        os.close(writer)
-        return number, reader
-    try:
-        os.write(writer, json.dumps(work()).encode())
-    finally:
-        os._exit(0)
-    raise AssertionError
+    process = Forked(lambda: os.write(writer, json.dumps(work(writer)).encode()) and None)
+    os.close(writer)
+    return process, reader
 
 
 def migrated(where: str) -> int | None:
@@ -51,7 +49,7 @@ def paused(where: str, pipe: int) -> None:
     def change(connection: sa.Connection) -> None:
         last.change(connection)
         os.write(pipe, b"changed")
-        time.sleep(60.0)
+        time.sleep(PATIENCE)
 
     migration.STEPS = (*migration.STEPS[:-1], replace(last, change=change))
     migrated(where)
@@ -59,19 +57,18 @@ def paused(where: str, pipe: int) -> None:
 
 def main(where: str, openers: int) -> None:
     """Kill one that migrates, and let the others open it."""
-    reader, writer = os.pipe()
-    number, _ = forked(lambda: paused(where, writer))
-    assert os.read(reader, 7) == b"changed"
+    victim, reader = forked(lambda pipe: paused(where, pipe))
+    assert os.read(reader, 7) == b"changed", "the first failed"
     # Another waits meanwhile, and does it once the first is dead.
-    running = [forked(lambda: migrated(where)) for _ in range(openers)]
+    running = [forked(lambda _: migrated(where)) for _ in range(openers)]
     time.sleep(0.2)
-    os.kill(number, signal.SIGKILL)
-    _, status = os.waitpid(number, 0)
+    victim.send_signal(signal.SIGKILL)
+    killed = victim.wait() == -signal.SIGKILL
     found = []
-    for number, pipe in running:
+    for process, pipe in running:
+        process.wait()
         found.append(json.loads(os.read(pipe, 1000) or b'"failed"'))
-        os.waitpid(number, 0)
-    print(json.dumps({"killed": os.WIFSIGNALED(status), "migrated": found}))
+    print(json.dumps({"killed": killed, "migrated": found}))
 
 
 if __name__ == "__main__":
