@@ -11,7 +11,8 @@ import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-PATIENCE = 120.0
+PATIENCE = 600.0
+"""How long anything may take on the busiest machine [s]; longer takes only what hangs."""
 
 
 class Forked:

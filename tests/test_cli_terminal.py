@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from killed import PATIENCE
 
 from trainlog.cli.progress_bar import amount, pace
 from trainlog.formats.samples import sample
@@ -52,7 +53,7 @@ def typed(words: list[str | Path], folder: Path, *, until: str = "", columns: in
         os.environ["TERM"] = "xterm-256color"
         os.execv(sys.executable, [sys.executable, "-m", "trainlog", *map(str, words)])
     fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 40, columns, 0, 0))
-    seen, pressed, end = b"", not until, time.monotonic() + 120.0
+    seen, pressed, end = b"", not until, time.monotonic() + PATIENCE
     while time.monotonic() < end:
         if select.select([terminal], [], [], 0.1)[0]:
             try:

@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 from failing_analyses import DEADLY
 from fleet_trips import TRIPS
+from killed import PATIENCE
 from killed_fleet import contents, descendants, recorded
 from refusals import refused
 
@@ -79,7 +80,7 @@ def dask_cluster(folder: Path) -> Iterator[tuple[str, int]]:
                 process.wait()
 
 
-def when_ready(address: str, patience: float = 60.0) -> None:
+def when_ready(address: str, patience: float = PATIENCE) -> None:
     """Wait until two workers have come."""
     until = time.monotonic() + patience
     while time.monotonic() < until:
@@ -256,7 +257,11 @@ def test_mpi_without_workers_states_how_it_is_started() -> None:
     pytest.importorskip("mpi4py")
     script = "from analysis.fleet.engine import MPI; MPI()"
     done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=120
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=PATIENCE,
     )
     assert "MPI has no workers" in done.stderr
     assert "mpiexec -n 3 python -m mpi4py.futures" in done.stderr

@@ -132,7 +132,7 @@ def test_a_stream_on_standard_input_is_kept_as_it_came(
     with file.open("rb") as stream:
         done = subprocess.run(
             [sys.executable, "-m", "trainlog", *map(str, words)],
-            stdin=stream, capture_output=True, text=True, timeout=120, check=True,
+            stdin=stream, capture_output=True, text=True, timeout=PATIENCE, check=True,
         )  # fmt: skip
     stated = json.loads(done.stdout)
     assert stated["messages"][STATE] == 599
@@ -365,7 +365,7 @@ def growing(tmp_path: Path) -> Iterator[tuple[Path, GrowingFile]]:
 
 def lines_of(source: GrowingFile, framer: Framer, count: int) -> list[bytes]:
     found: list[bytes] = []
-    deadline = time.monotonic() + 60.0
+    deadline = time.monotonic() + PATIENCE
     while len(found) < count and time.monotonic() < deadline:
         for block in source.read(0.1):
             found += framer.cut(block)
