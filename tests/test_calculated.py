@@ -204,11 +204,11 @@ def test_the_command_names_what_is_wrong(
     write_train(replace(TRAIN, resistance=replace(OWN, r2=4.0 * OWN.r2)), path)
     picture = tmp_path / "calculated.png"
     log = str(sample("stopping.mcap"))
-    words = ["compare", log, "--calculated", str(path), "--picture", str(picture)]
+    words = ["compare", "calculated", log, "--model", str(path), "--picture", str(picture)]
     assert cli.run(words) == 0
     assert "r2 is " in " ".join(capsys.readouterr().out.split())
     assert picture.read_bytes()[:4] == b"\x89PNG"
-    assert cli.run(["compare", log, "--calculated", str(path), "--json"]) == 0
+    assert cli.run(["compare", "calculated", log, "--model", str(path), "--json"]) == 0
     (trip,) = json.loads(capsys.readouterr().out)["trips"]
     assert [each["name"] for each in trip["wrong"]] == ["r2"]
     assert len(trip["sections"]) == 4

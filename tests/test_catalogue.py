@@ -386,8 +386,8 @@ def test_every_command_that_takes_logs_takes_trips_of_a_catalogue() -> None:
         for words, command in commands()
         if {"--trips", "--catalogue"} <= {option for each in command.params for option in each.opts}
     }
-    asked = "fit estimate compare replay report convert show new"
-    assert {*asked.split(), "map update", "map score"} <= found
+    asked = "estimate, replay, report, convert, show, new line, map update, map score, fit efforts"
+    assert {*asked.split(", "), "fit coasting", "compare trips", "compare groups"} <= found
 
 
 def test_commands_take_the_trips_of_an_expression(

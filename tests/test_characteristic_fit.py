@@ -278,7 +278,6 @@ def test_a_train_speed_is_named_as_it_was_given(tmp_path: Path, speed: str, stat
         run(
             [
                 "fit",
-                "--method",
                 "adhesion",
                 str(path),
                 "-o",
@@ -295,7 +294,6 @@ def test_a_train_speed_beside_those_of_the_points_is_refused(tmp_path: Path) -> 
         run(
             [
                 "fit",
-                "--method",
                 "adhesion",
                 str(path),
                 "-o",
@@ -314,7 +312,7 @@ def test_from_measured_points_to_a_trip_on_that_rail(
     rows = "\n".join(f"{s:.3f};{mu:.5f};72" for s, mu in zip(slips, adhesions, strict=True))
     path = written(tmp_path, f"creepage [%];adhesion;speed [km/h]\n{rows}\n")
     output = tmp_path / "rail.json"
-    assert run(["fit", "--method", "adhesion", str(path), "-o", str(output)]) == 0
+    assert run(["fit", "adhesion", str(path), "-o", str(output)]) == 0
     shown = capsys.readouterr().out
     stated = re.search(r"maximum adhesion +([0-9.]+) ± ", shown)
     assert stated is not None

@@ -58,6 +58,7 @@ def test_help_of_every_command_fits_the_terminal_and_loses_nothing(
             assert all(option in every for option in parameter.opts if "-" in option), words
             lost = set((parameter.help or "").split()) - set(every.split())
             assert not lost, (words, lost)
+            assert parameter.help, (words, parameter.name)
 
 
 def examples(command: Any) -> list[list[str]]:
@@ -139,7 +140,7 @@ def test_a_word_alone_shows_the_help_of_its_commands(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["fit", "x"], "Missing option '--output' / '-o'; for example: trainlog fit results/trips"),
+        (["fit", "x"], "Missing option '--output' / '-o'; for example: trainlog fit efforts results/"),
         (["map", "update", "x"], "for example: trainlog map update results/trips --map"),
         (["advice"], "Missing argument 'TRAJECTORIES'; for example: trainlog advice results/"),
         (["pln", "x"], "No such command 'pln'. Did you mean 'plan'?"),

@@ -35,10 +35,10 @@ show sample_logs --check
 convert cut.mcap -o whole.mcap
 simulate drive --line sample --train sample --count 1 -o trips
 simulate fleet drawn:1 --trains 1 --days 1 --count 1 --jobs 1 -o fleet
-fit sample_logs -o parameters.json
+fit efforts sample_logs -o parameters.json
 estimate sample_logs/nonstop.mcap -o estimated
-fit sample_logs --method coasting -o coast-down.json
-fit curve.csv --method adhesion -o wet.json
+fit coasting sample_logs -o coast-down.json
+fit adhesion curve.csv -o wet.json
 map update sample_logs --map wil.map
 map show sample_logs/CH_StGallen_Wil.map --at 2024-10-09T06:00Z --model
 map forecast sample_logs/CH_StGallen_Wil.map -o forecast.csv
@@ -81,8 +81,8 @@ fleet diff now now --catalogue fleet --analysis checks
 fleet trains --catalogue fleet -o trains
 report fleet -o fleet.html
 fleet remove --catalogue fleet weather='wet'
-compare sample_logs
-compare sample_logs/nonstop.mcap --calculated sample_logs/CH_Stadler_FLIRT_TPF.train.json
+compare trips sample_logs
+compare calculated sample_logs/nonstop.mcap --model sample_logs/CH_Stadler_FLIRT_TPF.train.json
 advice trajectory.json --onto sample_logs/nonstop.mcap -o advised.mcap
 advice trajectory.json --departure 07:12 -o advice.html
 replay part.mcap rest.mcap -o parts.rrd

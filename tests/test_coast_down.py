@@ -301,7 +301,7 @@ def test_the_command_writes_result_and_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "coast-down.json"
-    assert run(["fit", "--method", "coasting", str(sample("nonstop.mcap")), "-o", str(output)]) == 0
+    assert run(["fit", "coasting", str(sample("nonstop.mcap")), "-o", str(output)]) == 0
     stated = capsys.readouterr().out
     assert "Running resistance of the coasting train" in stated
     assert read_coast_down(output).gradient == "line"
@@ -313,7 +313,7 @@ def test_the_command_tells_in_one_line_why_not(tmp_path: Path) -> None:
     log = tmp_path / "short.mcap"
     write_log(trip, log)
     with pytest.raises(NotIdentifiableError, match="coasting") as refusal:
-        run(["fit", "--method", "coasting", str(log), "-o", str(tmp_path / "r.json")])
+        run(["fit", "coasting", str(log), "-o", str(tmp_path / "r.json")])
     assert len(str(refusal.value).splitlines()) == 1
     assert refusal.value.file == log
     assert not (tmp_path / "r.json").exists()
@@ -452,7 +452,6 @@ def test_the_lever_tells_when_a_trip_coasted() -> None:
 def test_the_command_refuses_one_trip_over_unknown_gradients(tmp_path: Path) -> None:
     arguments = [
         "fit",
-        "--method",
         "coasting",
         str(sample("nonstop.mcap")),
         "-o",

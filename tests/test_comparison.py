@@ -419,10 +419,11 @@ def test_the_figure_and_the_data_hold_every_trip() -> None:
     assert "Gossau" in found._repr_html_()
 
 
-@pytest.mark.parametrize("option", [[], ["--with"]])
-def test_the_command_refuses_a_log_that_does_not_exist(option: list[str]) -> None:
-    with pytest.raises(InputError, match=r"nowhere\.mcap: does not exist; check the path"):
-        cli.run(["compare", str(sample("stopping.mcap")), *option, "nowhere.mcap"])
+@pytest.mark.parametrize("words", ["LOG", "groups LOG --with"])
+def test_the_command_refuses_a_log_that_does_not_exist(words: str) -> None:
+    given = words.replace("LOG", str(sample("stopping.mcap"))).split()
+    with pytest.raises(InputError, match=r"nowhere\.mcap: does not exist"):
+        cli.run(["compare", *given, "nowhere.mcap"])
 
 
 def test_the_command_prints_json_and_saves_a_picture(

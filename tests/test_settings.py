@@ -84,7 +84,7 @@ def test_units_and_zone_change_what_is_shown_and_no_file(
     for unit, zone in (("km/h", "UTC"), ("mph", "Europe/Zurich")):
         set_setting("speed", unit)
         set_setting("zone", zone)
-        _, out, _ = run(monkeypatch, capsys, "fit", "--method", "coasting", log, "-o", made)
+        _, out, _ = run(monkeypatch, capsys, "fit", "coasting", log, "-o", made)
         shown.append(out)
         files.append([made.read_bytes(), made.with_suffix(".png").read_bytes()])
         _, out, _ = run(monkeypatch, capsys, "show", "--check", log, "--json")

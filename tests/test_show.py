@@ -193,7 +193,7 @@ def test_a_map_is_no_log_and_no_fit(tmp_path: Path) -> None:
     track = str(sample("CH_StGallen_Wil.map"))
     refused(TrainlogError, "not an MCAP file but a track-condition map", run, ["replay", track])
     with pytest.raises(TrainlogError, match="is a track-condition map; the parameters"):
-        run(["compare", str(sample("nonstop.mcap")), "--calculated", track])
+        run(["compare", "calculated", str(sample("nonstop.mcap")), "--model", track])
 
 
 def test_settings_take_the_options_of_all_commands(capsys: pytest.CaptureFixture[str]) -> None:

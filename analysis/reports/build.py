@@ -501,7 +501,7 @@ _COMMANDS = {
     "ingest": "trainlog ingest RECORDING -o FOLDER  # {}",
     "estimate": "trainlog estimate LOG -o FOLDER  # {}",
     "fit": "trainlog fit LOGS -o {}",
-    "coast-down": "trainlog fit LOGS --method coasting -o {}",
+    "coast-down": "trainlog fit coasting LOGS -o {}",
     "optimise": "trainlog plan PARAMETERS --line LINE --train TRAIN -o {}",
     "advise": "trainlog advice TRAJECTORY --onto LOG -o {}",
     "map update": "trainlog map update LOGS --map {}",

@@ -65,7 +65,7 @@ def commands(log: Path, folder: Path) -> dict[str, list[str]]:
         "convert a minute": [
             "convert", str(log), "-o", str(folder / "min.mcap"), "--from", "end-1min",
         ],
-        "compare": ["compare", str(log), "--with", str(driven)],
+        "compare": ["compare", "groups", str(log), "--with", str(driven)],
         "optimise": [
             "plan", str(folder / "parameters.json"), "-o", str(folder / "trajectory.json"),
             "--line", "sample", "--train", "sample", "--running-time", str(log),

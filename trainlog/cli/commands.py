@@ -11,17 +11,12 @@ from functools import cache
 from importlib import import_module
 from keyword import iskeyword
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from trainlog.cli.options import (
-    CatalogueOption,
-    ChosenTrips,
-    chosen_logs,
-    chosen_summaries,
-)
+from trainlog.cli.options import ChosenTrips, chosen_logs, chosen_summaries, typed
 from trainlog.cli.progress_bar import ProgressDisplay, progress_shown
 from trainlog.cli.terminal import Output, console, output_of, print_error
 from trainlog.display import counted
@@ -80,9 +75,9 @@ FORMER = {
     "network show": "show",
     "network route": "show 'NET#A,B'",
     "network export": "convert NET.network.json -o NET.geojson",
-    "coast-down": "fit --method coasting",
-    "adhesion": "fit --method adhesion",
-    "adhesion fit": "fit --method adhesion",
+    "coast-down": "fit coasting",
+    "adhesion": "fit adhesion",
+    "adhesion fit": "fit adhesion",
     "map history": "map show --km 12.3",
     "optimise": "plan",
     "optimize": "plan",
@@ -115,34 +110,39 @@ def end_in_part(failed: int, of: int) -> None:
 
 
 def _common(
-    chosen_trips: Annotated[
-        str | None,
-        typer.Option(
-            "--trips",
-            metavar="WHERE",
-            help="Trips of the catalogue, beside logs that are named: \"line = 'X' and weather ="
-            " 'wet'\"; or all.",
-        ),
-    ] = None,
-    catalogue: CatalogueOption = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the result as one JSON object, and nothing else.")
-    ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")] = False,
+    *,
+    trips: str | None = None,
+    catalogue: str | None = None,
+    json: bool = False,
+    quiet: bool = False,
 ) -> None:
-    """Declare the options that commands share: of those that take logs, and of all."""
+    """The options that commands share: of those that take logs, and of all.
+
+    Parameters
+    ----------
+    trips : WHERE
+        Trips of the catalogue, beside logs that are named: "line = 'X' and weather = 'wet'"; or
+        all.
+    json
+        Print the result as one JSON object, and nothing else.
+    quiet
+        Print errors only.
+    """
 
 
 @cache
 def _common_options() -> tuple[list[Any], list[Any]]:
     """The options of commands that take logs, and those of all commands."""
     program = typer.Typer(add_completion=False)
-    program.command()(_common)
+    program.command()(typed(_common))
     every = typer.main.get_command(program).params
     return every[:2], every[2:]
 
 
-INPUTS = ("line", "train", "profile", "network", "trajectory", "onto")
+DEFAULT = {"fit": "efforts", "compare": "trips"}
+"""Of a word with several commands the one that is meant where none of them is named."""
+
+INPUTS = ("line", "train", "profile", "network", "trajectory", "onto", "with_")
 """Options that name a file to be read."""
 
 
@@ -174,35 +174,6 @@ def _state_interruption(output: Output, display: ProgressDisplay) -> None:
     print_error(f"interrupted{outer and f' at {outer}'}: {said}")
 
 
-SHOWN_TYPES = {
-    "before": "DAY",
-    "characteristic": "FILE",
-    "configurations": "NAMES",
-    "electrification": "NAME",
-    "facts": "KEY=VALUE",
-    "formation": "VEHICLES",
-    "km": "KM:KM",
-    "layer": "CONDITION",
-    **dict.fromkeys(("at", "start", "end"), "TIME"),
-}
-"""What the value of an option is that takes words, where its name does not say so."""
-
-
-def _shown_type(option: Any) -> str:
-    """What the value of an option is."""
-    annotation = option.type_descriptor.annotation
-    if option.is_flag:
-        return ""
-    if option.type_descriptor.is_choice:
-        return "NAME"
-    if Path in (annotation, *get_args(annotation)):
-        return "FOLDER" if (option.help or "").startswith("Folder") else "FILE"
-    if annotation is int:
-        return "N"
-    name: str = option.opts[0].strip("-").upper()
-    return SHOWN_TYPES.get(option.name, name)
-
-
 class _Described:
     """What help says of a command and of the values that its options and arguments take."""
 
@@ -215,16 +186,12 @@ class _Described:
         self.help = "\n\n".join(" ".join(part.split()) for part in paragraphs)
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """The parameters, with types in words of the field; what is on or off has none."""
+        """The parameters; the help states no types but those that they are shown with."""
         found: list[Any] = super().get_params(ctx)  # type: ignore[misc]
         for each in found:
+            each.metavar = each.metavar or ""
             if each.param_type_name == "argument":
-                each.metavar = each.metavar or each.name.upper()
                 each.display_type_rich = lambda **_: ""
-            elif each.metavar is None:
-                each.metavar = _shown_type(each)
-                if each.type_descriptor.is_choice:
-                    each.help = f"{each.help} ({', '.join(each.type_descriptor.choices)})"
         return found
 
 
@@ -252,7 +219,7 @@ class Command(_Described, TyperCommand):
 
         given = ctx.params
         words = ctx.command_path.partition(" ")[2]
-        shown = {"as_json": given.pop("as_json"), "quiet": given.pop("quiet")}
+        shown = {"as_json": given.pop("json"), "quiet": given.pop("quiet")}
         with output_of(words, **shown) as output, progress_shown() as display:
             if words != "settings":  # which states what is wrong with them itself
                 known = read_settings()
@@ -270,11 +237,12 @@ class Command(_Described, TyperCommand):
 
     def _choose_trips(self, given: dict[str, Any]) -> None:
         """Give the command the logs of the trips that are chosen beside those that are named."""
-        chosen_trips, catalogue = given.pop("chosen_trips"), given.pop("catalogue")
+        chosen_trips, catalogue = given.pop("trips"), given.pop("catalogue")
         name = self._logs.name
         if chosen_trips is not None:
             # Summaries of fits stand for the logs of other fits alone.
-            chosen = chosen_summaries if given.get("method") == "efforts" else chosen_logs
+            of_fits = self.name == "efforts"
+            chosen = chosen_summaries if of_fits else chosen_logs
             given[name] = (*(given[name] or ()), *chosen(chosen_trips, catalogue))
         elif catalogue is not None:
             raise InputError(
@@ -296,6 +264,9 @@ class Group(_Described, TyperGroup):
         if not args and not ctx.resilient_parsing:
             print(ctx.get_help(), end="")
             ctx.exit()
+        meant = DEFAULT.get(ctx.info_name)
+        if meant and args and args[0] not in self.commands and args[0] not in ("-h", "--help"):
+            args = [meant, *args]
         return super().parse_args(ctx, args)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
@@ -330,9 +301,11 @@ def _command(word: str) -> Any:
     found = getattr(module, f"{word}_app", None)
     if found is None:
         found = typer.Typer(add_completion=False)
-        found.command(word)(getattr(module, f"{word}_" if iskeyword(word) else word))
+        found.command(word)(typed(getattr(module, f"{word}_" if iskeyword(word) else word)))
     else:
         found.info.cls = Group
+        for each in found.registered_commands:
+            each.callback = typed(each.callback)
     for each in found.registered_commands:
         each.cls = Command
     made = typer.main.get_command(found)

@@ -16,33 +16,31 @@ from rich.text import Text
 
 from trainlog.cli.terminal import console as terminal, current
 from trainlog.errors import InputError
+from trainlog.units import COUNT
 
 
 def demo(
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", "-o", help="Folder for the results; default: as set, else results."
-        ),
-    ] = None,
-    fleet: Annotated[
-        bool,
-        typer.Option(
-            "--fleet",
-            help="The demo of a fleet instead: a hundred trips over a drawn network with two faulty"
-            " trains, registered, computed, the trains compared, one train's observed set planned"
-            " for on a route, and the report on all of it; takes minutes.",
-        ),
-    ] = False,
-    count: Annotated[
-        int | None, typer.Option(min=12, help="With --fleet: trips simulated; default 100.")
-    ] = None,
+    *,
+    output: Path | None = None,
+    fleet: bool = False,
+    count: Annotated[int | None, COUNT.between(12.0)] = None,
 ) -> None:
     """Run the whole chain on St.Gallen-Wil: record, fit, map, plan, replay.
 
     Example: trainlog demo -o results
 
     Example: trainlog demo --fleet -o results-fleet
+
+    Parameters
+    ----------
+    output : FOLDER
+        Folder for the results; default: as set, else results.
+    fleet
+        The demo of a fleet instead: a hundred trips over a drawn network with two faulty trains,
+        registered, computed, the trains compared, one train's observed set planned for on a route,
+        and the report on all of it; takes minutes.
+    count : N
+        With --fleet: trips simulated; default 100.
     """
     from trainlog.cli.main import run
     from trainlog.formats.settings import read_settings
@@ -76,7 +74,7 @@ plan OUT/parameters.json KNOWN --map OUT/wil.map --layer wet --running-time OUT/
 simulate follow OUT/trajectory.json KNOWN --map OUT/wil.map --configurations all --weather wet
     -o OUT/driven
 simulate follow OUT/trajectory.json KNOWN --configurations all --weather wet -o OUT/driven-blind
-compare OUT/trips --with OUT/driven --with OUT/driven-blind
+compare groups groups OUT/trips --with OUT/driven --with OUT/driven-blind
 estimate OUT/trips/trip-03.mcap -o OUT/estimated
 replay OUT/estimated OUT/driven --trajectory OUT/trajectory.json --map OUT/wil.map
     -o OUT/replay.rrd

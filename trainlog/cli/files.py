@@ -1,4 +1,10 @@
-"""Commands on files: import, new, show, convert."""
+"""Commands on files: import, new, show, convert.
+
+Parameters
+----------
+output : FILE
+    File to write, which must not exist: .toml, or .json with --from.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +16,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+import analysis
+import trainlog
 from trainlog.cli.commands import end_in_part
 from trainlog.cli.options import (
-    CategoryOption,
     ChosenTrips,
-    FromOption,
-    KilometreOption,
-    ToOption,
-    TopicOption,
+    Logs,
+    Picture,
+    Written,
     destination,
     distinct,
     line_of_log,
     logs_in,
-    measured,
     refuse_rivals,
     sections_in,
     stretch,
@@ -47,62 +52,21 @@ if TYPE_CHECKING:
 
 
 def import_(
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Of TTOBench or OSRD (JSON), railtoolkit (YAML), railML (XML); or a train file,"
-            " with a curve."
-        ),
-    ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the files.")],
-    electrification: Annotated[
-        str | None,
-        typer.Option(help="Whose efforts an OSRD train gets; default: the file's default."),
-    ] = None,
-    traction_curve: Annotated[
-        Path | None,
-        typer.Option(help="CSV with the train's tractive effort over speed, units in the header."),
-    ] = None,
-    braking_curve: Annotated[
-        Path | None, typer.Option(help="The same of its dynamic brake.")
-    ] = None,
-    formation: Annotated[
-        str | None,
-        typer.Option(
-            help="A train of vehicles of these railtoolkit files, by id, from front to rear:"
-            " 'DB_V90, 10 Facs124'."
-        ),
-    ] = None,
-    name: Annotated[str | None, typer.Option(help="With --formation: name of the train.")] = None,
-    loaded: Annotated[
-        float | None,
-        measured(
-            "--loaded",
-            of=PERCENT.between(0.0, 1.0),
-            help="Of a railtoolkit train: share of its load on board.",
-        ),
-    ] = None,
-    mass_model: Annotated[
-        Literal["mass_point", "homogeneous_strip"] | None,
-        typer.Option(help="Of a train: gradients at its front, or averaged over its length."),
-    ] = None,
-    acceleration_limits: Annotated[
-        Literal["gross", "net"] | None,
-        typer.Option(help="Of a train: limits of effort over inertia, or of its own acceleration."),
-    ] = None,
-    curve_resistance: Annotated[
-        Literal["proportional", "roeckl", "roeckl_small_radius"] | None,
-        typer.Option(help="Of a line: 0.6/R; Roeckl's 0.65/(R - 55); 0.5/(R - 30)."),
-    ] = None,
-    category: CategoryOption = None,
-    limit: Annotated[
-        float | None,
-        measured(
-            "--limit",
-            of=SPEED.between(1.0 / KMH, 600.0 / KMH),
-            help="Of a network: speed limit where the file states none; default: its lowest.",
-        ),
-    ] = None,
+    files: list[Path],
+    /,
+    *,
+    output: Path,
+    electrification: str | None = None,
+    traction_curve: Path | None = None,
+    braking_curve: Path | None = None,
+    formation: str | None = None,
+    name: str | None = None,
+    loaded: Annotated[float | None, PERCENT.between(0.0, 1.0)] = None,
+    mass_model: Literal["mass_point", "homogeneous_strip"] | None = None,
+    acceleration_limits: Literal["gross", "net"] | None = None,
+    curve_resistance: Literal["proportional", "roeckl", "roeckl_small_radius"] | None = None,
+    category: str | None = None,
+    limit: Annotated[float | None, SPEED.between(1.0 / KMH, 600.0 / KMH)] = None,
 ) -> None:
     """Turn lines, trains, journeys and networks of other programs into trainlog's files.
 
@@ -116,6 +80,37 @@ def import_(
     Example: trainlog import CH_StGallen_Wil.json CH_Stadler_FLIRT_TPF.json -o railway
 
     trainlog import DB_V90.yaml Facs124.yaml --formation "DB_V90, 10 Facs124" -o railway
+
+    Parameters
+    ----------
+    files : FILES
+        Of TTOBench or OSRD (JSON), railtoolkit (YAML), railML (XML); or a train file, with a curve.
+    output : FOLDER
+        Folder for the files.
+    electrification : NAME
+        Whose efforts an OSRD train gets; default: the file's default.
+    traction_curve : FILE
+        CSV with the train's tractive effort over speed, units in the header.
+    braking_curve : FILE
+        The same of its dynamic brake.
+    formation : VEHICLES
+        A train of vehicles of these railtoolkit files, by id, from front to rear: 'DB_V90, 10
+        Facs124'.
+    name : NAME
+        With --formation: name of the train.
+    loaded : SHARE
+        Of a railtoolkit train: share of its load on board.
+    mass_model : NAME
+        Of a train: gradients at its front, or averaged over its length.
+    acceleration_limits : NAME
+        Of a train: limits of effort over inertia, or of its own acceleration.
+    curve_resistance : NAME
+        Of a line: 0.6/R; Roeckl's 0.65/(R - 55); 0.5/(R - 30).
+    category : NAME
+        Of trains, whose speed limits a network gets; 'none': those for all trains. Default: the
+        lowest of all categories.
+    limit : SPEED
+        Of a network: speed limit where the file states none; default: its lowest.
     """
     from trainlog.formats.csv_tables import read_effort_curve
     from trainlog.formats.files import output_folder
@@ -144,101 +139,85 @@ def import_(
                     console.print(f"  assumed: {'; '.join(each.assumed)}")
 
 
-def new(
-    kind: Annotated[
-        Literal["line", "train", "journey", "profile", "network", "samples"],
-        typer.Argument(
-            help="line, train, journey, profile, network; or samples: those of"
-            " trainlog, copied to a folder."
-        ),
-    ],
-    output: Annotated[
-        Path,
-        typer.Option(
-            "--output",
-            "-o",
-            help="File to write, .toml, which must not exist; .json with --from. Of samples a"
-            " folder.",
-        ),
-    ],
-    source: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--from",
-            help="What a line or a network is made from; may be given several times. Of a line:"
-            " a CSV of chainage, gradient, limit and, if known, station, radius, latitude,"
-            " longitude, units in its header; logs along it, for their satellite fixes; or a route"
-            ' in a network, "NET#A,B,C". Of a network: line files.',
-        ),
-        ChosenTrips,
-    ] = None,
-    name: Annotated[
-        str | None,
-        typer.Option(help="Of a line or network that is made with --from; default: the file's."),
-    ] = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option(help="Of a line from logs; default: beside the output, .png."),
-    ] = None,
-) -> None:
-    """Begin a line, network, train, journey or profile, or copy the samples.
+new_app = typer.Typer(help="Begin a line, network, train, journey or profile, or copy the samples.")
 
-    Without --from it is a commented file that is valid and ready to edit.
+
+@new_app.command("line")
+def new_line(
+    *,
+    output: Path,
+    from_: Annotated[list[Path] | None, ChosenTrips] = None,
+    name: str | None = None,
+    picture: Picture = None,
+) -> None:
+    """Begin a line: a commented file to be edited; or one from a table, logs or a route.
 
     From logs a line gets its centre line with curvature, in either direction, how well it is known
     and what it rests on; limits, gradients and stations are not known from fixes. Of a route the
-    shortest one through the places is taken. Lines are joined to a network at the stations that
-    they share: a line is cut where another begins, ends or passes; there trains can pass from any
-    edge to any other; a track that two lines share is taken once.
+    shortest one through the places is taken.
 
-    Example: trainlog new train -o my.train.toml
+    Example: trainlog new line -o my.line.toml
 
     Example: trainlog new line --from A-B.csv -o A-B.line.toml
 
     Example: trainlog new line --from results/recorded -o results/line.json
 
-    Example: trainlog new network --from A-B.line.json --from B-C.line.json -o my.network.json
+    Parameters
+    ----------
+    from_ : FILE
+        A CSV of chainage, gradient, limit and, if known, station, radius, latitude, longitude,
+        units in its header; logs along the line, for their satellite fixes, may be given several
+        times; or a route in a network, "NET#A,B,C".
+    name : NAME
+        With --from; default: the file's.
+    picture : FILE
+        Of a line from logs; default: beside the output, .png.
     """
     from trainlog.formats.railway import route_of_path, write_template
 
-    made_from = source or []
-    if kind == "samples":
-        from trainlog.formats.samples import copy_samples
-
-        wrote(*copy_samples(output))
-    elif kind == "network":
-        _join(made_from, output, name)
-    elif kind == "line" and made_from and route_of_path(made_from[0]) is not None:
+    made_from = from_ or []
+    if made_from and route_of_path(made_from[0]) is not None:
         _write_route(made_from, output, name)
-    elif kind == "line" and any(each.is_dir() or each.suffix == ".mcap" for each in made_from):
+    elif any(each.is_dir() or each.suffix == ".mcap" for each in made_from):
         _line_of_fixes(made_from, output, name, picture)
     elif len(made_from) > 1:
-        raise InputError(f"a {kind} is made from one file", remedy="give --from once")
+        raise InputError("a line is made from one file", remedy="give --from once")
+    elif name and not made_from:
+        raise InputError(
+            f"--name {name}: a template states its own name",
+            remedy="leave --name out, and edit name in the file",
+        )
     else:
-        if name and not made_from:
-            raise InputError(
-                f"--name {name}: a template states its own name",
-                remedy="leave --name out, and edit name in the file",
-            )
-        table = made_from[0] if made_from else None
-        wrote(write_template(kind, output, table=table, name=name))
+        wrote(write_template("line", output, table=next(iter(made_from), None), name=name))
 
 
-def _join(lines: list[Path], output: Path, name: str | None) -> None:
-    """Join lines to a network."""
-    destination(output, ".json")
-    from trainlog.formats.railway import read_line, write_network
+@new_app.command("network")
+def new_network(
+    *, output: Annotated[Path, Written(".json")], from_: list[Path], name: str | None = None
+) -> None:
+    """Join lines to a network, at the stations that they share.
+
+    A line is cut where another begins, ends or passes; there trains can pass from any edge to any
+    other; a track that two lines share is taken once.
+
+    Example: trainlog new network --from A-B.line.json --from B-C.line.json -o my.network.json
+
+    Parameters
+    ----------
+    output : FILE
+        Network file to write (.json).
+    from_ : FILE
+        Line file; may be given several times.
+    name : NAME
+        Default: the file's.
+    """
     from trainlog.railway.line_network import network_of_lines
 
-    if not lines:
-        raise InputError(
-            "a network is made from lines",
-            remedy="name them: trainlog new network --from A-B.line.json --from B-C.line.json",
-        )
-    given = name or output.name.partition(".")[0]
-    found = network_of_lines(given, [read_line(each) for each in lines])
-    write_network(found.network, output)
+    found = network_of_lines(
+        name or output.name.partition(".")[0], [trainlog.read_line(each) for each in from_]
+    )
     network = found.network
+    trainlog.write_network(network, output)
     console.print(
         f"{network.name}: {counted(len(network.edges), 'edge')} of {network.length / 1e3:.3f} km,"
         f" {counted(len(network.nodes), 'node')}",
@@ -248,10 +227,43 @@ def _join(lines: list[Path], output: Path, name: str | None) -> None:
     wrote(output)
 
 
+def _new(kind: Literal["train", "journey", "profile"], what: str) -> None:
+    """Add a command that writes a commented file."""
+
+    def begin(*, output: Path) -> None:
+        from trainlog.formats.railway import write_template
+
+        wrote(write_template(kind, output))
+
+    begin.__doc__ = f"Begin a {what}: a commented file that is valid and ready to edit."
+    begin.__doc__ += f"\n\nExample: trainlog new {kind} -o my.{kind}.toml"
+    new_app.command(kind)(begin)
+
+
+_new("train", "train")
+_new("journey", "journey, with its stops and times")
+_new("profile", "profile of a recorder's table")
+
+
+@new_app.command("samples")
+def new_samples(*, output: Path) -> None:
+    """Copy the samples to a folder: lines, trains, logs, recordings.
+
+    Example: trainlog new samples -o sample_logs
+
+    Parameters
+    ----------
+    output : FOLDER
+        Folder for the samples.
+    """
+    from trainlog.formats.samples import copy_samples
+
+    wrote(*copy_samples(output))
+
+
 def _write_route(given: list[Path], output: Path, name: str | None) -> None:
     """Write the line of the shortest route through places of a network."""
     from analysis.contents import contents_of
-    from trainlog.formats.railway import write_line
 
     destination(output, ".json")
     if len(given) > 1:
@@ -259,59 +271,36 @@ def _write_route(given: list[Path], output: Path, name: str | None) -> None:
     found = contents_of(given[0])
     console.print(*found.parts())
     line = found.value.line
-    write_line(replace(line, name=name) if name else line, output)
+    trainlog.write_line(replace(line, name=name) if name else line, output)
     wrote(output)
 
 
 def _line_of_fixes(logs: list[Path], output: Path, name: str | None, picture: Path | None) -> None:
     """Build a line from the satellite fixes of trips along it."""
     from analysis.charts import draw
-    from analysis.geometry.centre_line import geometry_of, line_of
-    from trainlog.formats.railway import write_line
-    from trainlog.mcap import read_log
 
     destination(output, ".json")
     shown = destination(picture or output.with_suffix(".png"), ".png")
     topics = ("/gnss/fix", "/gnss/motion", "/train/state")
-    trips = [read_log(log, topics) for log in track(logs_in(logs), "reading", "log")]
+    trips = [trainlog.read(log, topics) for log in track(logs_in(logs), "reading", "log")]
     with task("fitting"):
-        centre_line = geometry_of(trips)
-    write_line(line_of(centre_line, name or output.stem.removesuffix(".line")), output)
+        centre_line = analysis.geometry_of(trips)
+    trainlog.write_line(
+        analysis.line_of(centre_line, name or output.stem.removesuffix(".line")), output
+    )
     draw(centre_line, shown, trips=trips)
     console.print(*centre_line.shown())
     wrote(output, shown)
 
 
-Files = Annotated[
-    list[Path],
-    typer.Argument(
-        help="Anything that trainlog makes or reads: logs, lines, trains, maps, parameter sets,"
-        " trajectories, profiles, recorders' files; folders of them."
-    ),
-    ChosenTrips,
-]
-
-
 def show(
-    files: Files,
-    check: Annotated[
-        bool,
-        typer.Option(
-            "--check",
-            help="Read logs to the last byte, of any program; verify every checksum and account for"
-            " what is lost.",
-        ),
-    ] = False,
-    every: Annotated[
-        bool, typer.Option("--all", help="List the trips of track-condition maps by name, too.")
-    ] = False,
-    picture: Annotated[
-        Path | None,
-        typer.Option(help="Draw a trip, a line or a network into this file (.png, .svg)."),
-    ] = None,
-    browse: Annotated[
-        bool, typer.Option("--open", help="Open a report on it in the browser.")
-    ] = False,
+    files: Logs,
+    /,
+    *,
+    check: bool = False,
+    all_: bool = False,
+    picture: Path | None = None,
+    open_: bool = False,
 ) -> None:
     """State what a file holds, whatever it is; it is recognised by its content.
 
@@ -327,16 +316,31 @@ def show(
     Example: trainlog show results/trips --check
 
     Example: trainlog show my.line.toml --picture line.png
+
+    Parameters
+    ----------
+    files : FILES
+        Anything that trainlog makes or reads: logs, lines, trains, maps, parameter sets,
+        trajectories, profiles, recorders' files; folders of them.
+    check
+        Read logs to the last byte, of any program; verify every checksum and account for what is
+        lost.
+    all_
+        List the trips of track-condition maps by name, too.
+    picture : FILE
+        Draw a trip, a line or a network into this file (.png, .svg).
+    open_
+        Open a report on it in the browser.
     """
     if check:
         _check(logs_in(files))
         return
-    if len(files) > 1 and (picture is not None or browse):
+    if len(files) > 1 and (picture is not None or open_):
         raise InputError("one file is shown as a picture", remedy="name a single file")
     damaged = refused = 0
     for file in files:
         try:
-            damaged += _show(file, every) if _is_trip(file) else _show_folder(file)
+            damaged += _show(file, all_) if _is_trip(file) else _show_folder(file)
         except TrainlogError as error:  # one file that cannot be shown says nothing of the others
             if len(files) == 1:
                 raise
@@ -347,7 +351,7 @@ def show(
 
         draw_contents(contents_of(files[0]), picture)
         wrote(picture)
-    if browse:
+    if open_:
         _open(files[0])
     end_in_part(refused, len(files))
     if damaged:
@@ -356,10 +360,9 @@ def show(
 
 def _check(logs: list[Path]) -> None:
     """Read logs to the last byte, and state what is lost of them."""
-    from trainlog.mcap import account_of
 
     def checked(log: Path) -> tuple[Account, dict[str, Any]]:
-        account = account_of(log)
+        account = trainlog.check(log)
         return account, {"log": log, "whole": account.whole}
 
     damaged = _accounts(logs, "checking", checked)
@@ -418,10 +421,8 @@ def _open(file: Path) -> None:
     import tempfile
     import webbrowser
 
-    from analysis.reports.build import ReportOptions, write_report
-
     page = Path(tempfile.mkdtemp(prefix="trainlog-")) / f"{file.stem}.html"
-    write_report(file, page, ReportOptions())
+    analysis.write_report(file, page, analysis.ReportOptions())
     wrote(page)
     if not webbrowser.open(page.resolve().as_uri()):
         console.print("no browser here: open the page where there is one")
@@ -434,25 +435,15 @@ KINDS = (
 
 
 def convert(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Logs (.mcap) or folders of them, MDF (.mf4), a folder of Parquet or CSV files; or"
-            " a network; or a trajectory, or the folder of a journey's sections."
-        ),
-        ChosenTrips,
-    ],
-    output: Annotated[Path, typer.Option("--output", "-o", help=KINDS)],
-    topic: TopicOption = None,
-    start: FromOption = None,
-    end: ToOption = None,
-    km: KilometreOption = None,
-    prefer: Annotated[
-        Path | None,
-        typer.Option(
-            help="Of joined logs: the one that counts where another has the same topic and time."
-        ),
-    ] = None,
+    sources: Logs,
+    /,
+    *,
+    output: Path,
+    topic: list[str] | None = None,
+    from_: str | None = None,
+    to: str | None = None,
+    km: str | None = None,
+    prefer: Path | None = None,
 ) -> None:
     """Write logs anew: as Parquet, CSV or MDF, in part, joined, rebuilt.
 
@@ -479,8 +470,19 @@ def convert(
     Example: trainlog convert morning.mcap noon.mcap -o day.mcap
 
     Example: trainlog convert damaged.mcap -o rebuilt/
+
+    Parameters
+    ----------
+    sources : SOURCES
+        Logs (.mcap) or folders of them, MDF (.mf4), a folder of Parquet or CSV files; or a network;
+        or a trajectory, or the folder of a journey's sections.
+    output : FILE
+        Ends in .mcap (a log), .mf4 (MDF 4), .parquet or .csv (folders with a file for each topic),
+        of a network .geojson; else a folder for rebuilt logs.
+    prefer : FILE
+        Of joined logs: the one that counts where another has the same topic and time.
     """
-    part = {"--from": start, "--to": end, "--km": km, "--topic": topic or None}
+    part = {"--from": from_, "--to": to, "--km": km, "--topic": topic or None}
     kind = output.suffix.lower()
     if len(sources) < 2 or kind != ".mcap":
         refuse_rivals("it is one of several logs that are joined", {"--prefer": prefer})
@@ -517,7 +519,7 @@ def convert(
     else:
         from trainlog.mcap.convert import convert as write, span_of
 
-        time = times(start, end, lambda: span_of(sources[0]))
+        time = times(from_, to, lambda: span_of(sources[0]))
         position = None if km is None else stretch(km, line_of_log(sources[0]))
         output.parent.mkdir(parents=True, exist_ok=True)
         with task("converting", unit="row") as step:
@@ -540,11 +542,12 @@ def _is_planned(source: Path) -> bool:
 
 def _export_profile(sources: list[Path], output: Path) -> None:
     """Write trajectories of a journey as one table over the kilometres."""
-    from analysis.trajectory.advice import journey_advice
     from analysis.trajectory.table import write_profile
-    from trainlog.formats.railway import line_of_plan, read_trajectory
+    from trainlog.formats.railway import line_of_plan
 
-    found = journey_advice([read_trajectory(each) for each in sections_in(sources)])
+    found = analysis.journey_advice(
+        [trainlog.read_trajectory(each) for each in sections_in(sources)]
+    )
     write_profile(found, line_of_plan(found.sections[-1]), destination(output, ".csv"))
     wrote(output)
 
@@ -552,9 +555,8 @@ def _export_profile(sources: list[Path], output: Path) -> None:
 def _export_network(file: Path, output: Path) -> None:
     """Write a network for geographic programs."""
     from analysis.network.export import export_network
-    from trainlog.formats.railway import read_network
 
-    found = export_network(read_network(file), output)
+    found = export_network(trainlog.read_network(file), output)
     console.print(
         f"{counted(found.edges, 'edge')}, {counted(found.nodes, 'node')},"
         f" {counted(found.stations, 'station')}",
@@ -581,7 +583,6 @@ def _merge(logs: list[Path], output: Path, prefer: Path | None) -> None:
 def _rebuild(logs: list[Path], output: Path) -> None:
     """Rebuild logs with every message that is readable, and account for what is lost."""
     from trainlog.formats.files import output_folder
-    from trainlog.mcap import recover as rebuild
 
     several = len(logs) > 1 or output.suffix != ".mcap"
     if several:
@@ -589,7 +590,7 @@ def _rebuild(logs: list[Path], output: Path) -> None:
 
     def rebuilt(log: Path) -> tuple[Account, dict[str, Any]]:
         target = output / log.name if several else destination(output, ".mcap")
-        return rebuild(log, target), {"log": log, "rebuilt": target}
+        return trainlog.recover(log, target), {"log": log, "rebuilt": target}
 
     with output_folder(output) if several else nullcontext():
         _accounts(logs, "recovering", rebuilt)

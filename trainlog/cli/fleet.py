@@ -1,4 +1,16 @@
-"""Commands of a fleet: its catalogue, and what is computed of the trips in it."""
+"""Commands of a fleet: its catalogue, and what is computed of the trips in it.
+
+Parameters
+----------
+analysis : ANALYSIS
+    Only this analysis; may be given several times. Default: all of them.
+workers : N
+    Processes; default: one a processor. 0: this process itself.
+from_ : TIME
+    Only trips that start then or later: 2026-10-01.
+to : TIME
+    Only trips that start until then; a day counts whole.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +22,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from trainlog.cli.options import (
-    CatalogueOption,
-    JobsOption,
-    TripsOption,
-    ZoneOption,
-    destination,
-    measured,
-)
+from trainlog.cli.options import POSITIVE, Count, destination
 from trainlog.cli.terminal import (
     as_json_text,
     console,
@@ -31,7 +36,7 @@ from trainlog.cli.terminal import (
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.progress import task
-from trainlog.units import PERCENT
+from trainlog.units import COUNT, PERCENT
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,52 +46,15 @@ if TYPE_CHECKING:
 
 fleet_app = typer.Typer(help="The catalogue of a fleet, and what is computed of its trips.")
 
-AnalysesOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--analysis",
-        help="Only this analysis; may be given several times. Default: all of them.",
-    ),
-]
-WorkersOption = Annotated[
-    int | None,
-    typer.Option(min=0, help="Processes; default: one a processor. 0: this process itself."),
-]
-TrainName = Annotated[
-    str | None, typer.Option("--train", metavar="NAME", help="Only of this train.")
-]
-LineName = Annotated[
-    str | None,
-    typer.Option(
-        "--line",
-        metavar="NAME",
-        help="Only on this line; of a route each line it runs over counts.",
-    ),
-]
-Since = Annotated[
-    str | None,
-    typer.Option("--from", help="Only trips that start then or later: 2026-10-01.", metavar="TIME"),
-]
-Until = Annotated[
-    str | None,
-    typer.Option(
-        "--to", help="Only trips that start until then; a day counts whole.", metavar="TIME"
-    ),
-]
-
 
 @fleet_app.command("add")
 def fleet_add(
-    paths: Annotated[
-        list[Path],
-        typer.Argument(help="Logs (.mcap), or folders: those in them are searched, too."),
-    ],
-    catalogue: CatalogueOption = None,
-    results: Annotated[
-        Path | None,
-        typer.Option(help="Folder for the results of a new catalogue in PostgreSQL."),
-    ] = None,
-    jobs: JobsOption = None,
+    paths: list[Path],
+    /,
+    *,
+    catalogue: str | None = None,
+    results: Path | None = None,
+    jobs: Count = None,
 ) -> None:
     """Register logs by their content; the catalogue is made if there is none.
 
@@ -100,6 +68,13 @@ def fleet_add(
     Example: trainlog fleet add results/trips
 
     Example: trainlog fleet add /data/2026 --catalogue postgresql://fleet@server/trains
+
+    Parameters
+    ----------
+    paths : PATHS
+        Logs (.mcap), or folders: those in them are searched, too.
+    results : FOLDER
+        Folder for the results of a new catalogue in PostgreSQL.
     """
     from trainlog.catalogue import open_catalogue
     from trainlog.catalogue.registration import logs_below
@@ -128,26 +103,12 @@ def fleet_add(
 
 @fleet_app.command("show")
 def fleet_show(
-    catalogue: CatalogueOption = None,
-    by: Annotated[
-        Literal["route", "train", "kind", "line", "edge", "day", "weather"],
-        typer.Option(
-            help="One row per train and line (route), train, kind of trains, line, edge (each line"
-            " that trips ran over, whatever their route), day, or weather. Their names are what"
-            " fleet query takes."
-        ),
-    ] = "route",
-    problems: Annotated[
-        bool,
-        typer.Option(
-            "--problems",
-            help="List the files that do not count, with the reason (copies, other recordings of a"
-            " drive, older versions, vanished and refused files), damaged logs that count, and the"
-            " trips that gave no result.",
-        ),
-    ] = False,
-    trips: TripsOption = None,
-    analyses: AnalysesOption = None,
+    *,
+    catalogue: str | None = None,
+    by: Literal["route", "train", "kind", "line", "edge", "day", "weather"] = "route",
+    problems: bool = False,
+    trips: str | None = None,
+    analysis: list[str] | None = None,
 ) -> None:
     """Show how many trips there are, what is computed of them, and what is pending.
 
@@ -158,6 +119,16 @@ def fleet_show(
     Example: trainlog fleet show --by edge
 
     Example: trainlog fleet show --problems
+
+    Parameters
+    ----------
+    by : NAME
+        One row per train and line (route), train, kind of trains, line, edge (each line that trips
+        ran over, whatever their route), day, or weather. Their names are what fleet query takes.
+    problems
+        List the files that do not count, with the reason (copies, other recordings of a drive,
+        older versions, vanished and refused files), damaged logs that count, and the trips that
+        gave no result.
     """
     from analysis.catalogue_table import overview_table, problems_table
     from analysis.fleet.update import fleet_status
@@ -167,7 +138,7 @@ def fleet_show(
         counts = opened.counts()
         shown = problems_table(opened) if problems else overview_table(opened, by)
         about = {"version": opened.version, "migrated": opened.migrated_from is not None}
-        found = fleet_status(opened, analyses, where=trips)
+        found = fleet_status(opened, analysis, where=trips)
         state({"catalogue": opened.place, **about, "counts": counts})
     whole = problems and not shown.rows and not current().as_json
     console.print("every file counts, and no log is damaged" if whole else shown)
@@ -178,36 +149,18 @@ def fleet_show(
 
 @fleet_app.command("query")
 def fleet_query(
-    asked: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="EXPRESSION",
-            help="Trips of which it holds: \"weather = 'wet' and duration > '20 min'\"; or a whole"
-            " statement of SQL: \"select ...\"; 'tables' lists its tables and columns. Default: all"
-            " trips.",
-        ),
-    ] = None,
-    catalogue: CatalogueOption = None,
-    train: TrainName = None,
-    line: LineName = None,
-    since: Since = None,
-    until: Until = None,
-    zone: ZoneOption = None,
-    most: Annotated[
-        int | None,
-        typer.Option(min=1, help="List at most so many rows; default: 50 on a terminal."),
-    ] = None,
-    paths: Annotated[
-        bool, typer.Option("--paths", help="Print the paths of the logs alone, one per line.")
-    ] = False,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            help="Table to write, with all rows in SI units (.csv, .parquet); of SQL .csv.",
-        ),
-    ] = None,
+    asked: str | None = None,
+    /,
+    *,
+    catalogue: str | None = None,
+    train: str | None = None,
+    line: str | None = None,
+    from_: str | None = None,
+    to: str | None = None,
+    zone: str | None = None,
+    most: Count = None,
+    paths: bool = False,
+    output: Path | None = None,
 ) -> None:
     """List the trips that are asked for, in the order of their start; or ask by SQL.
 
@@ -226,12 +179,28 @@ def fleet_query(
 
     Example: trainlog fleet query "select train, avg(r0) from resistance join trips using (key)
     group by train"
+
+    Parameters
+    ----------
+    asked : EXPRESSION
+        Trips of which it holds: "weather = 'wet' and duration > '20 min'"; or a whole statement of
+        SQL: "select ..."; 'tables' lists its tables and columns. Default: all trips.
+    train : NAME
+        Only of this train.
+    line : NAME
+        Only on this line; of a route each line it runs over counts.
+    most : N
+        List at most so many rows; default: 50 on a terminal.
+    paths
+        Print the paths of the logs alone, one per line.
+    output : FILE
+        Table to write, with all rows in SI units (.csv, .parquet); of SQL .csv.
     """
     from analysis.catalogue_table import found_table, trips_table
     from trainlog.catalogue import open_catalogue, write_trips
     from trainlog.formats.files import atomic_write
 
-    limits: dict[str, Any] = {"train": train, "line": line, "start": since, "end": until}
+    limits: dict[str, Any] = {"train": train, "line": line, "start": from_, "end": to}
     by_sql = asked is not None and re.match(r"(?i)\s*(select|with)\b|tables$", asked) is not None
     for name, value in {**limits, "zone": zone, "paths": paths or None}.items():
         if by_sql and value is not None:
@@ -291,37 +260,15 @@ SHOWN = 50
 
 @fleet_app.command("update")
 def fleet_update(
-    catalogue: CatalogueOption = None,
-    trips: TripsOption = None,
-    analyses: AnalysesOption = None,
-    workers: WorkersOption = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Dask scheduler whose workers compute, such as tcp://host:8786; they must see the"
-            " logs.",
-        ),
-    ] = None,
-    mpi: Annotated[
-        bool,
-        typer.Option(
-            "--mpi",
-            help="The workers of an MPI job: mpiexec -n 3 python -m mpi4py.futures -m trainlog"
-            " fleet update --mpi.",
-        ),
-    ] = False,
-    batch: Annotated[
-        int, typer.Option(min=1, help="Most trips that a worker is given at once.")
-    ] = 16,
-    retry: Annotated[
-        bool,
-        typer.Option(
-            "--retry",
-            help="Compute trips again that were refused, or failed, or whose file of results is"
-            " damaged.",
-        ),
-    ] = False,
+    *,
+    catalogue: str | None = None,
+    trips: str | None = None,
+    analysis: list[str] | None = None,
+    workers: Annotated[int | None, COUNT.between(0.0)] = None,
+    scheduler: str | None = None,
+    mpi: bool = False,
+    batch: Annotated[int, POSITIVE] = 16,
+    retry: bool = False,
 ) -> None:
     """Compute what is new in the catalogue, or was made by other code; nothing else.
 
@@ -334,6 +281,18 @@ def fleet_update(
     failed, or a log could not be read.
 
     Example: trainlog fleet update --workers 2
+
+    Parameters
+    ----------
+    scheduler : ADDRESS
+        Dask scheduler whose workers compute, such as tcp://host:8786; they must see the logs.
+    mpi
+        The workers of an MPI job: mpiexec -n 3 python -m mpi4py.futures -m trainlog fleet update
+        --mpi.
+    batch : N
+        Most trips that a worker is given at once.
+    retry
+        Compute trips again that were refused, or failed, or whose file of results is damaged.
     """
     from analysis.fleet.update import FIRST, UpdateOptions, fleet_status, gone_words, update_fleet
     from trainlog.catalogue import open_catalogue
@@ -347,13 +306,13 @@ def fleet_update(
         seen.add(problem.key)
 
     with open_catalogue(catalogue, create=False) as opened:
-        before = fleet_status(opened, analyses, where=trips, most=0)
+        before = fleet_status(opened, analysis, where=trips, most=0)
         if before.pending and not current().as_json:
             gone = f"; {gone_words(before.gone)}" if before.gone else ""
             words = f"{counted(before.pending, 'trip')} to compute{gone}; {FIRST}"
             console.print(words, soft_wrap=True)
         current().finished = lambda: "each batch that was finished is kept; update again"
-        found = update_fleet(opened, analyses, options, report)
+        found = update_fleet(opened, analysis, options, report)
         current().finished = None
     show(found)
     if not current().as_json:
@@ -366,24 +325,13 @@ def fleet_update(
 
 @fleet_app.command("trains")
 def fleet_trains(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for JSON and pictures.")],
-    catalogue: CatalogueOption = None,
-    kind: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Only trains of this kind.")
-    ] = None,
-    train: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Show only this train, compared with the others."),
-    ] = None,
-    trips: TripsOption = None,
-    false_alarms: Annotated[
-        float | None,
-        measured(
-            "--false-alarms",
-            of=PERCENT.above(0.0, 0.2),
-            help="Share of healthy trains that raise an alarm in a month; default: 1%.",
-        ),
-    ] = None,
+    *,
+    output: Path,
+    catalogue: str | None = None,
+    kind: str | None = None,
+    train: str | None = None,
+    trips: str | None = None,
+    false_alarms: Annotated[float | None, PERCENT.above(0.0, 0.2)] = None,
 ) -> None:
     """Show resistance, drift and findings of every train: which ones are not like the others.
 
@@ -391,6 +339,17 @@ def fleet_trains(
     large, with its band; what would not be seen is stated by train.
 
     Example: trainlog fleet trains -o results/fleet-trains
+
+    Parameters
+    ----------
+    output : FOLDER
+        Folder for JSON and pictures.
+    kind : NAME
+        Only trains of this kind.
+    train : NAME
+        Show only this train, compared with the others.
+    false_alarms : SHARE
+        Share of healthy trains that raise an alarm in a month; default: 1%.
     """
     from analysis.charts import draw_charts
     from analysis.fleet.plot import (
@@ -428,22 +387,15 @@ def fleet_trains(
 
 @fleet_app.command("diff")
 def fleet_diff(
-    first: Annotated[
-        str,
-        typer.Argument(
-            help="now, the beginning of a version of which the catalogue has results, or"
-            " parameters: adhesion.bin_length=50."
-        ),
-    ],
-    second: Annotated[str, typer.Argument(help="The same, of the other side.")],
-    catalogue: CatalogueOption = None,
-    trips: TripsOption = None,
-    analyses: AnalysesOption = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Folder for the report and all tables as CSV."),
-    ] = None,
-    workers: WorkersOption = None,
+    first: str,
+    second: str,
+    /,
+    *,
+    catalogue: str | None = None,
+    trips: str | None = None,
+    analysis: list[str] | None = None,
+    output: Path | None = None,
+    workers: Annotated[int | None, COUNT.between(0.0)] = None,
 ) -> None:
     """List every estimate that moved between two versions of the code or two sets of parameters.
 
@@ -456,12 +408,22 @@ def fleet_diff(
     Example: trainlog fleet diff 8dfc3ada now --trips "line = 'Wil - Gossau'" -o changes
 
     Example: trainlog fleet diff now resistance.largest_std=0.2
+
+    Parameters
+    ----------
+    first : FIRST
+        now, the beginning of a version of which the catalogue has results, or parameters:
+        adhesion.bin_length=50.
+    second : SECOND
+        The same, of the other side.
+    output : FOLDER
+        Folder for the report and all tables as CSV.
     """
     from analysis.fleet.diff import fleet_diff as compare
     from trainlog.catalogue import open_catalogue
 
     with open_catalogue(catalogue, create=False) as opened:
-        found = compare(opened, first, second, analyses=analyses, where=trips, workers=workers)
+        found = compare(opened, first, second, analyses=analysis, where=trips, workers=workers)
     if output is not None:
         from analysis.reports.fleet_diff import write_diff
 
@@ -472,12 +434,7 @@ def fleet_diff(
 
 
 @fleet_app.command("refresh")
-def fleet_refresh(
-    folders: Annotated[
-        list[Path] | None, typer.Argument(help="Folders that are searched for files that moved.")
-    ] = None,
-    catalogue: CatalogueOption = None,
-) -> None:
+def fleet_refresh(folders: list[Path] | None = None, /, *, catalogue: str | None = None) -> None:
     """Compare the catalogue with the disk: which files vanished, moved, changed or came back.
 
     Nothing is forgotten: a vanished file is found again by its content once the folder that it
@@ -486,6 +443,11 @@ def fleet_refresh(
     Example: trainlog fleet refresh
 
     Example: trainlog fleet refresh /archive
+
+    Parameters
+    ----------
+    folders : FOLDERS
+        Folders that are searched for files that moved.
     """
     from trainlog.catalogue import open_catalogue
 
@@ -501,13 +463,7 @@ def fleet_refresh(
 
 @fleet_app.command("remove")
 def fleet_remove(
-    where: Annotated[
-        str | None, typer.Argument(metavar="EXPRESSION", help="Trips of which it holds.")
-    ] = None,
-    catalogue: CatalogueOption = None,
-    vanished: Annotated[
-        bool, typer.Option("--vanished", help="Only trips whose logs have all vanished.")
-    ] = False,
+    where: str | None = None, /, *, catalogue: str | None = None, vanished: bool = False
 ) -> None:
     """Forget trips and what was computed of them; the logs stay as they are.
 
@@ -516,6 +472,13 @@ def fleet_remove(
     Example: trainlog fleet remove --vanished
 
     Example: trainlog fleet remove "train = 'test'"
+
+    Parameters
+    ----------
+    where : EXPRESSION
+        Trips of which it holds.
+    vanished
+        Only trips whose logs have all vanished.
     """
     from trainlog.catalogue import open_catalogue
 

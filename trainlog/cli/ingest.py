@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import trainlog
 from trainlog.cli.options import line_or_network, pairs
 from trainlog.cli.progress_bar import paused
 from trainlog.cli.terminal import about, console, current, print_error, show, state, wrote
@@ -22,49 +23,19 @@ if TYPE_CHECKING:
 
 
 def ingest(
-    recordings: Annotated[
-        list[Path],
-        typer.Argument(help="Recorded files, and folders of them: docs/ingest.md lists formats."),
-    ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the logs.")],
-    profile: Annotated[
-        Path | None, typer.Option(help="TOML profile: columns, units, signs, time format.")
-    ] = None,
-    format: Annotated[
-        str | None, typer.Option(help="Name of the format, such as csv; default: detected.")
-    ] = None,
-    line: Annotated[
-        Path | None,
-        typer.Option(help="Line it was driven on, if known; or a network, as --network."),
-    ] = None,
-    network: Annotated[
-        Path | None,
-        typer.Option(help="Network it was driven on: the route is found in it by the fixes."),
-    ] = None,
-    stations: Annotated[
-        str | None,
-        typer.Option(
-            help="With --network: stations of the route with commas between them, or edge@km."
-        ),
-    ] = None,
-    train: Annotated[Path | None, typer.Option(help="Train that drove, if known.")] = None,
-    reverse: Annotated[
-        bool, typer.Option("--reverse", help="The trip ran against the line's chainage.")
-    ] = False,
-    facts: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            help="What the file does not state, of all its trips: weather=wet, load=12000 (kg) or"
-            " 12t, start_position=0.2km, or =stations: where the stops match them.",
-        ),
-    ] = None,
-    accept: Annotated[
-        bool,
-        typer.Option(
-            "--accept", "--yes", help="Use the profile that is proposed, where none fits."
-        ),
-    ] = False,
+    recordings: list[Path],
+    /,
+    *,
+    output: Path,
+    profile: Path | None = None,
+    format: str | None = None,
+    line: Path | None = None,
+    network: Path | None = None,
+    stations: str | None = None,
+    train: Path | None = None,
+    reverse: bool = False,
+    set_: list[str] | None = None,
+    accept: Annotated[bool, typer.Option("--accept", "--yes")] = False,
 ) -> None:
     """Turn recorded logs into trips; what was repaired is counted and kept in the log.
 
@@ -83,14 +54,39 @@ def ingest(
     only file given did not, or something else that was given cannot be used.
 
     Example: trainlog ingest recorder.csv --profile recorder.profile.toml -o results/recorded
+
+    Parameters
+    ----------
+    recordings : RECORDINGS
+        Recorded files, and folders of them: docs/ingest.md lists formats.
+    output : FOLDER
+        Folder for the logs.
+    profile : FILE
+        TOML profile: columns, units, signs, time format.
+    format : FORMAT
+        Name of the format, such as csv; default: detected.
+    line : FILE
+        Line it was driven on, if known; or a network, as --network.
+    network : FILE
+        Network it was driven on: the route is found in it by the fixes.
+    stations : STATIONS
+        With --network: stations of the route with commas between them, or edge@km.
+    train : FILE
+        Train that drove, if known.
+    reverse
+        The trip ran against the line's chainage.
+    set_ : KEY=VALUE
+        What the file does not state, of all its trips: weather=wet, load=12000 (kg) or 12t,
+        start_position=0.2km, or =stations: where the stops match them.
+    accept
+        Use the profile that is proposed, where none fits.
     """
     from analysis.passports import with_estimated_passport
-    from trainlog.formats.railway import read_train
     from trainlog.ingest import Ingested, Outcome, ingest_all
 
     alone = len(recordings) == 1 and not recordings[0].is_dir()
     found: list[Outcome] = []
-    the_train = None if train is None else read_train(train)
+    the_train = None if train is None else trainlog.read_train(train)
     as_json = current().as_json
     the_line, routes = line_or_network(line, network, stations)
     options = {
@@ -101,7 +97,7 @@ def ingest(
         "--train": train,
     }
     pairs_given = [(option, str(each)) for option, each in options.items() if each is not None]
-    pairs_given += [("--set", fact) for fact in facts or []]
+    pairs_given += [("--set", fact) for fact in set_ or []]
     given = [*(word for pair in pairs_given for word in pair), *["--reverse"] * reverse]
     proposals = Proposals(output, the_train, format, the_line, accept, as_json, given)
     try:
@@ -113,7 +109,7 @@ def ingest(
             line=the_line,
             train=the_train,
             direction="reverse" if reverse else None,
-            metadata=pairs(facts or []),
+            metadata=pairs(set_ or []),
             network=routes,
             each=lambda outcome, done, total: found.append(outcome),  # noqa: ARG005
             choose=proposals.profile_for,

@@ -1,23 +1,24 @@
-"""Commands that learn from logs: fit, estimate."""
+"""Commands that learn from logs: fit, estimate.
+
+Parameters
+----------
+picture : FILE
+    Picture (.png); default: beside the output.
+"""
 
 from __future__ import annotations
 
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+import analysis
+import trainlog
 from trainlog.cli.commands import end_in_part
-from trainlog.cli.options import (
-    ChosenTrips,
-    Logs,
-    destination,
-    distinct,
-    logs_in,
-    measured,
-    refuse_rivals,
-)
+from trainlog.cli.options import Count, Logs, Picture, Written, destination, distinct, logs_in
 from trainlog.cli.terminal import console, print_error, show, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError
@@ -28,166 +29,160 @@ if TYPE_CHECKING:
     from trainlog.presentation import Presented
 
 
-def fit(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Logs (.mcap), folders of logs, and summaries of earlier fits (.parquet). For"
-            " adhesion: a CSV of creepage or slip speed, adhesion and, if known, train speed; units"
-            " in the header."
-        ),
-        ChosenTrips,
-    ],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Parameter set, or other result (JSON).")
-    ],
-    method: Annotated[
-        Literal["efforts", "coasting", "adhesion"],
-        typer.Option(
-            help="Running resistance from recorded efforts, or from where the train coasts; or the"
-            " adhesion characteristic."
-        ),
-    ] = "efforts",
-    picture: Annotated[
-        Path | None, typer.Option(help="Picture; default: beside the output, .png.")
-    ] = None,
-    cover: Annotated[
-        float | None,
-        measured(
-            "--cover",
-            of=PERCENT.between(0.01, 0.9999),
-            help="Of efforts: share of trips whose times and energies the set is to bound;"
-            " default: 95%.",
-        ),
-    ] = None,
-    configurations: Annotated[
-        int | None, typer.Option(min=1, help="Of efforts: at most so many configurations.")
-    ] = None,
-    per_trip: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder for a picture of each trip fitted, of efforts: residuals, what was masked,"
-            " and why one was refused."
-        ),
-    ] = None,
-    line: Annotated[
-        Path | None, typer.Option(help="Of coasting: line file for logs that carry no line.")
-    ] = None,
-    gradient: Annotated[
-        Literal["line", "unknown"] | None,
-        typer.Option(
-            help="Of coasting: 'unknown' trusts no gradients; coasting is found from the lever"
-            " alone. Default: line."
-        ),
-    ] = None,
-    family: Annotated[
-        Literal["polach", "exponentials"] | None,
-        typer.Option(
-            help="Of adhesion: form of the curve; default: the one that explains the points better."
-        ),
-    ] = None,
-    speed: Annotated[
-        float | None,
-        measured(
-            "--speed",
-            of=SPEED.above(0.0, 200.0),
-            help="Of adhesion: train speed of points that do not state theirs.",
-        ),
-    ] = None,
-) -> None:
-    """Fit running resistance to trips, or adhesion to measured points.
+fit_app = typer.Typer(help="Fit running resistance to trips, or adhesion to measured points.")
 
-    [bold]efforts[/bold]: recursive least squares, per trip and together. Writes the observed set of
-    parameter configurations, with uncertainty, a picture, and the summaries of all trips, which
-    stand for their logs in a later fit.
-
-    [bold]coasting[/bold]: needs no efforts. Finds the coasting by itself from speed, chainage and
-    the line's gradient, and gives the resistance over the train's inertia, with its band. With the
-    gradient unknown it gives what is left: mostly how resistance grows with speed.
-
-    [bold]adhesion[/bold]: maximum, optimal slip and slopes of an adhesion characteristic; trainlog
-    simulate drive --characteristic drives on it.
-
-    Trips and points that do not determine the result are refused with the reason.
-
-    Example: trainlog fit results/trips -o results/parameters.json
-
-    Example: trainlog fit results/recorded --method coasting -o results/coast-down.json
-
-    Example: trainlog fit curve.csv --method adhesion -o wet.json
-    """
-    destination(output, ".json")
-    shown = destination(picture or output.with_suffix(".png"), ".png")
-    own: dict[str, dict[str, object]] = {
-        "efforts": {"--cover": cover, "--configurations": configurations, "--per-trip": per_trip},
-        "coasting": {"--line": line, "--gradient": gradient},
-        "adhesion": {"--family": family, "--speed": speed},
-    }
-    for of, options in own.items():
-        if of != method:
-            refuse_rivals(f"the method is {method}", options, f"or choose --method {of}")
-    if method == "efforts":
-        from analysis.charts import draw_all
-        from analysis.resistance.logs import AllRefusedError, fit as fit_trips
-        from analysis.resistance.plot import trips_charts
-        from trainlog.formats.files import output_folder
-        from trainlog.formats.railway import write_parameters
-        from trainlog.formats.summaries import SUFFIX, write_summaries
-
-        kept = destination(output.with_suffix(SUFFIX), SUFFIX)
-        with nullcontext() if per_trip is None else output_folder(per_trip) as drawn:
-            # Summaries first: the logs that they hold need not be read.
-            paths = sorted(logs_in(logs), key=lambda path: path.suffix != SUFFIX)
-            given = track(paths, "fitting", "log")
-            try:
-                fits = fit_trips(given, cover=0.95 if cover is None else cover, most=configurations)
-            except AllRefusedError as error:
-                if drawn is not None:
-                    wrote(*draw_all(trips_charts((), error.refused), drawn))
-                raise
-            write_parameters(fits.parameters, output)
-            write_summaries(fits.summaries, kept)
-            wrote(output, kept)
-            show(fits, picture=shown)
-            if drawn is not None:
-                wrote(*draw_all(trips_charts(fits.trips, fits.refused), drawn))
-        return
-    found: Presented
-    if method == "coasting":
-        from analysis.resistance.coast_down import coast_down
-        from analysis.resistance.unknown_gradient import coast_down_without_gradient
-        from trainlog.formats.railway import write_coast_down
-
-        every = track(logs_in(logs), "finding coasting", "log")
-        if gradient == "unknown":
-            found = result = coast_down_without_gradient(every, line)
-        else:
-            found = coasted = coast_down(every, line)
-            result = coasted.result
-        write_coast_down(result, output)
-    else:
-        from analysis.adhesion.characteristic import fit_adhesion_characteristic
-        from trainlog.formats.characteristic import write_characteristic
-
-        if len(logs) > 1:
-            raise InputError("several tables are given", remedy="fit them one by one")
-        found = fitted = fit_adhesion_characteristic(logs[0], family, speed=speed)
-        write_characteristic(fitted.characteristic, output, fitted.provenance())
-    wrote(output)
-    show(found, picture=shown)
+COVER = replace(PERCENT.between(0.5, 0.9999), examples="95 or 95%")
 
 
-def estimate(
+@fit_app.command("efforts")
+def fit_efforts(
     logs: Logs,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the logs.")],
-    slips: Annotated[
-        Path | None,
-        typer.Option(help="Table of the slip events of all logs (CSV): axle, creepage, energy ..."),
-    ] = None,
+    /,
+    *,
+    output: Annotated[Path, Written(".json")],
+    picture: Picture = None,
+    cover: Annotated[float, COVER] = 0.95,
+    configurations: Count = None,
+    per_trip: Path | None = None,
 ) -> None:
+    """Fit running resistance to recorded efforts; 'trainlog fit LOGS' does so, too.
+
+    Recursive least squares, per trip and together. Writes the observed set of parameter
+    configurations, with uncertainty, a picture, and the summaries of all trips, which stand for
+    their logs in a later fit. Trips that do not determine the result are refused with the reason.
+
+    Example: trainlog fit efforts results/trips -o results/parameters.json
+
+    Parameters
+    ----------
+    logs : LOGS
+        Logs (.mcap), folders of logs, and summaries of earlier fits (.parquet).
+    output : FILE
+        Parameter set (JSON).
+    cover : SHARE
+        Share of trips whose times and energies the set is to bound.
+    configurations : N
+        At most so many configurations.
+    per_trip : FOLDER
+        Folder for a picture of each trip fitted: residuals, what was masked, and why one was
+        refused.
+    """
+    from analysis.charts import draw_all
+    from analysis.resistance.logs import AllRefusedError
+    from analysis.resistance.plot import trips_charts
+    from trainlog.formats.files import output_folder
+    from trainlog.formats.summaries import SUFFIX, write_summaries
+
+    kept = destination(output.with_suffix(SUFFIX), SUFFIX)
+    with nullcontext() if per_trip is None else output_folder(per_trip) as drawn:
+        # Summaries first: the logs that they hold need not be read.
+        paths = sorted(logs_in(logs), key=lambda path: path.suffix != SUFFIX)
+        try:
+            fits = analysis.fit(track(paths, "fitting", "log"), cover=cover, most=configurations)
+        except AllRefusedError as error:
+            if drawn is not None:
+                wrote(*draw_all(trips_charts((), error.refused), drawn))
+            raise
+        trainlog.write_parameters(fits.parameters, output)
+        write_summaries(fits.summaries, kept)
+        wrote(output, kept)
+        show(fits, picture=_beside(output, picture))
+        if drawn is not None:
+            wrote(*draw_all(trips_charts(fits.trips, fits.refused), drawn))
+
+
+@fit_app.command("coasting")
+def fit_coasting(
+    logs: Logs,
+    /,
+    *,
+    output: Annotated[Path, Written(".json")],
+    picture: Picture = None,
+    line: Path | None = None,
+    gradient: Literal["line", "unknown"] = "line",
+) -> None:
+    """Fit running resistance to where trains coast; needs no efforts.
+
+    Finds the coasting by itself from speed, chainage and the line's gradient, and gives the
+    resistance over the train's inertia, with its band. With the gradient unknown it gives what is
+    left: mostly how resistance grows with speed. Trips that do not determine the result are refused
+    with the reason.
+
+    Example: trainlog fit coasting results/recorded -o results/coast-down.json
+
+    Parameters
+    ----------
+    output : FILE
+        Result (JSON).
+    line : FILE
+        Line file for logs that carry no line.
+    gradient : NAME
+        'unknown' trusts no gradients; coasting is found from the lever alone.
+    """
+    from trainlog.formats.railway import write_coast_down
+
+    every = track(logs_in(logs), "finding coasting", "log")
+    found: Presented
+    if gradient == "unknown":
+        found = result = analysis.coast_down_without_gradient(every, line)
+    else:
+        found = coasted = analysis.coast_down(every, line)
+        result = coasted.result
+    write_coast_down(result, output)
+    wrote(output)
+    show(found, picture=_beside(output, picture))
+
+
+@fit_app.command("adhesion")
+def fit_adhesion(
+    points: Path,
+    /,
+    *,
+    output: Annotated[Path, Written(".json")],
+    picture: Picture = None,
+    family: Literal["polach", "exponentials"] | None = None,
+    speed: Annotated[float | None, SPEED.above(0.0, 200.0)] = None,
+) -> None:
+    """Fit an adhesion characteristic to measured points: maximum, optimal slip and slopes.
+
+    'trainlog simulate drive --characteristic' drives on it. Points that do not determine the result
+    are refused with the reason.
+
+    Example: trainlog fit adhesion curve.csv -o wet.json
+
+    Parameters
+    ----------
+    points : POINTS
+        CSV of creepage or slip speed, adhesion and, if known, train speed; units in the header.
+    output : FILE
+        Characteristic (JSON).
+    family : NAME
+        Form of the curve; default: the one that explains the points better.
+    speed : SPEED
+        Train speed of points that do not state theirs.
+    """
+    fitted = analysis.fit_adhesion_characteristic(points, family, speed=speed)
+    trainlog.write_characteristic(fitted.characteristic, output, fitted.provenance())
+    wrote(output)
+    show(fitted, picture=_beside(output, picture))
+
+
+def _beside(output: Path, picture: Path | None) -> Path:
+    """The picture that is named, or the one beside the output."""
+    return picture or output.with_suffix(".png")
+
+
+def estimate(logs: Logs, /, *, output: Path, slips: Path | None = None) -> None:
     """Add estimates to logs: smoothed motion, running resistance, adhesion, slip.
 
     Example: trainlog estimate results/trips/trip-01.mcap -o results/estimated
+
+    Parameters
+    ----------
+    output : FOLDER
+        Folder for the logs.
+    slips : FILE
+        Table of the slip events of all logs (CSV): axle, creepage, energy ...
     """
     from analysis.estimates import estimate_log, write_slip_table
     from trainlog.formats.files import output_folder

@@ -10,9 +10,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import typer
-
-from trainlog.cli.options import line_or_network, measured, pairs, written
+import trainlog
+from trainlog.cli.options import Written, line_or_network, pairs
 from trainlog.cli.progress_bar import handled
 from trainlog.cli.terminal import console, state, wrote
 from trainlog.display import counted
@@ -30,58 +29,21 @@ PORT = "5005"
 
 
 def record(
-    output: Annotated[
-        Path, written("--output", "-o", suffix=".mcap", help="Log to write; must not exist.")
-    ],
-    origin: Annotated[
-        Literal["udp", "stdin", "file"],
-        typer.Option("--from", help="Datagrams, standard input, or a file that grows."),
-    ],
-    address: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[ADDRESS|PATH]",
-            help=f"udp: PORT or HOST:PORT, default 127.0.0.1:{PORT}, where only programs of this"
-            " computer can send; 0.0.0.0:5005 listens on every network. file: its path.",
-        ),
-    ] = None,
-    profile: Annotated[
-        Path | None,
-        typer.Option(help="TOML profile: columns (or keys of JSON objects), units, time format."),
-    ] = None,
-    header: Annotated[
-        Path | None,
-        typer.Option(
-            help="File of this recorder with the header that the stream does not begin with."
-        ),
-    ] = None,
-    line: Annotated[Path | None, typer.Option(help="Line it is driven on, if known.")] = None,
-    train: Annotated[Path | None, typer.Option(help="Train that drives, if known.")] = None,
-    reverse: Annotated[
-        bool, typer.Option("--reverse", help="The trip runs against the line's chainage.")
-    ] = False,
-    facts: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="What the stream does not state: weather=wet, load=12t."),
-    ] = None,
-    sequence: Annotated[
-        str, typer.Option(help="Column or key with which the sender counts its lines.")
-    ] = "sequence",
-    raw: Annotated[
-        Path | None,
-        typer.Option(help="Also write everything as it came to this file, which must not exist."),
-    ] = None,
-    idle: Annotated[
-        float | None,
-        measured(
-            "--idle",
-            of=TIME.between(0.1),
-            help="End after this time of silence, once data have come; default: at Ctrl-C.",
-        ),
-    ] = None,
-    replay: Annotated[
-        bool, typer.Option("--replay", help="Show the trip in the Rerun viewer as it is recorded.")
-    ] = False,
+    address: str | None = None,
+    /,
+    *,
+    output: Annotated[Path, Written(".mcap")],
+    from_: Literal["udp", "stdin", "file"],
+    profile: Path | None = None,
+    header: Path | None = None,
+    line: Path | None = None,
+    train: Path | None = None,
+    reverse: bool = False,
+    set_: list[str] | None = None,
+    sequence: str = "sequence",
+    raw: Path | None = None,
+    idle: Annotated[float | None, TIME.between(0.1)] = None,
+    replay: bool = False,
 ) -> None:
     """Record what a recorder sends while the train runs: UDP, a pipe, or a file that grows.
 
@@ -97,19 +59,48 @@ def record(
     Example: trainlog record --from udp 5005 -o today.mcap --profile recorder.profile.toml
 
     trainlog record --from file /var/log/gnss.nmea -o today.mcap --replay
+
+    Parameters
+    ----------
+    output : FILE
+        Log to write; must not exist.
+    from_ : NAME
+        Datagrams, standard input, or a file that grows.
+    address : [ADDRESS|PATH]
+        udp: PORT or HOST:PORT, default 127.0.0.1:5005, where only programs of this computer can
+        send; 0.0.0.0:5005 listens on every network. file: its path.
+    profile : FILE
+        TOML profile: columns (or keys of JSON objects), units, time format.
+    header : FILE
+        File of this recorder with the header that the stream does not begin with.
+    line : FILE
+        Line it is driven on, if known.
+    train : FILE
+        Train that drives, if known.
+    reverse
+        The trip runs against the line's chainage.
+    set_ : KEY=VALUE
+        What the stream does not state: weather=wet, load=12t.
+    sequence : SEQUENCE
+        Column or key with which the sender counts its lines.
+    raw : FILE
+        Also write everything as it came to this file, which must not exist.
+    idle : TIME
+        End after this time of silence, once data have come; default: at Ctrl-C.
+    replay
+        Show the trip in the Rerun viewer as it is recorded.
     """
-    from trainlog.formats.railway import read_train
     from trainlog.ingest.live import LiveIngest, LiveOptions
     from trainlog.ingest.pipeline import Given
 
-    source = _source(origin, address)
+    source = _source(from_, address)
     the_line, network = line_or_network(line)
     given = Given(
         profile,
         line=the_line,
-        train=None if train is None else read_train(train),
+        train=None if train is None else trainlog.read_train(train),
         direction="reverse" if reverse else None,
-        metadata=pairs(facts or []),
+        metadata=pairs(set_ or []),
         network=network,
     )
     options = LiveOptions(source.name, header, sequence)
@@ -178,9 +169,8 @@ def _noted(live: LiveIngest, source: Source) -> str:
 
 
 def _drawing(recording: Recording, stack: ExitStack) -> Any:
-    from trainlog.replay import live_replay
 
-    drawing = stack.enter_context(live_replay(recording))
+    drawing = stack.enter_context(trainlog.live_replay(recording))
     console.print(drawing.where, soft_wrap=True)
     return drawing
 

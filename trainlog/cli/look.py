@@ -10,18 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import analysis
+import trainlog
 from trainlog.cli.options import (
-    AtOption,
-    CatalogueOption,
-    FromOption,
-    KilometreOption,
     Logs,
-    ToOption,
-    TripsOption,
+    Picture,
     chosen_logs,
     destination,
     logs_in,
-    measured,
     moment,
     part_of,
     refuse_rivals,
@@ -36,101 +32,53 @@ if TYPE_CHECKING:
     from trainlog.railway import ParameterSet, Train
 
 
-def compare(
+compare_app = typer.Typer(help="Compare trips: by position, in groups, or with what is calculated.")
+
+WIND = replace(SPEED.between(0.0), usual="m/s", examples="5, 5m/s or 18km/h")
+
+
+@compare_app.command("trips")
+def compare_trips(
     logs: Logs,
-    reference: Annotated[
-        Path | None,
-        typer.Option(
-            help="Log or trajectory to compare with. Default: the fastest trip of each direction"
-            " that covers nearly all of the others' part of the line."
-        ),
-    ] = None,
-    followed: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--with",
-            help="Logs or folder of another group of trips, as of those driven by advice; several.",
-        ),
-    ] = None,
-    line: Annotated[
-        Path | None, typer.Option("--line", help="Line file. Default: the line in the logs.")
-    ] = None,
-    model: Annotated[
-        Path | None,
-        typer.Option(
-            help="Parameters file by whose running resistance energies are normalised. Default: the"
-            " train's file in the logs."
-        ),
-    ] = None,
-    time_of_day: Annotated[
-        bool, typer.Option("--time-of-day", help="Count a later departure as time lost.")
-    ] = False,
-    calculated: Annotated[
-        Path | None,
-        typer.Option(
-            help="Parameters or train file: compare each trip with what that predicts for it"
-            " instead."
-        ),
-    ] = None,
-    wind: Annotated[
-        float | None,
-        measured(
-            "--wind",
-            of=replace(SPEED.between(0.0), usual="m/s", examples="5, 5m/s or 18km/h"),
-            help="Standard deviation of the head wind that calculated bands assume, as for a"
-            " known calm day. Default: 1 m/s where the head wind is recorded, else 5 m/s.",
-        ),
-    ] = None,
-    picture: Annotated[
-        Path | None, typer.Option(help="Save a picture (.png), one a direction or a trip.")
-    ] = None,
+    /,
+    *,
+    reference: Path | None = None,
+    line: Path | None = None,
+    model: Path | None = None,
+    time_of_day: bool = False,
+    picture: Picture = None,
 ) -> None:
-    """Compare trips over a line by position: times, where time was lost and why, energy, driving.
+    """Compare trips over a line by position; 'trainlog compare LOGS' does so, too.
 
-    Stopping or not, recorded or simulated, over any part of the line; directions are kept apart.
-    With --with, groups of trips instead: drivers' trips and trips that followed a trajectory,
-    configuration by configuration. With --calculated, each trip beside what a fit or a train's
-    file predicts for it: speed, time and energy with bands, and what of the model is wrong, by each
-    trip and by all together.
+    Times, where time was lost and why, energy, driving; stopping or not, recorded or simulated,
+    over any part of the line; directions are kept apart.
 
-    Example: trainlog compare sample_logs --picture compared.png
+    Example: trainlog compare trips sample_logs --picture compared.png
+
+    Parameters
+    ----------
+    reference : FILE
+        Log or trajectory to compare with. Default: the fastest trip of each direction that covers
+        nearly all of the others' part of the line.
+    line : FILE
+        Line file. Default: the line in the logs.
+    model : FILE
+        Parameters file by whose running resistance energies are normalised. Default: the train's
+        file in the logs.
+    time_of_day
+        Count a later departure as time lost.
+    picture : FILE
+        Save a picture (.png), one a direction.
     """
     from analysis.charts import draw_charts
-    from analysis.comparison.compare import compare as compare_trips
-    from analysis.comparison.groups import compare_groups
     from analysis.comparison.plot import comparison_charts
-    from trainlog.formats.railway import read_line, read_parameters, read_trajectory
 
-    if picture is not None:
-        destination(picture, ".png")
-    for path in [*logs, *(followed or ())]:
-        if not path.exists():
-            raise InputError("does not exist", file=path, remedy="check the path")
-    by_position: dict[str, object] = {
-        "--reference": reference,
-        "--line": line,
-        "--model": model,
-        "--time-of-day": time_of_day or None,
-    }
-    if followed:
-        others = {**by_position, "--calculated": calculated, "--picture": picture}
-        refuse_rivals("--with compares groups of trips", {**others, "--wind": wind})
-        for group in followed:
-            if len(followed) > 1:
-                console.print(f"with {group}")
-            show(compare_groups(logs_in(logs), logs_in([group])))
-        return
-    if calculated is not None:
-        refuse_rivals("--calculated predicts each trip by itself", by_position)
-        _calculated(logs, calculated, wind, picture)
-        return
-    refuse_rivals("it is of predictions", {"--wind": wind}, "or give --calculated")
     planned = reference is not None and not (reference.suffix == ".mcap" or reference.is_dir())
-    found = compare_trips(
+    found = analysis.compare(
         logs_in(logs),
-        read_trajectory(reference) if planned and reference else reference,
-        line=None if line is None else read_line(line),
-        model=None if model is None else read_parameters(model),
+        trainlog.read_trajectory(reference) if planned and reference else reference,
+        line=None if line is None else trainlog.read_line(line),
+        model=None if model is None else trainlog.read_parameters(model),
         by_time_of_day=time_of_day,
     )
     show(found)
@@ -143,14 +91,55 @@ def compare(
             wrote(path)
 
 
-def _calculated(logs: list[Path], file: Path, wind: float | None, picture: Path | None) -> None:
-    from analysis.charts import draw_charts
-    from analysis.comparison.calculated import calculate, judged_together, together_words
+@compare_app.command("groups")
+def compare_groups(logs: Logs, /, *, with_: list[Path]) -> None:
+    """Compare drivers' trips with trips that followed a trajectory, configuration by configuration.
 
-    model, trips = _model(file), list(logs_in(logs))
+    Example: trainlog compare groups results/trips --with results/driven --with results/blind
+
+    Parameters
+    ----------
+    with_ : FILE
+        Logs or folder of another group of trips, as of those driven by advice; several.
+    """
+    for group in with_:
+        if len(with_) > 1:
+            console.print(f"with {group}")
+        show(analysis.compare_groups(logs_in(logs), logs_in([group])))
+
+
+@compare_app.command("calculated")
+def compare_calculated(
+    logs: Logs,
+    /,
+    *,
+    model: Path,
+    wind: Annotated[float | None, WIND] = None,
+    picture: Picture = None,
+) -> None:
+    """Compare each trip with what a fit or a train's file predicts for it, with bands.
+
+    Speed, time and energy, and what of the model is wrong, by each trip and by all together.
+
+    Example: trainlog compare calculated sample_logs --model results/parameters.json
+
+    Parameters
+    ----------
+    model : FILE
+        Parameters or train file.
+    wind : SPEED
+        Standard deviation of the head wind that calculated bands assume, as for a known calm day.
+        Default: 1 m/s where the head wind is recorded, else 5 m/s.
+    picture : FILE
+        Save a picture (.png), one a trip.
+    """
+    from analysis.charts import draw_charts
+    from analysis.comparison.calculated import judged_together, together_words
+
+    predicted, trips = _model(model), list(logs_in(logs))
     every, calculations = [], []
     for log in track(trips, "calculating", "trip"):
-        found = calculate(log, model, wind_std=wind)
+        found = analysis.calculate(log, predicted, wind_std=wind)
         calculations.append(found)
         every.append(found.data())
         together = judged_together(calculations)
@@ -168,12 +157,11 @@ def _calculated(logs: list[Path], file: Path, wind: float | None, picture: Path 
 def _model(path: Path) -> ParameterSet | Train:
     """A parameters file, or a train's file."""
     from trainlog.formats.files import read_json, refuse_map
-    from trainlog.formats.railway import read_parameters, read_train
 
     refuse_map(path, "the parameters that 'trainlog fit' wrote, or a train's file, are expected")
     content = read_json(path) if path.suffix == ".json" else None
     of_fit = isinstance(content, dict) and content.get("format") == "trainlog/parameters"
-    return read_parameters(path) if of_fit else read_train(path)
+    return trainlog.read_parameters(path) if of_fit else trainlog.read_train(path)
 
 
 PIECE = 200_000
@@ -182,52 +170,20 @@ PIECE = 200_000
 
 def replay(
     logs: Logs,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            help="Save the recording (.rrd), or a picture of a view (.png, needs no display),"
-            " instead of opening it.",
-        ),
-    ] = None,
-    view: Annotated[
-        str | None,
-        typer.Option(
-            help="View shown first: overview, driving, traction, identification, map, recorder."
-        ),
-    ] = None,
-    trajectory: Annotated[Path | None, typer.Option(help="Trajectory file to show.")] = None,
-    condition: Annotated[
-        Path | None, typer.Option("--map", help="Track-condition map to show.")
-    ] = None,
-    reference: Annotated[
-        Path | None,
-        typer.Option(
-            help="Trip (.mcap) or trajectory (.json) with which the trips are compared along the"
-            " line. Default: the trajectory, else the first trip."
-        ),
-    ] = None,
-    line: Annotated[
-        Path | None, typer.Option(help="Line file, for trips that carry no line.")
-    ] = None,
-    start: FromOption = None,
-    end: ToOption = None,
-    km: KilometreOption = None,
-    thin: Annotated[
-        bool | None,
-        typer.Option(
-            "--thin/--full",
-            help="Only the overview, its samples thinned, or all. Default: thinned if there are"
-            " more than 16 trips and no part of them is asked for.",
-        ),
-    ] = None,
-    tiles: Annotated[
-        bool, typer.Option("--tiles", help="Map tiles, which the viewer asks the network for.")
-    ] = False,
-    web: Annotated[
-        bool, typer.Option("--web", help="Open it in the browser, saved or not.")
-    ] = False,
+    /,
+    *,
+    output: Path | None = None,
+    view: str | None = None,
+    trajectory: Path | None = None,
+    map_: Path | None = None,
+    reference: Path | None = None,
+    line: Path | None = None,
+    from_: str | None = None,
+    to: str | None = None,
+    km: str | None = None,
+    thin: Annotated[bool | None, typer.Option("--thin/--full")] = None,
+    tiles: bool = False,
+    web: bool = False,
 ) -> None:
     """Show trips in the Rerun viewer, by time and by position; or a part of them.
 
@@ -237,11 +193,31 @@ def replay(
     Example: trainlog replay results/trips/trip-01.mcap
 
     Example: trainlog replay results/trips -o replay.png --view map
+
+    Parameters
+    ----------
+    output : FILE
+        Save the recording (.rrd), or a picture of a view (.png, needs no display), instead of
+        opening it.
+    view : VIEW
+        View shown first: overview, driving, traction, identification, map, recorder.
+    trajectory : FILE
+        Trajectory file to show.
+    map_ : FILE
+        Track-condition map to show.
+    reference : FILE
+        Trip (.mcap) or trajectory (.json) with which the trips are compared along the line.
+        Default: the trajectory, else the first trip.
+    line : FILE
+        Line file, for trips that carry no line.
+    thin
+        Only the overview, its samples thinned, or all. Default: thinned if there are more than 16
+        trips and no part of them is asked for.
+    tiles
+        Map tiles, which the viewer asks the network for.
+    web
+        Open it in the browser, saved or not.
     """
-    from trainlog.formats.condition import read_map
-    from trainlog.formats.railway import read_line, read_trajectory
-    from trainlog.mcap import read_log
-    from trainlog.replay import ReplayOptions, run_viewer, take_picture, write_replay
     from trainlog.replay.layout import check_view
     from trainlog.replay.viewer import check_display, interruptible
 
@@ -257,7 +233,7 @@ def replay(
     found = logs_in(logs)
     if opened and not web:
         for log in found:
-            read_log(log, topics=[])  # what is no log is refused before the lack of a display
+            trainlog.read(log, topics=[])  # what is no log is refused before the lack of a display
         check_display()
     if reference is not None and reference.suffix == ".json":
         if trajectory is not None and trajectory != reference:
@@ -270,24 +246,24 @@ def replay(
         same = [each for each, log in enumerate(found) if log.resolve() == reference.resolve()]
         found += [] if same else logs_in([reference])
         number = same[0] if same else len(found) - 1
-    whole = (start, end, km) == (None, None, None)
-    options = ReplayOptions(
+    whole = (from_, to, km) == (None, None, None)
+    options = trainlog.ReplayOptions(
         view=view,
         reference=number,
         thinned=thin if whole or thin is not None else False,
         tiles=tiles,
-        line=None if line is None else read_line(line),
+        line=None if line is None else trainlog.read_line(line),
     )
-    part = partial(part_of, start=start, end=end, km=km, rows=PIECE, line=options.line)
+    part = partial(part_of, start=from_, end=to, km=km, rows=PIECE, line=options.line)
     sources = [partial(part, log) for log in found]
     say = partial(console.print, soft_wrap=True)
     with interruptible(), TemporaryDirectory(prefix="trainlog-") as folder:
         recording = Path(folder) / "replay.rrd" if saved is None else saved
-        made = write_replay(
+        made = trainlog.write_replay(
             sources,
             recording,
-            trajectory=None if trajectory is None else read_trajectory(trajectory),
-            condition_map=None if condition is None else read_map(condition),
+            trajectory=None if trajectory is None else trainlog.read_trajectory(trajectory),
+            condition_map=None if map_ is None else trainlog.read_map(map_),
             options=options,
         )
         in_words = not state(asdict(made))
@@ -302,10 +278,10 @@ def replay(
             wrote(saved)
         if picture is not None:
             with task(f"taking {picture.name}"):
-                take_picture(recording, picture)
+                trainlog.take_picture(recording, picture)
             wrote(picture)
         if opened:
-            run_viewer(
+            trainlog.run_viewer(
                 recording,
                 web=web,
                 tiles=tiles,
@@ -314,50 +290,18 @@ def replay(
 
 
 def report(
-    results: Annotated[
-        str,
-        typer.Argument(
-            help="A log (.mcap), parameter set, map (.map), trajectory or coast-down, the folder of"
-            " a study, a folder of results, as the demo leaves it, or the catalogue of a fleet (its"
-            " folder or URL)."
-        ),
-    ],
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="The page (.html); without it a folder is summed up."),
-    ] = None,
-    line: Annotated[
-        Path | None,
-        typer.Option(
-            "--line", help="Line file of a map or trajectory whose line is not among the samples."
-        ),
-    ] = None,
-    logs: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--logs",
-            help="Logs that a fit was made of, or their folder: shows the residuals. Or --trips.",
-        ),
-    ] = None,
-    zone: Annotated[
-        str, typer.Option(help="Zone of the timetable, in which times are stated: Europe/Zurich.")
-    ] = "UTC",
-    trips: TripsOption = None,
-    catalogue: CatalogueOption = None,
-    network: Annotated[
-        Path | None,
-        typer.Option(
-            "--network",
-            help="Of a fleet: network file (.network.json) on which the rail's condition is drawn.",
-        ),
-    ] = None,
-    maps: Annotated[
-        Path | None,
-        typer.Option(
-            "--maps", help="Of a fleet: folder of the maps of edges; default: the catalogue's."
-        ),
-    ] = None,
-    at: AtOption = None,
+    results: str,
+    /,
+    *,
+    output: Path | None = None,
+    line: Path | None = None,
+    logs: list[Path] | None = None,
+    zone: str = "UTC",
+    trips: str | None = None,
+    catalogue: str | None = None,
+    network: Path | None = None,
+    maps: Path | None = None,
+    at: str | None = None,
 ) -> None:
     """Write a report as one HTML page that needs no network: to send, to read, to print.
 
@@ -377,6 +321,24 @@ def report(
     Example: trainlog report results
 
     Example: trainlog report catalogue --network results/fleet/network.network.json -o fleet.html
+
+    Parameters
+    ----------
+    results : RESULTS
+        A log (.mcap), parameter set, map (.map), trajectory or coast-down, the folder of a study, a
+        folder of results, as the demo leaves it, or the catalogue of a fleet (its folder or URL).
+    output : FILE
+        The page (.html); without it a folder is summed up.
+    line : FILE
+        Line file of a map or trajectory whose line is not among the samples.
+    logs : FILE
+        Logs that a fit was made of, or their folder: shows the residuals. Or --trips.
+    zone : ZONE
+        Zone of the timetable, in which times are stated: Europe/Zurich.
+    network : FILE
+        Of a fleet: network file (.network.json) on which the rail's condition is drawn.
+    maps : FILE
+        Of a fleet: folder of the maps of edges; default: the catalogue's.
     """
     is_fleet = "://" in results or (Path(results) / "catalogue.sqlite").is_file()
     if catalogue is not None and (is_fleet or trips is None):
@@ -394,9 +356,8 @@ def report(
             )
         from analysis.reports.fleet import FleetReportOptions, write_fleet_report
         from trainlog.catalogue import open_catalogue
-        from trainlog.formats.railway import read_network
 
-        known = None if network is None else read_network(network)
+        known = None if network is None else trainlog.read_network(network)
         options = FleetReportOptions(trips, known, maps, moment(at, zone))
         destination(output, ".html")
         with open_catalogue(results, create=False) as opened, task("report on the fleet"):
@@ -410,25 +371,24 @@ def report(
         remedy = "name the folder that holds the results, or a log"
         raise InputError("does not exist", file=results, remedy=remedy)
     if output is None:
-        from analysis.reports.summary import report as summed_up
-
         if folder.is_file():
             raise InputError(
                 "is a file; without -o a folder is summed up",
                 file=results,
                 remedy="name the page: -o report.html",
             )
-        show(summed_up(folder))
+        show(analysis.report(folder))
         return
     destination(output, ".html")
 
-    from analysis.reports.build import ReportOptions, write_report
     from analysis.reports.trip import known_zone
 
     in_zone = known_zone(zone)
     given = [*(logs or ()), *([] if trips is None else chosen_logs(trips, catalogue))]
     with task(f"report on {folder.name}"):
-        page = write_report(folder, output, ReportOptions(line, tuple(given), in_zone))
+        page = analysis.write_report(
+            folder, output, analysis.ReportOptions(line, tuple(given), in_zone)
+        )
     titles = [each.title for each in page.sections]
     state({"title": page.title, "sections": titles, "problems": page.problems})
     wrote(output)

@@ -82,20 +82,9 @@ def main() -> None:
     sys.exit(status)
 
 
-_PLAIN = {
-    "Value error, ": "",
-    r"Input should be greater than or equal to (\S+)": r"must be at least \1",
-    r"Input should be less than or equal to (\S+)": r"must be at most \1",
-    r"Input should be a valid integer.*": "must be a whole number",
-}
-"""What typer's checker of values states, in plain words."""
-
-
 def _explained(error: TyperException) -> str:
     """What is wrong with a command, an example of it, and where its help is."""
     message = error.format_message() if hasattr(error, "format_message") else str(error)
-    for pattern, plain in _PLAIN.items():
-        message = re.sub(pattern, plain, message)
     message = message.rstrip(".")
     context = getattr(error, "ctx", None)
     if context is None:

@@ -1,4 +1,13 @@
-"""Commands of the track-condition map: update, show, diff, forecast, score, export, merge ..."""
+"""Commands of the track-condition map: update, show, diff, forecast, score, export, merge ...
+
+Parameters
+----------
+line : FILE
+    Line file, or a log that carries it: stations, the operator's kilometres, coordinates. Default:
+    a sample line of the map's name, or that of its logs.
+condition : MAP
+    Map file (.map).
+"""
 
 from __future__ import annotations
 
@@ -8,22 +17,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import analysis
+import trainlog
 from trainlog.cli.options import (
-    AtOption,
     ChosenTrips,
-    LayersOption,
+    Count,
     Logs,
-    MapArgument,
-    MapOrFolder,
-    PictureOption,
-    ZoneOption,
+    Picture,
+    Written,
     destination,
     logs_in,
-    measured,
     moment,
     refuse_rivals,
     stretch,
-    written,
     zone_assumed,
 )
 from trainlog.cli.terminal import console, current, print_error, show, state, wrote
@@ -42,43 +48,17 @@ if TYPE_CHECKING:
 
 map_app = typer.Typer(help="The track-condition map: maximum adhesion.")
 
-CourseOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--line",
-        help="Line file, or a log that carries it: stations, the operator's kilometres,"
-        " coordinates. Default: a sample line of the map's name, or that of its logs.",
-    ),
-]
-
 
 @map_app.command("update")
 def map_update(
     logs: Logs,
-    condition: Annotated[
-        Path,
-        typer.Option(
-            "--map", help="Map file (.map), or a network's folder of maps; made if not there."
-        ),
-    ],
-    network: Annotated[
-        Path | None,
-        typer.Option(help="Network file: one map an edge, in the folder that --map names."),
-    ] = None,
-    layer: Annotated[
-        str | None,
-        typer.Option(help="Rail condition, such as wet or leaves; default: what each log states."),
-    ] = None,
-    weather: Annotated[
-        Path | None,
-        typer.Option(
-            help="CSV of times, rail conditions, temperature, humidity and rain: the condition of"
-            " logs that state none, and what is kept with each trip."
-        ),
-    ] = None,
-    retry: Annotated[
-        bool, typer.Option("--retry", help="Try logs that were refused before again.")
-    ] = False,
+    /,
+    *,
+    map_: Path,
+    network: Path | None = None,
+    layer: str | None = None,
+    weather: Path | None = None,
+    retry: bool = False,
 ) -> None:
     """Add the evidence of trips to the track-condition map: slip events and adhesion in use.
 
@@ -95,27 +75,38 @@ def map_update(
     trips on an ordinary line on the edge of its name. The folder keeps the network.
 
     Example: trainlog map update results/trips --map results/wil.map
+
+    Parameters
+    ----------
+    map_ : FILE
+        Map file (.map), or a network's folder of maps; made if not there.
+    network : FILE
+        Network file: one map an edge, in the folder that --map names.
+    layer : CONDITION
+        Rail condition, such as wet or leaves; default: what each log states.
+    weather : FILE
+        CSV of times, rail conditions, temperature, humidity and rain: the condition of logs that
+        state none, and what is kept with each trip.
+    retry
+        Try logs that were refused before again.
     """
     from collections import Counter
     from functools import partial
 
-    from analysis.adhesion.updating import update_map
-    from trainlog.formats.csv_tables import read_weather
     from trainlog.formats.mapfile import MapFile
 
-    if condition.is_file():
-        MapFile(condition).close()  # what is no map is named before logs are read
-    of_network = network is not None or condition.is_dir()
+    if map_.is_file():
+        MapFile(map_).close()  # what is no map is named before logs are read
+    of_network = network is not None or map_.is_dir()
     if of_network:
         from analysis.network.maps import update_network_map
-        from trainlog.formats.railway import read_network
 
-        edges = None if network is None else read_network(network)
+        edges = None if network is None else trainlog.read_network(network)
         adding: Callable[..., MapUpdate] = partial(update_network_map, network=edges)
     else:
-        destination(condition, ".map")
-        adding = update_map
-    stated = None if weather is None else read_weather(weather)
+        destination(map_, ".map")
+        adding = analysis.update_map
+    stated = None if weather is None else trainlog.read_weather(weather)
     found, done = logs_in(logs), Counter[str]()
 
     def report(outcome: LogOutcome) -> None:
@@ -132,12 +123,12 @@ def map_update(
 
     def finished() -> str:
         added = f"{counted(done['added'], 'trip')} added"
-        return added if condition.exists() else f"{added}, no map was made"
+        return added if map_.exists() else f"{added}, no map was made"
 
     output = current()
     output.finished = finished
     with task("mapping", len(found), "log") as step:
-        result = adding(found, condition, layer=layer, weather=stated, retry=retry, report=report)
+        result = adding(found, map_, layer=layer, weather=stated, retry=retry, report=report)
     show(result)
     unusable = result.refused + result.not_recorded + result.refused_before
     if len(unusable) == len(result.logs) and (result.refused or not result.made):
@@ -148,30 +139,17 @@ def map_update(
 
 @map_app.command("show")
 def map_show(
-    condition: MapOrFolder,
-    at: AtOption = None,
-    zone: ZoneOption = None,
-    layer: LayersOption = None,
-    picture: PictureOption = None,
-    km: Annotated[
-        str | None,
-        typer.Option(
-            help="The operator's kilometres that the picture shows, 8:12; or one place, 12.3, of"
-            " which the evidence over time is shown, and the estimate of each day.",
-        ),
-    ] = None,
-    line: CourseOption = None,
-    model: Annotated[
-        bool, typer.Option("--model", help="List the numbers of the model as well.")
-    ] = False,
-    days: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="With one place: make the estimate as it was known then for so many days at most,"
-            " chosen evenly; each takes as long as that of an update. Default: 12.",
-        ),
-    ] = None,
+    condition: Path,
+    /,
+    *,
+    at: str | None = None,
+    zone: str | None = None,
+    layer: list[str] | None = None,
+    picture: Picture = None,
+    km: str | None = None,
+    line: Path | None = None,
+    model: bool = False,
+    days: Count = None,
 ) -> None:
     """Show what a track-condition map knows, and where it knows nothing.
 
@@ -187,6 +165,19 @@ def map_show(
     Example: trainlog map show results/wil.map --at 2026-11-22T06:00+01:00 --picture map.png
 
     Example: trainlog map show results/wil.map --km 12.3 --layer wet --picture place.png
+
+    Parameters
+    ----------
+    condition : MAP
+        Map file (.map), or a network's folder of maps.
+    km : KM:KM
+        The operator's kilometres that the picture shows, 8:12; or one place, 12.3, of which the
+        evidence over time is shown, and the estimate of each day.
+    model
+        List the numbers of the model as well.
+    days : N
+        With one place: make the estimate as it was known then for so many days at most, chosen
+        evenly; each takes as long as that of an update. Default: 12.
     """
     if km is not None and ":" not in km:
         of_all = {"--at": at, "--zone": zone, "--model": model or None}
@@ -205,13 +196,12 @@ def map_show(
         _show_network(condition, when, layer, picture)
         return
 
-    from analysis.adhesion.map_state import line_of_map, map_state
+    from analysis.adhesion.map_state import line_of_map
     from analysis.charts import draw
-    from trainlog.formats.condition import read_map
 
-    track = read_map(condition)
+    track = trainlog.read_map(condition)
     known = line_of_map(track, line, condition)
-    shown = map_state(track, when, line=known, layers=layer)
+    shown = analysis.map_state(track, when, line=known, layers=layer)
     assumed = zone_assumed(at, zone)
     shown = replace(shown, notes=(*shown.notes, assumed)) if assumed else shown
     if picture is not None:
@@ -232,18 +222,18 @@ def _show_place(
     picture: Path | None,
 ) -> None:
     """Show what a map knows of one place over time: its evidence, and the estimate of each day."""
-    from analysis.adhesion.map_history import MOST_DAYS, map_history
+    from analysis.adhesion.map_history import MOST_DAYS
     from analysis.adhesion.map_state import line_of_map
     from analysis.charts import draw
-    from trainlog.formats.condition import read_map
     from trainlog.railway.kilometres import position_of
 
-    track = read_map(condition)
+    track = trainlog.read_map(condition)
     known = line_of_map(track, line, condition)
     position = position_of(known, KILOMETRE.read(km, "--km"))
     names = list(track.layers) if layers is None else layers
     found = [
-        map_history(track, position, name, line=known, days=days or MOST_DAYS) for name in names
+        analysis.map_history(track, position, name, line=known, days=days or MOST_DAYS)
+        for name in names
     ]
     pictures = [] if picture is None else [picture]
     if picture is not None and len(found) > 1:
@@ -275,26 +265,16 @@ def _show_network(
 
 @map_app.command("diff")
 def map_diff(
-    maps: Annotated[list[Path], typer.Argument(help="Two map files, or one with --from.")],
-    start: Annotated[
-        str | None, typer.Option("--from", help="Day up to which the first evidence counts.")
-    ] = None,
-    end: Annotated[
-        str | None, typer.Option("--to", help="Day up to which the second counts; default: all.")
-    ] = None,
-    layer: LayersOption = None,
-    line: CourseOption = None,
-    rate: Annotated[
-        float,
-        measured(
-            "--rate", of=SHARE, help="Share of the bins called changed that may be so by chance."
-        ),
-    ] = 0.05,
-    least: Annotated[
-        float,
-        measured("--least", of=NUMBER, help="Difference of adhesion whose probability is stated."),
-    ] = 0.01,
-    picture: PictureOption = None,
+    maps: list[Path],
+    /,
+    *,
+    from_: str | None = None,
+    to: str | None = None,
+    layer: list[str] | None = None,
+    line: Path | None = None,
+    rate: Annotated[float, SHARE] = 0.05,
+    least: Annotated[float, NUMBER] = 0.01,
+    picture: Picture = None,
 ) -> None:
     """Show what changed between two dates of a map, or between two maps, with significance.
 
@@ -302,20 +282,31 @@ def map_diff(
     changed significantly; 1: something did; 2: the comparison could not be made.
 
     Example: trainlog map diff results/wil.map --from 2026-10-31 --picture diff.png
+
+    Parameters
+    ----------
+    maps : MAPS
+        Two map files, or one with --from.
+    from_ : TIME
+        Day up to which the first evidence counts.
+    to : TIME
+        Day up to which the second counts; default: all.
+    rate : SHARE
+        Share of the bins called changed that may be so by chance.
+    least : NUMBER
+        Difference of adhesion whose probability is stated.
     """
     if len(maps) > 2:
         raise InputError(f"{len(maps)} maps are given", remedy="give two, or one with --from")
 
-    from analysis.adhesion.map_difference import map_difference
     from analysis.adhesion.map_state import line_of_map
-    from trainlog.formats.condition import read_map
     from trainlog.railway.evidence import day_of
     from trainlog.spans import utc
 
-    since, until = (None if given is None else day_of(utc(given)) for given in (start, end))
-    first, *second = [read_map(each) for each in maps]
+    since, until = (None if given is None else day_of(utc(given)) for given in (from_, to))
+    first, *second = [trainlog.read_map(each) for each in maps]
     known = line_of_map(first, line, maps[0])
-    found = map_difference(
+    found = analysis.map_difference(
         first,
         second[0] if second else None,
         since=since,
@@ -332,17 +323,14 @@ def map_diff(
 
 @map_app.command("export")
 def map_export(
-    condition: MapArgument,
-    output: Annotated[
-        Path,
-        typer.Option(
-            "--output", "-o", help=".geojson, .gpkg, .parquet, .csv, or .json in TTOBench's layout."
-        ),
-    ],
-    line: CourseOption = None,
-    layer: LayersOption = None,
-    at: AtOption = None,
-    zone: ZoneOption = None,
+    condition: Path,
+    /,
+    *,
+    output: Path,
+    line: Path | None = None,
+    layer: list[str] | None = None,
+    at: str | None = None,
+    zone: str | None = None,
 ) -> None:
     """Write a track-condition map for other programs, by the suffix of the file.
 
@@ -352,17 +340,23 @@ def map_export(
     it was known then: made of the evidence of the days before alone.
 
     Example: trainlog map export results/wil.map -o results/map.geojson
+
+    Parameters
+    ----------
+    output : FILE
+        .geojson, .gpkg, .parquet, .csv, or .json in TTOBench's layout.
     """
     when = moment(at, zone)
 
-    from analysis.adhesion.export import export_map, exported_suffix
+    from analysis.adhesion.export import exported_suffix
     from analysis.adhesion.map_state import line_of_map
     from trainlog.condition import left_out
-    from trainlog.formats.condition import read_map
 
     exported_suffix(output)
-    track = read_map(condition)
-    export_map(track, output, line=line_of_map(track, line, condition), at=when, layers=layer)
+    track = trainlog.read_map(condition)
+    analysis.export_map(
+        track, output, line=line_of_map(track, line, condition), at=when, layers=layer
+    )
     chosen = replace(track, layers={name: track.layer(name) for name in layer or track.layers})
     for words in filter(None, [left_out(chosen, when), zone_assumed(at, zone)]):
         console.print(f"  {words}", soft_wrap=True)
@@ -371,18 +365,14 @@ def map_export(
 
 @map_app.command("forecast")
 def map_forecast(
-    condition: MapOrFolder,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Forecast (CSV); of a network a folder of them.")
-    ],
-    at: AtOption = None,
-    zone: ZoneOption = None,
-    hours: Annotated[
-        float, measured("--hours", of=HOURS, help="For how long it is said to hold.")
-    ] = 24.0,
-    layer: Annotated[
-        str | None, typer.Option(help="Rail condition; default: every one of the map.")
-    ] = None,
+    condition: Path,
+    /,
+    *,
+    output: Path,
+    at: str | None = None,
+    zone: str | None = None,
+    hours: Annotated[float, HOURS] = 24.0,
+    layer: str | None = None,
 ) -> None:
     """Write what a map expects at a time as a forecast, in the form in which forecasts are scored.
 
@@ -390,12 +380,21 @@ def map_forecast(
     states nothing. Without --at it holds from the day after the last evidence.
 
     Example: trainlog map forecast results/wil.map --at 2026-11-22T06:00Z -o results/forecast.csv
+
+    Parameters
+    ----------
+    condition : MAP
+        Map file (.map), or a network's folder of maps.
+    output : FILE
+        Forecast (CSV); of a network a folder of them.
+    hours : TIME
+        For how long it is said to hold.
+    layer : CONDITION
+        Rail condition; default: every one of the map.
     """
     from analysis.network.maps import forecasts_of_network, network_map
     from analysis.verification.forecasts import first_free, forecast_of
     from trainlog.condition import left_out
-    from trainlog.formats.condition import read_map
-    from trainlog.formats.csv_tables import write_forecast
     from trainlog.formats.files import output_folder
 
     time = moment(at, zone)
@@ -403,13 +402,13 @@ def map_forecast(
         time, found = forecasts_of_network(network_map(condition), time, layer, hours)
         with output_folder(output) as place:
             for path, each in found.items():
-                write_forecast(each, place / path)
+                trainlog.write_forecast(each, place / path)
         state({"forecasts": output, "edges": len(found), "from": time})
     else:
-        track = read_map(condition)
+        track = trainlog.read_map(condition)
         time = time or first_free(track)
         forecast = forecast_of(track, time, layer=layer, hours=hours)
-        write_forecast(forecast, destination(output, ".csv"))
+        trainlog.write_forecast(forecast, destination(output, ".csv"))
         layers = sorted(set(forecast.layer))
         content = {"line": forecast.line, "from": time, "hours": hours, "layers": layers}
         state({"forecast": output, **content})
@@ -420,28 +419,14 @@ def map_forecast(
 
 @map_app.command("score")
 def map_score(
-    forecast: Annotated[
-        Path,
-        typer.Argument(help="Map file, a network's folder of maps, or a forecast (.csv)."),
-    ],
-    logs: Annotated[
-        list[Path] | None,
-        typer.Argument(help="Logs (.mcap) of later trips, or folders of logs."),
-        ChosenTrips,
-    ] = None,
-    rolling: Annotated[
-        bool,
-        typer.Option("--rolling", help="Forecast each of the map's days from the days before."),
-    ] = False,
-    layer: Annotated[
-        str | None,
-        typer.Option(help="Rail condition to score; default: what each log states, or all."),
-    ] = None,
-    weather: Annotated[
-        Path | None,
-        typer.Option(help="Weather (CSV): the rail condition of logs that state none."),
-    ] = None,
-    picture: PictureOption = None,
+    forecast: Path,
+    logs: Annotated[list[Path] | None, ChosenTrips] = None,
+    /,
+    *,
+    rolling: bool = False,
+    layer: str | None = None,
+    weather: Path | None = None,
+    picture: Picture = None,
 ) -> None:
     """Score a map's forecast, or anyone's, on trips that it does not know.
 
@@ -452,6 +437,19 @@ def map_score(
     docs/adhesion-forecast-verification.md. Exit status 1 if a log could not be used.
 
     Example: trainlog map score results/wil.map results/later-trips --picture results/score.png
+
+    Parameters
+    ----------
+    forecast : FORECAST
+        Map file, a network's folder of maps, or a forecast (.csv).
+    logs : LOGS
+        Logs (.mcap) of later trips, or folders of logs.
+    rolling
+        Forecast each of the map's days from the days before.
+    layer : CONDITION
+        Rail condition to score; default: what each log states, or all.
+    weather : FILE
+        Weather (CSV): the rail condition of logs that state none.
     """
     from analysis.verification.scoring import by_reason
 
@@ -472,9 +470,7 @@ def _scored(
     """Score a map on its own days, or a forecast on logs."""
     from analysis.network.map_scores import score_network, score_network_on
     from analysis.network.maps import network_map
-    from analysis.verification.scoring import line_of_logs, score_forecast, score_map, score_rolling
-    from trainlog.formats.condition import read_map
-    from trainlog.formats.csv_tables import read_forecast, read_weather
+    from analysis.verification.scoring import line_of_logs
 
     foreign = forecast.suffix.lower() == ".csv"
     if rolling:
@@ -495,29 +491,31 @@ def _scored(
         with task(f"forecasting {unit} by {unit}", unit=unit) as step:
             if forecast.is_dir():
                 return score_network(network_map(forecast), layers, step)[0]
-            own = read_map(forecast)
-            return score_rolling(own, layers, lambda day, days: step(day - 1, days))
+            own = trainlog.read_map(forecast)
+            return analysis.score_rolling(own, layers, lambda day, days: step(day - 1, days))
     paths = logs_in(logs)
-    sky = None if weather is None else read_weather(weather)
+    sky = None if weather is None else trainlog.read_weather(weather)
     every = tracked(paths, "scoring", "log")
     if forecast.is_dir():
         return score_network_on(network_map(forecast), every, layer, sky)[0]
     if foreign:
-        stated = read_forecast(forecast, *line_of_logs(paths))
-        return score_forecast(stated, every, layer, sky)
-    return score_map(read_map(forecast), every, layer, sky)
+        stated = trainlog.read_forecast(forecast, *line_of_logs(paths))
+        return analysis.score_forecast(stated, every, layer, sky)
+    return analysis.score_map(trainlog.read_map(forecast), every, layer, sky)
 
 
 @map_app.command("remove")
-def map_remove(
-    condition: MapArgument,
-    trips: Annotated[list[str], typer.Argument(help="Names of the trips to take out.")],
-) -> None:
+def map_remove(condition: Path, trips: list[str], /) -> None:
     """Take trips out of a map, such as those given with a wrong rail condition.
 
     Given again, their logs count again. What was compacted cannot be taken out.
 
     Example: trainlog map remove results/wil.map trip-07
+
+    Parameters
+    ----------
+    trips : TRIPS
+        Names of the trips to take out.
     """
     from trainlog.formats.mapfile import MapFile
 
@@ -531,13 +529,17 @@ def map_remove(
 
 
 @map_app.command("merge")
-def map_merge(
-    maps: Annotated[list[Path], typer.Argument(help="Map files of one line.")],
-    output: Annotated[Path, written("--output", "-o", suffix=".map", help="New map file (.map).")],
-) -> None:
+def map_merge(maps: list[Path], /, *, output: Annotated[Path, Written(".map")]) -> None:
     """Make one map of several; a trip that more than one of them holds is counted once.
 
     Example: trainlog map merge monday.map tuesday.map -o both.map
+
+    Parameters
+    ----------
+    maps : MAPS
+        Map files of one line.
+    output : FILE
+        New map file (.map).
     """
     from trainlog.formats.mapmerge import merge_files
 
@@ -547,18 +549,18 @@ def map_merge(
 
 
 @map_app.command("compact")
-def map_compact(
-    condition: MapArgument,
-    before: Annotated[
-        str, typer.Option(help="Day (2026-01-31); of trips before it sums are kept.")
-    ],
-) -> None:
+def map_compact(condition: Path, /, *, before: str) -> None:
     """Replace what each older trip has shown by sums of days: the map stays the same.
 
     Which recordings of these drives count is then decided: a fuller one that comes later does not
     replace any.
 
     Example: trainlog map compact results/wil.map --before 2026-01-01
+
+    Parameters
+    ----------
+    before : DAY
+        Day (2026-01-31); of trips before it sums are kept.
     """
     from datetime import date
 

@@ -1,51 +1,83 @@
-"""Options and arguments of the commands, and how their values are read."""
+"""Options and arguments of the commands, and how their values are read.
+
+Parameters
+----------
+logs : LOGS
+    Logs (.mcap), or folders of logs; of one without, those below it.
+line : FILE
+    Line file, or 'sample'; default: as set.
+train : FILE
+    Train file, or 'sample'; default: as set.
+catalogue : WHERE
+    Folder or URL of the catalogue; default: as set, else the folder catalogue.
+trips : WHERE
+    Only trips that this chooses: "line = 'X' and weather = 'wet'".
+from_ : TIME
+    Only from this time on: 2024-05-01T06:00:00Z, 10s (after the start), end-5min.
+to : TIME
+    Only up to this time.
+km : KM:KM
+    Only while the train was between these kilometres, the operator's where the line has them:
+    3.2:7.5, 3.2:, :7.5.
+topic : TOPIC
+    Only this topic; may be given several times.
+at : TIME
+    Time of the expected condition: 2026-11-22T06:00+01:00; only evidence of days before its day
+    counts (UTC). Default: right after the last day with evidence, with all of it.
+zone : ZONE
+    Zone of a time that states none: Europe/Zurich. Default: UTC.
+layer : CONDITION
+    Only this layer; may be given several times.
+picture : FILE
+    Draw it into this file (.png), too.
+risk : SHARE
+    With --map: probability, for each place and trip, that there is less adhesion than is counted
+    on, as the map expects it at the time of the run; such as 0.05.
+jobs : N
+    Processes; default: one per processor.
+seed : N
+    Same seed, same bytes.
+"""
 
 from __future__ import annotations
 
+import inspect
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
 import typer
+from typer.models import ParameterInfo
 
+import trainlog
 from trainlog.cli.terminal import console
 from trainlog.errors import InputError
-from trainlog.units import DISTANCE, KILOMETRE, MASS, NANOSECONDS, NUMBER, SHARE, TIME, Measure
+from trainlog.units import (
+    COUNT,
+    DISTANCE,
+    KILOMETRE,
+    MASS,
+    NANOSECONDS,
+    NUMBER,
+    SHARE,
+    TIME,
+    Measure,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from trainlog.ingest.routes import NetworkRoutes
     from trainlog.railway import Line, TrackConditionMap, Train
-    from trainlog.simulation import Change
     from trainlog.trip import Trip
 
 
 NETWORK_SUFFIX = ".network.json"
 """End of the names of network files."""
-
-
-def measured(*names: str, of: Measure, help: str) -> Any:
-    """An option whose value is written as people write it; a command gets it in the unit of `of`.
-
-    A number that the command has for a default is in that unit, too.
-    """
-
-    def read(given: Any) -> float:
-        return of.read(given, names[0])
-
-    return typer.Option(*names, parser=read, metavar=of.noun.upper(), help=help)
-
-
-def written(*names: str, suffix: str = ".png", help: str) -> Any:
-    """An option that names a file to be written, which is checked before any work is done."""
-
-    def read(given: Any) -> Path:
-        return destination(Path(given), suffix)
-
-    return typer.Option(*names, parser=read, metavar="FILE", help=help)
 
 
 class ChosenTrips:
@@ -56,109 +88,103 @@ class ChosenTrips:
     """
 
 
-Logs = Annotated[
-    list[Path],
-    typer.Argument(help="Logs (.mcap), or folders of logs; of one without, those below it."),
-    ChosenTrips,
-]
-CatalogueOption = Annotated[
-    str | None,
-    typer.Option(
-        "--catalogue",
-        metavar="WHERE",
-        help="Folder or URL of the catalogue; default: as set, else the folder catalogue.",
-    ),
-]
-TripsOption = Annotated[
-    str | None,
-    typer.Option(
-        "--trips",
-        metavar="WHERE",
-        help="Only trips that this chooses: \"line = 'X' and weather = 'wet'\".",
-    ),
-]
-CategoryOption = Annotated[
-    str | None,
-    typer.Option(
-        "--category",
-        metavar="NAME",
-        help="Of trains, whose speed limits a network gets; 'none': those for all trains. Default:"
-        " the lowest of all categories.",
-    ),
-]
-LineOption = Annotated[
-    Path | None, typer.Option("--line", help="Line file, or 'sample'; default: as set.")
-]
-TrainOption = Annotated[
-    Path | None, typer.Option("--train", help="Train file, or 'sample'; default: as set.")
-]
+@dataclass(frozen=True)
+class Written:
+    """Marks a file to be written, whose name is checked before any work is done."""
 
-RiskOption = Annotated[
-    float | None,
-    measured(
-        "--risk",
-        of=SHARE,
-        help="With --map: probability, for each place and trip, that there is less adhesion than"
-        " is counted on, as the map expects it at the time of the run; such as 0.05.",
-    ),
-]
-RunTimeOption = Annotated[
-    str | None,
-    typer.Option(
-        "--at",
-        help="With --map: time of the run, for which it is read: 2026-11-22T06:00Z. Default: where"
-        " a risk is given right after its last evidence, else what lasts. Only evidence of days"
-        " before counts (UTC).",
-    ),
-]
-JobsOption = Annotated[
-    int | None, typer.Option(min=1, help="Processes; default: one per processor.")
-]
-Seed = Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")]
-MapArgument = Annotated[Path, typer.Argument(metavar="MAP", help="Map file (.map).")]
-MapOrFolder = Annotated[
-    Path, typer.Argument(metavar="MAP", help="Map file (.map), or a network's folder of maps.")
-]
-LayersOption = Annotated[
-    list[str] | None, typer.Option("--layer", help="Only this layer; may be given several times.")
-]
-AtOption = Annotated[
-    str | None,
-    typer.Option(
-        "--at",
-        help="Time of the expected condition: 2026-11-22T06:00+01:00; only evidence of days before"
-        " its day counts (UTC). Default: right after the last day with evidence, with all of it.",
-    ),
-]
-ZoneOption = Annotated[
-    str | None,
-    typer.Option("--zone", help="Zone of a time that states none: Europe/Zurich. Default: UTC."),
-]
+    suffix: str = ".png"
 
-TopicOption = Annotated[
-    list[str] | None, typer.Option("--topic", help="Only this topic; may be given several times.")
-]
-FromOption = Annotated[
-    str | None,
-    typer.Option(
-        "--from",
-        help="Only from this time on: 2024-05-01T06:00:00Z, 10s (after the start), end-5min.",
-    ),
-]
-ToOption = Annotated[str | None, typer.Option("--to", help="Only up to this time.")]
-KilometreOption = Annotated[
-    str | None,
-    typer.Option(
-        "--km",
-        help="Only while the train was between these kilometres, the operator's where the line has"
-        " them: 3.2:7.5, 3.2:, :7.5.",
-    ),
-]
+    def read(self, given: str | Path, name: str) -> Path:  # noqa: ARG002
+        """The file."""
+        return destination(Path(given), self.suffix)
 
 
-PictureOption = Annotated[
-    Path | None, written("--picture", help="Draw it into this file (.png), too.")
-]
+POSITIVE = COUNT.between(1.0)
+"""At least one."""
+
+Logs = Annotated[list[Path], ChosenTrips]
+Picture = Annotated[Path | None, Written()]
+Count = Annotated[int | None, POSITIVE]
+Seed = Annotated[int, COUNT.between(0.0)]
+Risk = Annotated[float | None, SHARE]
+
+SHORT = {"--output": ["-o"], "--quiet": ["-q"]}
+"""Options that have a letter, too."""
+
+
+def described(docstring: str | None) -> tuple[str, dict[str, tuple[str, str]]]:
+    r"""The text of a docstring, and of each parameter how its values are shown, and its words.
+
+    Examples
+    --------
+    >>> described("Show a log.\n\nParameters\n----------\nlog : FILE\n    The log.")
+    ('Show a log.', {'log': ('FILE', 'The log.')})
+    """
+    text, _, section = inspect.cleandoc(docstring or "").partition("\n\nParameters\n----------\n")
+    found = {}
+    for each in re.split(r"\n(?=\S)", section) if section else ():
+        head, _, words = each.partition("\n")
+        name, _, shown = head.partition(" : ")
+        found[name] = shown, " ".join(words.split())
+    return text, found
+
+
+def typed(function: Callable[..., None]) -> Callable[..., None]:
+    """A command's function as typer takes it: what a person may give follows from its signature.
+
+    Parameters before a ``/`` are arguments, the others options: ``from_`` is ``--from``. Docstrings
+    state how the values are shown and what they are: the function's own, that of its module for
+    its commands, or that of `trainlog.cli.options` for all. Values are read as people write them
+    where a `Measure` stands in the annotation, and names of files are checked by `Written`.
+    """
+    text, own = described(function.__doc__)
+    known = described(__doc__)[1] | described(sys.modules[function.__module__].__doc__)[1] | own
+    given = inspect.signature(function, eval_str=True).parameters.values()
+    leading = [each.name for each in given if each.kind is each.POSITIONAL_ONLY]
+    parameters = [
+        each.replace(
+            kind=each.KEYWORD_ONLY, annotation=_typed(each, *known.get(each.name, ("", "")))
+        )
+        for each in given
+    ]
+
+    def call(**values: Any) -> None:
+        function(*[values.pop(name) for name in leading], **values)
+
+    call.__name__, call.__doc__ = function.__name__, text
+    call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    return call
+
+
+def _typed(parameter: inspect.Parameter, shown: str, words: str) -> Any:
+    """The annotation of a parameter with what typer is to know of it."""
+    base, notes = parameter.annotation, getattr(parameter.annotation, "__metadata__", ())
+    for note in notes:
+        if isinstance(note, ParameterInfo):
+            note.help = note.help or words
+            return parameter.annotation
+    if notes:
+        base = base.__origin__
+    name = f"--{parameter.name.strip('_').replace('_', '-')}"
+    kinds = (base, *get_args(base))
+    choices = next((get_args(kind) for kind in kinds if get_origin(kind) is Literal), ())
+    given: dict[str, Any] = {"help": f"{words} ({', '.join(choices)})" if choices else words}
+    for note in notes:
+        if isinstance(note, Measure | Written):
+            given["parser"] = partial(_read, note, name, int in kinds)
+        if isinstance(note, Measure) and isinstance(parameter.default, float):
+            given["show_default"] = note.shown(parameter.default)
+    if parameter.kind is parameter.POSITIONAL_ONLY:
+        info = typer.Argument(metavar=shown or parameter.name.upper(), **given)
+    else:
+        info = typer.Option(name, *SHORT.get(name, ()), metavar=shown or None, **given)
+    return Annotated[base, info, *(note for note in notes if note is ChosenTrips)]
+
+
+def _read(of: Measure | Written, name: str, whole: bool, given: Any) -> Any:
+    value = of.read(given, name)
+    return int(value) if whole and isinstance(value, float) else value
+
 
 _RELATIVE = re.compile(r"(start|end)|(start\+|end-)?(\d+(?:\.\d+)?(?:ms|s|min|h))")
 
@@ -218,19 +244,18 @@ def stretch(text: str | None, line: Line | None = None) -> tuple[float | None, f
 def line_of_log(log: Path, given: Line | None = None) -> Line | None:
     """The line that a log carries, or else the one given, as travelled; None without."""
     from trainlog.formats.railway import line_of
-    from trainlog.mcap import read_log
     from trainlog.trip import LINE_ATTACHMENT
 
     if log.suffix != ".mcap":
         return given
-    bare = read_log(log, [])
+    bare = trainlog.read(log, [])
     if LINE_ATTACHMENT in bare.attachments:
         return line_of(bare)
     backwards = bare.metadata.get("direction") == "reverse"
     return given.reversed() if backwards and given is not None else given
 
 
-def lasting_change(word: str, line: Line | None = None) -> Change:
+def lasting_change(word: str, line: Line | None = None) -> trainlog.RailChange:
     """A change of the rail, from ``km=10:14,date=2026-10-15,factor=1.3``, ``spots=0.2`` besides.
 
     Raises
@@ -238,7 +263,6 @@ def lasting_change(word: str, line: Line | None = None) -> Change:
     InputError
         If the text is not of that form.
     """
-    from trainlog.simulation import Change
     from trainlog.spans import utc
 
     remedy = "write it as km=10:14,date=2026-10-15,factor=1.3"
@@ -262,7 +286,7 @@ def lasting_change(word: str, line: Line | None = None) -> Change:
         NUMBER.read(given.get(name, "1"), f"change '{word}': {name}")
         for name in ("factor", "spots")
     )
-    return Change(km[0], km[1], int(when.value), factor, spots)
+    return trainlog.RailChange(km[0], km[1], int(when.value), factor, spots)
 
 
 def _moment(
@@ -346,14 +370,13 @@ def map_of_run(
         If the file is no map, the time is none, or no evidence is of a day before.
     """
     from trainlog.condition import known_before, left_out
-    from trainlog.formats.condition import read_map
 
     if condition.is_dir():
         from analysis.network.maps import network_map
 
         track = network_map(condition).along(line)
     else:
-        track = read_map(condition)
+        track = trainlog.read_map(condition)
     time = moment(at, None)
     if time is None:
         return track, None
@@ -382,14 +405,13 @@ def part_of(
     LogError
         If the log cannot be read, or nothing of it is in that part.
     """
-    from trainlog.mcap import stream_log
     from trainlog.mcap.convert import span_of
     from trainlog.mcap.records import nothing_of
 
     known = None if km is None else line_of_log(log, line)
     time, position = times(start, end, lambda: span_of(log)), stretch(km, known)
     empty = True
-    for piece in stream_log(log, topics, time=time, position=position, rows=rows):
+    for piece in trainlog.stream(log, topics, time=time, position=position, rows=rows):
         empty = empty and not any(map(len, piece.topics.values()))
         yield piece
     if empty and (time, position) != (None, None):
@@ -408,7 +430,6 @@ def line_and_train(
     InputError
         If one of them is neither given nor set, or cannot be read.
     """
-    from trainlog.formats.railway import read_line, read_train
     from trainlog.formats.settings import read_settings
 
     known = read_settings()
@@ -416,9 +437,9 @@ def line_and_train(
     own_train = train or (Path(known.train).expanduser() if known.train else None)
     found = kept
     if own_line is not None and (line is not None or kept is None):
-        found = read_line(own_line)
+        found = trainlog.read_line(own_line)
     if found is not None and own_train is not None:
-        return found, read_train(own_train)
+        return found, trainlog.read_train(own_train)
     missing = [name for name, own in (("line", found), ("train", own_train)) if own is None]
     files = " ".join(f"--{name} FILE" for name in missing)
     samples = " ".join(f"--{name} sample" for name in missing)
@@ -506,7 +527,6 @@ def line_or_network(
     line: Path | None, network: Path | None = None, stations: str | None = None
 ) -> tuple[Line | None, NetworkRoutes | None]:
     """The line that is given, or the network."""
-    from trainlog.formats.railway import read_line, read_network
     from trainlog.ingest.routes import NetworkRoutes, places_in
 
     if line is not None:
@@ -514,9 +534,9 @@ def line_or_network(
     if line is not None and line.name.endswith(NETWORK_SUFFIX):
         line, network = None, line
     if network is not None:
-        return None, NetworkRoutes(read_network(network), places_in(stations or ""))
+        return None, NetworkRoutes(trainlog.read_network(network), places_in(stations or ""))
     refuse_rivals("they are those of a network", {"--stations": stations}, "or give --network")
-    return None if line is None else read_line(line), None
+    return None if line is None else trainlog.read_line(line), None
 
 
 def pairs(given: list[str]) -> dict[str, str]:

@@ -12,15 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import analysis
+import trainlog
 from trainlog.cli.options import (
-    LineOption,
-    RunTimeOption,
-    TrainOption,
     destination,
     line_and_train,
     logs_in,
     map_of_run,
-    measured,
     refuse_rivals,
     sections_in,
     stretch,
@@ -32,7 +30,7 @@ from trainlog.units import COUNT, MASS, NUMBER, PERCENT, SHARE, SPEED, TIME, Mea
 
 if TYPE_CHECKING:
     from analysis.trajectory.journey import JourneyPlan
-    from trainlog.railway import Journey, Line, ParameterSet, Train, Trajectory
+    from trainlog.railway import Line, Train, Trajectory
 
 
 SETTINGS: dict[str, tuple[Measure | tuple[str, ...], str]] = {
@@ -120,77 +118,28 @@ _HELP = "; ".join(
     for name, (of, help) in SETTINGS.items()
 )
 
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help=f"May be given several times: {_HELP}."),
+]
+
 
 def plan(
-    output: Annotated[
-        Path,
-        typer.Option(
-            "--output",
-            "-o",
-            help="Trajectory with its picture (.json); a folder of those of several sections; or"
-            " speed, time, efforts and energy by kilometre, of all sections (.csv).",
-        ),
-    ],
-    parameters: Annotated[
-        Path | None,
-        typer.Argument(help="Observed parameter set (JSON); default: the train's file alone."),
-    ] = None,
-    line: LineOption = None,
-    train: TrainOption = None,
-    running_time: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TIME|LOG",
-            help="Timetable's running time, 17:30; or that of the fastest non-stop trip of a log or"
-            " a folder.",
-        ),
-    ] = None,
-    reserve: Annotated[
-        str | None,
-        typer.Option(
-            metavar="PERCENT,...",
-            help="Without --running-time: reserve over the least time, 7%; default: 7%. Of several,"
-            " 7,3,12, the first is planned, and the energy of all is shown over their times.",
-        ),
-    ] = None,
-    stops: Annotated[
-        str | None,
-        typer.Option(
-            metavar="A,B,C|FILE",
-            help="Stations between which it runs and stops, or a journey file with stops and"
-            " passing points; one trajectory per section.",
-        ),
-    ] = None,
-    km: Annotated[
-        str | None,
-        typer.Option(
-            "--km",
-            help="Only between these kilometres, the operator's where the line has them, else in"
-            " the direction of travel: 3.2:7.5, 3.2:, :7.5.",
-        ),
-    ] = None,
-    reverse: Annotated[
-        bool, typer.Option("--reverse", help="Travel against the line's chainage.")
-    ] = False,
-    condition: Annotated[
-        Path | None,
-        typer.Option(
-            "--map",
-            help="Track-condition map that limits the efforts, or a network's folder of maps."
-            " Default: no limit by adhesion.",
-        ),
-    ] = None,
-    layer: Annotated[
-        str | None,
-        typer.Option(
-            help="With --map: its rail condition, such as dry, wet or leaves; default: wet."
-        ),
-    ] = None,
-    at: RunTimeOption = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help=f"May be given several times: {_HELP}."),
-    ] = None,
+    parameters: Path | None = None,
+    /,
+    *,
+    output: Path,
+    line: Path | None = None,
+    train: Path | None = None,
+    running_time: str | None = None,
+    reserve: str | None = None,
+    stops: str | None = None,
+    km: str | None = None,
+    reverse: bool = False,
+    map_: Path | None = None,
+    layer: str | None = None,
+    at: str | None = None,
+    set_: Settings = None,
 ) -> None:
     """Find the trajectory of least energy that every observed configuration can follow.
 
@@ -205,10 +154,40 @@ def plan(
     Example: trainlog plan --train my.train.toml --line A-B.line.json --set load=12t -o plan.csv
 
     Example: trainlog plan fitted.json --line A-B.line.json --stops Aach,Berg,Chur -o sections
+
+    Parameters
+    ----------
+    output : FILE
+        Trajectory with its picture (.json); a folder of those of several sections; or speed, time,
+        efforts and energy by kilometre, of all sections (.csv).
+    parameters : PARAMETERS
+        Observed parameter set (JSON); default: the train's file alone.
+    running_time : TIME|LOG
+        Timetable's running time, 17:30; or that of the fastest non-stop trip of a log or a folder.
+    reserve : PERCENT,...
+        Without --running-time: reserve over the least time, 7%; default: 7%. Of several, 7,3,12,
+        the first is planned, and the energy of all is shown over their times.
+    stops : A,B,C|FILE
+        Stations between which it runs and stops, or a journey file with stops and passing points;
+        one trajectory per section.
+    km : KM:KM
+        Only between these kilometres, the operator's where the line has them, else in the direction
+        of travel: 3.2:7.5, 3.2:, :7.5.
+    reverse
+        Travel against the line's chainage.
+    map_ : FILE
+        Track-condition map that limits the efforts, or a network's folder of maps. Default: no
+        limit by adhesion.
+    layer : CONDITION
+        With --map: its rail condition, such as dry, wet or leaves; default: wet.
+    at : TIME
+        With --map: time of the run, for which it is read: 2026-11-22T06:00Z. Default: where a risk
+        is given right after its last evidence, else what lasts. Only evidence of days before counts
+        (UTC).
     """
     if output.suffix or stops is None:
         destination(output, ".csv" if output.suffix == ".csv" else ".json")
-    chosen = settings_of(settings or [])
+    chosen = settings_of(set_ or [])
     reserves = _reserves(reserve)
     ends = {"--km": km} | {
         f"--set {name}": chosen.get(name) for name in ("initial-speed", "final-speed")
@@ -222,7 +201,7 @@ def plan(
         of_logs = running_time.endswith(".mcap") or Path(running_time).exists()
         if of_logs:
             refuse_rivals("the time of a trip is from end to end of the line", ends)
-    if condition is None:
+    if map_ is None:
         of_map = {"--layer": layer, "--at": at} | {
             f"--set {name}": chosen.get(name) for name in ("risk", "sigmas", "assumed-adhesion")
         }
@@ -232,12 +211,9 @@ def plan(
         refuse_rivals("risk says how cautiously the map is read", cautious)
 
     from analysis.charts import draw
-    from analysis.trajectory.journey import optimise_journey, sections_of
-    from analysis.trajectory.optimiser import energy_against_time, optimise
-    from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
+    from analysis.trajectory.journey import sections_of
     from analysis.trajectory.table import PlannedRun, write_profile
     from trainlog.formats.files import output_folder
-    from trainlog.formats.railway import write_trajectory
 
     own_line, the_train = line_and_train(line, train)
     observed = _configurations(parameters, the_train, chosen.pop("load", None))
@@ -253,18 +229,18 @@ def plan(
 
         time_given = fastest_nonstop(logs_in([Path(running_time)]), own_line)
     elif running_time is not None:
-        time_given = TIME.read(running_time, "--running-time")
+        time_given = TIME.above(0.0).read(running_time, "--running-time")
     the_line = own_line.reversed() if reverse else own_line
     start, end = stretch(km, the_line) or (None, None)
-    track, time = (None, None) if condition is None else map_of_run(condition, at, own_line)
+    track, time = (None, None) if map_ is None else map_of_run(map_, at, own_line)
     if track is not None and layer is None:
         console.print("  no --layer is given: wet")
-    options = OptimiserOptions(
+    options = analysis.OptimiserOptions(
         round(chosen.pop("cells", 500)),
         chosen.pop("referee", "no") == "yes",
         time_limit=chosen.pop("time-limit", None),
     )
-    solve: Callable[..., Trajectory | JourneyPlan] = optimise
+    solve: Callable[..., Trajectory | JourneyPlan] = analysis.optimise
     if stops is not None:
         journey = _journey_of(stops, the_line, time_given)
         if journey.points[-1].latest is not None:
@@ -276,7 +252,7 @@ def plan(
                 file=output,
                 remedy="name a folder, or a table of all of them (.csv)",
             )
-        solve = partial(optimise_journey, journey=journey, dwell=chosen.pop("dwell", 0.0))
+        solve = partial(analysis.optimise_journey, journey=journey, dwell=chosen.pop("dwell", 0.0))
     given = {
         "running_time": None if stops else time_given,
         "reserve": reserves[0] if reserves else None,
@@ -289,7 +265,7 @@ def plan(
         "direction": "reverse" if reverse else None,
         **{name.replace("-", "_"): value for name, value in chosen.items()},
     }
-    problem = TrajectoryProblem(
+    problem = analysis.TrajectoryProblem(
         the_line,
         the_train,
         observed.configurations,
@@ -305,11 +281,11 @@ def plan(
         else:
             for number, section in enumerate(planned.sections, 1):
                 file = output if output.suffix else output / f"section-{number}.json"
-                write_trajectory(section, file)
+                trainlog.write_trajectory(section, file)
                 draw(section, file.with_suffix(".png"), line=the_line)
                 wrote(file, file.with_suffix(".png"))
         if len(reserves) > 1:
-            front = energy_against_time(
+            front = analysis.energy_against_time(
                 problem, reserves[1:], options, solve=solve, known=[planned.run]
             )
             name = "energy-over-time.png"
@@ -329,20 +305,18 @@ def _reserves(given: str | None) -> list[float]:
     if len(asked) == 2 and "%" in asked[1] and "%" not in asked[0]:
         remedy = f"write one as {asked[0]}.{asked[1]}, two as {asked[0]}%,{asked[1]}"
         raise InputError(f"--reserve '{given}' is one number or two", remedy=remedy)
-    for each in asked:
-        if "%" not in each and 0.0 < PERCENT.read(each, "--reserve") < 0.005:
+    found = {each: PERCENT.between(0.0).read(each, "--reserve") for each in asked}
+    for each, share in found.items():
+        if "%" not in each and 0.0 < share < 0.005:
             remedy = f"write {each}% if that is meant, or {100.0 * float(each):g}%"
             raise InputError(f"--reserve '{each}' is less than 0.5 %", remedy=remedy)
-    return list(dict.fromkeys(PERCENT.read(each, "--reserve") for each in asked))
+    return list(dict.fromkeys(found.values()))
 
 
-def _journey_of(stops: str, line: Line, running_time: float | None) -> Journey:
+def _journey_of(stops: str, line: Line, running_time: float | None) -> trainlog.Journey:
     """The journey of a file, or of the stations named, with the running time that is given."""
-    from trainlog.formats.railway import read_journey
-    from trainlog.railway.journey import Journey, TimingPoint
-
     if Path(stops).exists() or stops.endswith((".json", ".toml")):
-        journey = read_journey(stops)
+        journey = trainlog.read_journey(stops)
     else:
         places, points = {each.name: each.position for each in line.stations}, []
         for name in map(str.strip, stops.split(",")):
@@ -353,7 +327,7 @@ def _journey_of(stops: str, line: Line, running_time: float | None) -> Journey:
                     f"--stops: there is no station '{name}' on {line.name}",
                     remedy=f"did you mean '{near[0]}'?" if near else known,
                 )
-            points.append(TimingPoint(places[name], None, None, 0.0, 0.0))
+            points.append(trainlog.TimingPoint(places[name], None, None, 0.0, 0.0))
         if len(points) < 2:
             raise InputError(
                 f"--stops '{stops}' names one station",
@@ -364,25 +338,25 @@ def _journey_of(stops: str, line: Line, running_time: float | None) -> Journey:
                 f"--stops '{stops}': the stations are not in the direction of travel",
                 remedy="order them so, or add --reverse (leave it out if it is given)",
             )
-        journey = Journey(stops, line.name, tuple(points))
+        journey = trainlog.Journey(stops, line.name, tuple(points))
     if running_time is None:
         return journey
     *before, last = journey.points
     return replace(journey, points=(*before, replace(last, latest=running_time)))
 
 
-def _configurations(parameters: Path | None, train: Train, load: float | None) -> ParameterSet:
+def _configurations(
+    parameters: Path | None, train: Train, load: float | None
+) -> trainlog.ParameterSet:
     """The observed set; without one the train as its file describes it."""
-    from trainlog.formats.railway import read_parameters
-    from trainlog.railway import Configuration, ParameterSet
     from trainlog.railway.train import check_load
 
     if parameters is None:
         carried = load or 0.0
         check_load(carried, train)
-        return ParameterSet(train.name, (Configuration.of(train, carried),))
+        return trainlog.ParameterSet(train.name, (trainlog.Configuration.of(train, carried),))
     refuse_rivals("the parameter set holds the masses", {"--set load": load})
-    observed = read_parameters(parameters)
+    observed = trainlog.read_parameters(parameters)
     observed.check_train(train.name)
     if not observed.configurations:
         raise InputError(
@@ -396,45 +370,14 @@ def _configurations(parameters: Path | None, train: Train, load: float | None) -
 
 
 def advice(
-    trajectories: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Trajectory file, or those of a journey's sections: files, or their folder."
-        ),
-    ],
-    output: Annotated[
-        Path,
-        typer.Option(
-            "--output",
-            "-o",
-            help="The page (.html), beside which the CSV is written; with --onto the log (.mcap).",
-        ),
-    ],
-    departure: Annotated[
-        str | None,
-        typer.Option(
-            help="Time of day of the first departure, 07:12; default: times since departure."
-        ),
-    ] = None,
-    line: Annotated[
-        Path | None,
-        typer.Option("--line", help="Line file; default: the line that the trajectory holds."),
-    ] = None,
-    dwell: Annotated[
-        float | None,
-        measured(
-            "--dwell",
-            of=TIME.between(0.0),
-            help="Standing time at stops, of sections planned one by one; default: 0.",
-        ),
-    ] = None,
-    onto: Annotated[
-        Path | None,
-        typer.Option(
-            help="Log (.mcap) of a trip over the same section: it is written anew with the advice"
-            " beside what was driven, so that a replay shows both."
-        ),
-    ] = None,
+    trajectories: list[Path],
+    /,
+    *,
+    output: Path,
+    departure: str | None = None,
+    line: Path | None = None,
+    dwell: Annotated[float | None, TIME.between(0.0)] = None,
+    onto: Path | None = None,
 ) -> None:
     """Write the driver's advice for a whole journey, or add it to a recorded trip.
 
@@ -445,6 +388,22 @@ def advice(
     Example: trainlog advice results/trajectory.json --departure 07:12 -o advice.html
 
     Example: trainlog advice results/trajectory.json --onto trip.mcap -o advised.mcap
+
+    Parameters
+    ----------
+    trajectories : TRAJECTORIES
+        Trajectory file, or those of a journey's sections: files, or their folder.
+    output : FILE
+        The page (.html), beside which the CSV is written; with --onto the log (.mcap).
+    departure : DEPARTURE
+        Time of day of the first departure, 07:12; default: times since departure.
+    line : FILE
+        Line file; default: the line that the trajectory holds.
+    dwell : TIME
+        Standing time at stops, of sections planned one by one; default: 0.
+    onto : FILE
+        Log (.mcap) of a trip over the same section: it is written anew with the advice beside what
+        was driven, so that a replay shows both.
     """
     files = sections_in(trajectories)
     if onto is not None:
@@ -453,8 +412,6 @@ def advice(
             {"--departure": departure, "--line": line, "--dwell": dwell},
         )
         from analysis.trajectory.advice import with_advice
-        from trainlog.formats.railway import read_trajectory
-        from trainlog.mcap import read_log, write_log
 
         if len(files) > 1:
             raise InputError("several trajectories are given", remedy="with --onto name one")
@@ -463,7 +420,7 @@ def advice(
             raise InputError(
                 "is the log itself", file=output, remedy="give the result another name"
             )
-        write_log(with_advice(read_log(onto), read_trajectory(files[0])), output)
+        trainlog.write(with_advice(trainlog.read(onto), trainlog.read_trajectory(files[0])), output)
         wrote(output)
         return
     destination(output, ".html")

@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import subprocess
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from trainlog.cli.terminal import console, state, wrote
 from trainlog.errors import InputError
@@ -17,18 +15,7 @@ if TYPE_CHECKING:
 
 
 def settings(
-    key: Annotated[
-        str | None,
-        typer.Argument(help="speed, zone, line, train, results or catalogue; default: show all."),
-    ] = None,
-    value: Annotated[str | None, typer.Argument(help="What it is set to.")] = None,
-    unset: Annotated[bool, typer.Option("--unset", help="Set KEY back to its default.")] = False,
-    edit: Annotated[
-        bool,
-        typer.Option(
-            "--edit", help="Open the file in the editor that VISUAL or EDITOR names, and check it."
-        ),
-    ] = False,
+    key: str | None = None, value: str | None = None, /, *, unset: bool = False, edit: bool = False
 ) -> None:
     """Show or set units, time zone and files of your own.
 
@@ -41,6 +28,17 @@ def settings(
     Example: trainlog settings speed mph
 
     Example: trainlog settings speed --unset
+
+    Parameters
+    ----------
+    key : KEY
+        speed, zone, line, train, results or catalogue; default: show all.
+    value : VALUE
+        What it is set to.
+    unset
+        Set KEY back to its default.
+    edit
+        Open the file in the editor that VISUAL or EDITOR names, and check it.
     """
     from trainlog.formats.settings import read_settings, set_setting
 
@@ -91,22 +89,22 @@ def _edit() -> None:
     console.print(f"{path} is valid", soft_wrap=True)
 
 
-def docs(
-    page: Annotated[
-        str | None,
-        typer.Argument(
-            help="Page, such as replay or tutorials/planner, or a public name, such as"
-            " analysis.fit; default: the first page."
-        ),
-    ] = None,
-    every: Annotated[bool, typer.Option("--list", help="List all pages.")] = False,
-    path: Annotated[bool, typer.Option("--path", help="Print where it is; open nothing.")] = False,
-) -> None:
+def docs(page: str | None = None, /, *, list_: bool = False, path: bool = False) -> None:
     """Open the documentation in the browser; it needs no network.
 
     Where there is no display, its place is printed.
 
     Example: trainlog docs tutorials/engineer
+
+    Parameters
+    ----------
+    page : PAGE
+        Page, such as replay or tutorials/planner, or a public name, such as analysis.fit; default:
+        the first page.
+    list_
+        List all pages.
+    path
+        Print where it is; open nothing.
     """
     import webbrowser
 
@@ -114,7 +112,7 @@ def docs(
     from trainlog.replay.viewer import has_display
 
     found = documentation()
-    if every:
+    if list_:
         from trainlog.presentation import new_table
 
         table = new_table("Pages", "page", "title")

@@ -1,4 +1,19 @@
-"""Commands that simulate trips: of drivers, along a trajectory, through days, of a fleet."""
+"""Commands that simulate trips: of drivers, along a trajectory, through days, of a fleet.
+
+Parameters
+----------
+output : FOLDER
+    Folder for the logs.
+characteristic : FILE
+    Adhesion over slip: a file of 'trainlog fit adhesion', measured points (CSV),
+    polach-dry or polach-wet; default: the curves of Zhao et al. (2025).
+traction : NAME
+    Which controller sets the axle efforts: the plant's own slip protection, cooperative control,
+    best with --map, or re-adhesion control that knows no map. Both take some times as long to
+    simulate.
+map_ : FILE
+    With --traction cooperative: track-condition map that the train knows.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +24,16 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+import analysis
+import trainlog
 from trainlog.cli.options import (
-    JobsOption,
-    LineOption,
-    RiskOption,
-    RunTimeOption,
+    POSITIVE,
+    Count,
+    Risk,
     Seed,
-    TrainOption,
     lasting_change,
     line_and_train,
     map_of_run,
-    measured,
     refuse_rivals,
 )
 from trainlog.cli.terminal import about, console, print_error, state, wrote
@@ -32,44 +46,21 @@ if TYPE_CHECKING:
     from trainlog.simulation import Scenario
     from trainlog.trip import Trip
 
+Traction = Literal["own", "cooperative", "readhesion"]
 simulate_app = typer.Typer(help="Simulate drivers, trips along a trajectory, days, a fleet.")
-
-LogFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder for the logs.")]
-CharacteristicOption = Annotated[
-    str | None,
-    typer.Option(
-        "--characteristic",
-        help="Adhesion over slip: a file of 'trainlog fit --method adhesion', measured points"
-        " (CSV), polach-dry or polach-wet; default: the curves of Zhao et al. (2025).",
-    ),
-]
-TractionOption = Annotated[
-    Literal["own", "cooperative", "readhesion"],
-    typer.Option(
-        "--traction",
-        help="Which controller sets the axle efforts: the plant's own slip protection, cooperative"
-        " control, best with --map, or re-adhesion control that knows no map. Both take some times"
-        " as long to simulate.",
-    ),
-]
-KnownMapOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--map", help="With --traction cooperative: track-condition map that the train knows."
-    ),
-]
 
 
 @simulate_app.command()
 def drive(
-    output: LogFolder,
-    line: LineOption = None,
-    train: TrainOption = None,
-    count: Annotated[int, typer.Option(min=1, help="Number of trips.")] = 12,
+    *,
+    output: Path,
+    line: Path | None = None,
+    train: Path | None = None,
+    count: Annotated[int, POSITIVE] = 12,
     seed: Seed = 1,
-    characteristic: CharacteristicOption = None,
-    traction: TractionOption = "own",
-    condition: KnownMapOption = None,
+    characteristic: str | None = None,
+    traction: Traction = "own",
+    map_: Path | None = None,
 ) -> None:
     """Simulate trips of drivers and log them.
 
@@ -78,62 +69,74 @@ def drive(
     one program that knows the rail ahead from the map (Zhao et al., 2025).
 
     Example: trainlog simulate drive --line sample --train sample --count 12 -o results/trips
-    """
-    from trainlog.simulation import draw_scenarios
 
+    Parameters
+    ----------
+    count : N
+        Number of trips.
+    """
     the_line, the_train = line_and_train(line, train)
-    scenarios = draw_scenarios(the_line, the_train, count=count, seed=seed)
-    _drive(scenarios, output, characteristic, traction, _known_map(condition, traction, the_line))
+    scenarios = trainlog.draw_scenarios(the_line, the_train, count=count, seed=seed)
+    _drive(scenarios, output, characteristic, traction, _known_map(map_, traction, the_line))
 
 
 @simulate_app.command()
 def follow(
-    trajectory: Annotated[Path, typer.Argument(help="Trajectory file to follow.")],
-    output: LogFolder,
-    line: Annotated[
-        Path | None,
-        typer.Option("--line", help="Line file; default: the line that the trajectory holds."),
-    ] = None,
-    train: TrainOption = None,
-    configurations: Annotated[
-        str,
-        typer.Option(
-            help="'hardest' (most and least resistance, least power), 'all', or names separated by"
-            " commas."
-        ),
-    ] = "hardest",
-    weather: Annotated[Literal["dry", "wet"], typer.Option(help="The rail's condition.")] = "dry",
-    late: Annotated[float, measured("--late", of=TIME.between(0.0), help="Departure delay.")] = 0.0,
-    condition: Annotated[
-        Path | None,
-        typer.Option("--map", help="Track-condition map that the train knows."),
-    ] = None,
-    risk: RiskOption = None,
-    at: RunTimeOption = None,
+    trajectory: Path,
+    /,
+    *,
+    output: Path,
+    line: Path | None = None,
+    train: Path | None = None,
+    configurations: str = "hardest",
+    weather: Literal["dry", "wet"] = "dry",
+    late: Annotated[float, TIME.between(0.0)] = 0.0,
+    map_: Path | None = None,
+    risk: Risk = None,
+    at: str | None = None,
     seed: Seed = 1,
-    characteristic: CharacteristicOption = None,
-    traction: TractionOption = "own",
+    characteristic: str | None = None,
+    traction: Traction = "own",
 ) -> None:
     """Simulate trips that follow a trajectory by model predictive control, one per configuration.
 
     The train does not know its configuration; it measures its own position and speed.
 
     Example: trainlog simulate follow plan.json --train sample -o results/driven
+
+    Parameters
+    ----------
+    trajectory : TRAJECTORY
+        Trajectory file to follow.
+    line : FILE
+        Line file; default: the line that the trajectory holds.
+    configurations : NAMES
+        'hardest' (most and least resistance, least power), 'all', or names separated by commas.
+    weather : NAME
+        The rail's condition.
+    late : TIME
+        Departure delay.
+    map_ : FILE
+        Track-condition map that the train knows.
+    at : TIME
+        With --map: time of the run, for which it is read: 2026-11-22T06:00Z. Default: where a risk
+        is given right after its last evidence, else what lasts. Only evidence of days before counts
+        (UTC).
     """
     from analysis.charts import draw_charts
     from analysis.control.follow import following_line, following_scenarios
     from analysis.control.plot import following_charts
     from analysis.control.route import counted_on
-    from trainlog.formats.railway import line_of_plan, read_trajectory
+    from trainlog.formats.railway import line_of_plan
 
-    if condition is None:
+    if map_ is None:
         refuse_rivals("there is no --map to be read", {"--risk": risk, "--at": at}, "or give a map")
-    planned = read_trajectory(trajectory)
+    planned = trainlog.read_trajectory(trajectory)
     kept = line_of_plan(planned)
     if kept is not None and planned.direction == "reverse":
         kept = kept.reversed()
     the_line, the_train = line_and_train(line, train, kept)
-    the_map, time = (None, None) if condition is None else map_of_run(condition, at, the_line)
+    the_map, time = (None, None) if map_ is None else map_of_run(map_, at, the_line)
     words = counted_on(the_map, weather, risk, time)
     console.print(f"  {words}", highlight=False, soft_wrap=True)
     scenarios = following_scenarios(
@@ -148,23 +151,18 @@ def follow(
 
 @simulate_app.command()
 def days(
-    output: LogFolder,
-    days: Annotated[int, typer.Option(min=1, help="Number of days.")] = 30,
-    trips_per_day: Annotated[int, typer.Option(min=1, help="From 5:00 to 23:00.")] = 4,
-    start: Annotated[str, typer.Option(help="The first day.")] = "2026-10-01",
-    change: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="A lasting change of the rail, as km=10:14,date=2026-10-15,factor=1.3 (adhesion"
-            " there, from then on); spots=0.2: of how often passing spots come."
-        ),
-    ] = None,
-    line: LineOption = None,
-    train: TrainOption = None,
+    *,
+    output: Path,
+    days: Annotated[int, POSITIVE] = 30,
+    trips_per_day: Annotated[int, POSITIVE] = 4,
+    start: str = "2026-10-01",
+    change: list[str] | None = None,
+    line: Path | None = None,
+    train: Path | None = None,
     seed: Seed = 1,
-    characteristic: CharacteristicOption = None,
-    traction: TractionOption = "own",
-    condition: KnownMapOption = None,
+    characteristic: str | None = None,
+    traction: Traction = "own",
+    map_: Path | None = None,
 ) -> None:
     """Simulate days on one line, with passing slippery spots and weather.
 
@@ -173,18 +171,27 @@ def days(
     a slippery gradient are listed; the exit status is then 1.
 
     Example: trainlog simulate days --line my.line.json --train sample --days 30 -o october
-    """
-    from trainlog.formats.csv_tables import write_weather
-    from trainlog.simulation import Rail, draw_days
 
+    Parameters
+    ----------
+    days : N
+        Number of days.
+    trips_per_day : N
+        From 5:00 to 23:00.
+    start : TIME
+        The first day.
+    change : CHANGE
+        A lasting change of the rail, as km=10:14,date=2026-10-15,factor=1.3 (adhesion there, from
+        then on); spots=0.2: of how often passing spots come.
+    """
     the_line, the_train = line_and_train(line, train)
     changes = [lasting_change(word, the_line) for word in change or []]
-    rail = Rail.draw(the_line, days, start, seed, changes)
-    scenarios = draw_days(rail, [the_train], trips_per_day)
-    known = _known_map(condition, traction, the_line)
+    rail = trainlog.Rail.draw(the_line, days, start, seed, changes)
+    scenarios = trainlog.draw_days(rail, [the_train], trips_per_day)
+    known = _known_map(map_, traction, the_line)
     stuck = list[InfeasibleError]()
     _drive(scenarios, output, characteristic, traction, known, stuck=stuck)
-    write_weather(rail.table, output / "weather.csv")
+    trainlog.write_weather(rail.table, output / "weather.csv")
     wrote(output / "weather.csv")
     if stuck:
         raise typer.Exit(1)
@@ -214,20 +221,17 @@ def _drive(
 
     Of days one train may be stopped for good by a slippery climb: it is added to `stuck`.
     """
-    from trainlog.formats.characteristic import read_characteristic
     from trainlog.formats.files import output_folder
-    from trainlog.mcap import write_log
     from trainlog.simulation import drive, recorded
 
     if characteristic is not None:
-        rail = read_characteristic(characteristic)
+        rail = trainlog.read_characteristic(characteristic)
         scenarios = [replace(each, characteristic=rail) for each in scenarios]
     if traction != "own":
         from analysis.charts import draw_charts
         from analysis.control.plot import traction_charts
-        from analysis.control.traction import with_traction
 
-        scenarios = with_traction(scenarios, traction, known)
+        scenarios = analysis.with_traction(scenarios, traction, known)
         if traction == "cooperative" and known is None:
             console.print("no --map: the cooperative control knows the rail only by its own slips")
     driven: list[Trip] = []
@@ -244,7 +248,7 @@ def _drive(
                 continue
             trip = recorded(scenario, run)
             log = output / f"{trip.name}.mcap"
-            write_log(trip, log)
+            trainlog.write(trip, log)
             trips.append({"log": log, "duration_s": trip.duration, "metadata": trip.metadata})
             if not state({"trips": trips}):
                 console.print(about(trip.metadata, trip.duration), highlight=False, markup=False)
@@ -266,31 +270,17 @@ def _drive(
 
 @simulate_app.command()
 def fleet(
-    network: Annotated[
-        str,
-        typer.Argument(
-            help="Network file (.network.json), or 'drawn' for ten lines drawn with the seed,"
-            " 'drawn:4' for four."
-        ),
-    ],
-    output: LogFolder,
-    trains: Annotated[int, typer.Option(min=1, help="Number of trains, of three kinds.")] = 20,
-    days: Annotated[int, typer.Option(min=1, help="Number of days.")] = 30,
-    count: Annotated[int | None, typer.Option(min=1, help="Number of trips in all.")] = None,
-    trips_per_day: Annotated[
-        int | None, typer.Option(min=1, help="In place of --count: trips of each train.")
-    ] = None,
-    start: Annotated[str, typer.Option(help="The first day.")] = "2026-10-01",
-    faults: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--fault",
-            help="Of a train from a day on, as train=kiss-01,mass=3t,from=2026-10-12; or"
-            " dragging-brake=2kN, wheel-diameter=1%, effort-gain=5%, sensor-delay=0.3s. May be"
-            " given several times.",
-        ),
-    ] = None,
-    jobs: JobsOption = None,
+    network: str,
+    /,
+    *,
+    output: Path,
+    trains: Annotated[int, POSITIVE] = 20,
+    days: Annotated[int, POSITIVE] = 30,
+    count: Count = None,
+    trips_per_day: Count = None,
+    start: str = "2026-10-01",
+    fault: list[str] | None = None,
+    jobs: Count = None,
     seed: Seed = 1,
 ) -> None:
     """Simulate a fleet on a network: trains of three kinds on rosters of routes.
@@ -300,31 +290,47 @@ def fleet(
     Trains stalled on a slippery gradient are listed; the exit status is then 1.
 
     Example: trainlog simulate fleet drawn --trains 20 --days 30 --count 1000 -o results/fleet
-    """
-    from trainlog.formats.railway import read_network
-    from trainlog.simulation import Fault, draw_fleet, draw_network, write_fleet
 
+    Parameters
+    ----------
+    network : NETWORK
+        Network file (.network.json), or 'drawn' for ten lines drawn with the seed, 'drawn:4' for
+        four.
+    trains : N
+        Number of trains, of three kinds.
+    days : N
+        Number of days.
+    count : N
+        Number of trips in all.
+    trips_per_day : N
+        In place of --count: trips of each train.
+    start : TIME
+        The first day.
+    fault : FAULT
+        Of a train from a day on, as train=kiss-01,mass=3t,from=2026-10-12; or dragging-brake=2kN,
+        wheel-diameter=1%, effort-gain=5%, sensor-delay=0.3s. May be given several times.
+    """
     if count is not None:
         refuse_rivals("--count gives the trips in all", {"--trips-per-day": trips_per_day})
     drawn, _, lines = network.partition(":")
     if drawn == "drawn":
         if lines and not lines.isdigit():
             raise InputError(f"'{network}' is no network", remedy="write it as drawn or drawn:4")
-        the_network = draw_network(seed, int(lines or 10))
+        the_network = trainlog.draw_network(seed, int(lines or 10))
     else:
-        the_network = read_network(network)
+        the_network = trainlog.read_network(network)
     trips = count if trips_per_day is None else trips_per_day * trains * days
-    fleet = draw_fleet(
+    fleet = trainlog.draw_fleet(
         the_network,
         trains=trains,
         days=days,
         trips=trips,
         seed=seed,
-        faults=[Fault.of(words) for words in faults or []],
+        faults=[trainlog.TrainFault.of(words) for words in fault or []],
         start=start,
     )
     console.print(f"{fleet}", highlight=False, markup=False)
-    logs = write_fleet(fleet, output, jobs)
+    logs = trainlog.write_fleet(fleet, output, jobs)
     for each in logs.stuck:
         print_error(each.reason)
     wrote(output)

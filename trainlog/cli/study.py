@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from trainlog.cli.options import Seed, measured, refuse_rivals
+from trainlog.cli.options import Count, Seed, refuse_rivals
 from trainlog.cli.terminal import console, wrote
-from trainlog.units import SHARE, SPEED
+from trainlog.units import COUNT, SHARE, SPEED
 
 if TYPE_CHECKING:
     from analysis.studies.report import StudyReport
@@ -32,10 +32,7 @@ def _reported(output: Path) -> Iterator[StudyReport]:
 
 
 @study_app.command("rls-sliding-mode")
-def rls_sliding_mode(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for logs and pictures.")],
-    seed: Seed = 1,
-) -> None:
+def rls_sliding_mode(*, output: Path, seed: Seed = 1) -> None:
     """Learn resistance by recursive least squares under sliding-mode control.
 
     After Amirhosseini et al. (2024). Runs the paper's three estimators and one that resets in
@@ -44,6 +41,11 @@ def rls_sliding_mode(
     beside the published ones.
 
     Example: trainlog study rls-sliding-mode -o results/rls-sliding-mode
+
+    Parameters
+    ----------
+    output : FOLDER
+        Folder for logs and pictures.
     """
     from analysis.studies.amirhosseini_2024.run import main
 
@@ -53,17 +55,12 @@ def rls_sliding_mode(
 
 @study_app.command("consist")
 def consist(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for log and picture.")],
-    file: Annotated[
-        Path | None, typer.Argument(help="Consist file; default: the freight train of the samples.")
-    ] = None,
-    line: Annotated[
-        Path | None, typer.Option(help="Line file; default: 12 km with a crest and a sag.")
-    ] = None,
-    speed: Annotated[
-        float | None,
-        measured("--speed", of=SPEED.above(0.0), help="Speed to keep; default: 80 km/h."),
-    ] = None,
+    file: Path | None = None,
+    /,
+    *,
+    output: Path,
+    line: Path | None = None,
+    speed: Annotated[float | None, SPEED.above(0.0)] = None,
 ) -> None:
     """Forces between the vehicles of a train: start, gradients, full and emergency braking.
 
@@ -71,6 +68,17 @@ def consist(
     would have done under the same demands; writes the run as a log and draws it.
 
     Example: trainlog study consist freight_24_wagons.consist.json -o results/consist
+
+    Parameters
+    ----------
+    output : FOLDER
+        Folder for log and picture.
+    file : FILE
+        Consist file; default: the freight train of the samples.
+    line : FILE
+        Line file; default: 12 km with a crest and a sag.
+    speed : SPEED
+        Speed to keep; default: 80 km/h.
     """
     from analysis.studies.in_train_forces.run import ConsistOptions, main
     from trainlog.units import KMH
@@ -81,29 +89,12 @@ def consist(
 
 @study_app.command("map-mpc")
 def map_mpc(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for logs and pictures.")],
-    sections: Annotated[
-        int | None, typer.Option(min=1, help="Only the first sections of the line; default: all.")
-    ] = None,
-    days: Annotated[int, typer.Option(min=2, help="How many days the loop is driven.")] = 2,
-    as_published: Annotated[
-        bool,
-        typer.Option(
-            "--as-published",
-            help="The published controller alone: linearised about the reference, R = 0.01, without"
-            " guard, lead and learning of the mass; no days.",
-        ),
-    ] = False,
-    risk: Annotated[
-        list[float] | None,
-        measured(
-            "--risk",
-            of=SHARE,
-            help="Drive only the days, on a rail that changes, without a map, with its lasting"
-            " estimate, and with what it expects of each day at this risk; may be given several"
-            " times.",
-        ),
-    ] = None,
+    *,
+    output: Path,
+    sections: Count = None,
+    days: Annotated[int, COUNT.between(2.0)] = 2,
+    as_published: bool = False,
+    risk: Annotated[list[float] | None, SHARE] = None,
     seed: Seed = 1,
 ) -> None:
     """Follow a timetable with a map of the rail, and without one (Hauck et al., 2023).
@@ -116,6 +107,21 @@ def map_mpc(
     finished before an interruption is kept.
 
     Example: trainlog study map-mpc -o results/map-mpc
+
+    Parameters
+    ----------
+    output : FOLDER
+        Folder for logs and pictures.
+    sections : N
+        Only the first sections of the line; default: all.
+    days : N
+        How many days the loop is driven.
+    as_published
+        The published controller alone: linearised about the reference, R = 0.01, without guard,
+        lead and learning of the mass; no days.
+    risk : SHARE
+        Drive only the days, on a rail that changes, without a map, with its lasting estimate, and
+        with what it expects of each day at this risk; may be given several times.
     """
     from analysis.studies.hauck_2023.run import MapOptions, main
     from trainlog.railway.condition import check_risk
@@ -129,10 +135,7 @@ def map_mpc(
 
 @study_app.command("robust-minimax")
 def robust_minimax(
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder for trajectories and pictures.")
-    ],
-    cells: Annotated[int, typer.Option(min=60, max=5_000, help="Cells of the grid.")] = 500,
+    *, output: Path, cells: Annotated[int, COUNT.between(60.0, 5000.0)] = 500
 ) -> None:
     """Optimise for several configurations at once (Cunillera et al., 2022).
 
@@ -142,6 +145,13 @@ def robust_minimax(
     and saves. Writes every answer as a trajectory and draws it.
 
     Example: trainlog study robust-minimax -o results/robust-minimax
+
+    Parameters
+    ----------
+    output : FOLDER
+        Folder for trajectories and pictures.
+    cells : N
+        Cells of the grid.
     """
     from analysis.studies.cunillera_2022.run import main
 
@@ -150,10 +160,7 @@ def robust_minimax(
 
 
 @study_app.command("cooperative-adhesion")
-def cooperative_adhesion(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for logs and pictures.")],
-    seed: Seed = 1,
-) -> None:
+def cooperative_adhesion(*, output: Path, seed: Seed = 1) -> None:
     """Share torque among four motors while the rail under them changes (Zhao et al., 2025).
 
     Runs the paper's four cases with its parameters, stepped as in the paper and integrated
@@ -162,6 +169,11 @@ def cooperative_adhesion(
     beside the published ones.
 
     Example: trainlog study cooperative-adhesion -o results/cooperative-adhesion
+
+    Parameters
+    ----------
+    output : FOLDER
+        Folder for logs and pictures.
     """
     from analysis.studies.zhao_2025.run import main
 

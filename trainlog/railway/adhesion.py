@@ -467,7 +467,7 @@ class AdhesionPoints:
         if np.any(np.diff(slips) <= 0.0):
             raise InputError(
                 "points of adhesion: several have one slip",
-                remedy="fit a curve to them: trainlog fit --method adhesion",
+                remedy="fit adhesion a curve to them: trainlog fit",
             )
         return AdhesionTable(slips, self.adhesions[order], self.variable)
 
