@@ -140,7 +140,7 @@ def test_a_word_alone_shows_the_help_of_its_commands(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["fit", "x"], "Missing option '--output' / '-o'; for example: trainlog fit efforts results/"),
+        (["fit", "x"], "Missing option '--output' / '-o'; for example: trainlog fit efforts"),
         (["map", "update", "x"], "for example: trainlog map update results/trips --map"),
         (["advice"], "Missing argument 'TRAJECTORIES'; for example: trainlog advice results/"),
         (["pln", "x"], "No such command 'pln'. Did you mean 'plan'?"),

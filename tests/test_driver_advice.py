@@ -94,6 +94,19 @@ def test_the_rows_are_a_timetable_in_the_clock_that_is_asked_for(
         assert row.timetable is None or row.time <= row.timetable + 0.1
 
 
+def test_a_station_near_the_end_of_the_run_comes_once(
+    sections: tuple[Trajectory, ...], line: Line
+) -> None:
+    back = line.reversed()
+    end = sections[1].positions[-1]
+    moved = tuple(
+        replace(each, position=end - 150.0) if each.name == "Gossau SG" else each
+        for each in back.stations
+    )
+    found = journey_advice(sections, replace(back, stations=moved))
+    assert [row.event for row in found.rows if row.station == "Gossau SG"] == ["arrives"]
+
+
 def test_places_are_the_operators_and_named_in_the_direction_of_travel(
     sections: tuple[Trajectory, ...], line: Line
 ) -> None:

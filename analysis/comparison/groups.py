@@ -94,6 +94,9 @@ class TripCost:
         return self.traction != self.traction
 
 
+AT_LEAST = "where efforts are recorded, at least"
+"""What of an energy is known though efforts are missing."""
+
 Recorded = Trip | Path
 """A trip, or the log that holds it, which is read in pieces, however long it is."""
 
@@ -128,13 +131,15 @@ def trip_cost(trip: Recorded) -> TripCost:
         float(driven.sums[name][-1]) if name in driven.sums else 0.0
         for name in ("traction", "dynamic_braking")
     )
+    notes = list(driven.notes)
     if driven.unknown():
+        notes.append(f"{AT_LEAST} {kwh(traction)} of traction at the wheel rims")
         traction = float("nan")
     if "dynamic_braking" in driven.sums and driven.unknown("dynamic_braking"):
         dynamic = float("nan")
     brake = bare.metadata.get(RECORDED_BRAKE)
     if brake is not None:
-        brake = f"the recorded dynamic brake {brake}: its energy may be less"
+        notes.append(f"the recorded dynamic brake {brake}: its energy may be less")
     return TripCost(
         name=bare.name,
         direction=driven.direction,
@@ -149,7 +154,7 @@ def trip_cost(trip: Recorded) -> TripCost:
         top_speed=float(driven.speed.max()),
         slips=_slips(trip),
         late=_late(trip),
-        notes=driven.notes if brake is None else (*driven.notes, brake),
+        notes=tuple(notes),
     )
 
 

@@ -324,8 +324,9 @@ def _rows(section: Trajectory, departure: float, line: Line | None) -> Iterator[
              each, limits)
         for each in instructions(section, limits)
     ]  # fmt: skip
+    ends = () if line is None else [station_at(line, place) for place in (first, last)]
     for station in () if line is None else line.stations:
-        if first + JOINS < station.position < last - JOINS:
+        if station.name not in ends and first + JOINS < station.position < last - JOINS:
             at, speed = (
                 float(np.interp(station.position, places, each)) for each in (times, speeds)
             )
