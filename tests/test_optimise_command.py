@@ -161,7 +161,7 @@ def test_a_map_read_with_less_risk_leaves_less_adhesion_and_the_file_states_it(
         (("--set", "dwell=30"), "leave out --set dwell or give them"),
         (("--running-time", "1200", "--reserve", "5"), "leave out --reserve"),
         (("--reserve", "nan"), "--reserve 'nan' is not a valid share; write it as 7 or 7%"),
-        (("--reserve", "-5%"), "must be 0 or more, not -5%; 7 per cent over the least time are"),
+        (("--reserve", "-5%"), "--reserve '-5%' must be at least 0 %; write it as 7 or 7%"),
         ((*MAP, "--set", "assumed-adhesion=8"), "above 0 and at most 1, not 8"),
         (("--km", "5:3"), "from km 5.000 to km 3.000 is no section"),
         (("--km", "29:31"), "has no km 31; its kilometres are 0.000 to 29.556"),

@@ -73,6 +73,9 @@ def compare_trips(
     from analysis.charts import draw_charts
     from analysis.comparison.plot import comparison_charts
 
+    for path in logs:
+        if not path.exists():
+            raise InputError("does not exist", file=path, remedy="check the path")
     planned = reference is not None and not (reference.suffix == ".mcap" or reference.is_dir())
     found = analysis.compare(
         logs_in(logs),
