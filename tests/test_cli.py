@@ -151,7 +151,7 @@ def test_what_is_left_of_a_cut_log_is_used_with_a_warning(
 @pytest.mark.parametrize(
     "words",
     [
-        ["fit"],
+        ["fit", "x"],
         ["nonsense"],
         ["simulate", "drive", "-o", "x", "--traction", "none"],
     ],
@@ -171,7 +171,10 @@ def test_wrong_words_are_explained_in_one_line(
         ("simulate drive -o x --count 0", "--count '0' must be at least 1; write it as"),
         ("simulate drive -o x --seed -1", "--seed '-1' must be at least 0; write it as"),
         ("simulate follow LOG -o x --late -5", "--late '-5' must be at least 0 s; write it as 90"),
-        ("plan -o x.json --running-time 0", "--running-time '0' must be above 0 s; write it as 90"),
+        (
+            "plan --line sample --train sample -o x.json --running-time 0",
+            "--running-time '0' must be above 0 s; write it as 90",
+        ),
         ("plan -o x.json --reserve -5", "--reserve '-5' must be at least 0 %; write it as 7"),
         *(
             (
