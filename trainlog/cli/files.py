@@ -39,6 +39,7 @@ from trainlog.cli.terminal import (
     print_account,
     print_error,
     print_problems,
+    say,
     state,
     wrote,
 )
@@ -600,5 +601,5 @@ def _summary(output: Path, rows: Any, notes: Sequence[str]) -> None:
     if not state({"rows": dict(rows)}):
         console.print(f"  {rows.total():,} rows in {counted(len(rows), 'topic')}")
     for note in notes:
-        console.print(f"  {note}", soft_wrap=True)
+        say(f"  {note}")
     wrote(output)

@@ -29,6 +29,7 @@ from trainlog.cli.terminal import (
     current,
     print_error,
     print_warning,
+    say,
     show,
     state,
     wrote,
@@ -310,7 +311,7 @@ def fleet_update(
         if before.pending and not current().as_json:
             gone = f"; {gone_words(before.gone)}" if before.gone else ""
             words = f"{counted(before.pending, 'trip')} to compute{gone}; {FIRST}"
-            console.print(words, soft_wrap=True)
+            say(words)
         current().finished = lambda: "each batch that was finished is kept; update again"
         found = update_fleet(opened, analysis, options, report)
         current().finished = None

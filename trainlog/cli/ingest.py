@@ -13,7 +13,7 @@ import typer
 import trainlog
 from trainlog.cli.options import line_or_network, pairs
 from trainlog.cli.progress_bar import paused
-from trainlog.cli.terminal import about, console, current, print_error, show, state, wrote
+from trainlog.cli.terminal import about, console, current, print_error, say, show, state, wrote
 from trainlog.errors import InputError
 
 if TYPE_CHECKING:
@@ -140,24 +140,24 @@ def _print_ingested(result: Ingested, *, alone: bool) -> None:
         assert each.log is not None
         assert each.report is not None
         if each.state == "unchanged":
-            console.print(f"  {each.metadata['trip']}: {each.reason}", highlight=False)
-            console.print(f"kept {each.log}", highlight=False, soft_wrap=True)
+            console.print(f"  {each.metadata['trip']}: {each.reason}")
+            say(f"kept {each.log}")
             continue
-        console.print(about(each.metadata, each.duration), highlight=False, markup=False)
+        console.print(about(each.metadata, each.duration))
         shown_as = {"direction": "direction", "route": f"route {each.metadata.get('line')}:"}
         for what, words in shown_as.items():
             if f"{what}_evidence" in each.metadata:
                 words = f"    {words} {each.metadata[f'{what}_evidence']}"
-                console.print(words, highlight=False, markup=False, soft_wrap=True)
+                say(words)
         lines = [line for line in each.report.lines() if line not in shown]
-        console.print(*(f"    {line}" for line in lines), sep="\n", highlight=False, markup=False)
+        console.print(*(f"    {line}" for line in lines), sep="\n")
         # What the file holds besides its trips is shown with the first of them.
         shown.update(line for line in lines if line.startswith("not used: "))
         wrote(each.log)
     for each in result.of("refused"):
         print_error(each.reason)
     if len(result.outcomes) > 1:
-        console.print(result.sentence, highlight=False)
+        console.print(result.sentence)
 
 
 @dataclass
@@ -233,7 +233,7 @@ class Proposals:
         if not self.quiet:
             console.print(f"{proposal.path}: no profile fits, this one is proposed:")
             for line in proposal.lines():
-                console.print(f"  {line}", highlight=False, soft_wrap=True)
+                say(f"  {line}")
             wrote(path)
         return path
 

@@ -19,7 +19,7 @@ import analysis
 import trainlog
 from trainlog.cli.commands import end_in_part
 from trainlog.cli.options import Count, Logs, Picture, Written, destination, distinct, logs_in
-from trainlog.cli.terminal import console, print_error, show, state, wrote
+from trainlog.cli.terminal import console, print_error, say, show, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError
 from trainlog.progress import track
@@ -208,7 +208,7 @@ def estimate(logs: Logs, /, *, output: Path, slips: Path | None = None) -> None:
             state({"logs": estimated})
             for refusal in refusals:
                 words = f"  not estimated: {refusal}"
-                console.print(words, highlight=False, markup=False, soft_wrap=True)
+                say(words)
             wrote(output / log.name)
             if not any(refusal.partition(": ")[0] == "adhesion" for refusal in refusals):
                 analysed.append(log)

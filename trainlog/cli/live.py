@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import trainlog
 from trainlog.cli.options import Written, line_or_network, pairs
 from trainlog.cli.progress_bar import handled
-from trainlog.cli.terminal import console, state, wrote
+from trainlog.cli.terminal import console, say, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.progress import task
@@ -171,7 +171,7 @@ def _noted(live: LiveIngest, source: Source) -> str:
 def _drawing(recording: Recording, stack: ExitStack) -> Any:
 
     drawing = stack.enter_context(trainlog.live_replay(recording))
-    console.print(drawing.where, soft_wrap=True)
+    say(drawing.where)
     return drawing
 
 
@@ -203,5 +203,5 @@ def _summary(
             f" {counted(len(account.written), 'topic')}, {live.progress.distance / 1e3:.3f} km"
         )
         for sentence in sentences:
-            console.print(f"    {sentence}", soft_wrap=True)
+            say(f"    {sentence}")
     wrote(output)

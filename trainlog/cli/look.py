@@ -22,7 +22,7 @@ from trainlog.cli.options import (
     part_of,
     refuse_rivals,
 )
-from trainlog.cli.terminal import console, print_error, show, state, wrote
+from trainlog.cli.terminal import console, print_error, say, show, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.progress import task, track
@@ -154,7 +154,7 @@ def compare_calculated(
             draw_charts(found.charts(), path)
             wrote(path)
     if len(calculations) > 1:
-        console.print(together_words(calculations, together), highlight=False)
+        console.print(together_words(calculations, together))
 
 
 def _model(path: Path) -> ParameterSet | Train:
@@ -259,7 +259,6 @@ def replay(
     )
     part = partial(part_of, start=from_, end=to, km=km, rows=PIECE, line=options.line)
     sources = [partial(part, log) for log in found]
-    say = partial(console.print, soft_wrap=True)
     with interruptible(), TemporaryDirectory(prefix="trainlog-") as folder:
         recording = Path(folder) / "replay.rrd" if saved is None else saved
         made = trainlog.write_replay(

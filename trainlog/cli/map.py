@@ -32,7 +32,7 @@ from trainlog.cli.options import (
     stretch,
     zone_assumed,
 )
-from trainlog.cli.terminal import console, current, print_error, show, state, wrote
+from trainlog.cli.terminal import console, current, print_error, say, show, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.progress import task, track as tracked
@@ -117,9 +117,9 @@ def map_update(
         elif outcome.outcome == "refused before" or output.as_json:
             return
         elif outcome.outcome == "not recorded":
-            console.print(f"  not used: {outcome.reason}", soft_wrap=True)
+            say(f"  not used: {outcome.reason}")
         elif outcome.outcome != "held" or outcome.reason:
-            console.print(f"  {outcome.sentence}", soft_wrap=True)
+            say(f"  {outcome.sentence}")
 
     def finished() -> str:
         added = f"{counted(done['added'], 'trip')} added"
@@ -359,7 +359,7 @@ def map_export(
     )
     chosen = replace(track, layers={name: track.layer(name) for name in layer or track.layers})
     for words in filter(None, [left_out(chosen, when), zone_assumed(at, zone)]):
-        console.print(f"  {words}", soft_wrap=True)
+        say(f"  {words}")
     wrote(output)
 
 
@@ -413,7 +413,7 @@ def map_forecast(
         content = {"line": forecast.line, "from": time, "hours": hours, "layers": layers}
         state({"forecast": output, **content})
         if later := left_out(track, time):
-            console.print(f"  forecast {later}", soft_wrap=True)
+            say(f"  forecast {later}")
     wrote(output)
 
 
@@ -458,7 +458,7 @@ def map_score(
         print_error(words)
     if not current().as_json:
         for words in by_reason(found.left_out):
-            console.print(f"  {words}", soft_wrap=True)
+            say(f"  {words}")
     show(found, picture=picture)
     if found.refused:
         raise typer.Exit(1)

@@ -54,7 +54,7 @@ import typer
 from typer.models import ParameterInfo
 
 import trainlog
-from trainlog.cli.terminal import console
+from trainlog.cli.terminal import say
 from trainlog.errors import InputError
 from trainlog.units import (
     COUNT,
@@ -382,7 +382,7 @@ def map_of_run(
         return track, None
     words = left_out(track, time)
     if words:
-        console.print(f"  {condition.name}: read {words}", soft_wrap=True)
+        say(f"  {condition.name}: read {words}")
     return known_before(track, time), time
 
 

@@ -365,7 +365,7 @@ def _configurations(
             remedy="'trainlog fit' makes a set from trips; without a set the train's file is taken",
         )
     if observed.assumed_power:
-        console.print(f"  {parameters.name}: {observed.assumed_power}", highlight=False)
+        console.print(f"  {parameters.name}: {observed.assumed_power}")
     return observed
 
 

@@ -7,7 +7,7 @@ import shlex
 import subprocess
 from typing import TYPE_CHECKING
 
-from trainlog.cli.terminal import console, state, wrote
+from trainlog.cli.terminal import console, say, state, wrote
 from trainlog.errors import InputError
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def _edit() -> None:
     path.touch()
     subprocess.run([*shlex.split(editor), str(path)], check=False)
     read_settings()
-    console.print(f"{path} is valid", soft_wrap=True)
+    say(f"{path} is valid")
 
 
 def docs(page: str | None = None, /, *, list_: bool = False, path: bool = False) -> None:
@@ -125,6 +125,6 @@ def docs(page: str | None = None, /, *, list_: bool = False, path: bool = False)
     if state({"page": file, "uri": uri, "built": found.built}):
         return
     if path or not (found.built and has_display() and webbrowser.open(uri)):
-        console.print(uri if anchor else file, soft_wrap=True)
+        say(uri if anchor else file)
     if not found.built:
-        console.print(f"  {REMEDY}", soft_wrap=True)
+        say(f"  {REMEDY}")

@@ -36,7 +36,7 @@ from trainlog.cli.options import (
     map_of_run,
     refuse_rivals,
 )
-from trainlog.cli.terminal import about, console, print_error, state, wrote
+from trainlog.cli.terminal import about, console, print_error, say, state, wrote
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.progress import track
 from trainlog.units import TIME
@@ -138,7 +138,7 @@ def follow(
     the_line, the_train = line_and_train(line, train, kept)
     the_map, time = (None, None) if map_ is None else map_of_run(map_, at, the_line)
     words = counted_on(the_map, weather, risk, time)
-    console.print(f"  {words}", highlight=False, soft_wrap=True)
+    say(f"  {words}")
     scenarios = following_scenarios(
         planned, the_line, the_train,
         configurations=configurations, weather=weather, late=late,
@@ -251,7 +251,7 @@ def _drive(
             trainlog.write(trip, log)
             trips.append({"log": log, "duration_s": trip.duration, "metadata": trip.metadata})
             if not state({"trips": trips}):
-                console.print(about(trip.metadata, trip.duration), highlight=False, markup=False)
+                console.print(about(trip.metadata, trip.duration))
             if run.traction is not None:
                 loop = run.traction
                 console.print(
@@ -263,7 +263,7 @@ def _drive(
                 draw_charts(traction_charts(trip, known), picture)
                 wrote(picture)
             if line_of is not None:
-                console.print(f"    {line_of(trip)}", highlight=False)
+                console.print(f"    {line_of(trip)}")
                 driven.append(trip)
     return driven
 
@@ -329,7 +329,7 @@ def fleet(
         faults=[trainlog.TrainFault.of(words) for words in fault or []],
         start=start,
     )
-    console.print(f"{fleet}", highlight=False, markup=False)
+    console.print(f"{fleet}")
     logs = trainlog.write_fleet(fleet, output, jobs)
     for each in logs.stuck:
         print_error(each.reason)
@@ -349,14 +349,12 @@ def fleet(
             f"{logs.made} trips made, {logs.kept} kept, {len(logs.stuck)} did not arrive:"
             f" {logs.duration / 3600.0:.1f} h, {logs.distance / 1e3:.0f} km,"
             f" {logs.size / 1e9:.2f} GB in {logs.elapsed:.0f} s,"
-            f" {speed:,.0f} times as fast as the trains",
-            highlight=False,
+            f" {speed:,.0f} times as fast as the trains"
         )
         if len(logs.codes) > 1:
             console.print(
                 f"The logs were made by {len(logs.codes)} versions of the code, as fleet.json"
-                f" states: {', '.join(logs.codes)}.",
-                highlight=False,
+                f" states: {', '.join(logs.codes)}."
             )
     if logs.stuck:
         raise typer.Exit(1)

@@ -209,6 +209,12 @@ def show(
         wrote(picture)
 
 
+def say(*sentences: object) -> None:
+    """Print sentences; where one is too long the terminal breaks it."""
+    for each in sentences:
+        console.print(each, soft_wrap=True)
+
+
 def as_json_text(document: Any) -> str:
     """A document as JSON: null for a number that is not finite, paths and days as text."""
     return json.dumps(plain(document), ensure_ascii=False, allow_nan=False, indent=1)
