@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -357,6 +358,46 @@ DISTANCE = Measure("distance", "m", "m", "250, 250m or 0.25km")
 KILOMETRE = Measure("kilometre", "km", "km", "12.3, 12.3km or 12300m")
 MASS = Measure("mass", "kg", "kg", "12000, 12000kg or 12t")
 FORCE = Measure("force", "N", "N", "2000, 2000N or 2kN")
+
+
+def keyed(parts: Iterable[str], known: Collection[str], what: str, remedy: str) -> dict[str, str]:
+    """Values that are given as ``key=value``, by their keys.
+
+    Parameters
+    ----------
+    parts : iterable of str
+    known : collection of str
+        The keys that there are.
+    what, remedy : str
+        For messages: what is given, and how it is written.
+
+    Raises
+    ------
+    InputError
+        If a part is not of that form, or its key is unknown or given twice.
+
+    Examples
+    --------
+    >>> keyed("km=10:14,factor=1.3".split(","), ("km", "factor"), "change", "")
+    {'km': '10:14', 'factor': '1.3'}
+    >>> keyed(["weathr=wet"], ("trip", "weather"), "--set", "")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    trainlog.errors.InputError: --set: 'weathr=wet' is not understood; did you mean weather?...
+    """
+    found: dict[str, str] = {}
+    for part in parts:
+        key, _, value = (each.strip() for each in part.partition("="))
+        if key not in known or not value:
+            near = similar(key, known, 1)
+            meant = f"did you mean {near[0]}? " if near and near[0] != key else ""
+            raise InputError(
+                f"{what}: '{part}' is not understood",
+                remedy=f"{meant}{remedy}; keys: {', '.join(known)}",
+            )
+        if key in found:
+            raise InputError(f"{what}: '{key}' is given twice", remedy="give it once")
+        found[key] = value
+    return found
 
 
 def _spelled(unit: str) -> str:

@@ -66,6 +66,7 @@ from trainlog.units import (
     SHARE,
     TIME,
     Measure,
+    keyed,
 )
 
 if TYPE_CHECKING:
@@ -266,12 +267,8 @@ def lasting_change(word: str, line: Line | None = None) -> trainlog.RailChange:
     from trainlog.spans import utc
 
     remedy = "write it as km=10:14,date=2026-10-15,factor=1.3"
-    given: dict[str, str] = {}
-    for part in word.split(","):
-        key, equals, value = (each.strip() for each in part.partition("="))
-        if not (equals and value) or key in given or key not in ("km", "date", "factor", "spots"):
-            raise InputError(f"change '{word}': '{part}' is not understood", remedy=remedy)
-        given[key] = value
+    keys = ("km", "date", "factor", "spots")
+    given = keyed(word.split(","), keys, f"change '{word}'", remedy)
     for names in ("km", "date", "factor or spots"):
         if not given.keys() & set(names.split(" or ")):
             raise InputError(f"change '{word}' has no {names}", remedy=remedy)
@@ -545,19 +542,12 @@ def pairs(given: list[str]) -> dict[str, str]:
     from trainlog.railway.weather import given_condition
 
     found = {}
-    for word in given:
-        key, equals, value = word.partition("=")
-        if not (key and equals and value):
-            raise InputError(f"'{word}' is not of the form key=value", remedy="as in weather=wet")
-        if key not in FACTS:
-            raise InputError(f"'{key}' is no known fact", remedy=f"known: {', '.join(FACTS)}")
-        if key == "weather":
-            value = given_condition(value)
+    for key, value in keyed(given, FACTS, "--set", "write it as weather=wet").items():
+        found[key] = given_condition(value) if key == "weather" else value
         if key == "load":
             load = MASS.between(0.0).read(value, "load")
             check_load(load)
-            value = value if value[-1:].isdigit() else f"{load:.0f}"
-        found[key] = value
+            found[key] = value if value[-1:].isdigit() else f"{load:.0f}"
         if key == "start_position" and value != "stations":
             found[key] = f"{_START.read(value, key):g}"
     return found

@@ -26,7 +26,7 @@ from trainlog.cli.options import (
 from trainlog.cli.terminal import console, show, wrote
 from trainlog.errors import InputError, similar
 from trainlog.progress import task
-from trainlog.units import COUNT, MASS, NUMBER, PERCENT, SHARE, SPEED, TIME, Measure
+from trainlog.units import COUNT, MASS, NUMBER, PERCENT, SHARE, SPEED, TIME, Measure, keyed
 
 if TYPE_CHECKING:
     from analysis.trajectory.journey import JourneyPlan
@@ -92,17 +92,7 @@ def settings_of(words: Sequence[str]) -> dict[str, Any]:
     {'load': 12000.0, 'final-speed': 20.0}
     """
     found: dict[str, Any] = {}
-    for word in words:
-        key, equals, value = (each.strip() for each in word.partition("="))
-        if key not in SETTINGS or not equals:
-            near = similar(key, SETTINGS, 1)
-            meant = f"did you mean {near[0]}? " if near and near[0] != key else ""
-            raise InputError(
-                f"--set '{word}' is not a setting of a plan",
-                remedy=f"{meant}write KEY=VALUE with one of {', '.join(SETTINGS)}",
-            )
-        if key in found:
-            raise InputError(f"--set {key} is given twice", remedy="give it once")
+    for key, value in keyed(words, SETTINGS, "--set", "write KEY=VALUE").items():
         of = SETTINGS[key][0]
         if isinstance(of, tuple) and value not in of:
             raise InputError(

@@ -29,7 +29,7 @@ from trainlog.railway import EffortCurve, RunningResistance, Train
 from trainlog.railway.train import Axles, Brake
 from trainlog.simulation.sensors import Sensors
 from trainlog.spans import utc
-from trainlog.units import DAY, FORCE, KMH, MASS, SHARE, TIME, Measure, factor
+from trainlog.units import DAY, FORCE, KMH, MASS, SHARE, TIME, Measure, factor, keyed
 
 FaultKind = Literal["dragging brake", "mass", "wheel diameter", "effort gain", "sensor delay"]
 
@@ -151,17 +151,7 @@ class Fault:
         """
         remedy = "write it as train=flirt-03,dragging-brake=2000N,from=2026-10-12"
         known = {kind.replace(" ", "-"): kind for kind in get_args(FaultKind)}
-        given: dict[str, str] = {}
-        for part in words.split(","):
-            key, equals, value = (each.strip() for each in part.partition("="))
-            if not (equals and value) or key not in ("train", "from", *known):
-                raise InputError(
-                    f"fault '{words}': '{part}' is not understood",
-                    remedy=f"{remedy}; faults: {', '.join(known)}",
-                )
-            if key in given:
-                raise InputError(f"fault '{words}': '{key}' is given twice", remedy=remedy)
-            given[key] = value
+        given = keyed(words.split(","), ("train", "from", *known), f"fault '{words}'", remedy)
         faults = [key for key in given if key in known]
         if "train" not in given or "from" not in given or len(faults) != 1:
             raise InputError(f"fault '{words}' needs a train, one fault and from", remedy=remedy)
