@@ -74,7 +74,7 @@ plan OUT/parameters.json KNOWN --map OUT/wil.map --layer wet --running-time OUT/
 simulate follow OUT/trajectory.json KNOWN --map OUT/wil.map --configurations all --weather wet
     -o OUT/driven
 simulate follow OUT/trajectory.json KNOWN --configurations all --weather wet -o OUT/driven-blind
-compare groups groups OUT/trips --with OUT/driven --with OUT/driven-blind
+compare groups OUT/trips --with OUT/driven --with OUT/driven-blind
 estimate OUT/trips/trip-03.mcap -o OUT/estimated
 replay OUT/estimated OUT/driven --trajectory OUT/trajectory.json --map OUT/wil.map
     -o OUT/replay.rrd
