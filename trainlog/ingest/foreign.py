@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -352,32 +353,15 @@ def _joined(tables: list[Table]) -> list[Table]:
         for other in list(joined):
             if _topics(other) & _topics(merged):
                 joined.remove(other)
-                merged = _merged(other, merged)
+                both = other.then(merged)
+                order = np.argsort(both.time, kind="stable")
+                merged = replace(both.take(order), samples=both.samples)
         joined.append(merged)
     return joined
 
 
 def _topics(table: Table) -> set[str]:
     return {field_of(name)[0].name for name in [*table.signals, *table.texts]}
-
-
-def _merged(first: Table, second: Table) -> Table:
-    """The rows of both; what only one of them has is absent in the rows of the other."""
-    time = np.concatenate((first.time, second.time))
-    order = np.argsort(time, kind="stable")
-    signals: dict[str, FloatArray] = {}
-    texts = {}
-    for name in dict.fromkeys([*first.signals, *second.signals]):
-        parts = [table.signals.get(name, np.full(len(table), np.nan)) for table in (first, second)]
-        signals[name] = np.concatenate(parts)[order]
-    for name in dict.fromkeys([*first.texts, *second.texts]):
-        words = [
-            table.texts.get(name, np.full(len(table), "", dtype=np.object_))
-            for table in (first, second)
-        ]
-        texts[name] = np.concatenate(words)[order]
-    rows = np.concatenate((first.rows, second.rows))[order]
-    return Table(time[order], rows, signals, texts)
 
 
 # --------------------------------------------------------------------------------------- presets

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from trainlog.ingest.mapping import EARLIEST, LATEST, recording_of
 from trainlog.ingest.profile import Profile
 from trainlog.ingest.profile_checks import MismatchError, suggestion
 from trainlog.ingest.profile_columns import WORDS, Column
-from trainlog.ingest.recording import NO_TIME, Cells, Recording, field_of
+from trainlog.ingest.recording import NO_TIME, Cells, Recording, field_of, together
 from trainlog.topics import RECORDED
 from trainlog.units import NANOSECONDS, factor, si_unit
 
@@ -80,21 +80,10 @@ def read_mdf(path: Path, profile: Profile | None) -> Recording:
             if mdf.masters_db.get(group) != index
         }
         found = [_recording(mdf, profile, part, start, path) for part in _parts(profile, places)]
-    tables = tuple(table for item in found for table in item.tables)
     mapped = {place for channels in places.values() for place in channels}
     left = [name for place, name in every.items() if place not in mapped]
-    constants: dict[str, float | str] = {}
-    for item in found:
-        constants |= item.constants
-    return Recording(
-        tables,
-        sum(item.rows_read for item in found),
-        tuple(finding for item in found for finding in item.findings),
-        constants,
-        {"clock": "MDF"},
-        {f"channels that the profile does not map: {', '.join(left)}": len(left)} if left else {},
-        raw=tuple(raw for item in found for raw in item.raw),
-    )
+    others = f"channels that the profile does not map: {', '.join(left)}"
+    return together(found, metadata={"clock": "MDF"}, not_used={others: len(left)} if left else {})
 
 
 @contextmanager
@@ -164,16 +153,13 @@ def _place(mdf: Any, channel: str, optional: bool, path: Path) -> Place | None:
     )
 
 
-@dataclass(frozen=True)
-class _Part:
-    """Fields that share a table, and where their channels are."""
-
-    places: dict[str, list[Place]]
+_Part = dict[str, list[Place]]
+"""Fields that share a table, and where their channels are."""
 
 
 def _parts(profile: Profile, places: dict[str, list[Place]]) -> list[_Part]:
     """Fields by table: those of a group together, and those of a topic."""
-    parts: list[tuple[set[str], dict[str, list[Place]]]] = []
+    parts: list[tuple[set[str], _Part]] = []
     for name, channels in places.items():
         keys = {field_of(name)[0].name, *(f"group {group}" for group, _ in channels)}
         mine = {name: channels}
@@ -186,8 +172,7 @@ def _parts(profile: Profile, places: dict[str, list[Place]]) -> list[_Part]:
                 apart.append((known, fields))
         parts = [*apart, (keys, mine)]
     return [
-        _Part({name: fields[name] for name in profile.columns if name in fields})
-        for _, fields in parts
+        {name: fields[name] for name in profile.columns if name in fields} for _, fields in parts
     ]
 
 
@@ -197,13 +182,13 @@ def _recording(mdf: Any, profile: Profile, part: _Part, start: int, path: Path) 
     columns: dict[str, Column] = {
         name: column for name, column in profile.columns.items() if column.value is not None
     }
-    for name, places in part.places.items():
+    for name, places in part.items():
         column = profile.columns[name]
         read = _selected(mdf, places, name in WORDS, path)
         channels = tuple(f"{group}:{index}" for group, index in places)
         signals |= dict(zip(channels, read, strict=True))
         columns[name] = _with_unit(name, column, read[0], channels, path)
-    groups = sorted({group for places in part.places.values() for group, _ in places})
+    groups = sorted({group for places in part.values() for group, _ in places})
     clocks = {group: _clock(signals, group, start) for group in groups}
     time, rows = _instants(clocks)
     table = pa.table(

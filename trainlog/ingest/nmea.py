@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import datetime
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import reduce
 from operator import xor
 from pathlib import Path
@@ -104,7 +104,7 @@ class Epochs:
         if not _whole(sentence):
             messages.damaged(row, sentence)
             return
-        if sentence[3:6] not in READERS:
+        if sentence[3:6] not in SENTENCES:
             messages.others[f"NMEA {sentence[1:].partition(',')[0]}"] += 1
             return
         try:
@@ -126,7 +126,7 @@ class Epochs:
         date = _date(kind, parsed)
         if date is not None:
             self.dates[-1] = date
-        for name, value in READERS[kind](parsed).items():
+        for name, value in _values(kind, parsed).items():
             if np.isfinite(value):
                 self.values[-1].setdefault(name, value)
 
@@ -245,65 +245,45 @@ def _date(kind: str, parsed: Any) -> datetime.date | None:
     return None
 
 
-def _numbers(parsed: Any, **names: str) -> dict[str, float]:
+_PLACE = {"latitude": "lat", "longitude": "lon"}
+_FIX = {**_PLACE, "altitude": "alt", "satellites": "numSV", "hdop": "HDOP"}
+
+SENTENCES = {
+    "RMC": {**_PLACE, "knots": "spd"},
+    "GGA": _FIX,
+    "GNS": _FIX,
+    "VTG": {"kmh": "sogk", "knots": "sogn"},
+    "GST": {"north": "stdLat", "east": "stdLong", "vertical_accuracy": "stdAlt"},
+    "GSA": {"pdop": "PDOP"},
+    "ZDA": {},
+}
+"""Sentences that are used: values by the names that pynmeagps gives them."""
+
+_HAS_FIX: dict[str, Callable[[Any], bool]] = {
+    "RMC": lambda parsed: parsed.status == "A",
+    "GGA": lambda parsed: parsed.quality != 0,
+    "GNS": lambda parsed: bool(set(str(parsed.posMode)) - {"N"}),
+}
+"""Whether a sentence with a position says that the receiver has a fix."""
+
+
+def _values(kind: str, parsed: Any) -> dict[str, float]:
+    """The values of a sentence, in SI units."""
     found = {}
-    for ours, theirs in names.items():
+    for ours, theirs in SENTENCES[kind].items():
         value = getattr(parsed, theirs, "")
         if isinstance(value, int | float):
             found[ours] = float(value)
+    if kind in _HAS_FIX:
+        found["fixed"] = float(_HAS_FIX[kind](parsed))
+    for unit, size in (("knots", KNOT), ("kmh", 1.0 / KMH)):
+        if unit in found:
+            found["speed"] = found.pop(unit) * size
+    if kind == "GST":
+        north, east = found.pop("north", np.nan), found.pop("east", np.nan)
+        found["horizontal_accuracy"] = float(np.sqrt(0.5 * (north**2 + east**2)))
     return found
 
-
-def _place(parsed: Any) -> dict[str, float]:
-    return _numbers(parsed, latitude="lat", longitude="lon")
-
-
-def _rmc(parsed: Any) -> dict[str, float]:
-    found = _place(parsed) | {"fixed": float(parsed.status == "A")}
-    speed = _numbers(parsed, speed="spd")
-    return found | {name: value * KNOT for name, value in speed.items()}
-
-
-def _gga(parsed: Any) -> dict[str, float]:
-    found = _numbers(parsed, altitude="alt", satellites="numSV", hdop="HDOP")
-    return found | _place(parsed) | {"fixed": float(parsed.quality != 0)}
-
-
-def _gns(parsed: Any) -> dict[str, float]:
-    found = _numbers(parsed, altitude="alt", satellites="numSV", hdop="HDOP")
-    fixed = bool(set(str(parsed.posMode)) - {"N"})
-    return found | _place(parsed) | {"fixed": float(fixed)}
-
-
-def _vtg(parsed: Any) -> dict[str, float]:
-    knots = {name: value * KNOT for name, value in _numbers(parsed, speed="sogn").items()}
-    return {name: value / KMH for name, value in _numbers(parsed, speed="sogk").items()} or knots
-
-
-def _gst(parsed: Any) -> dict[str, float]:
-    found = _numbers(parsed, north="stdLat", east="stdLong", vertical_accuracy="stdAlt")
-    north, east = found.pop("north", np.nan), found.pop("east", np.nan)
-    return found | {"horizontal_accuracy": float(np.sqrt(0.5 * (north**2 + east**2)))}
-
-
-def _gsa(parsed: Any) -> dict[str, float]:
-    return _numbers(parsed, pdop="PDOP")
-
-
-def _zda(parsed: Any) -> dict[str, float]:  # noqa: ARG001
-    return {}
-
-
-READERS = {
-    "RMC": _rmc,
-    "GGA": _gga,
-    "GNS": _gns,
-    "VTG": _vtg,
-    "GST": _gst,
-    "GSA": _gsa,
-    "ZDA": _zda,
-}
-"""Sentences that are used."""
 
 TIMED = ("RMC", "GGA", "GNS", "ZDA", "GST")
 """Those of them that give the time of day."""

@@ -107,6 +107,26 @@ class Table:
             self.samples[index],
         )
 
+    def then(self, other: Table) -> Table:
+        """These samples and behind them others; what one of them does not hold is absent there."""
+        tables = (self, other)
+
+        def of(kind: str, empty: Any) -> dict[str, Any]:
+            names = dict.fromkeys((*getattr(self, kind), *getattr(other, kind)))
+            return {
+                name: np.concatenate(
+                    [getattr(each, kind).get(name, np.full(len(each), empty)) for each in tables]
+                )
+                for name in names
+            }
+
+        return Table(
+            np.concatenate((self.time, other.time)),
+            np.concatenate((self.rows, other.rows)),
+            of("signals", np.nan),
+            {name: words.astype(np.object_) for name, words in of("texts", "").items()},
+        )
+
     def at(self, time: IntArray) -> Table:
         """The same samples at other times [ns]."""
         return replace(self, time=time)
@@ -246,6 +266,21 @@ class Recording:
     def __repr__(self) -> str:
         rows = {f"table {number}": repr(table) for number, table in enumerate(self.tables)}
         return as_text(f"Recording: {counted(self.rows_read, 'row')} read", rows)
+
+
+def together(parts: Sequence[Recording], **more: Any) -> Recording:
+    """The recording that several parts of a file make; `more` is given as to `Recording`."""
+    constants: dict[str, float | str] = {}
+    for part in parts:
+        constants |= part.constants
+    return Recording(
+        tuple(table for part in parts for table in part.tables),
+        sum(part.rows_read for part in parts),
+        tuple(finding for part in parts for finding in part.findings),
+        constants,
+        raw=tuple(raw for part in parts for raw in part.raw),
+        **more,
+    )
 
 
 def field_of(name: str) -> tuple[Topic, str, Field]:

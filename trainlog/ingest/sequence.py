@@ -19,7 +19,6 @@ from trainlog.arrays import BoolArray
 from trainlog.ingest.clock import same_as_previous
 from trainlog.ingest.profile_parts import Limits, Repair
 from trainlog.ingest.recording import NO_TIME, Table, base_name
-from trainlog.ingest.stream import joined
 from trainlog.units import NANOSECONDS
 
 CONFIRMING = 3
@@ -126,7 +125,7 @@ class Sequence:
         for number in range(len(table)):
             row = table.take(np.array([number]))
             for part in self._judge(row.at(row.time + self._shift)):
-                accepted = part if accepted is None else joined(accepted, part)
+                accepted = part if accepted is None else accepted.then(part)
         return accepted
 
     def _judge(self, row: Table) -> list[Table]:
@@ -142,7 +141,7 @@ class Sequence:
         if self._held is not None and not follows:
             dropped = [self._resolved(self._held, np.zeros(len(self._held), np.bool_))]
             self._held = None
-        self._held = row if self._held is None else joined(self._held, row)
+        self._held = row if self._held is None else self._held.then(row)
         if len(self._held) < CONFIRMING:
             return [*filter(None, dropped)]
         held, self._held = self._held, None
@@ -209,7 +208,7 @@ class Sequence:
 
     def _without_duplicates(self, table: Table) -> Table:
         before, self._previous = self._previous, table.take(np.array([len(table) - 1]))
-        both = table if before is None else joined(before, table)
+        both = table if before is None else before.then(table)
         repeated = same_as_previous(both) & (np.diff(both.time, prepend=NO_TIME) == 0)
         repeated = repeated[len(both) - len(table) :]
         self._count("duplicates", repeated)

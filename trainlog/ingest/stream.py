@@ -337,7 +337,7 @@ class Decoder:
             late = (table.time != NO_TIME) & (table.time < self._of_day - DAY // 2)
             table = table.at(np.where(late, table.time + DAY, table.time))
         before = decoded.tables.get(kind)
-        decoded.tables[kind] = table if before is None else joined(before, table)
+        decoded.tables[kind] = table if before is None else before.then(table)
         decoded.constants |= found.constants
         decoded.findings += found.findings
 
@@ -424,27 +424,6 @@ def _cells(line: str, delimiter: str) -> list[str]:
     if '"' not in line:
         return line.split(delimiter)
     return next(csv.reader([line], delimiter=delimiter, strict=True))
-
-
-def joined(first: Table, second: Table) -> Table:
-    """Two tables one behind the other; what one of them does not hold is absent in its rows."""
-
-    def of(kind: str, empty: Any) -> dict[str, Any]:
-        names = dict.fromkeys((*getattr(first, kind), *getattr(second, kind)))
-        return {
-            name: np.concatenate(
-                [getattr(each, kind).get(name, np.full(len(each), empty)) for each in tables]
-            )
-            for name in names
-        }
-
-    tables = (first, second)
-    return Table(
-        np.concatenate((first.time, second.time)),
-        np.concatenate((first.rows, second.rows)),
-        of("signals", np.nan),
-        {name: words.astype(np.object_) for name, words in of("texts", "").items()},
-    )
 
 
 def _flat(value: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str | None]]:
