@@ -16,8 +16,7 @@ from refusals import refused
 
 from trainlog.errors import InputError
 from trainlog.ingest import RULES, formats, ingest, profile_of, report_of
-from trainlog.ingest.profile_columns import Column
-from trainlog.ingest.profile_parts import Detection, FileOptions, TimeOptions
+from trainlog.ingest.profile import Column, Detection, FileOptions, TimeOptions
 from trainlog.ingest.registry import format_by_profile
 
 PAGE = (Path(__file__).parents[1] / "docs" / "ingest.md").read_text("utf-8")

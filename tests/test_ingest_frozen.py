@@ -14,7 +14,7 @@ from recorder_files import mtk_frozen
 from trainlog import draw_scenarios, read, read_line, read_train, sample, simulate
 from trainlog.formats.ttobench import read_track, read_train as read_published_train
 from trainlog.ingest import Finding, Table, ingest, repairs_of, report_of
-from trainlog.ingest.profile_parts import Limits, Repair
+from trainlog.ingest.profile import Limits, Repair
 from trainlog.ingest.rules import repaired
 from trainlog.trip import Trip
 

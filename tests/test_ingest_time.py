@@ -28,7 +28,7 @@ from recorder_files import Drive, nmea_lines
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, profile_of, report_of
 from trainlog.ingest.mapping import read_time
-from trainlog.ingest.profile_parts import TimeOptions
+from trainlog.ingest.profile import TimeOptions
 from trainlog.ingest.recording import NO_TIME
 
 FILE = Path("run.csv")

@@ -30,9 +30,8 @@ import trainlog
 from trainlog.cli.main import run
 from trainlog.errors import InputError
 from trainlog.ingest import ingest
-from trainlog.ingest.live import MOST_KEPT, LiveIngest, LiveOptions
+from trainlog.ingest.live import MOST_KEPT, LiveIngest, LiveOptions, Numbering
 from trainlog.ingest.pipeline import Given
-from trainlog.ingest.sequence import Numbering
 from trainlog.ingest.sources import Datagrams, GrowingFile
 from trainlog.ingest.stream import Framer, time_of
 from trainlog.trip import Trip

@@ -14,7 +14,7 @@ from analysis.fleet.trips import FleetTrip
 from analysis.resistance.recording import speed_scale
 from trainlog.errors import TrainlogError
 from trainlog.ingest.frozen import MEASURED, blank_frozen
-from trainlog.ingest.profile_parts import Limits
+from trainlog.ingest.profile import Limits
 from trainlog.ingest.recording import Table
 from trainlog.ingest.report import report_of
 from trainlog.railway.geometry import beside, track_of

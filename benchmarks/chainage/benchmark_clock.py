@@ -40,7 +40,7 @@ from scipy.signal import lfilter
 from trainlog.errors import InputError
 from trainlog.formats.railway import read_line
 from trainlog.formats.samples import DEFAULT_LINE, sample
-from trainlog.ingest.profile_parts import Limits, Repair
+from trainlog.ingest.profile import Limits, Repair
 from trainlog.ingest.recording import Table
 from trainlog.ingest.rules import repaired
 from trainlog.railway import Geometry

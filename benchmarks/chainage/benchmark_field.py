@@ -30,8 +30,7 @@ from trainlog.errors import InputError
 from trainlog.formats.railway import read_line
 from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.ingest.estimates import estimated_state
-from trainlog.ingest.profile import Profile
-from trainlog.ingest.profile_parts import Limits, Repair
+from trainlog.ingest.profile import Limits, Profile, Repair
 from trainlog.ingest.receiver import without_contradicted
 from trainlog.ingest.recording import Table
 from trainlog.ingest.rules import repaired

@@ -14,7 +14,7 @@ from numba import njit
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
-from trainlog.ingest.profile_parts import Limits
+from trainlog.ingest.profile import Limits
 from trainlog.ingest.recording import NO_TIME, Finding, Table
 from trainlog.units import NANOSECONDS
 

@@ -30,7 +30,7 @@ from trainlog.ingest.clock import (
     same_as_previous,
     usual_step,
 )
-from trainlog.ingest.profile_parts import Limits
+from trainlog.ingest.profile import Limits
 from trainlog.ingest.recording import METRES_PER_DEGREE, Finding, Table
 from trainlog.units import DAY, NANOSECONDS
 

@@ -15,7 +15,7 @@ from scipy.ndimage import median_filter
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.ingest.clock import Result, gap_threshold
-from trainlog.ingest.profile_parts import Limits
+from trainlog.ingest.profile import Limits
 from trainlog.ingest.recording import Table
 from trainlog.ingest.spikes import GNSS_SPEED, SPEED
 from trainlog.spans import runs_of

@@ -17,8 +17,7 @@ from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.ingest.chainage import Matched, chainage_of
 from trainlog.ingest.clock import Result
 from trainlog.ingest.fixes import Fixes, held_fixes
-from trainlog.ingest.profile import Profile
-from trainlog.ingest.profile_checks import Quantity
+from trainlog.ingest.profile import Profile, Quantity
 from trainlog.ingest.recording import Finding, Table
 from trainlog.ingest.rules import LONGEST_GAP_IN_CHORD, POSITION, quantum
 from trainlog.railway.line import Line

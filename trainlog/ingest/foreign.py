@@ -24,10 +24,14 @@ from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.ingest.clock import NO_ACCURACY
 from trainlog.ingest.mapping import EARLIEST, LATEST, in_si, read_time, recording_of
-from trainlog.ingest.profile import PROFILE_FORMAT, Profile
-from trainlog.ingest.profile_checks import MismatchError, suggestion
-from trainlog.ingest.profile_columns import Column
-from trainlog.ingest.profile_parts import TimeOptions
+from trainlog.ingest.profile import (
+    PROFILE_FORMAT,
+    Column,
+    MismatchError,
+    Profile,
+    TimeOptions,
+    suggestion,
+)
 from trainlog.ingest.recording import NO_TIME, Cells, Finding, Raw, Recording, Table, field_of
 from trainlog.mcap import ForeignFrames, describe, frames_of
 from trainlog.topics import EVENTS, GNSS_FIX, IMU

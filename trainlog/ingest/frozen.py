@@ -17,7 +17,7 @@ import numpy as np
 
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
 from trainlog.ingest.clock import Result, gap_threshold
-from trainlog.ingest.profile_parts import Limits
+from trainlog.ingest.profile import Limits
 from trainlog.ingest.recording import Finding, Table, field_of
 from trainlog.ingest.spikes import GNSS_SPEED, LATITUDE, LONGITUDE, SPEED, plane
 from trainlog.units import NANOSECONDS

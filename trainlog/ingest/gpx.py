@@ -19,9 +19,7 @@ import pyarrow as pa
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.ingest.mapping import recording_of
-from trainlog.ingest.profile import PROFILE_FORMAT, Profile
-from trainlog.ingest.profile_columns import Column
-from trainlog.ingest.profile_parts import TimeOptions
+from trainlog.ingest.profile import PROFILE_FORMAT, Column, Profile, TimeOptions
 from trainlog.ingest.recording import (
     HORIZONTAL_PER_HDOP,
     VERTICAL_PER_VDOP,

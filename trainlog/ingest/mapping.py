@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
-from trainlog.ingest.profile import Profile
-from trainlog.ingest.profile_columns import WORDS, Column
-from trainlog.ingest.profile_parts import TimeOptions
+from trainlog.ingest.profile import WORDS, Column, Profile, TimeOptions
 from trainlog.ingest.recording import (
     NO_TIME,
     SHOWN_ROWS,

@@ -23,9 +23,7 @@ from trainlog.errors import InputError
 from trainlog.extras import load
 from trainlog.formats.trip_tables import called
 from trainlog.ingest.mapping import EARLIEST, LATEST, recording_of
-from trainlog.ingest.profile import Profile
-from trainlog.ingest.profile_checks import MismatchError, suggestion
-from trainlog.ingest.profile_columns import WORDS, Column
+from trainlog.ingest.profile import WORDS, Column, MismatchError, Profile, suggestion
 from trainlog.ingest.recording import NO_TIME, Cells, Recording, field_of, together
 from trainlog.topics import RECORDED
 from trainlog.units import NANOSECONDS, factor, si_unit

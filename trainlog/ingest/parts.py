@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
-from trainlog.ingest.profile import Profile
-from trainlog.ingest.profile_parts import TripColumns
+from trainlog.ingest.profile import Profile, TripColumns
 from trainlog.ingest.recording import NO_TIME, Finding, Recording, Table, base_name
 from trainlog.topics import RECORDED
 from trainlog.units import DAY, NANOSECONDS, to_si

@@ -18,15 +18,20 @@ from trainlog.formats.railway import line_to_bytes, train_to_bytes
 from trainlog.identity import source_of
 from trainlog.ingest.chainage import AgainstLineError
 from trainlog.ingest.estimates import Estimate, estimated_state, position_offset
-from trainlog.ingest.framing import frames
 from trainlog.ingest.parts import parts_of
 from trainlog.ingest.placing import OVERRUN, placed
-from trainlog.ingest.profile import Profile, parse_profile
-from trainlog.ingest.profile_checks import MismatchError, Quantity
-from trainlog.ingest.profile_columns import own_topics
-from trainlog.ingest.profile_parts import Limit, Limits, TripOptions
+from trainlog.ingest.profile import (
+    Limit,
+    Limits,
+    MismatchError,
+    Profile,
+    Quantity,
+    TripOptions,
+    own_topics,
+    parse_profile,
+)
 from trainlog.ingest.receiver import without_contradicted
-from trainlog.ingest.recording import Finding, Recording, Table, field_of
+from trainlog.ingest.recording import Finding, Recording, Table, field_of, frames
 from trainlog.ingest.registry import Format, format_called, format_of, is_registered, own_profile
 from trainlog.ingest.report import REPAIRS_ATTACHMENT, Repairs, Report, changes
 from trainlog.ingest.routes import (

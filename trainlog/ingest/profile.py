@@ -6,37 +6,745 @@ recognised and need no profile; see `trainlog.ingest.registry`.
 
 from __future__ import annotations
 
+import datetime
+import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
+import numpy as np
 import pydantic
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import ErrorDetails
 
+from trainlog.declaration import form_for
 from trainlog.display import as_text
-from trainlog.errors import InputError
+from trainlog.errors import InputError, similar
 from trainlog.formats.declared import parse_toml
 from trainlog.formats.files import read_bytes
-from trainlog.ingest.profile_checks import (
-    ProblemsError,
-    Strict,
-    refuse,
-    suggestion,
-)
-from trainlog.ingest.profile_columns import Column, LineOptions, column_problems
-from trainlog.ingest.profile_parts import (
-    Detection,
-    FileOptions,
-    Limits,
-    Repair,
-    RideOptions,
-    TimeOptions,
-    TripOptions,
-)
+from trainlog.ingest.recording import base_name, field_of
 from trainlog.presentation import facts_table
+from trainlog.railway.train import Train
+from trainlog.railway.weather import check_condition
+from trainlog.topics import RECORDED, TOPICS, Bounds, Field as Item, Topic, recorded_topic
+from trainlog.units import factor, si_unit, to_si
+
+
+class Strict(BaseModel):
+    """A part of a profile; a key that it does not know is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ProblemsError(ValueError):
+    """Several things that are wrong with one part of a profile."""
+
+    def __init__(self, problems: Iterable[str]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("; ".join(self.problems))
+
+
+def refuse(problems: Iterable[str | None]) -> None:
+    """Refuse a part for all its problems; None is no problem."""
+    found = [problem for problem in problems if problem is not None]
+    if found:
+        raise ProblemsError(found)
+
+
+def problem_of(check: Callable[..., object], *given: object) -> str | None:
+    """What `check` finds wrong, if anything."""
+    try:
+        check(*given)
+    except (ValueError, InputError) as error:
+        return str(error)
+    return None
+
+
+class MismatchError(InputError):
+    """A file lacks what its profile names: one of the two has to be corrected."""
+
+
+def suggestion(name: str, known: Iterable[str], what: str = "known") -> str:
+    """Remedy for a name that is not among the `known` ones: close matches, then all of them."""
+    names = [str(candidate) for candidate in known]
+    matches = " or ".join(f"'{match}'" for match in similar(name, names))
+    if matches:
+        return f"did you mean {matches}?"
+    shown = ", ".join(names[:30]) + (", ..." if len(names) > 30 else "")
+    return f"{what}: {shown or 'none'}"
+
+
+def known_field(name: str) -> Item:
+    """The field that ``"/topic.field"`` names; ValueError with close matches if there is none."""
+    topic_name, _, column = name.rpartition(".")
+    if topic_name not in TOPICS:
+        every = [f"{topic.name}.{item.name}" for topic in TOPICS.values() for item in topic.fields]
+        raise ValueError(f"unknown field '{name}'; {suggestion(name, every)}")
+    fields = {item.name: item for item in TOPICS[topic_name].fields}
+    if column not in fields:
+        raise ValueError(
+            f"topic {topic_name} has no field '{column}'; {suggestion(column, fields)}"
+        )
+    return fields[column]
+
+
+def check_unit(name: str, unit: str, si: str) -> None:
+    """Refuse a unit of `name` that is not known, or not of the kind of the SI unit `si`."""
+    try:
+        factor(unit, si)
+    except InputError as error:
+        raise ValueError(f"{name}: {error.problem}; {error.remedy}") from None
+
+
+class Quantity(Strict):
+    """A number with its unit."""
+
+    value: float
+    unit: str
+
+    def si(self, unit: str) -> float:
+        """The number in the SI unit `unit`."""
+        return float(to_si(self.value, self.unit, unit))
+
+
+WITH_UNITS = ("mdf",)
+"""Formats whose files give the units of their columns."""
+
+WORDS = ("/events.message", "/events.name")
+"""Fields that hold text."""
+
+
+class Column(Strict):
+    """How a field of our topics comes from columns of the file ([columns]).
+
+    ``field = sign * part(raw * scale + offset)``, in `unit`, then converted to SI.
+
+    Attributes
+    ----------
+    column : str
+        Name of the column; `columns` for the fields that have one value an axle, ``""`` for an
+        axle that is not recorded; or a constant `value`.
+    unit : str
+        Unit of the number after `scale` and `offset`.
+    scale, offset : float
+    integer_scale : float, optional
+        In place of `scale` where the file's column holds whole numbers only.
+    part : {"all", "positive", "negative"}
+        Of a signed column, only the positive values, or the size of the negative ones; 0 otherwise.
+    sign : {1, -1}
+    optional : bool
+        Whether the file may lack the column.
+    meaning : str
+        What the quantity is, for a field of a topic of the recorder's own (``"/recorded/..."``).
+    between : {"linear", "previous"}
+        How its values between two samples are found.
+    notation : {"number", "degrees_minutes"}
+        How the raw number is written; ``"degrees_minutes"``: as NMEA writes angles, 4728.513 for
+        47 degrees and 28.513 minutes.
+    slip_protection : list of str
+        Of ``"/events.message"``: words by which the recorder reports that slip protection acts, in
+        any case; events that hold one are named ``"slip protection"``.
+    """
+
+    column: str | None = None
+    columns: tuple[str, ...] = ()
+    value: float | str | None = None
+    unit: str | None = None
+    scale: float = Field(default=1.0, allow_inf_nan=False)
+    offset: float = Field(default=0.0, allow_inf_nan=False)
+    integer_scale: float | None = Field(default=None, allow_inf_nan=False)
+    part: Literal["all", "positive", "negative"] = "all"
+    sign: Literal[1, -1] = 1
+    optional: bool = False
+    meaning: str = ""
+    between: Literal["linear", "previous"] = "linear"
+    notation: Literal["number", "degrees_minutes"] = "number"
+    slip_protection: tuple[str, ...] = ()
+
+    def field(self, name: str) -> Item:
+        """The field of the topics that it fills, as the table or, of the recorder's own, it states.
+
+        Raises
+        ------
+        InputError
+            If it names a topic of the recorder's own wrongly, or its unit is not known.
+        KeyError
+            If the table has no such field.
+        """
+        if not name.startswith(RECORDED):
+            return field_of(name)[2]
+        own = Item(name.rpartition(".")[2], si_unit(self.unit or "1"), self.meaning, self.between)
+        return recorded_topic(name.rpartition(".")[0], [own]).fields[0]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The columns of the file, one an axle where the field has one value an axle."""
+        return tuple(name for name in self.sources if name)
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The same by axle, front first, with ``""`` for an axle that is not recorded."""
+        return self.columns if self.column is None else (self.column,)
+
+
+class Payload(Strict):
+    """What the lines of a kind hold.
+
+    Attributes
+    ----------
+    type : str
+        ``"ubx"``: a message of a u-blox receiver; ``"nmea"``: an NMEA sentence; or a numpy type of
+        numbers, such as ``"<i2"``.
+    count : int
+        How many numbers there are in a line.
+    """
+
+    type: str
+    count: int = Field(default=1, gt=0)
+
+    @property
+    def dtype(self) -> np.dtype[Any] | None:
+        """The type of the numbers; None if there are none."""
+        return None if self.type in ("ubx", "nmea") else np.dtype(self.type)
+
+    @pydantic.model_validator(mode="after")
+    def _known(self) -> Self:
+        try:
+            known = self.dtype is None or self.dtype.kind in "iuf"
+        except TypeError:
+            known = False
+        if not known:
+            raise ValueError(
+                f"type '{self.type}' must be 'ubx', 'nmea' or numbers of numpy; for example '<i2'"
+            )
+        return self
+
+
+class LineOptions(Strict):
+    """Lines of several kinds ([lines], format ``"tagged"``).
+
+    Attributes
+    ----------
+    kind : str
+        Column that says of which kind a line is.
+    payload : str
+        Column that holds the data, in hexadecimal digits.
+    kinds : dict of str to Payload
+        What the payload of each kind is; numbers are the columns ``"KIND.1"``, ``"KIND.2"`` ... of
+        [columns].
+    """
+
+    kind: str
+    payload: str
+    kinds: dict[str, Payload]
+
+
+def column_item(name: str, column: Column) -> Item:
+    """The field that a column fills; ValueError if there is none."""
+    if not name.startswith(RECORDED):
+        if column.meaning or column.between != "linear":
+            raise ValueError(
+                f'columns."{name}": meaning and between are for topics below {RECORDED};'
+                " the table of topics has those of its own"
+            )
+        return known_field(name)
+    try:
+        return column.field(name)
+    except InputError as error:
+        raise ValueError(f'columns."{name}": {error.problem}; {error.remedy}') from None
+
+
+def own_topics(columns: Mapping[str, Column]) -> dict[str, Topic]:
+    """The recorder's own topics that the columns of a profile fill, by name."""
+    fields: dict[str, list[Item]] = {}
+    for name, column in columns.items():
+        if name.startswith(RECORDED):
+            fields.setdefault(name.rpartition(".")[0], []).append(column.field(name))
+    return {name: recorded_topic(name, items) for name, items in fields.items()}
+
+
+def _check_column(name: str, column: Column, needs_unit: bool) -> None:
+    item = column_item(name, column)
+    given = [column.column is not None, bool(column.columns), column.value is not None]
+    if sum(given) != 1:
+        raise ValueError(f'columns."{name}" needs one of column, columns and value')
+    if column.value is None and item.per_axle != bool(column.columns):
+        kind = "columns, one an axle" if item.per_axle else "one column"
+        raise ValueError(f'columns."{name}" needs {kind}')
+    if column.value is None and not column.names:
+        raise ValueError(f'columns."{name}" names no column')
+    if "" in column.sources and not needs_unit:
+        raise ValueError(f'columns."{name}": every axle of this format needs a channel')
+    if column.slip_protection and name != "/events.message":
+        raise ValueError(f'columns."{name}": slip_protection is for "/events.message"')
+    if isinstance(column.value, str) != (name in WORDS) and column.value is not None:
+        raise ValueError(f'columns."{name}" needs a {"text" if name in WORDS else "number"}')
+    if item.unit:
+        unit = column.unit if column.unit is not None or item.unit != "1" else "1"
+        if unit is None and not needs_unit and column.value is None:
+            return
+        if unit is None:
+            raise ValueError(f"columns.\"{name}\" needs a unit; for example unit = '{item.unit}'")
+        check_unit(f'columns."{name}"', unit, item.unit)
+    elif column.unit:
+        raise ValueError(f'columns."{name}" has no unit')
+
+
+def column_problems(
+    columns: dict[str, Column], format: str | None, lines: LineOptions | None = None
+) -> list[str]:
+    """What is wrong with each of the columns."""
+    needs_unit = format not in WITH_UNITS
+    found = [problem_of(_check_column, name, one, needs_unit) for name, one in columns.items()]
+    if lines is not None:
+        found.append(problem_of(_check_lines, lines, columns))
+    return [problem for problem in found if problem is not None]
+
+
+def _check_lines(lines: LineOptions, columns: dict[str, Column]) -> None:
+    """Refuse columns that no kind of line has, and topics whose columns are of two kinds."""
+    counts = {kind: payload.count for kind, payload in lines.kinds.items() if payload.dtype}
+    known = {f"{kind}.{n}": kind for kind, count in counts.items() for n in range(1, count + 1)}
+    owners: dict[str, str] = {}
+    for name, column in columns.items():
+        for source in column.names:
+            if source not in known:
+                raise ValueError(f"columns.\"{name}\": no '{source}'; {suggestion(source, known)}")
+            topic = name.rpartition(".")[0]
+            if owners.setdefault(topic, known[source]) != known[source]:
+                raise ValueError(f'columns."{name}": the fields of a topic must be of one kind')
+
+
+_PLAUSIBLE = {"load": "max_load", "mass": "mass"}
+"""What a trip can state of the train, and the field of the train that bounds it."""
+
+MISSING = ("", "nan", "NaN", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", "-", "--", "---")
+"""Cells that mean "no value" unless the profile lists others."""
+
+
+class Detection(Strict):
+    """By what a file of this layout is recognised ([detect]); all that is given must hold.
+
+    Attributes
+    ----------
+    columns : list of str
+        Names that the header holds, in any order; those of `FileOptions.aliases` in any spelling.
+    line : str, optional
+        Regular expression that the first line matches.
+    """
+
+    columns: tuple[str, ...] = ()
+    line: str | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if not self.columns and self.line is None:
+            raise ValueError("needs columns or line")
+        try:
+            re.compile(self.line or "")
+        except re.error as error:
+            raise ValueError(f"line is no regular expression: {error}") from None
+        return self
+
+
+class FileOptions(Strict):
+    """How the file is written ([file]).
+
+    Attributes
+    ----------
+    format : str, optional
+        Name of the registered format, such as ``"csv"``; detected if absent.
+    delimiter, decimal, encoding : str
+    header : int, optional
+        Line that holds the names of the columns, counted from 1; 0 if there is none, the columns
+        are then called "1", "2" ... Default: the first line that is neither empty nor a comment.
+    skip_after_header : int
+        Lines after the header that hold no data, such as a line of units.
+    comment : str
+        First character of lines to be passed over; none if empty.
+    missing : list of str
+        Cells that mean "no value".
+    aliases : dict of str to list of str
+        What recorders call a column, in lower case, by the name that the profile uses for it.
+    """
+
+    format: str | None = None
+    delimiter: str = Field(default=",", min_length=1, max_length=1)
+    decimal: Literal[".", ","] = "."
+    encoding: str = "utf-8"
+    header: int | None = Field(default=None, ge=0)
+    skip_after_header: int = Field(default=0, ge=0)
+    comment: str = Field(default="#", max_length=1)
+    missing: tuple[str, ...] = MISSING
+    aliases: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+
+    @pydantic.model_validator(mode="after")
+    def _distinct(self) -> Self:
+        problems = []
+        if self.delimiter == self.decimal:
+            problems.append(f"delimiter and decimal are both '{self.decimal}'")
+        try:
+            "".encode(self.encoding)
+        except LookupError:
+            problems.append(
+                f"encoding '{self.encoding}' is not known, for example 'utf-8' or 'cp1252'"
+            )
+        refuse(problems)
+        return self
+
+    def named(self, names: Iterable[str]) -> tuple[str, ...]:
+        """The names of a header's columns, those with aliases as the profile calls them."""
+        found: list[str] = []
+        for name in names:
+            plain = name.lower()
+            meant = (ours for ours, spellings in self.aliases.items() if plain in spellings)
+            ours = next(meant, name)
+            # Of two columns that mean the same the first counts.
+            found.append(ours if ours not in self.aliases or ours not in found else f"{name} again")
+        return tuple(found)
+
+
+class TimeOptions(Strict):
+    """Where the time of a row stands ([time]).
+
+    Attributes
+    ----------
+    column : str
+    columns : list of str
+        Either one column, or several: joined by a blank and read with `format`, or, with
+        ``format = "parts"``, year, month, day, hour, minute, second as numbers.
+    format : str
+        ``"iso"``, ``"epoch"`` (since 1970 UTC), ``"elapsed"`` (since `start`: a number, or text
+        such as ``1:02:03.456``), ``"parts"``, or a pattern such as ``"%d.%m.%Y %H:%M:%S.%f"``.
+    unit : {"s", "ms", "us", "ns"}
+        Of ``"epoch"`` and ``"elapsed"``.
+    timezone : str
+        Of times that name no offset: ``"UTC"``, ``"Europe/Zurich"``, ``"+02:00"``.
+    assumed_timezone : str
+        The zone that was proposed because the file states none. Trips state that it was assumed,
+        as long as it is `timezone`.
+    start : datetime or "messages"
+        Instant of elapsed time 0; ``"messages"``: as the receiver's messages of the same file give
+        it (format ``"tagged"``).
+    date : date
+        For patterns that hold the time of day only: the day of the first row. Midnight is noticed.
+    """
+
+    column: str | None = None
+    columns: tuple[str, ...] = ()
+    format: str = "iso"
+    unit: Literal["s", "ms", "us", "ns"] = "s"
+    timezone: str = "UTC"
+    assumed_timezone: str | None = None
+    start: datetime.datetime | Literal["messages"] | None = None
+    date: datetime.date | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The columns that make the time."""
+        return self.columns if self.column is None else (self.column,)
+
+    @pydantic.model_validator(mode="after")
+    def _consistent(self) -> Self:
+        patterned = self.format not in ("iso", "epoch", "elapsed", "parts")
+        faults = {
+            "needs either column or columns": (self.column is None) == (not self.columns),
+            "format 'parts' needs 6 columns: year month day hour minute second": self.format
+            == "parts"
+            and len(self.names) != 6,
+            f"format '{self.format}' needs one column": self.format in ("epoch", "elapsed")
+            and len(self.names) > 1,
+            "format 'elapsed' and start = ... go together": (self.format == "elapsed")
+            != (self.start is not None),
+            f"format '{self.format}' is none of 'iso', 'epoch', 'elapsed', 'parts' and no"
+            " pattern such as '%d.%m.%Y %H:%M:%S'": patterned and "%" not in self.format,
+            "date is for a pattern that holds the time of day only": self.date is not None
+            and not (patterned and "%d" not in self.format),
+        }
+        problems: list[str | None] = [problem for problem, at_fault in faults.items() if at_fault]
+        refuse([*problems, problem_of(_check_timezone, self.timezone)])
+        return self
+
+
+def _check_timezone(name: str) -> None:
+    import pandas as pd
+
+    try:
+        pd.Timestamp(0, tz=name)
+    except Exception:  # noqa: BLE001 - pandas raises what its zone library raises
+        raise ValueError(
+            f"timezone '{name}' is not known; for example 'UTC', 'Europe/Zurich' or '+02:00'"
+        ) from None
+
+
+class RideOptions(Strict):
+    """A table of rides that cuts the fixes of several devices into trips ([rides]).
+
+    Attributes
+    ----------
+    fixes, table : str
+        Names of the two files, which stand in one folder.
+    device : str
+        Column of both that says whose row it is.
+    begin, end : str
+        Columns of a ride's begin and end, times in the zone of [time].
+    name : list of str
+        Columns that name the ride.
+    only : dict of str to list of str
+        Rides that are used: those with one of these words in that column.
+    selection : str
+        What `only` selects, in words, for the report.
+    least_movement : Quantity, optional
+        Distance between the furthest fixes below which the device did not move.
+    metadata : dict of str to str
+        Columns that become metadata of the trip; those under `only` in lower case.
+    """
+
+    fixes: str
+    table: str
+    device: str
+    begin: str
+    end: str
+    name: tuple[str, ...] = ()
+    only: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+    selection: str = ""
+    least_movement: Quantity | None = None
+    metadata: dict[str, str] = Field(default_factory=dict)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns of the table of rides that are used."""
+        used = (self.device, *self.only, *self.name, self.begin, self.end, *self.metadata.values())
+        return tuple(dict.fromkeys(used))
+
+    @pydantic.model_validator(mode="after")
+    def _units(self) -> Self:
+        if self.least_movement is not None:
+            check_unit("least_movement", self.least_movement.unit, "m")
+        return self
+
+
+class LoadColumn(Strict):
+    """A column that holds the load of the trip, and its unit."""
+
+    column: str
+    unit: str
+
+    @pydantic.model_validator(mode="after")
+    def _units(self) -> Self:
+        check_unit("load", self.unit, "kg")
+        return self
+
+
+class WeatherColumn(Strict):
+    """A column that holds the rail's condition.
+
+    Attributes
+    ----------
+    column : str
+    words : dict of str to str
+        The condition, such as ``"dry"``, that each of the file's words means; others are taken as
+        they are.
+    """
+
+    column: str
+    words: dict[str, str] = Field(default_factory=dict)
+
+    @pydantic.model_validator(mode="after")
+    def _known(self) -> Self:
+        refuse(problem_of(check_condition, word) for word in self.words.values())
+        return self
+
+
+class TripColumns(Strict):
+    """Columns that state what holds for a trip ([trip.columns]).
+
+    Attributes
+    ----------
+    number : str, optional
+        Column that numbers the trips: each block of rows of one number is a trip of its own.
+    load : LoadColumn, optional
+    weather : WeatherColumn, optional
+    line : str, optional
+        Column with the number of the line that the position of a row is the kilometre of; for
+        recordings on a network.
+    stations : str, optional
+        Column that names the stations of the trip's route one after the other, an empty cell being
+        the one before; for recordings on a network.
+    """
+
+    number: str | None = None
+    load: LoadColumn | None = None
+    weather: WeatherColumn | None = None
+    line: str | None = None
+    stations: str | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The columns of the file that are needed."""
+        found = (
+            self.number,
+            self.load and self.load.column,
+            self.weather and self.weather.column,
+            self.line,
+            self.stations,
+        )
+        return tuple(dict.fromkeys(name for name in found if name))
+
+
+class TripOptions(Strict):
+    """What holds for the whole trip ([trip]).
+
+    Attributes
+    ----------
+    name, train, line, clock : str, optional
+    direction : {"forward", "reverse"}, optional
+        Along the line as its file gives it.
+    weather : str, optional
+        The rail's condition, such as ``"dry"``, ``"wet"`` or ``"leaves"``.
+    load, mass : Quantity, optional
+        Load, or mass of the loaded train without the rotating part (needs the train).
+    start_position : Quantity or "stations", optional
+        Where the first row's position is; the recorded one then counts from an arbitrary 0.
+        ``"stations"``: where the stops lie at stations of the line that is given.
+    columns : TripColumns
+        Columns that state facts of each trip.
+    """
+
+    name: str | None = None
+    train: str | None = None
+    line: str | None = None
+    clock: str | None = None
+    direction: Literal["forward", "reverse"] | None = None
+    weather: str | None = None
+    load: Quantity | None = None
+    mass: Quantity | None = None
+    start_position: Quantity | Literal["stations"] | None = None
+    columns: TripColumns = TripColumns()
+
+    @pydantic.model_validator(mode="after")
+    def _units(self) -> Self:
+        problems: list[str | None] = []
+        for name, unit in (("load", "kg"), ("mass", "kg"), ("start_position", "m")):
+            quantity: Quantity | Literal["stations"] | None = getattr(self, name)
+            if isinstance(quantity, Quantity):
+                problems.append(problem_of(check_unit, name, quantity.unit, unit))
+        if self.weather is not None:
+            problems.append(problem_of(check_condition, self.weather))
+        if self.load is not None and self.mass is not None:
+            problems.append("give load or mass, not both")
+        refuse(problems)
+        refuse(
+            str(problem)
+            for name, field in _PLAUSIBLE.items()
+            if (quantity := getattr(self, name)) is not None
+            for problem in form_for(Train, field).implausible(quantity.si("kg"), name)
+        )
+        return self
+
+
+class Limit(Strict):
+    """What a field can be: bounds, and how fast it can change (`unit`; `rate` in `unit`/s).
+
+    The table of topics has the same in SI: `trainlog.topics.Bounds`.
+    """
+
+    unit: str
+    min: float | None = None
+    max: float | None = None
+    rate: float | None = Field(default=None, gt=0.0)
+    tolerance: float | None = Field(default=None, ge=0.0)
+
+    def bounds(self, si: str) -> Bounds:
+        """The same in the SI unit."""
+        slope, offset = factor(self.unit, si or "1")
+        return Bounds(
+            -math.inf if self.min is None else self.min * slope + offset,
+            math.inf if self.max is None else self.max * slope + offset,
+            math.inf if self.rate is None else self.rate * slope,
+            (self.tolerance or 0.0) * slope,
+        )
+
+
+class Limits(Strict):
+    """Thresholds of the rules ([limits]).
+
+    Attributes
+    ----------
+    sort_within : float [s]
+        Rows out of order by no more than this are sorted in, others dropped.
+    pause : float [s]
+        A pause beyond it, without rows or at standstill, parts two trips.
+    gap : float [s], optional
+        Time between two rows that counts as a gap; default five usual steps, at least 1 s.
+    not_before : date, optional
+        Day before which this recorder did not exist: earlier dates are 1024 weeks off, or twice.
+    columns : dict of str to Limit
+        By ``"/topic.field"``, in place of the bounds in the table of topics.
+    """
+
+    sort_within: float = Field(default=10.0, ge=0.0)
+    pause: float = Field(default=21_600.0, gt=0.0)
+    gap: float | None = Field(default=None, gt=0.0)
+    not_before: datetime.date | None = None
+    columns: dict[str, Limit] = Field(default_factory=dict)
+
+    @pydantic.model_validator(mode="after")
+    def _known(self) -> Self:
+        refuse(problem_of(_check_limit, name, limit) for name, limit in self.columns.items())
+        return self
+
+    def of(self, name: str) -> Bounds:
+        """Bounds [SI] of a column ``"/topic.column"``: the profile's, else the topic table's."""
+        limit = self.columns.get(base_name(name))
+        item = field_of(name)[2]
+        return item.bounds if limit is None else limit.bounds(item.unit)
+
+
+def _check_limit(name: str, limit: Limit) -> None:
+    check_unit(name, limit.unit, known_field(name).unit)
+
+
+class Repair(Strict):
+    """Which rules apply ([repair]); each can be switched off. See `trainlog.ingest.rules`."""
+
+    truncated_rows: bool = True
+    damaged_messages: bool = True
+    not_a_number: bool = True
+    empty: bool = True
+    newest_first: bool = True
+    before_first_fix: bool = True
+    time_unreadable: bool = True
+    clock_step: bool = True
+    clock_step_suspected: bool = True
+    clock_jump: bool = True
+    time_backwards: bool = True
+    duplicates: bool = True
+    subsecond: bool = True
+    same_time: bool = True
+    no_fix: bool = True
+    out_of_limits: bool = True
+    counter: bool = True
+    spikes: bool = True
+    frozen: bool = True
+    position_steps: bool = True
+    inconsistent: bool = True
+    unit_suspected: bool = True
+    quantised: bool = True
+    gaps: bool = True
+    direction: bool = True
+    contradicted: bool = True
+    off_line: bool = True
+    slip: bool = True
+    position_offset: bool = True
+
+    @property
+    def switched_off(self) -> tuple[str, ...]:
+        """Names of the rules that are off."""
+        return tuple(name for name in type(self).model_fields if not getattr(self, name))
+
 
 _ASSUMED = re.compile(r"(?P<zone>\S+) assumed: ")
 

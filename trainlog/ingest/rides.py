@@ -23,8 +23,7 @@ from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.ingest.mapping import recording_of, wanted_columns
 from trainlog.ingest.parts import part_of, with_cut_lines
-from trainlog.ingest.profile import Profile
-from trainlog.ingest.profile_parts import RideOptions
+from trainlog.ingest.profile import Profile, RideOptions
 from trainlog.ingest.recording import METRES_PER_DEGREE, NO_TIME, Recording, Table
 from trainlog.ingest.tabular import open_text
 

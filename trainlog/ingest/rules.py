@@ -18,7 +18,7 @@ from trainlog.ingest.clock import Result, gap_threshold, has_fix
 from trainlog.ingest.clock_steps import suspect_clock_steps, undo_clock_steps
 from trainlog.ingest.counters import report_steps, unwrap_counters
 from trainlog.ingest.frozen import blank_frozen
-from trainlog.ingest.profile_parts import Limits, Repair
+from trainlog.ingest.profile import Limits, Repair
 from trainlog.ingest.recording import (
     METRES_PER_DEGREE,
     NO_TIME,

@@ -8,7 +8,7 @@ import numpy as np
 
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from trainlog.ingest.clock import Result
-from trainlog.ingest.profile_parts import Limits
+from trainlog.ingest.profile import Limits
 from trainlog.ingest.recording import METRES_PER_DEGREE, Finding, Table, base_name
 from trainlog.units import NANOSECONDS
 

@@ -24,9 +24,7 @@ from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.ingest.mapping import recording_of, wanted_columns
 from trainlog.ingest.nmea import Epochs
-from trainlog.ingest.profile import Profile
-from trainlog.ingest.profile_checks import suggestion
-from trainlog.ingest.profile_columns import WORDS
+from trainlog.ingest.profile import WORDS, Profile, suggestion
 from trainlog.ingest.recording import NO_TIME, Cells, Finding, Messages, Recording, Table, field_of
 from trainlog.ingest.tagged import NAV_PVT, NAV_PVT_HEAD, fixes_of_pvt
 from trainlog.topics import TOPICS

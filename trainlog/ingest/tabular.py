@@ -22,9 +22,7 @@ from trainlog.arrays import IntArray
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.ingest.mapping import columns_left, recording_of, wanted_columns
-from trainlog.ingest.profile import Profile
-from trainlog.ingest.profile_checks import MismatchError, suggestion
-from trainlog.ingest.profile_parts import FileOptions
+from trainlog.ingest.profile import FileOptions, MismatchError, Profile, suggestion
 from trainlog.ingest.recording import SHOWN_ROWS, Cells, Finding, Raw, Recording
 
 MAX_RAGGED = 0.5

@@ -22,9 +22,7 @@ from trainlog.errors import InputError
 from trainlog.extras import load
 from trainlog.ingest.mapping import elapsed_time, from_parts, read_time, recording_of
 from trainlog.ingest.nmea import epochs_of
-from trainlog.ingest.profile import Profile
-from trainlog.ingest.profile_columns import LineOptions, Payload
-from trainlog.ingest.profile_parts import TimeOptions
+from trainlog.ingest.profile import LineOptions, Payload, Profile, TimeOptions
 from trainlog.ingest.recording import (
     NO_TIME,
     SHOWN_ROWS,

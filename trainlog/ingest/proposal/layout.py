@@ -21,7 +21,7 @@ from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.formats.files import read_bytes
 from trainlog.ingest.mapping import numbers
-from trainlog.ingest.profile_parts import MISSING, FileOptions
+from trainlog.ingest.profile import MISSING, FileOptions
 from trainlog.ingest.proposal.vocabulary import unit_of
 from trainlog.ingest.tabular import is_parquet, open_text
 

@@ -16,8 +16,7 @@ from trainlog.errors import InputError
 from trainlog.formats.declared import toml_value
 from trainlog.ingest.parts import parts_of
 from trainlog.ingest.placing import OVERRUN, placed
-from trainlog.ingest.profile import Profile, parse_profile
-from trainlog.ingest.profile_parts import MISSING, Limits, Repair, TimeOptions
+from trainlog.ingest.profile import MISSING, Limits, Profile, Repair, TimeOptions, parse_profile
 from trainlog.ingest.proposal.columns import EITHER_BRAKE, columns_of
 from trainlog.ingest.proposal.layout import Layout, Reading, layout_of
 from trainlog.ingest.proposal.times import Clock, clock_of

@@ -14,7 +14,7 @@ import pyarrow as pa
 from trainlog.arrays import IntArray
 from trainlog.errors import InputError
 from trainlog.ingest.mapping import read_time
-from trainlog.ingest.profile_parts import TimeOptions
+from trainlog.ingest.profile import TimeOptions
 from trainlog.ingest.proposal.layout import Layout, Reading
 from trainlog.ingest.proposal.vocabulary import (
     Meaning,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from trainlog.arrays import IntArray
 from trainlog.ingest.parts import CONSTANT, LEAST_GROUP
-from trainlog.ingest.profile_parts import LoadColumn, TripColumns, WeatherColumn
+from trainlog.ingest.profile import LoadColumn, TripColumns, WeatherColumn
 from trainlog.ingest.proposal.layout import Reading
 from trainlog.ingest.proposal.vocabulary import plain, split_unit, words_of
 from trainlog.ingest.proposal.work import TripFacts, Work

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from trainlog.arrays import FloatArray
-from trainlog.ingest.profile_parts import TripColumns
+from trainlog.ingest.profile import TripColumns
 from trainlog.ingest.proposal.layout import Layout, Reading
 from trainlog.ingest.proposal.motion import (
     Motion,
@@ -18,7 +18,7 @@ from trainlog.railway.train import Train
 
 @dataclass(frozen=True, slots=True)
 class Proposed:
-    """A field of our topics, and what it is read from, as in `profile_columns.Column`.
+    """A field of our topics, and what it is read from, as in `trainlog.ingest.profile.Column`.
 
     Attributes
     ----------
