@@ -324,16 +324,12 @@ def _connection(
                 paths += analysis.paths
                 _view(connection, name, analysis, len(paths))
             else:
-                connection.register(name, _TABLES[name](database, named, empty))
-        _confine(connection, paths)
+                connection.register(name, _table(database, *_TABLES[name], named, empty))
+        # These files alone are read.
+        connection.execute(f"SET allowed_paths = [{', '.join(map(_quoted, paths))}]")
+        for setting in ("enable_external_access = false", "lock_configuration = true"):
+            connection.execute(f"SET {setting}")
         yield connection
-
-
-def _confine(connection: duckdb.DuckDBPyConnection, paths: list[str]) -> None:
-    """Let a connection read these files alone."""
-    connection.execute(f"SET allowed_paths = [{', '.join(map(_quoted, paths))}]")
-    for setting in ("enable_external_access = false", "lock_configuration = true"):
-        connection.execute(f"SET {setting}")
 
 
 def _results_of(database: Database, analysis: str) -> _Analysis:
@@ -391,23 +387,21 @@ _EDGES = {
 }
 
 
-def _trips(database: Database, named: _Named, empty: bool) -> pa.Table:
-    asked = sa.select(trips.c.key).where(trips.c.standing == "counts").order_by(trips.c.key)
-    return _table(database, asked, _TRIPS, named, empty)
-
-
-def _files(database: Database, named: _Named, empty: bool) -> pa.Table:
-    asked = sa.select(files.c.path).outerjoin(trips, trips.c.id == files.c.trip)
-    return _table(database, asked.order_by(files.c.path, files.c.sha256), _FILES, named, empty)
-
-
-def _edges(database: Database, named: _Named, empty: bool) -> pa.Table:
-    asked = sa.select(trips.c.key).join(trip_edges, trips.c.id == trip_edges.c.trip)
-    asked = asked.where(trips.c.standing == "counts").order_by(trips.c.key, trip_edges.c.place)
-    return _table(database, asked, _EDGES, named, empty)
-
-
-_TABLES = {"trips": _trips, "files": _files, "edges": _edges}
+_COUNTING = sa.select(trips.c.key).where(trips.c.standing == "counts").order_by(trips.c.key)
+_TABLES: dict[str, tuple[sa.Select[Any], Mapping[str, tuple[Any, str]]]] = {
+    "trips": (_COUNTING, _TRIPS),
+    "files": (
+        sa.select(files.c.path)
+        .outerjoin(trips, trips.c.id == files.c.trip)
+        .order_by(files.c.path, files.c.sha256),
+        _FILES,
+    ),
+    "edges": (
+        _COUNTING.join(trip_edges, trips.c.id == trip_edges.c.trip).order_by(trip_edges.c.place),
+        _EDGES,
+    ),
+}
+"""Statement and columns of each table of the database that a statement of SQL can name."""
 
 
 def _table(

@@ -550,7 +550,8 @@ class Database:
         return url.set(drivername="postgresql+psycopg").difference_update_query(["schema"])
 
     def _engine(self, url: URL) -> sa.Engine:
-        engine = sa.create_engine(url, pool_size=2, connect_args=self._arguments())
+        waits = {"connect_timeout": 10} if self.is_server else {"timeout": PATIENCE}
+        engine = sa.create_engine(url, pool_size=2, connect_args=waits)
 
         @event.listens_for(engine, "connect")
         def connected(connection: Any, _: Any) -> None:
@@ -572,9 +573,6 @@ class Database:
                 connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
         return engine
-
-    def _arguments(self) -> dict[str, Any]:
-        return {"connect_timeout": 10} if self.is_server else {"timeout": PATIENCE}
 
     def _prepare(self, results: str | Path | None, create: bool) -> None:
         """Make the tables if need be, check their version, find the folder of the results."""

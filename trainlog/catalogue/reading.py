@@ -171,7 +171,8 @@ def _entry(trip: Trip, span: tuple[float, float] | None, contents: Contents) -> 
     filled = [chunk for chunk in contents.chunks if chunk.counts]
     start = min(chunk.start for chunk in filled)
     end = max(chunk.end for chunk in filled)
-    line = _line_of(trip)
+    data = trip.attachments.get(LINE_ATTACHMENT)
+    line = None if data is None else _line(data, known.get("direction") == "reverse")
     identity = identity_of(trip)
     km = _km(line, span)
     values = {
@@ -193,7 +194,11 @@ def _entry(trip: Trip, span: tuple[float, float] | None, contents: Contents) -> 
         "passport": _passport(trip),
         "quality": "whole" if account.whole else "unclosed" if account.only_unclosed else "damaged",
         "damage": "" if account.whole else account.sentence,
-        "repairs": _repairs(known),
+        "repairs": sum(
+            int(value)
+            for key, value in known.items()
+            if key.startswith("repair.") and value.isdecimal()
+        ),
         "samples": 0 if identity is None else identity.samples,
         "messages": account.messages,
         "software": known.get("software"),
@@ -201,15 +206,9 @@ def _entry(trip: Trip, span: tuple[float, float] | None, contents: Contents) -> 
     return LogEntry(values, _edges(values, line, span), identity)
 
 
-def _line_of(trip: Trip) -> Line | None:
-    """The line that a log carries, as travelled; None where there is none that can be read."""
-    data = trip.attachments.get(LINE_ATTACHMENT)
-    return None if data is None else _line(data, trip.metadata.get("direction") == "reverse")
-
-
 @lru_cache(maxsize=64)
 def _line(data: bytes, backwards: bool) -> Line | None:
-    """A line from its file; trips of a fleet share their lines."""
+    """A line from its file, as travelled, if it can be read; trips of a fleet share their lines."""
     with suppress(TrainlogError):
         line = line_from_bytes(data)
         return line.reversed() if backwards else line
@@ -262,12 +261,6 @@ def _passport(trip: Trip) -> dict[str, float]:
                 if isinstance(value, int | float) and math.isfinite(value):
                     found[name] = float(value)
     return found
-
-
-def _repairs(known: Mapping[str, str]) -> int:
-    """How often a rule of repair was applied when the recording was ingested."""
-    counts = (value for key, value in known.items() if key.startswith("repair."))
-    return sum(int(value) for value in counts if value.isdecimal())
 
 
 def _bare(error: TrainlogError, path: str) -> str:

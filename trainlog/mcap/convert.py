@@ -684,7 +684,8 @@ def _chunk(source: Source, place: ChunkPlace) -> Chunk:
     """The chunk as it is stored, or made again without messages that no channel explains."""
     chunk = fetched(source, place)
     content = opened(chunk)
-    index = tally(content, _index(source, place), place.offset).index
+    given = fetched_index(source, place, place.counts) if place.indexes else {}
+    index = tally(content, given, place.offset).index
     kept = {channel: entries for channel, entries in index.items() if channel in place.counts}
     if place.loose or len(kept) < len(index):
         return packed(_only(content, kept))
@@ -697,11 +698,6 @@ def _chunk(source: Source, place: ChunkPlace) -> Chunk:
         end=place.end,
         index=kept,
     )
-
-
-def _index(source: Source, place: ChunkPlace) -> Index:
-    """The message index of a chunk as the file has it; empty if it has none."""
-    return fetched_index(source, place, place.counts) if place.indexes else {}
 
 
 def _only(content: bytes, index: Index) -> Chunk:

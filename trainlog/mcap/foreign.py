@@ -712,7 +712,8 @@ def _definitions(name: str, data: bytes, dialect: Dialect) -> str:
         if not head.startswith("MSG:"):
             raise UndecodableError("a part of the schema does not say which message it defines")
         sections.append((head.removeprefix("MSG:").strip(), body))
-    known = {_short(each) for each, _ in sections}
+    # ``package/Name`` of a message, also if given as ``package/msg/Name``.
+    known = {f"{each.partition('/')[0]}/{each.rpartition('/')[2]}" for each, _ in sections}
     sections += [(each, body) for each, body in _BUILT_IN[dialect].items() if each not in known]
     texts, count = [], 0
     for message, body in sections:
@@ -749,12 +750,6 @@ def _fields(message: str, body: str, known: set[str], dialect: Dialect) -> list[
         array = "" if match["array"] is None else f"[{size if fixed else ''}]"
         fields[match["name"]] = f"{kind}{array} {match['name']}"
     return list(fields.values())
-
-
-def _short(name: str) -> str:
-    """``package/Name`` of a message, also if given as ``package/msg/Name``."""
-    parts = name.split("/")
-    return f"{parts[0]}/{parts[-1]}" if len(parts) > 2 else name
 
 
 @dataclass(frozen=True)
@@ -847,7 +842,7 @@ def _ros_reader(
                 readers[element] = _ros_reader(element, types, readers)
             one = readers[element]
         if kind == _SEQUENCE and element[0] in ("int8", "uint8"):
-            plain: _Plain = _blob
+            plain: _Plain = lambda _: BYTES  # noqa: E731
         else:
             plain = one if kind in (_BASE, _NESTED) else partial(_listed, one=one)
         # rosbags puts a line under names that Python needs itself.
@@ -861,7 +856,3 @@ def _ros_reader(
         }
 
     return read
-
-
-def _blob(values: Any) -> Unexpanded:  # noqa: ARG001
-    return BYTES

@@ -473,7 +473,9 @@ class Recording:
             try:
                 streams = self._streams(rows, events)
                 for counts in self._file.put(streams):
-                    self._count(counts)
+                    with self._lock:
+                        for name, count in counts.items():
+                            self._written[name] = self._written.get(name, 0) + count
                 if self._observers and streams:
                     self._show(streams, events)
             except MemoryError:
@@ -545,11 +547,6 @@ class Recording:
             except Exception as error:  # noqa: BLE001 - whatever a user's function raises
                 self._observers.remove(observer)
                 warnings.warn(f"{observer!r} failed and is not called again: {error}", stacklevel=1)
-
-    def _count(self, counts: dict[str, int]) -> None:
-        with self._lock:
-            for name, count in counts.items():
-                self._written[name] = self._written.get(name, 0) + count
 
     def _fail(self, error: OSError) -> None:
         """End the recording because the file cannot be written; what is whole in it stays."""

@@ -38,7 +38,6 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
-from numpy.typing import NDArray
 
 from trainlog.arrays import UintArray
 from trainlog.errors import InputError, LogError
@@ -571,7 +570,10 @@ def _others(content: bytes, given: Index) -> list[tuple[int, memoryview]] | None
         return None
     order = np.argsort(start, kind="stable")
     channel, time, start = channel[order], time[order], start[order].astype(np.int64)
-    rows = _heads(content)[start].view(_HEAD)
+    # Every window of the content that is as long as a message's head.
+    size = _HEAD.itemsize
+    windows = np.ndarray((len(content) - size + 1,), f"V{size}", content, 0, (1,))
+    rows = windows[start].view(_HEAD)
     length = rows["length"]
     if (
         np.any(length > len(content))
@@ -595,12 +597,6 @@ def _others(content: bytes, given: Index) -> list[tuple[int, memoryview]] | None
             if opcode in DECLARATIONS:
                 found.append((opcode, body))
     return found
-
-
-def _heads(content: bytes) -> NDArray[np.void]:
-    """Every window of the content that is as long as a message's head."""
-    size = _HEAD.itemsize
-    return np.ndarray((len(content) - size + 1,), f"V{size}", content, 0, (1,))
 
 
 _VECTOR = np.zeros(64)

@@ -17,6 +17,7 @@ from trainlog.ingest.proposal.layout import Layout, Reading
 from trainlog.ingest.proposal.motion import (
     AMBIGUOUS,
     FASTEST,
+    SCALES,
     Answer,
     Motion,
     Position,
@@ -818,7 +819,10 @@ def _possible_fixes(work: Work, speed: FloatArray | None) -> list[Position]:
         for name in (*north, *east):
             work.left[name] = "latitude without longitude, or the other way round"
         return []
-    first, second = _without_zero(work.numbers[north[0]], work.numbers[east[0]])
+    first, second = work.numbers[north[0]], work.numbers[east[0]]
+    # A receiver without a fix gives zero for both.
+    absent = (first == 0.0) & (second == 0.0)
+    first, second = np.where(absent, np.nan, first), np.where(absent, np.nan, second)
     return positions_of(work.motion, ((north[0], first), (east[0], second)), speed)
 
 
@@ -835,12 +839,6 @@ def _with_fixes(question: Question, places: list[Position]) -> tuple[Position | 
     return likely[best], close[0] if close else "", answers[best]
 
 
-def _without_zero(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Two columns without the rows in which both are zero: a receiver without a fix."""
-    absent = (first == 0.0) & (second == 0.0)
-    return np.where(absent, np.nan, first), np.where(absent, np.nan, second)
-
-
 def _add_fixes(work: Work, place: Position | None, other: str) -> None:
     names = [work.first(role) for role in (roles.LATITUDE, roles.LONGITUDE)]
     if place is None:
@@ -855,9 +853,8 @@ def _add_fixes(work: Work, place: Position | None, other: str) -> None:
             remedy="does it hold several devices or rides? Give a file of one",
         )
     check = f"the fixes move at up to {KMH * place.speed:.0f} km/h"
-    exact = {"1e-7 degrees": 1e-7, "1e-6 degrees": 1e-6, "1e-5 degrees": 1e-5}
-    fine = {"seconds of arc": 1.0 / 3600.0, "milliseconds of arc": 1.0 / 3.6e6}
-    scale = (exact | fine | {"semicircles": 180.0 / 2.0**31}).get(place.scale, 1.0)
+    plain = place.scale in ("degrees", "radians", "degrees and minutes")
+    scale = 1.0 if plain else SCALES[place.scale][0]
     unit = "rad" if place.scale == "radians" else "deg"
     notation: Literal["number", "degrees_minutes"] = (
         "degrees_minutes" if place.scale == "degrees and minutes" else "number"

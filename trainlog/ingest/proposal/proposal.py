@@ -194,7 +194,10 @@ def propose_profile(
     }
     clock = clock_of(layout, meanings)
     work = columns_of(layout, clock, meanings, train)
-    proposed = sorted(work.proposed.values(), key=lambda each: _order(each.field))
+    # Those of a recorder's own come last.
+    known = [f"{topic.name}.{item.name}" for topic in TOPICS.values() for item in topic.fields]
+    places = {name: place for place, name in enumerate(known)}
+    proposed = sorted(work.proposed.values(), key=lambda each: places.get(each.field, len(known)))
     not_used = layout.unnamed | {
         name: work.left[name] for name in layout.names if name in work.left
     }
@@ -234,12 +237,6 @@ def needs_profile(path: Path, format: str | None = None) -> bool:
     (True, False)
     """
     return format_of(path, format).name in TABLES and own_profile(path) is None
-
-
-def _order(field: str) -> int:
-    """Place of a field in the table of topics; those of a recorder's own come last."""
-    known = [f"{topic.name}.{item.name}" for topic in TOPICS.values() for item in topic.fields]
-    return known.index(field) if field in known else len(known)
 
 
 def _evidence(proposed: list[Proposed]) -> pd.DataFrame:
@@ -407,25 +404,23 @@ def _toml(
     return "\n".join([*lines, *trip_lines(work.trips)])
 
 
+def _key(name: str, value: Any, why: str = "") -> str:
+    """A line that states a value, and why."""
+    return f"{name} = {toml_value(value)}" + (f"  # {_plain(why)}" if why else "")
+
+
 def _file_section(layout: Layout, found: dict[str, Reading]) -> list[str]:
-    lines = ["[file]", f"format = {toml_value(layout.format)}"]
-    if layout.format != "csv":
-        return [*lines, ""]
     options = layout.options
-    for key, what in (
-        ("encoding", "encoding"), ("delimiter", "delimiter"), ("decimal", "decimal mark"),
-    ):  # fmt: skip
-        value = toml_value(getattr(options, key))
-        lines.append(f"{key} = {value}  # {_plain(found[what].why)}")
-    lines.append(f"header = {options.header if options.header is not None else 1}")
-    if options.skip_after_header:
-        units = found.get("units")
-        note = f"  # a line of units: {_plain(units.why)}" if units else ""
-        lines.append(f"skip_after_header = {options.skip_after_header}{note}")
-    if options.missing != MISSING:
-        lines.append(
-            f"missing = {toml_value(options.missing)}  # {_plain(found['missing values'].why)}"
-        )
+    lines = ["[file]", _key("format", layout.format)]
+    if layout.format == "csv":
+        whats = {"encoding": "encoding", "delimiter": "delimiter", "decimal": "decimal mark"}
+        lines += [_key(key, getattr(options, key), found[what].why) for key, what in whats.items()]
+        lines.append(_key("header", 1 if options.header is None else options.header))
+        if options.skip_after_header:
+            note = f"a line of units: {found['units'].why}" if "units" in found else ""
+            lines.append(_key("skip_after_header", options.skip_after_header, note))
+        if options.missing != MISSING:
+            lines.append(_key("missing", options.missing, found["missing values"].why))
     return [*lines, ""]
 
 
@@ -436,20 +431,18 @@ def _time_section(clock: Clock) -> list[str]:
         if reading.alternative:
             lines += _wrapped(f"open: or {reading.alternative}")
     options = clock.options
-    if options.column is not None:
-        lines.append(f"column = {toml_value(options.column)}")
-    else:
-        lines.append(f"columns = {toml_value(options.columns)}")
+    single = options.column is not None
+    lines.append(_key("column", options.column) if single else _key("columns", options.columns))
     default = TimeOptions(column="time")
     for key in ("format", "unit", "timezone"):
         value = getattr(options, key)
         if value != getattr(default, key) or (key == "timezone" and options.format != "epoch"):
-            lines.append(f"{key} = {toml_value(value)}")
+            lines.append(_key(key, value))
     if any(each.what == "time zone" and each.alternative for each in clock.readings):
         lines += [
-            "# Trips state this assumption. Correct timezone, or remove this line if it is right:"
+            "# Trips state this assumption. Correct timezone, or remove this line if it is right:",
+            _key("assumed_timezone", options.timezone),
         ]
-        lines.append(f"assumed_timezone = {toml_value(options.timezone)}")
     if isinstance(options.start, datetime.datetime):
         lines.append(f"start = {options.start.isoformat()}")
     if options.date is not None:
@@ -461,17 +454,13 @@ def _column_lines(each: Proposed) -> list[str]:
     lines = _wrapped(said(each.why, each.check))
     if each.alternative:
         lines += _wrapped(f"open: or {each.alternative}")
-    if each.field.startswith("/train/axles."):
-        keys = [f"columns = {toml_value(each.columns)}"]
-    else:
-        keys = [f"column = {toml_value(each.columns[0])}"]
-    if each.unit:
-        keys.append(f"unit = {toml_value(each.unit)}")
+    several = each.field.startswith("/train/axles.")
+    keys: dict[str, Any] = {"columns": each.columns} if several else {"column": each.columns[0]}
+    keys |= {"unit": each.unit} if each.unit else {}
     for item in fields(each):
-        value = getattr(each, item.name)
-        if item.name in STATED and value != item.default:
-            keys.append(f"{item.name} = {toml_value(value)}")
-    return [*lines, f'"{each.field}" = {{ {", ".join(keys)} }}']
+        if item.name in STATED and getattr(each, item.name) != item.default:
+            keys[item.name] = getattr(each, item.name)
+    return [*lines, f'"{each.field}" = {toml_value(keys)}']
 
 
 def _plain(text: str) -> str:

@@ -10,6 +10,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from trainlog.arrays import IntArray
+from trainlog.formats.declared import toml_value
 from trainlog.ingest.parts import CONSTANT, LEAST_GROUP
 from trainlog.ingest.profile import LoadColumn, TripColumns, WeatherColumn
 from trainlog.ingest.proposal.layout import Reading
@@ -158,24 +159,18 @@ def trip_lines(facts: TripFacts) -> list[str]:
     found = {reading.what: reading for reading in facts.readings}
     lines: list[str] = []
     if columns.number is not None:
-        lines += [f"# {found['trips'].why}", f"number = {_quoted(columns.number)}"]
+        lines += [f"# {found['trips'].why}", f"number = {toml_value(columns.number)}"]
     if columns.load is not None:
         lines.append(f"# {found['load'].why}")
         if found["load"].alternative:
             lines.append(f"# open: or {found['load'].alternative}")
-        pair = f"column = {_quoted(columns.load.column)}, unit = {_quoted(columns.load.unit)}"
-        lines.append(f"load = {{ {pair} }}")
+        pair = {"column": columns.load.column, "unit": columns.load.unit}
+        lines.append(f"load = {toml_value(pair)}")
     if columns.weather is not None:
         words = columns.weather.words.items()
-        shown = ", ".join(f"{_quoted(word)} = {_quoted(meant)}" for word, meant in words)
+        shown = ", ".join(f"{toml_value(word)} = {toml_value(meant)}" for word, meant in words)
         lines.append(f"# {found['weather'].why}")
         lines.append(
-            f"weather = {{ column = {_quoted(columns.weather.column)}, words = {{ {shown} }} }}"
+            f"weather = {{ column = {toml_value(columns.weather.column)}, words = {{ {shown} }} }}"
         )
     return ["", "[trip.columns]", *lines] if lines else []
-
-
-def _quoted(text: str) -> str:
-    import json
-
-    return json.dumps(text, ensure_ascii=False)
