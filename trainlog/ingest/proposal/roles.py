@@ -45,6 +45,38 @@ _UNPLACED = {
 }
 
 
+_RULES: tuple[tuple[str, str, str, str | None, str], ...] = (
+    ("speed", "limit", "", "/environment.speed_limit", ""),
+    ("speed", "demand", "", None, f"{NO_FIELD} a speed that is asked for, not driven"),
+    ("speed", "wheel", "", WHEEL_SPEED, ""),
+    ("speed", "satellite", "", GNSS_SPEED, ""),
+    ("speed", "", "", SPEED, ""),
+    ("rotation", "", "", WHEEL_SPEED, ""),
+    ("distance", "wheel", "", None, "no distance of the train"),
+    ("distance", "limit", "", None, "no distance of the train"),
+    ("distance", "demand", "", None, "no distance of the train"),
+    ("distance", "remaining", "", None, "a distance that is left, whose end is not known"),
+    ("distance", "", "", POSITION, ""),
+    ("lever", "", "", LEVER, ""),
+    ("torque", "", "", TORQUE, ""),
+    ("effort", "limit", "", None, "the effort that is available, not the one applied"),
+    ("effort", "demand wheel", "", None, "an effort that is asked for"),
+    ("effort", "demand brake traction", "", None, "an effort that is asked for"),
+    ("effort", "demand brake", "", BRAKING_DEMAND, ""),
+    ("effort", "demand", "", TRACTION_DEMAND, ""),
+    ("effort", "wheel", "brake", WHEEL_EFFORT, ""),
+    ("effort", "wheel numbered", "pneumatic", WHEEL_EFFORT, ""),
+    ("effort", "traction braking", "", SIGNED, ""),
+    ("effort", "traction", "", TRACTION, ""),
+    ("effort", "pneumatic", "", PNEUMATIC, ""),
+    ("effort", "electric", "", DYNAMIC, ""),
+    ("effort", "braking", "", BRAKING, ""),
+    ("effort", "", "", SIGNED, ""),
+)
+"""Quantity, qualifiers that a name has and those that it has not, role, and why it has none; the
+first that fits counts. ``wheel`` stands for an axle or a motor, ``brake`` for any brake."""
+
+
 def role_of(meaning: Meaning) -> tuple[str | None, str]:
     """The field or role of a column, and, where it has none, why.
 
@@ -61,8 +93,15 @@ def role_of(meaning: Meaning) -> tuple[str | None, str]:
         return None, UNKNOWN
     if meaning.coverage < 0.5:
         return None, f"its name is hardly known ('{quantity}' is a part of it)"
-    if quantity in ("speed", "rotation", "distance", "effort", "torque", "lever"):
-        return _composed(quantity, meaning)
+    words = meaning.qualifiers | ({"numbered"} if meaning.index is not None else set())
+    words |= {"wheel"} if words & {"axle", "motor"} else set()
+    words |= {"brake"} if words & {"braking", "electric", "pneumatic"} else set()
+    for rule, has, has_not, role, why in _RULES:
+        if rule == quantity:
+            if "deviation" in words:
+                return None, f"an error or a difference ({quantity})"
+            if words.issuperset(has.split()) and words.isdisjoint(has_not.split()):
+                return role, why
     meant = {
         named(recorded.qualifier): target
         for target, _, recorded in recorded_fields()
@@ -78,57 +117,6 @@ def role_of(meaning: Meaning) -> tuple[str | None, str]:
     if "" in meant:
         return meant[""], ""
     return None, _UNPLACED.get(quantity, f"{NO_FIELD} it ({quantity.replace('_', ' ')})")
-
-
-def _composed(quantity: str, meaning: Meaning) -> tuple[str | None, str]:
-    """Roles that depend on the qualifiers."""
-    wheel = "axle" in meaning or "motor" in meaning
-    if "deviation" in meaning:
-        return None, f"an error or a difference ({quantity})"
-    if quantity == "speed":
-        return _speed(meaning, wheel=wheel)
-    if quantity == "rotation":
-        return WHEEL_SPEED, ""
-    if quantity == "distance":
-        if wheel or "limit" in meaning or "demand" in meaning:
-            return None, "no distance of the train"
-        if "remaining" in meaning:
-            return None, "a distance that is left, whose end is not known"
-        return POSITION, ""
-    if quantity == "lever":
-        return LEVER, ""
-    if quantity == "torque":
-        return TORQUE, ""
-    return _effort(meaning, wheel=wheel)
-
-
-def _speed(meaning: Meaning, *, wheel: bool) -> tuple[str | None, str]:
-    if "limit" in meaning:
-        return "/environment.speed_limit", ""
-    if "demand" in meaning:
-        return None, f"{NO_FIELD} a speed that is asked for, not driven"
-    if wheel:
-        return WHEEL_SPEED, ""
-    return (GNSS_SPEED, "") if "satellite" in meaning else (SPEED, "")
-
-
-def _effort(meaning: Meaning, *, wheel: bool) -> tuple[str | None, str]:
-    braking = {"braking", "electric", "pneumatic"} & meaning.qualifiers
-    if "limit" in meaning:
-        return None, "the effort that is available, not the one applied"
-    if "demand" in meaning:
-        if wheel or (braking and "traction" in meaning):
-            return None, "an effort that is asked for"
-        return (BRAKING_DEMAND if braking else TRACTION_DEMAND), ""
-    if wheel and "pneumatic" not in meaning and (meaning.index is not None or not braking):
-        return WHEEL_EFFORT, ""
-    if "traction" in meaning:
-        return (SIGNED if "braking" in meaning else TRACTION), ""
-    if "pneumatic" in meaning:
-        return PNEUMATIC, ""
-    if "electric" in meaning:
-        return DYNAMIC, ""
-    return (BRAKING, "") if "braking" in meaning else (SIGNED, "")
 
 
 def roles_of(meanings: dict[str, Meaning]) -> tuple[dict[str, list[str]], dict[str, str]]:
