@@ -536,12 +536,11 @@ class LiveIngest:
             longest = f", the longest {self.longest_gap:.1f} s" if rule == "gaps" else ""
             found.append(f"{rule}: {count:,}{f' in {column}' if column else ''}{longest}")
         numbers = self.numbering
-        if numbers.lost:
-            found.append(f"{counted(numbers.lost, 'line')} lost by the sender's numbers")
-        if numbers.late:
-            found.append(f"{counted(numbers.late, 'line')} late by the sender's numbers")
-        if numbers.repeated:
-            found.append(f"{counted(numbers.repeated, 'line')} came twice by the sender's numbers")
+        for count, words in (
+            (numbers.lost, "lost"), (numbers.late, "late"), (numbers.repeated, "came twice"),
+        ):  # fmt: skip
+            if count:
+                found.append(f"{counted(count, 'line')} {words} by the sender's numbers")
         if numbers.restarts:
             found.append(f"the sender began to count anew {counted(numbers.restarts, 'time')}")
         if self.others:

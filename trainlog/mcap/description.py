@@ -24,7 +24,7 @@ from trainlog.mcap.codec import UNIT, axles_of
 from trainlog.mcap.contents import ChunkPlace, Contents, MisplacedError, contents_used, index_in
 from trainlog.mcap.reader import attachments_of, bare_trip, metadata_of, position_span, read_log
 from trainlog.mcap.records import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD, Source, in_file
-from trainlog.presentation import Presented, WordTable, new_table
+from trainlog.presentation import Presented, WordTable, facts_table, new_table
 from trainlog.railway.kilometres import in_km
 from trainlog.railway.line import Line
 from trainlog.topics import EVENTS, TOPICS, TRAIN_STATE, Bounds, Field, Topic
@@ -578,43 +578,29 @@ def _stretch(start: float, end: float, line: Line | None = None) -> str:
 
 
 def _overview(description: LogDescription) -> WordTable:
-    table = new_table(
-        _plain(str(description.path)), "quantity", "value", name="file", show_header=False
-    )
-    first, last = description.first, description.last
+    first, last, account = description.first, description.last, description.account
+    rows: dict[str, str] = {}
     if first is not None and last is not None:
         duration = _duration((last - first).total_seconds())
-        table.add_row("time", f"{_time(first)} to {_time(last)} UTC ({duration})")
+        rows["time"] = f"{_time(first)} to {_time(last)} UTC ({duration})"
     if description.position_span is not None:
         start, end = description.position_span
-        table.add_row(
-            "position", f"{_stretch(start, end, description.line)} ({(end - start) / 1e3:.3f} km)"
-        )
-    table.add_row("messages", f"{description.count:,} in {_chunks(description)}")
-    table.add_row("file", _size(description.size))
-    if description.schema_version is not None:
-        table.add_row("topics", f"version {description.schema_version} of the table of topics")
-    table.add_row("state", _state(description.account))
-    if description.problem is not None and (
-        description.complete or not description.account.only_unclosed
-    ):
-        table.add_row("problem", _plain(description.problem))
-    return table
-
-
-def _state(account: Account) -> str:
-    if account.whole:
-        return "ends properly"
-    if account.only_unclosed:
-        return account.sentence
-    return "damaged, only what is readable is listed"
-
-
-def _chunks(description: LogDescription) -> str:
+        driven = f"{(end - start) / 1e3:.3f} km"
+        rows["position"] = f"{_stretch(start, end, description.line)} ({driven})"
     kinds = " and ".join(kind or "no" for kind in description.compression) or "no"
-    size = f"{_size(description.stored_size)} with {kinds} compression"
-    chunks = counted(description.chunks, "chunk")
-    return f"{chunks}, {size} ({_size(description.content_size)} without)"
+    stored, content = _size(description.stored_size), _size(description.content_size)
+    chunks = f"{counted(description.chunks, 'chunk')}, {stored} with {kinds} compression"
+    rows["messages"] = f"{description.count:,} in {chunks} ({content} without)"
+    rows["file"] = _size(description.size)
+    if description.schema_version is not None:
+        rows["topics"] = f"version {description.schema_version} of the table of topics"
+    unclosed = not account.whole and account.only_unclosed
+    rows["state"] = "damaged, only what is readable is listed"
+    if account.whole or unclosed:
+        rows["state"] = "ends properly" if account.whole else account.sentence
+    if description.problem is not None and not unclosed:
+        rows["problem"] = _plain(description.problem)
+    return facts_table(_plain(str(description.path)), rows, name="file")
 
 
 def _topics(description: LogDescription) -> WordTable:
