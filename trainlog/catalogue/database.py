@@ -237,7 +237,7 @@ class Step:
         The first trainlog that knows this version.
     change : callable
         Given a connection, in the transaction that also states the new version. Its statements name
-        tables as they were then: those of `trainlog.catalogue.schema` are of the latest version.
+        tables as they were then: those of this module are of the latest version.
     breaking : bool
         Whether programs that know earlier versions alone can no longer use the tables.
     """
@@ -269,7 +269,7 @@ STEPS: tuple[Step, ...] = (
 """From the first version to the latest."""
 
 VERSION = STEPS[-1].version
-"""Of the tables in `trainlog.catalogue.schema`."""
+"""Of the tables."""
 
 
 def stated() -> dict[str, str]:
