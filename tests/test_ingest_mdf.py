@@ -154,11 +154,11 @@ def test_files_that_cannot_be_used(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     path = measured(tmp_path / "run.mf4")
     refused(InputError, "give a profile", ingest, path)
     whole = path.read_bytes()
-    for length in (20, 64, 200, 500, 3000, len(whole) // 2):
+    for length in (20, 200, 3000, len(whole) // 2):
         path.write_bytes(whole[:length])
         with pytest.raises(InputError, match=r"run\.mf4: is no measurement file that can be read"):
             ingest(path, profile=profile())
-        gc.collect()  # nothing is left that complains later
+    gc.collect()  # nothing is left that complains later
     path.write_bytes(whole)
     monkeypatch.setitem(__import__("sys").modules, "asammdf", None)
     with pytest.raises(

@@ -289,7 +289,7 @@ def test_values_are_taken_as_people_write_them(observed: Path, tmp_path: Path) -
 def test_a_run_between_two_stations_is_one_file_and_one_between_three_a_folder(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    coarse = (*SAMPLES, "--set", "cells=40", "--set", "load=8t")
+    coarse = (*SAMPLES, "--set", "cells=20", "--set", "load=8t")
     stops = ("--stops", "St.Gallen, Gossau SG", "--running-time", "8:30")
     assert cli.run(["plan", *coarse, *stops, "-o", str(tmp_path / "a.json")]) == 0
     found = read_trajectory(tmp_path / "a.json")
@@ -318,7 +318,7 @@ def test_a_table_has_the_whole_run_by_kilometre(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ("--stops", "Wil,Gossau SG,St.Gallen", "--reverse", "--set", "dwell=30", "--set",
-             "cells=40")  # fmt: skip
+             "cells=20")  # fmt: skip
     assert cli.run(["plan", *SAMPLES, *words, "-o", str(tmp_path / "run.csv"), "-q"]) == 0
     assert [each.name for each in tmp_path.iterdir()] == ["run.csv"]
     assert cli.run(["plan", *SAMPLES, *words, "-o", str(tmp_path / "run")]) == 0

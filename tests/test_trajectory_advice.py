@@ -317,6 +317,7 @@ def test_speeds_of_advice_agree_as_printed(sampled: Trajectory) -> None:
     assert any(each.startswith("hold") for each in speeds)
 
 
+@pytest.mark.usefixtures("unpainted", "unrenewed")
 def test_commands_write_sections_a_front_and_advice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
