@@ -800,23 +800,15 @@ class Part(Form):
         """The thing."""
         if isinstance(found, kind):
             return found
-        if is_table(kind):
-            return Table().read(found, kind)
         return from_content(kind, found)
 
     def write(self, value: Any, in_si: bool = False) -> Any:
         """What describes it."""
-        if is_table(type(value)):
-            return Table().write(value, in_si or self.in_si)
         return content_of(value, in_si or self.in_si)
-
-    def words(self, value: Any) -> str:
-        """Of a table the number of rows."""
-        return Table().words(value) if is_table(type(value)) else str(value)
 
     def implausible(self, value: Any, place: str) -> Iterator[InputError]:
         """What of the thing cannot be meant."""
-        if value is not None and not is_table(type(value)):
+        if value is not None:
             for problem in implausible(type(value), vars_of(value)):
                 yield placed(problem, place)[0]
 
@@ -927,7 +919,7 @@ def form_of(hint: Any) -> Form:
     if kind is not hint and get_origin(kind) is Annotated:
         return form_of(kind)
     if is_dataclass(kind):
-        return Part()
+        return Table() if is_table(kind) else Part()
     origin = get_origin(kind)
     if origin in (tuple, list):
         return Many()
@@ -1015,6 +1007,8 @@ def entries(kind: type) -> tuple[Entry, ...]:
             made[form.table] = Entry(form.table, names, table, None, MISSING)
             continue
         name = field.name.replace("_", " ") if getattr(kind, "SPACED", False) else field.name
+        if isinstance(form, Part) and is_table(_bare(hint)):
+            form = Table(key=form.key, stated=form.stated, usual=form.usual, shown=form.shown)
         form = replace(form, key=form.key or name)
         if isinstance(form, Table) and not form.columns:
             form = replace(form, columns=columns_of(_row_of(_bare(hint))))
