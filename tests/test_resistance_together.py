@@ -168,7 +168,7 @@ def test_differences_between_trips_are_found_and_reported() -> None:
 
 def test_band_of_the_common_curve_covers() -> None:
     inside = []
-    for seed in range(80):
+    for seed in range(200):
         fits, _ = drawn(12, 0.06, (200.0, 80.0, 200.0), seed)
         low, high = combine(fits).band(SPEED)
         inside.append(np.all((low < RESISTANCE(SPEED)) & (RESISTANCE(SPEED) < high)))
