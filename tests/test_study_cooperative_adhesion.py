@@ -24,16 +24,18 @@ from analysis.estimates import with_estimates
 from analysis.studies.report import StudyReport, as_markdown
 from analysis.studies.zhao_2025 import simulation as study
 from analysis.studies.zhao_2025.controller import NonlinearReferee
-from analysis.studies.zhao_2025.plot import rail_charts, start_charts, study_charts
-from analysis.studies.zhao_2025.rail import STEEP, driven
-from analysis.studies.zhao_2025.run import trip_of
-from analysis.studies.zhao_2025.table import (
+from analysis.studies.zhao_2025.figures import (
     gain_table,
     knowledge_table,
     published_table,
+    rail_charts,
+    start_charts,
     start_table,
+    study_charts,
     torque_table,
 )
+from analysis.studies.zhao_2025.rail import STEEP, driven
+from analysis.studies.zhao_2025.run import trip_of
 from trainlog.cli import terminal
 from trainlog.errors import InputError
 from trainlog.mcap import read_log, write_log

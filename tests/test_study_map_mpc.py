@@ -12,20 +12,22 @@ from refusals import refused
 
 from analysis.studies.hauck_2023 import scenarios as study, simulation as driving
 from analysis.studies.hauck_2023.controller import AS_PUBLISHED
-from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
-from analysis.studies.hauck_2023.plot import days_charts, risks_charts, study_charts
-from analysis.studies.hauck_2023.scenarios import Days, day_by_day, least_lateness, replanned
-from analysis.studies.hauck_2023.simulation import trip_of
-from analysis.studies.hauck_2023.table import (
+from analysis.studies.hauck_2023.figures import (
     counted_on,
+    days_charts,
     days_table,
     difference_table,
     gain_table,
     lateness_table,
     references_table,
+    risks_charts,
     risks_table,
+    study_charts,
     tracking_table,
 )
+from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
+from analysis.studies.hauck_2023.scenarios import Days, day_by_day, least_lateness, replanned
+from analysis.studies.hauck_2023.simulation import trip_of
 from analysis.studies.report import StudyReport
 from trainlog.cli import terminal
 from trainlog.cli.main import run as command

@@ -10,14 +10,14 @@ from refusals import refused
 from test_study_tables import check, on_page, tables
 
 from analysis.studies.amirhosseini_2024 import simulation as study
-from analysis.studies.amirhosseini_2024.plot import study_charts
-from analysis.studies.amirhosseini_2024.run import trip_of
-from analysis.studies.amirhosseini_2024.simulation import SlidingModeController, Target
-from analysis.studies.amirhosseini_2024.table import (
+from analysis.studies.amirhosseini_2024.figures import (
     coefficients_table,
     eight_wagons_table,
     errors_table,
+    study_charts,
 )
+from analysis.studies.amirhosseini_2024.run import trip_of
+from analysis.studies.amirhosseini_2024.simulation import SlidingModeController, Target
 from analysis.studies.report import StudyReport, as_markdown
 from trainlog.cli import terminal
 from trainlog.errors import InputError

@@ -22,6 +22,7 @@ import numpy as np
 
 from analysis.adhesion.condition_map import adhesion_map
 from analysis.studies.hauck_2023 import scenarios as study
+from analysis.studies.hauck_2023.figures import days_table
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.scenarios import (
     LAYER,
@@ -33,7 +34,6 @@ from analysis.studies.hauck_2023.scenarios import (
     timetable_of,
 )
 from analysis.studies.hauck_2023.simulation import NO_MAP, Run, run, with_map
-from analysis.studies.hauck_2023.table import days_table
 from trainlog.cli.terminal import console
 from trainlog.railway import StepProfile
 

@@ -6,13 +6,13 @@ import numpy as np
 import pandas as pd
 
 from analysis.studies.amirhosseini_2024 import simulation as study
-from analysis.studies.amirhosseini_2024.plot import study_charts
-from analysis.studies.amirhosseini_2024.simulation import SPEED_NOISE, VARIANTS, Run
-from analysis.studies.amirhosseini_2024.table import (
+from analysis.studies.amirhosseini_2024.figures import (
     coefficients_table,
     eight_wagons_table,
     errors_table,
+    study_charts,
 )
+from analysis.studies.amirhosseini_2024.simulation import SPEED_NOISE, VARIANTS, Run
 from analysis.studies.report import START, StudyReport, study_trip
 from trainlog.formats.declared import thing_to_bytes
 from trainlog.topics import (

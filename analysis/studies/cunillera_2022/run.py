@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from analysis.studies.cunillera_2022 import model as study, table
-from analysis.studies.cunillera_2022.plot import others_charts
+from analysis.studies.cunillera_2022 import figures, model as study
+from analysis.studies.cunillera_2022.figures import others_charts
 from analysis.studies.report import StudyReport
 from trainlog.formats.railway import write_trajectory
 from trainlog.railway import Trajectory
@@ -37,11 +37,11 @@ def main(report: StudyReport, cells: int) -> None:
     report.draw({"nominal-driven-by-others.png": others_charts(level, nominal, common, chosen)})
     on_level = [pair for pair in answers.items() if pair[1].line == level.line.name]
     report.show(
-        table.configurations_table(level),
-        table.price_table(alone, common, recourse),
-        table.printed_table(level, common),
-        table.phases_table(list(answers.items())),
-        table.cruise_table(on_level),
-        table.others_table(level, nominal, common, chosen),
-        table.ends_table(ends),
+        figures.configurations_table(level),
+        figures.price_table(alone, common, recourse),
+        figures.printed_table(level, common),
+        figures.phases_table(list(answers.items())),
+        figures.cruise_table(on_level),
+        figures.others_table(level, nominal, common, chosen),
+        figures.ends_table(ends),
     )

@@ -7,8 +7,21 @@ from dataclasses import dataclass
 from functools import partial
 
 from analysis.studies.hauck_2023.controller import AS_PUBLISHED, EXTENDED
+from analysis.studies.hauck_2023.figures import (
+    counted_on,
+    days_charts,
+    days_table,
+    difference_table,
+    gain_table,
+    lateness_table,
+    published_table,
+    references_table,
+    risks_charts,
+    risks_table,
+    study_charts,
+    tracking_table,
+)
 from analysis.studies.hauck_2023.model import NOMINAL_MASS, PUBLISHED_TRAIN
-from analysis.studies.hauck_2023.plot import days_charts, risks_charts, study_charts
 from analysis.studies.hauck_2023.reference import Reference
 from analysis.studies.hauck_2023.scenarios import (
     SCENARIOS,
@@ -29,17 +42,6 @@ from analysis.studies.hauck_2023.scenarios import (
     without_map,
 )
 from analysis.studies.hauck_2023.simulation import trip_of
-from analysis.studies.hauck_2023.table import (
-    counted_on,
-    days_table,
-    difference_table,
-    gain_table,
-    lateness_table,
-    published_table,
-    references_table,
-    risks_table,
-    tracking_table,
-)
 from analysis.studies.report import StudyReport
 from trainlog.errors import InfeasibleError, InputError
 

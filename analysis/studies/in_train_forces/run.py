@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.studies.in_train_forces.plot import run_charts
+from analysis.studies.in_train_forces.figures import forces_tables, run_charts
 from analysis.studies.in_train_forces.simulation import STEP, ConsistRun, crest_and_sag, run
-from analysis.studies.in_train_forces.table import forces_tables
 from analysis.studies.report import START, StudyReport, study_trip
 from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.railway import read_consist, read_line

@@ -7,16 +7,18 @@ import pandas as pd
 
 from analysis.studies.report import START, StudyReport, study_trip
 from analysis.studies.zhao_2025 import simulation as study
-from analysis.studies.zhao_2025.plot import rail_charts, start_charts, study_charts
-from analysis.studies.zhao_2025.rail import RAIL_SOURCES, by_knowledge
-from analysis.studies.zhao_2025.simulation import DURATION, RESTORED, WET_SPAN, Case, Preset, Run
-from analysis.studies.zhao_2025.table import (
+from analysis.studies.zhao_2025.figures import (
     gain_table,
     knowledge_table,
     published_table,
+    rail_charts,
+    start_charts,
     start_table,
+    study_charts,
     torque_table,
 )
+from analysis.studies.zhao_2025.rail import RAIL_SOURCES, by_knowledge
+from analysis.studies.zhao_2025.simulation import DURATION, RESTORED, WET_SPAN, Case, Preset, Run
 from trainlog.formats.railway import train_to_bytes
 from trainlog.railway import Line, Station, StepProfile
 from trainlog.railway.train import Axles, Train

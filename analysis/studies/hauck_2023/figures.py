@@ -1,0 +1,565 @@
+"""The tables and figures of Hauck et al. (2023), and those of days in a row on a bad rail."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from analysis.charts import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PALE,
+    PURPLE,
+    RED,
+    SKY,
+    Chart,
+    Curve,
+    Label,
+    Panel,
+    Rule,
+    line_charts,
+)
+from analysis.studies.hauck_2023.reference import Reference
+from analysis.studies.hauck_2023.scenarios import SCENARIOS, Day, Days, Outcome, Setup
+from analysis.studies.hauck_2023.section import fastest, least_time_unweighed
+from analysis.studies.hauck_2023.simulation import Plan, Run
+from trainlog.arrays import FloatArray
+from trainlog.errors import InputError
+from trainlog.presentation import Columns, WordTable, new_table, word_table
+from trainlog.units import KMH
+
+CONSTRAINTS = (
+    "largest h1, h2 (comfort) [m/s²]",
+    "largest h3, h4 (adhesion) [m/s²]",
+    "largest h5 (speed limit) [m/s]",
+)
+"""Of eq. (7), at any mass and without reserve."""
+
+
+_OF_OUTCOME: Columns[Outcome] = {
+    "scenario": lambda each: each.scenario.name,
+    "mass t": lambda each: f"{each.informed.mass / 1e3:.1f}",
+}
+
+
+def published_table() -> WordTable:
+    """What Hauck et al. (2023) state of their scenarios, for 78.2 t and a map that is lost."""
+    of = {
+        "scenario": lambda each: each.name,
+        "errors; every constraint h is kept": lambda each: each.published,
+    }
+    return word_table("Published (Hauck et al., 2023)", SCENARIOS, of)
+
+
+def references_table(plan: Plan) -> WordTable:
+    """The references that are followed, and how much time each has.
+
+    Parameters
+    ----------
+    plan : tuple of Reference
+    """
+    of: Columns[Reference] = {
+        "section": lambda each: each.section.name,
+        "km": lambda each: (
+            f"{(each.section.destination.position - each.section.origin.position) / 1e3:.1f}"
+        ),
+        "timetable s": lambda each: f"{each.duration:.0f}",
+        "least of a reference s": lambda each: f"{fastest(each.section, each.mass).duration:.1f}",
+        "least of any driver s": lambda each: (
+            f"{least_time_unweighed(each.section, each.mass):.1f}"
+        ),
+        "nodes": lambda each: each.times.size,
+        "iterations of IPOPT": lambda each: each.iterations,
+        "rollout off by mm": lambda each: f"{1e3 * each.rollout_error:.1f}",
+        "nearest to a limit m/s²": lambda each: f"{-each.worst[:2].max():.2f}",
+    }
+    return word_table(f"References, {plan[0].mass / 1e3:.1f} t: multiple shooting", plan, of)
+
+
+def tracking_table(outcomes: Sequence[Outcome]) -> WordTable:
+    """Errors of the trips with the map, the least there could be, and what was left of the limits.
+
+    The lever changes from traction to braking or back; the reference's changes stand beside.
+
+    Parameters
+    ----------
+    outcomes : sequence of Outcome
+    """
+    of: Columns[Outcome] = _OF_OUTCOME | {
+        "position m": lambda each: _most(each.informed.position_error),
+        "least of any driver as punctual m": lambda each: f"{each.deviation.max():.2f}",
+        "speed m/s": lambda each: _most(each.informed.speed_error),
+        "left of comfort m/s²": lambda each: f"{-each.informed.worst[0]:.3f}",
+        "left of adhesion m/s²": lambda each: f"{-each.informed.worst[1]:.3f}",
+        "left of speed limit km/h": lambda each: f"{-KMH * each.informed.worst[2]:.2f}",
+        "stops off by m": lambda each: _most(each.informed.stop_error),
+        "changes of the lever, all / most (reference)": lambda each: (
+            f"{each.informed.lever_changes.sum()} / {each.informed.lever_changes.max()}"
+            f" ({each.informed.planned_changes.sum()} / {each.informed.planned_changes.max()})"
+        ),
+    }
+    title = "With the map: largest errors, and what was left of each limit at any mass"
+    return word_table(f"{title} (negative: broken)", outcomes, of)
+
+
+def lateness_table(outcomes: Sequence[Outcome]) -> WordTable:
+    """How late the trips with the map were, beside the least that is possible.
+
+    Parameters
+    ----------
+    outcomes : sequence of Outcome
+    """
+    of: Columns[Outcome] = _OF_OUTCOME | {
+        "next stop": lambda each: f"{each.informed.late[0]:.1f}",
+        "least, mass not known": lambda each: f"{max(each.unweighed[0], 0.0):.1f}",
+        "least, mass known": lambda each: f"{max(each.bound[0], 0.0):.1f}",
+        "latest of all stops": lambda each: f"{each.informed.late.max():.1f}",
+        "least there, mass not known": lambda each: (
+            f"{max(each.unweighed[np.argmax(each.informed.late)], 0.0):.1f}"
+        ),
+    }
+    title = (
+        "With the map: seconds late at the stops (negative: early), and the least there could be"
+    )
+    return word_table(title, outcomes, of)
+
+
+def gain_table(outcomes: Sequence[Outcome]) -> WordTable:
+    """What the map is worth: skidding and sliding with it and without.
+
+    Parameters
+    ----------
+    outcomes : sequence of Outcome
+    """
+    figures: Columns[Run] = {
+        "axles that began to skid or slide": lambda run: run.slip_events,
+        "slip protection": lambda run: run.protections,
+        "work beyond the peak MJ": lambda run: f"{run.skid_energy / 1e6:.2f}",
+        "all work of creep MJ": lambda run: f"{run.slip_energy / 1e6:.1f}",
+        "latest s": lambda run: f"{run.late.max():.1f}",
+        "farthest from a stop m": lambda run: _most(run.stop_error),
+    }
+
+    def both(figure: Callable[[Run], object]) -> Callable[[Outcome], str]:
+        return lambda each: (
+            "" if each.blind is None else f"{figure(each.informed)} / {figure(each.blind)}"
+        )
+
+    of = _OF_OUTCOME | {name: both(figure) for name, figure in figures.items()}
+    return word_table("With the map / without: the same trips, axle by axle", outcomes, of)
+
+
+def difference_table(outcomes: Sequence[Outcome]) -> WordTable:
+    """What is not as the paper has it, over all masses.
+
+    Parameters
+    ----------
+    outcomes : sequence of Outcome
+        Of the scenarios with several masses.
+    """
+    masses = [*dict.fromkeys(each.informed.mass for each in outcomes)]
+    good, bad, late = (
+        [each.informed for each in outcomes if each.scenario is scenario] for scenario in SCENARIOS
+    )
+    rows: list[tuple[str, str, Sequence[Run], Callable[[Run], str]]] = [
+        ("good track: largest error of position [m]", "about 5", good, _position_error),
+        ("good track: largest error of speed [m/s]", "below 3", good, _speed_error),
+        ("weather turns bad: largest error of position [m]", "about 5", bad, _position_error),
+        ("40 s late: largest error of position [m]", "about 280", late, _position_error),
+        ("40 s late: largest error of speed [m/s]", "not stated", late, _speed_error),
+        ("40 s late: late at the next stop [s]", "19", late, lambda run: f"{run.late[0]:.1f}"),
+        ("good track: farthest from a stop [m]", "not stated", good, _stop_error),
+        ("weather turns bad: farthest from a stop [m]", "not stated", bad, _stop_error),
+    ]
+    heads = [f"{mass / 1e3:.1f} t" for mass in masses]
+    table = new_table("Differences from the paper", "figure", "published", *heads)
+    for name, published, runs, figure in rows:
+        table.add_row(name, published, *map(figure, runs))
+    for number, name in enumerate(CONSTRAINTS):
+        worst = [
+            max(each.informed.worst[number] for each in outcomes if each.informed.mass == mass)
+            for mass in masses
+        ]
+        table.add_row(f"{name}, all scenarios", "not above 0", *(f"{h:+.3f}" for h in worst))
+    return table
+
+
+def _most(errors: FloatArray) -> str:
+    return f"{np.abs(errors).max():.2f}"
+
+
+def _position_error(run: Run) -> str:
+    return _most(run.position_error)
+
+
+def _stop_error(run: Run) -> str:
+    return _most(run.stop_error)
+
+
+def _speed_error(run: Run) -> str:
+    return _most(run.speed_error)
+
+
+def days_table(days: Days) -> WordTable:
+    """Each day beside the first: slip, punctuality, and the map that it was driven by.
+
+    Parameters
+    ----------
+    days : Days
+    """
+    of: Columns[Day] = {
+        "day": lambda day: day.number,
+        "axles that began to skid or slide": lambda day: day.slip_events,
+        "slip protection": lambda day: sum(each.protections for each in day.runs),
+        "work beyond the peak MJ": lambda day: f"{day.skid_energy / 1e6:.2f}",
+        "all work of creep MJ": lambda day: f"{day.slip_energy / 1e6:.1f}",
+        "latest s": lambda day: f"{days.late(day).max():.1f}",
+        "mean s": lambda day: f"{days.late(day).mean():.2f}",
+        "farthest from a stop m": lambda day: (
+            f"{max(np.abs(each.stop_error).max() for each in day.runs):.2f}"
+        ),
+        "largest h1, h2 / h3, h4 m/s²": lambda day: f"{day.worst[0]:+.3f} / {day.worst[1]:+.3f}",
+        "bins seen / demonstrated / assumed": _bins,
+        "map's error % (bias, rms)": _map_errors,
+    }
+    trips = f"{len(days.days[0].runs)} trips a day: the first without a map, each other one"
+    return word_table(f"Bad rail, {trips} with the map of all logs before it", days.days, of)
+
+
+def risks_table(driven: Mapping[str, Days]) -> WordTable:
+    """What each way of reading the map cost and saved, on the days that had one.
+
+    Parameters
+    ----------
+    driven : mapping of str to Days
+        By how the map was read; the first day is that of all.
+    """
+    count = max(len(each.days) for each in driven.values())
+    halves = [(2, min(3, count)), (4, count)] if count > 3 else [(2, count)]
+
+    def slips(first: int, last: int) -> Callable[[tuple[str, Days]], object]:
+        return lambda row: sum(
+            day.slip_events for day in row[1].days[1:] if first <= day.number <= last
+        )
+
+    def late(row: tuple[str, Days], figure: Callable[[FloatArray], float], digits: int) -> str:
+        found = np.array([row[1].late(day) for day in row[1].days[1:]])
+        return f"{figure(found):.{digits}f}" if found.size else "-"
+
+    of: Columns[tuple[str, Days]] = {
+        "map read with": lambda row: row[0],
+        "days driven": lambda row: len(row[1].days),
+        **{f"slips, days {a} to {b}": slips(a, b) for a, b in halves},
+        "work beyond the peak MJ": lambda row: (
+            f"{sum(day.skid_energy for day in row[1].days[1:]) / 1e6:.2f}"
+        ),
+        "all work of creep MJ": lambda row: (
+            f"{sum(day.slip_energy for day in row[1].days[1:]) / 1e6:.1f}"
+        ),
+        "latest s": lambda row: late(row, np.max, 1),
+        "mean s": lambda row: late(row, np.mean, 2),
+        "bins seen that held less than counted on %": lambda row: _short(row[1]),
+    }
+    trips = f"{len(next(iter(driven.values())).days[0].runs)} trips a day"
+    title = f"Changing rail, {trips}, by how the map is read"
+    return word_table(title, driven.items(), of)
+
+
+def _short(days: Days) -> str:
+    """Share of the bins whose maximum was seen that held less than was counted on."""
+    found = [
+        day.rail(day.track.centres[day.known.seen]) < day.known.values[day.known.seen]
+        for day in days.days
+        if day.track is not None and day.known is not None
+    ]
+    return f"{100.0 * float(np.mean(np.concatenate(found))):.1f}" if found else "-"
+
+
+def counted_on(days: Days) -> str:
+    """What the days with a map assumed where it has no estimate, in words."""
+    assumed = [
+        f"day {day.number}: {float(day.known.values[day.known.assumed].max()):.3f}"
+        for day in days.days
+        if day.known is not None and day.known.assumed.any()
+    ]
+    return (
+        "assumed where the map has no estimate, from the middle one of the places where it has: "
+        + ", ".join(assumed)
+    )
+
+
+def _bins(day: Day) -> str:
+    known = day.known
+    if known is None:
+        return "-"
+    return " / ".join(
+        f"{np.count_nonzero(each)}" for each in (known.seen, known.demonstrated, known.assumed)
+    )
+
+
+def _map_errors(day: Day) -> str:
+    errors = 100.0 * day.map_errors
+    if errors.size == 0:
+        return "-"
+    return f"{errors.mean():+.1f}, {np.sqrt(np.mean(errors**2)):.1f}"
+
+
+SECTIONS = 3
+"""Drawn of the speed, as in the paper."""
+
+BIN = 100.0
+"""Over which the largest constraint is drawn [m]."""
+
+ZERO = [Rule(0.0, GREY)]
+
+
+def study_charts(setup: Setup, outcomes: Sequence[Outcome]) -> dict[str, list[Chart]]:
+    """The paper's figures by the names of their files.
+
+    Parameters
+    ----------
+    setup : Setup
+    outcomes : sequence of Outcome
+        Of the three scenarios, in their order.
+    """
+    good, bad, late = (each.informed for each in outcomes)
+    charts = {
+        "figure-02-map.png": [_map(setup)],
+        "figure-03-speed.png": [_speed(good)],
+        "figure-04-errors.png": [_errors(good)],
+        "figure-05-constraints-good.png": [_constraints(good, "Fig. 5  Constraints, good track")],
+        "figure-06-constraints-bad.png": [_constraints(bad, "Fig. 6  Constraints, bad track")],
+        "figure-07-delay.png": _delay(late, outcomes[2]),
+    }
+    blind = outcomes[1].blind
+    if blind is not None:
+        runs = {"with the map": bad, "without the map": blind}
+        charts["with-and-without-map.png"] = [Chart("km", list(map(_slips, runs, runs.values())))]
+    return charts
+
+
+def _map(setup: Setup) -> Chart:
+    """Fig. 2: limits, gradient and both rails."""
+    line = setup.plan[0].section.line
+    s = np.arange(0.0, line.length, 25.0)
+    rails = [
+        Curve(name, s / 1e3, setup.rails[name](s), colour, width=0.8)
+        for name, colour in (("good", BLUE), ("bad", ORANGE))
+    ]
+    (chart,) = line_charts(line)
+    panels = [*chart.panels, Panel("maximum adhesion", rails, from_zero=True)]
+    return replace(chart, panels=panels, title="Fig. 2  Map (reconstruction)")
+
+
+def _speed(run: Run) -> Chart:
+    """Fig. 3: speed of the reference and of the train on the first sections."""
+    rows = run.section < SECTIONS
+    minutes, speed = run.time[rows] / 60.0, run.speed[rows]
+    limit = np.where(speed > 0.0, run.line.speed_limit(run.position[rows]), np.nan)
+    curves = [
+        Curve("reference", minutes, KMH * run.target[rows, 1], PALE, width=4.0),
+        Curve("train", minutes, KMH * speed, width=1.0),
+        Curve("limit", minutes, KMH * limit, RED, width=0.8),
+    ]
+    title = f"Fig. 3  Speed, first {SECTIONS} sections, good track, {run.mass / 1e3:.1f} t"
+    return Chart("min", [Panel("km/h", curves, 1.6, from_zero=True)], title=title)
+
+
+def _errors(run: Run) -> Chart:
+    """Fig. 4: errors of position and speed."""
+    minutes = run.time / 60.0
+    panels = [
+        Panel("m", [Curve("", minutes, run.position_error, BLUE, width=0.8)],
+              title="Position less the reference's"),
+        Panel("m/s", [Curve("", minutes, run.speed_error, GREEN, width=0.8)],
+              title="Speed less the reference's"),
+    ]  # fmt: skip
+    return Chart("min", panels, title=f"Fig. 4  Errors, {run.mass / 1e3:.1f} t, good track")
+
+
+def _constraints(run: Run, title: str) -> Chart:
+    """Figs. 5 and 6: the largest of the safety and of the traction constraints along the line."""
+    comfort, adhesion, speed = (_largest(run, each) for each in run.constraints[:, :3].T)
+    curves = [
+        Curve("acceleration less 1 m/s² (h1, h2)", *comfort, BLUE, width=0.8),
+        Curve("effort over mass less adhesion (h3, h4)", *adhesion, ORANGE, width=0.8),
+    ]
+    panels = [
+        Panel("m/s²", curves, title="Comfort and traction", limits=(-1.5, 0.1), rules=ZERO),
+        Panel("km/h", [Curve("", speed[0], KMH * speed[1], RED, width=0.8)],
+              title="Speed less its limit (h5)", rules=ZERO),
+    ]  # fmt: skip
+    words = f"{title}, {run.mass / 1e3:.1f} t; kept where not above 0, for every mass"
+    return Chart("km", panels, title=words)
+
+
+def _delay(run: Run, outcome: Outcome) -> list[Chart]:
+    """Fig. 7: error of position after a late departure, and lateness at the stops."""
+    rows = run.section < SECTIONS
+    error = Curve("", run.time[rows] / 60.0, run.position_error[rows], width=1.0)
+    late = np.concatenate([[run.delay], run.late])
+    numbers = np.arange(late.size)
+    bounds = [
+        Curve(label, numbers, np.maximum(np.concatenate([[run.delay], bound]), 0.0), colour,
+              width=width)
+        for bound, colour, width, label in (
+            (outcome.unweighed, ORANGE, 3.0, "least by the shortest times, mass not known"),
+            (outcome.bound, GREY, 1.0, "least, mass known"),
+        )
+    ]  # fmt: skip
+    low, high = min(float(late.min()), 0.0) - 5.0, 1.15 * float(late.max())
+    margin = 0.03 * (high - low)
+    panel = Panel(
+        "s", [Curve("reached", numbers, late, kind="bars", width=0.5), *bounds],
+        title="Lateness at the first departure, then on arrival; below 0: early",
+        limits=(low, high),
+        labels=[
+            Label(number, f"{each:.1f}", each + np.copysign(margin, each))
+            for number, each in enumerate(late.tolist())
+        ],
+    )  # fmt: skip
+    title = f"Fig. 7  Position less the reference's, {run.delay:g} s late at first"
+    return [
+        Chart("min", [Panel("m", [error])], title=f"{title}, {run.mass / 1e3:.1f} t"),
+        Chart("", [panel], ticks=[(n, stop.station) for n, stop in enumerate(run.stops)]),
+    ]
+
+
+def _slips(name: str, run: Run) -> Panel:
+    """Largest slip along the line: stable creep as grey lines, beyond the peak as red dots."""
+    slip = np.abs(run.slip_speed)
+    stable, beyond = (
+        _largest(run, np.max(slip, axis=1, initial=-np.inf, where=where))
+        for where in (~run.slipping, run.slipping)
+    )
+    return Panel(
+        "largest slip [m/s]",
+        [
+            Curve("stable creep", *stable, GREY, width=0.5),
+            Curve("beyond the peak", *beyond, RED, "points", width=1.6),
+        ],
+        title=f"Bad track, {name}: {run.slip_events} times an axle skids or slides,"
+        f" {run.skid_energy / 1e6:.2f} MJ beyond the peak",
+    )
+
+
+def _largest(run: Run, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The largest value in each piece of the line, over km; NaN where there is none."""
+    count = int(np.ceil(float(run.position.max()) / BIN))
+    found = np.full(count, -np.inf)
+    index = np.minimum((run.position / BIN).astype(np.int64), count - 1)
+    np.maximum.at(found, index, np.where(np.isfinite(values), values, -np.inf))
+    centres = (np.arange(count, dtype=np.float64) + 0.5) * BIN
+    return centres / 1e3, np.where(np.isfinite(found), found, np.nan)
+
+
+PIECE = 500.0
+"""Over which slips are counted [m]."""
+
+MARGIN = 0.5
+"""On either side of the line [km]."""
+
+
+def days_charts(days: Days) -> list[Chart]:
+    """The first and the last of the days above each other along the line.
+
+    Parameters
+    ----------
+    days : Days
+        Of one day alone its slips and its lateness are drawn.
+    """
+    shown = (days.days[0],) if len(days.days) == 1 else (days.days[0], days.days[-1])
+    panels = [_rail(shown[-1])] if len(shown) > 1 else []
+    return [
+        Chart(
+            "km", [*panels, _begun(shown), _lateness(days, shown)],
+            places=[(stop.position / 1e3, stop.station) for stop in days.stops],
+            span=(-MARGIN, days.stops[-1].position / 1e3 + MARGIN),
+        )
+    ]  # fmt: skip
+
+
+def _rail(day: Day) -> Panel:
+    """The rail as it was, and what the day's controllers counted on."""
+    track, known = day.track, day.known
+    if track is None or known is None:
+        raise InputError(
+            "the last day was driven without a map", remedy="give it the map of the first"
+        )
+    km = track.centres / 1e3
+    curves = [Curve("the rail as it is", km, day.rail(track.centres), GREY, width=0.7)]
+    curves += [
+        Curve(f"{label}, {np.count_nonzero(where)} bins", km[where], known.values[where], colour,
+              "points", width=width, mark=mark)
+        for where, colour, mark, width, label in (
+            (known.assumed, ORANGE, "_", 2.0, "assumed"),
+            (known.demonstrated, GREEN, "o", 1.5, "used without slip"),
+            (known.seen, BLUE, "o", 2.0, "seen: slip has shown the maximum"),
+        )
+        if where.any()
+    ]  # fmt: skip
+    title = f"What day {day.number} counts on, from the logs of the days before"
+    return Panel("maximum adhesion", curves, 1.3, title, limits=(0.03, 0.145))
+
+
+def _begun(shown: Sequence[Day]) -> Panel:
+    """How often axles began to slip along the line: the first day up, the last one down."""
+    bars = []
+    for day, sign, colour in zip(shown, (1.0, -1.0), (RED, BLUE), strict=False):
+        edges = PIECE * np.arange(int(np.ceil(day.runs[0].line.length / PIECE)) + 1)
+        counts = np.zeros(edges.size - 1)
+        for each in day.runs:
+            begun = np.diff(each.slipping.astype(np.int8), axis=0, prepend=0) > 0
+            counts += np.histogram(each.position, edges, weights=begun.sum(axis=1))[0]
+        words = f"day {day.number}: {day.slip_events} times"
+        km = (edges[:-1] + 0.5 * PIECE) / 1e3
+        label = f"{words}, {day.skid_energy / 1e6:.2f} MJ beyond the peak"
+        bars.append(Curve(label, km, sign * counts, colour, "bars", width=PIECE / 1e3))
+    first, last = shown[0], shown[-1]
+    title = f"Axles that begin to skid or slide, {len(first.runs)} trips a day" + (
+        f": day {first.number} upwards, day {last.number} downwards" if len(shown) > 1 else ""
+    )
+    return Panel(f"axles, in {PIECE:.0f} m", bars, title=title, rules=ZERO)
+
+
+def _lateness(days: Days, shown: Sequence[Day]) -> Panel:
+    """The latest of the trips at every stop."""
+    km = np.array([stop.position for stop in days.stops[1:]]) / 1e3
+    width = 0.006 * (days.stops[-1].position - days.stops[0].position) / 1e3
+    late = [days.late(day) for day in shown]
+    bars = [
+        Curve(f"day {day.number}: latest {each.max():.1f} s, mean {each.mean():.1f} s",
+              km + side * width, each.max(axis=0), colour, "bars", width=0.95 * width)
+        for day, each, side, colour in zip(shown, late, (-0.5, 0.5), (RED, BLUE), strict=False)
+    ]  # fmt: skip
+    title = "Late at the stops, the latest of the trips; below 0: early"
+    return Panel("s", bars, title=title, rules=ZERO)
+
+
+def risks_charts(driven: Mapping[str, Days]) -> list[Chart]:
+    """Slips, work of creep and lateness day by day, by how the map was read."""
+    colours = dict(zip(driven, (GREY, ORANGE, GREEN, BLUE, RED, PURPLE, SKY), strict=False))
+    named = (
+        ("axles", "Axles that begin to skid or slide, all trips of the day"),
+        ("MJ", "All work of creep"),
+        ("s", "Latest arrival at any stop"),
+    )
+    curves: list[list[Curve]] = [[], [], []]
+    for name, colour in colours.items():
+        days = driven[name]
+        number = [day.number for day in days.days]
+        values: tuple[list[float], ...] = (
+            [day.slip_events for day in days.days],
+            [day.slip_energy / 1e6 for day in days.days],
+            [days.late(day).max() for day in days.days],
+        )
+        for each, y in zip(curves, values, strict=True):
+            each += [Curve(name, number, y, colour), Curve("", number, y, colour, "points")]
+    panels = [
+        Panel(unit, each, title=title) for (unit, title), each in zip(named, curves, strict=True)
+    ]
+    return [Chart("day; the first is driven without a map", panels)]
