@@ -44,7 +44,6 @@ if TYPE_CHECKING:
         update_fleet as update_fleet,
     )
     from analysis.geometry.centre_line import geometry_of as geometry_of, line_of as line_of
-    from analysis.passports import passport as passport
     from analysis.reports.build import ReportOptions as ReportOptions, write_report as write_report
     from analysis.reports.summary import report as report
     from analysis.resistance import (
@@ -55,6 +54,7 @@ if TYPE_CHECKING:
     )
     from analysis.resistance.coast_down import coast_down as coast_down
     from analysis.resistance.logs import fit as fit
+    from analysis.resistance.passport import passport as passport
     from analysis.resistance.unknown_gradient import (
         coast_down_without_gradient as coast_down_without_gradient,
     )

@@ -12,7 +12,7 @@ from refusals import refused
 
 import trainlog
 from analysis import passport
-from analysis.passports import (
+from analysis.resistance.passport import (
     estimated_passport,
     ratio_of_speeds,
     shared_delay_std,

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from analysis.passports import DELAY_STD
+from analysis.resistance.passport import DELAY_STD
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import LogError, NotRecordedError

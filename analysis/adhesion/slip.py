@@ -26,7 +26,7 @@ from analysis.adhesion.events import (
     small_slips,
 )
 from analysis.given import Given, trip_of
-from analysis.passports import passport
+from analysis.resistance.passport import passport
 from estimators.adhesion import smoothed_force
 from estimators.slip import (
     SLIP_THRESHOLD,

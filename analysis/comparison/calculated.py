@@ -52,9 +52,9 @@ from analysis.comparison.energy import (
     trip_spread,
 )
 from analysis.given import Given, trip_of
-from analysis.passports import estimated_passport, with_effort_delay
 from analysis.resistance.fit import TripFit, fit_trip, scale_of
 from analysis.resistance.observed import FitOfTrips, parameter_set
+from analysis.resistance.passport import estimated_passport, with_effort_delay
 from analysis.resistance.recording import recorded_head_wind
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted

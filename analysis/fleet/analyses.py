@@ -266,7 +266,7 @@ def resistance(
 
 def passport_row(trip: FleetTrip) -> pd.DataFrame:
     """What is known of the trip's recorder and load, one row."""
-    from analysis.passports import shared_delay_std
+    from analysis.resistance.passport import shared_delay_std
 
     found = trip.passport
     row: dict[str, Any] = {"trip": trip.name, "findings": "; ".join(found.findings)}

@@ -26,7 +26,7 @@ from analysis.comparison.driven import (
     driven_trip,
 )
 from analysis.given import Given
-from analysis.passports import passport
+from analysis.resistance.passport import passport
 from trainlog.arrays import BoolArray, IntArray
 from trainlog.errors import LogError
 from trainlog.formats.railway import line_of, train_of

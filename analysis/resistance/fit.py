@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 
 from analysis.given import Given, trip_of
-from analysis.passports import passport, with_calibrated_efforts
 from analysis.resistance.curve import (
     CURVE_COLUMNS,
     RESISTANCE_COLUMN,
@@ -19,6 +18,7 @@ from analysis.resistance.curve import (
     powers,
 )
 from analysis.resistance.noise import Expected
+from analysis.resistance.passport import passport, with_calibrated_efforts
 from analysis.resistance.power import power_limit
 from analysis.resistance.recording import (
     Reason,

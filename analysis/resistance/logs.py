@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 
 from analysis.given import Given, each_given
-from analysis.passports import with_calibrated_efforts
 from analysis.resistance.combination import (
     SAME_DRIVE,
     SOFTWARE,
@@ -33,6 +32,7 @@ from analysis.resistance.fit import (
     origin_of,
 )
 from analysis.resistance.observed import COVER, LISTED, check_choice, parameter_set
+from analysis.resistance.passport import with_calibrated_efforts
 from analysis.resistance.recording import (
     ScaleSamples,
     SpeedScale,

@@ -21,9 +21,9 @@ from unittest.mock import patch
 import numpy as np
 import pandas as pd
 
-from analysis.passports import estimated_passport
 from analysis.resistance import fit_trip
 from analysis.resistance.combination import summarised
+from analysis.resistance.passport import estimated_passport
 from analysis.resistance.recording import TripRefusedError
 from trainlog.formats.railway import train_to_bytes, with_passport
 from trainlog.formats.ttobench import read_track, read_train

@@ -30,7 +30,7 @@ from characteristics import eurosprinter
 
 from analysis.adhesion.condition_map import adhesion_map
 from analysis.adhesion.slip import SlipAnalysis, slip
-from analysis.passports import estimated_passport
+from analysis.resistance.passport import estimated_passport
 from analysis.truth import true_adhesion, truth_of
 from estimators.slip import SlipDetector
 from trainlog.errors import TrainlogError

@@ -24,8 +24,8 @@ from time import perf_counter
 import numpy as np
 from recordings import PAIRS, line_and_train
 
-from analysis.passports import estimated_passport
 from analysis.resistance import fit_trip
+from analysis.resistance.passport import estimated_passport
 from trainlog.errors import TrainlogError
 from trainlog.railway import RunningResistance
 from trainlog.simulation import Sensors, draw_scenarios, simulate

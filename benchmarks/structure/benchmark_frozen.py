@@ -71,7 +71,7 @@ def _hash(path: Path) -> str:
 
 def passports() -> Iterator[str]:
     """Of two trips whose efforts are recorded late, or wrong in size."""
-    from analysis.passports import estimated_passport, with_effort_delay
+    from analysis.resistance.passport import estimated_passport, with_effort_delay
     from trainlog import read, sample
 
     for name in ("nonstop", "stopping"):

@@ -81,7 +81,7 @@ def ingest(
     accept
         Use the profile that is proposed, where none fits.
     """
-    from analysis.passports import with_estimated_passport
+    from analysis.resistance.passport import with_estimated_passport
     from trainlog.ingest import Ingested, Outcome, ingest_all
 
     alone = len(recordings) == 1 and not recordings[0].is_dir()
