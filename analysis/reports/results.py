@@ -5,23 +5,23 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from analysis.adhesion.condition_table import bins_table
 from analysis.adhesion.map_history import map_history
 from analysis.adhesion.map_state import MapState, line_of_map, map_state
-from analysis.charts import BLUE, SKY, Chart, Curve, Panel, worded
 from analysis.reports.answers import map_words, summary_section
 from analysis.reports.page import Part, Picture, Section, Warned
+from analysis.resistance.curve import STATED_AT, curve_std
 from analysis.resistance.logs import Fits, fit
+from analysis.resistance.plot import residual_charts
 from analysis.trajectory.advice import driver_table, journey_advice
 from analysis.trajectory.table import trajectory_table
 from analysis.verification.scoring import score_rolling
-from trainlog.arrays import IntArray
 from trainlog.display import at_most, counted, lateness
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.condition import read_map
@@ -33,7 +33,7 @@ from trainlog.formats.railway import (
     read_trajectory,
 )
 from trainlog.formats.samples import names, sample
-from trainlog.formats.summaries import SUFFIX
+from trainlog.formats.summaries import SUFFIX, covariances_of
 from trainlog.presentation import (
     FORCE,
     MASS,
@@ -95,11 +95,18 @@ def fit_sections(path: Path, logs: Sequence[Path] = ()) -> list[Section]:
             f"{kept.name} is not beside it and no logs are given: what each trip showed, and which"
             " were refused, is not known here."
         ]  # fmt: skip
-        return [Section("Running resistance", [*doubts, *_set_alone(found), *without])]
+        return [
+            Section(
+                "Running resistance",
+                [*doubts, found if found.configurations else "The set is empty.", *without],
+            )
+        ]
+    residuals: list[Part] = [*residual_charts(fits.trips)]
+    residuals = residuals or ["Residuals are shown where the logs are given."]
     return [
         _fit_summary(fits),
         Section("Running resistance", [*doubts, fits]),
-        Section("Trips of the fit", [_trips_table(fits), *_residuals(fits)], folded=True),
+        Section("Trips of the fit", [_trips_table(fits), *residuals], folded=True),
         Section("Observed set", found.shown(), folded=True),
     ]
 
@@ -150,12 +157,9 @@ def _same(one: ParameterSet, other: ParameterSet) -> bool:
 
 def _drag(row: Mapping[str, Any]) -> Band:
     """The running resistance of a trip at 80 km/h."""
-    speed = 80.0 / KMH
-    drag = RunningResistance(row["r0"], row["r1"], row["r2"])(speed)
-    basis = dict(zip(("r0", "r1", "r2"), (1.0, speed, speed**2), strict=True))
-    pairs = combinations_with_replacement(basis, 2)
-    terms = (row[f"covariance_{a}_{b}"] * basis[a] * basis[b] * (1 + (a != b)) for a, b in pairs)
-    return Band(float(drag), max(sum(terms), 0.0) ** 0.5)
+    covariance = covariances_of(pd.DataFrame([row]))[0, :3, :3]
+    drag = RunningResistance(row["r0"], row["r1"], row["r2"])
+    return Band(float(drag(STATED_AT)), float(curve_std(covariance, STATED_AT)))
 
 
 DRIVE_COLUMNS = (
@@ -174,65 +178,6 @@ DRIVE_COLUMNS = (
 def _trips_table(fits: Fits) -> WordTable:
     rows = fits.drives.to_dict("records")
     return new_table("Each trip", *DRIVE_COLUMNS).add_rows(rows, MOST_ROWS)
-
-
-def _residuals(fits: Fits) -> list[Part]:
-    """What the fit did not explain, in standard deviations, over the speed."""
-    if not fits.trips:
-        return ["Residuals are shown where the logs are given."]
-    x = np.concatenate([one.residuals.speed for one in fits.trips])
-    y = np.concatenate([one.residuals.value for one in fits.trips])
-    of = np.concatenate([np.repeat(one.trip, one.residuals.value.size) for one in fits.trips])
-    order = np.argsort(x, kind="stable")
-    rows = order[_sample(order.size, 2_000)]
-    hover = {
-        "trip": [str(each) for each in of[rows]],
-        "speed": worded("{:.0f} km/h", KMH * x[rows]),
-        "residual": worded("{:+.2f} σ", y[rows]),
-    }
-    chart = Chart(
-        "speed, km/h",
-        [
-            Panel(
-                "residual, σ",
-                [Curve("", KMH * x[rows], y[rows], SKY, "points", hover=hover, width=1.0)],
-                1.1,
-            )
-        ],
-        "Residuals of all windows over the speed, in standard deviations of the noise model.",
-        "What the fit did not explain: within 2 σ nearly always, without a trend, if the noise is"
-        " as the model has it.",
-    )
-    return [chart]
-
-
-def _sample(count: int, most: int) -> IntArray:
-    """At most so many rows, evenly: of points the extremes alone would be another picture."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
-
-
-def _set_alone(found: ParameterSet) -> list[Part]:
-    """A set without the trips that it is from."""
-    speed = np.linspace(0.0, max(found.speed_range[1], 10.0), 120)
-    shown = [("each configuration", each.resistance, SKY, 0.9) for each in found.configurations]
-    if found.common is not None:
-        shown.append(("all trips", found.common, BLUE, 2.0))
-    curves = list[Curve]()
-    for label, drag, colour, width in shown:
-        value = np.asarray(drag(speed)) / 1e3
-        hover = {
-            "speed": worded("{:.0f} km/h", KMH * speed),
-            "resistance": worded("{:.2f} kN", value),
-        }
-        curves.append(Curve(label, KMH * speed, value, colour, hover=hover, width=width))
-    if not curves:
-        return ["The set is empty."]
-    chart = Chart(
-        "speed, km/h",
-        [Panel("running resistance, kN", curves, 1.6)],
-        f"Running resistance of the configurations of {found.train} over speed.",
-    )
-    return [chart, *found.shown()]
 
 
 # ------------------------------------------------------------------------------------- a map

@@ -41,6 +41,7 @@ from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.formats.railway import CoastDownResult
 from trainlog.formats.summaries import parameters_of
+from trainlog.railway import ParameterSet
 from trainlog.units import KMH
 
 KILONEWTON, TONNE = 1e3, 1e3
@@ -198,6 +199,51 @@ def correlation_chart(covariance: FloatArray, title: str) -> Chart:
         f"{title[0].upper()}{title[1:]}.", title=title, span=(-0.5, std.size - 0.5),
         ticks=list(enumerate(names)), beside=True, width=0.4,
     )  # fmt: skip
+
+
+def residual_charts(trips: Sequence[TripFit]) -> list[Chart]:
+    """What the fits of trips did not explain, in standard deviations, over the speed."""
+    if not trips:
+        return []
+    x, y = (
+        np.concatenate([getattr(each.residuals, name) for each in trips])
+        for name in ("speed", "value")
+    )
+    of = np.concatenate([np.repeat(each.trip, each.residuals.value.size) for each in trips])
+    order = np.argsort(x, kind="stable")
+    rows = order[_some(order.size, 2_000)]
+    hover = {
+        "trip": [str(each) for each in of[rows]],
+        "speed": worded("{:.0f} km/h", KMH * x[rows]),
+        "residual": worded("{:+.2f} σ", y[rows]),
+    }
+    curve = Curve("", KMH * x[rows], y[rows], SKY, "points", hover=hover, width=1.0)
+    return [
+        Chart(
+            "speed, km/h", [Panel("residual, σ", [curve], 1.1)],
+            "Residuals of all windows over the speed, in standard deviations of the noise model.",
+            "What the fit did not explain: within 2 σ nearly always, without a trend, if the noise"
+            " is as the model has it.",
+        )
+    ]  # fmt: skip
+
+
+def set_charts(found: ParameterSet) -> list[Chart]:
+    """The running resistance of each configuration of a set, and of all trips together."""
+    speed = np.linspace(0.0, max(found.speed_range[1], 10.0), 120)
+    shown = [("each configuration", each.resistance, SKY, 0.9) for each in found.configurations]
+    if found.common is not None:
+        shown.append(("all trips", found.common, BLUE, 2.0))
+    curves = list[Curve]()
+    for label, drag, colour, width in shown:
+        value = np.asarray(drag(speed)) / KILONEWTON
+        hover = {
+            "speed": worded("{:.0f} km/h", KMH * speed),
+            "resistance": worded("{:.2f} kN", value),
+        }
+        curves.append(Curve(label, KMH * speed, value, colour, hover=hover, width=width))
+    alt = f"Running resistance of the configurations of {found.train} over speed."
+    return [Chart("speed, km/h", [Panel("running resistance, kN", curves, 1.6)], alt)]
 
 
 # -------------------------------------------------------------------------------------- one trip

@@ -709,6 +709,7 @@ class ParameterSet(Declared):
     ['0 kg', '20000 kg']
     """
 
+    charts_by: ClassVar[str] = "analysis.resistance.plot:set_charts"
     FORMAT: ClassVar[str] = "trainlog/parameters"
     ORDER: ClassVar[tuple[str, ...]] = ("train", "speed_range")
 
