@@ -1,6 +1,8 @@
-"""Which way a train took among the places its fixes may mean: the best chain of candidates.
+"""Which route fixes took through a graph of edges: the best chain of the places they may mean.
 
-Viterbi's algorithm over the candidates of each fix, with the fixes that fit no chain left out.
+Viterbi's algorithm over the candidates of each fix on the edges. A train passes from edge to edge
+where a turn is permitted, and turns round where it stood. Fixes that fit no chain are left out, and
+a train that was away from all edges may come back elsewhere. A line is a graph of one edge.
 
 References
 ----------
@@ -16,8 +18,10 @@ from itertools import pairwise
 
 import numpy as np
 from numba import njit
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
 
-from trainlog.arrays import FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 
 REWARD = 2.5
 """What a fix in the chain is worth, in units of log-likelihood: 2.2 standard deviations."""
@@ -32,12 +36,10 @@ TURN_SHARE, IDLE_SPEED = 0.3, 2.0
 """Without a speed the distance driven is that between the fixes with a standard deviation of this
 share of it, and of this [m/s] for a train that went and came or hardly moved."""
 
-
 STEP_PENALTY, STEP_LENGTH = 8.0, 50.0
 """What a link forward costs at most, in the unit of `REWARD`: the first and, for every so many
 metres by which it departs from the distance driven, 1 more. Speeds may be wrong and receivers
 step; fixes in a row that go with each other outweigh that."""
-
 
 OFF_PENALTY, OFF_REWARD = 8.0, 1.1
 """What it costs that a receiver holds, replays or reflects its fixes for a while, and what each fix
@@ -50,26 +52,116 @@ SURE_WAY = 200.0
 DELAY = 2.0
 """Standard deviation of the delay of a speed [s], before it is known."""
 
+REVERSAL, ABSENCE = 8.0, 15.0
+"""What it costs, in the unit of `REWARD`, to turn round where the train stood, and to come back
+elsewhere after an absence from all edges."""
+
+AWAY = 3
+"""Fixes without a candidate, one after the other but for chance, that show an absence."""
+
+LONGEST_LINK = 600.0
+"""Time [s] without fixes after which a train may be anywhere, too."""
+
+ALONG, REVERSED, ABSENT = 0, 1, 2
+"""How a fix of the chain is reached from the one before it."""
+
 
 @dataclass(frozen=True, eq=False)
-class Nodes:
-    """Fixes that may be in the chain, and their candidates.
+class EdgeGraph:
+    """Edges by number, and where a train passes from one to another.
+
+    Each edge `e` is travelled two ways: as course ``2 e`` along its chainage, as course ``2 e + 1``
+    against it.
+
+    Attributes
+    ----------
+    lengths : (e,) array [m]
+    turns : (k, 2) int array
+        Courses of which the second may follow the first.
+    """
+
+    lengths: FloatArray
+    turns: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Between:
+    """Shortest distances between courses.
+
+    Attributes
+    ----------
+    row : (2 e,) int array
+        Row of each course in `distance`; -1 for courses from which none was asked for.
+    distance : (r, 2 e) array [m]
+        From the end of a course to the beginning of another; infinite where no turns lead there.
+    previous : (r, 2 e) int array
+        The course before, on the shortest path; negative at its beginning.
+    """
+
+    row: IntArray
+    distance: FloatArray
+    previous: IntArray
+
+    def path(self, first: int, last: int) -> list[int]:
+        """The courses between two, both left out."""
+        found, row = list[int](), int(self.row[first])
+        at = int(self.previous[row, last])
+        while at >= 0:
+            found.append(at)
+            at = int(self.previous[row, at])
+        return found[::-1]
+
+
+def distances(graph: EdgeGraph, edges: IntArray, without: int = -1) -> Between:
+    """Distances from both courses of the given edges to all courses, one course left out.
+
+    Examples
+    --------
+    A junction: edge 0 leads to edges 1 and 2, of 100 m each; edge 3 begins where 2 ends.
+
+    >>> import numpy as np
+    >>> turns = np.array([[0, 2], [0, 4], [4, 6], [3, 1], [5, 1], [7, 5]])
+    >>> graph = EdgeGraph(np.full(4, 100.0), turns)
+    >>> between = distances(graph, np.arange(4))
+    >>> between.distance[0, [2, 4, 6]].round(3), between.path(0, 6)
+    (array([  0.,   0., 100.]), [4])
+    """
+    count = 2 * graph.lengths.size
+    turns = graph.turns[(graph.turns != without).all(axis=1)]
+    # From a node of each course's own, at its end, its successors are at no distance.
+    starts = np.concatenate((turns[:, 0], count + turns[:, 0]))
+    ends = np.concatenate((turns[:, 1], turns[:, 1]))
+    weights = np.concatenate((graph.lengths[turns[:, 0] // 2], np.full(len(turns), 1e-9)))
+    matrix = csr_matrix((weights, (starts, ends)), shape=(2 * count, 2 * count))
+    courses = np.concatenate((2 * edges, 2 * edges + 1))
+    found, before = dijkstra(matrix, indices=count + courses, return_predecessors=True)
+    row = np.full(count, -1, dtype=np.int64)
+    row[courses] = np.arange(courses.size)
+    before = np.where(before >= count, -1, before).astype(np.int64)
+    return Between(row, np.ascontiguousarray(found[:, :count]), before[:, :count])
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeNodes:
+    """Fixes that may be in the chain, and their candidates on the edges.
 
     Attributes
     ----------
     seconds : (n,) array [s]
     east, north : (n,) arrays [m]
     std : (n,) array [m]
-    driven : (n,) array [m]
-        Distance driven since the first; NaN throughout where no speed is known.
-    driven_variance : (n,) array [m²]
-        Of `driven`, growing.
+    driven, driven_variance : (n,) arrays [m], [m²]
+        Distance driven since the first, NaN throughout where no speed is known; its variance,
+        growing.
     pace : (n,) array [m/s]
-        The speed; NaN where none is known.
+        The speed; NaN throughout where it is not to show that the receiver was off for a while.
+    stood : (n,) bool array
+        Whether the train may have stood between the fix before and this one.
     first : (n + 1,) int array
         Number of the first candidate of each fix.
+    edge : (m,) int array
     chainage, distance : (m,) arrays [m]
-        Of the candidates, and how far from the fix.
+        Of the candidates on their edges, and how far from the fix.
     """
 
     seconds: FloatArray
@@ -79,79 +171,144 @@ class Nodes:
     driven: FloatArray
     driven_variance: FloatArray
     pace: FloatArray
+    stood: BoolArray
     first: IntArray
+    edge: IntArray
     chainage: FloatArray
     distance: FloatArray
 
+    def between(self, first: int, last: int) -> EdgeNodes:
+        """The fixes from one to before another."""
+        low, high = int(self.first[first]), int(self.first[last])
+        of_fix = ("seconds", "east", "north", "std", "driven", "driven_variance", "pace", "stood")
+        return EdgeNodes(
+            **{name: getattr(self, name)[first:last] for name in of_fix},
+            first=self.first[first : last + 1] - low,
+            **{name: getattr(self, name)[low:high] for name in ("edge", "chainage", "distance")},
+        )
 
-def best_chain(nodes: Nodes, way: float) -> tuple[float, IntArray]:
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """The chosen candidates in order of time.
+
+    Attributes
+    ----------
+    worth : float
+        What the chain is worth in units of log-likelihood.
+    node, candidate, course : (k,) int arrays
+    link : (k,) int array
+        `ALONG`, `REVERSED` or `ABSENT`, from the one before.
+    without : bool array (k,)
+        Whether the way from the one before does without the course that was left out.
+    """
+
+    worth: float
+    node: IntArray
+    candidate: IntArray
+    course: IntArray
+    link: IntArray
+    without: BoolArray
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """A course that a chain may not use between two times [s], both included."""
+
+    course: int
+    begin: float
+    end: float
+    between: Between
+
+
+def best_chain(
+    graph: EdgeGraph,
+    nodes: EdgeNodes,
+    between: Between,
+    left_out: LeftOut | None = None,
+    *,
+    absence: float = ABSENCE,
+    reward: float = REWARD,
+) -> Chain:
     """The chain of candidates that fits best, and what it is worth.
 
-    Each fix in the chain is worth `REWARD`, less half its squared distance from the line and half
-    the squared difference between chainage gained and distance driven, both over their variances.
-    Fixes left out are worth nothing, or, where many follow each other, as much as others less what
-    it costs that a receiver is off for a while.
+    Each fix in the chain is worth `reward`, less half its squared distance from the edge and half
+    the squared difference between chainage gained and distance driven, both over their variances;
+    passing junctions costs nothing. Fixes left out are worth nothing, or, where many follow each
+    other, as much as others less what it costs that a receiver is off for a while.
 
     Parameters
     ----------
-    nodes : Nodes
-    way : float
-        1.0 where chainage grows in the direction of travel, -1.0 where it falls.
-
-    Returns
-    -------
-    worth : float
-    chosen : (n,) int array
-        Number of the candidate of each fix, -1 for fixes left out.
+    graph : EdgeGraph
+    nodes : EdgeNodes
+    between : Between
+        Of the edges that have candidates.
+    left_out : LeftOut, optional
+    absence : float
+        What an absence costs; infinite where none is possible.
+    reward : float
+        What a fix in the chain is worth.
 
     Examples
     --------
-    Three fixes 20 m apart; the second may lie on a track that comes close 5 km ahead:
+    A train passes from edge 0 to edge 2; the fix behind the junction is as near to edge 1.
 
     >>> import numpy as np
-    >>> nodes = Nodes(
-    ...     seconds=np.array([0.0, 1.0, 2.0]), east=np.array([0.0, 20.0, 40.0]), north=np.zeros(3),
-    ...     std=np.full(3, 3.0), driven=np.array([0.0, 20.0, 40.0]), driven_variance=np.zeros(3),
-    ...     pace=np.full(3, 20.0),
-    ...     first=np.array([0, 1, 3, 4]), chainage=np.array([100.0, 5_120.0, 120.0, 140.0]),
-    ...     distance=np.array([1.0, 0.5, 1.0, 1.0]),
+    >>> turns = np.array([[0, 2], [0, 4], [3, 1], [5, 1]])
+    >>> graph = EdgeGraph(np.full(3, 100.0), turns)
+    >>> x = np.array([20.0, 60.0, 110.0, 160.0])
+    >>> nodes = EdgeNodes(
+    ...     seconds=np.arange(4.0), east=x, north=np.zeros(4), std=np.full(4, 3.0), driven=x,
+    ...     driven_variance=np.arange(4.0), pace=np.full(4, 40.0), stood=np.zeros(4, dtype=bool),
+    ...     first=np.array([0, 1, 2, 4, 6]), edge=np.array([0, 0, 1, 2, 1, 2]),
+    ...     chainage=np.array([20.0, 60.0, 10.0, 10.0, 60.0, 60.0]),
+    ...     distance=np.array([0.0, 0.0, 1.0, 1.0, 9.0, 1.0]),
     ... )
-    >>> best_chain(nodes, way=1.0)[1]
-    array([0, 2, 3])
+    >>> chain = best_chain(graph, nodes, distances(graph, np.arange(3)))
+    >>> chain.course
+    array([0, 0, 4, 4])
     """
     n = nodes
-    worth, before = _viterbi(
+    away = np.cumsum(np.diff(n.first) == 0).astype(np.int64)
+    other = left_out or LeftOut(-1, np.inf, -np.inf, between)
+    worth, before, link = _viterbi(
         n.seconds, n.east, n.north, n.std, n.driven, n.driven_variance, n.pace,
-        n.first, n.chainage, n.distance, way,
+        np.cumsum(n.stood).astype(np.int64), away, n.first, n.edge, n.chainage, n.distance,
+        graph.lengths, between.row, between.distance, other.between.row, other.between.distance,
+        other.course, other.begin, other.end, absence, reward,
     )  # fmt: skip
-    chosen = np.full(n.seconds.size, -1, dtype=np.int64)
-    if not worth.size:
-        return 0.0, chosen
-    at = int(np.argmax(worth))
-    best = float(worth[at])
     owner = np.repeat(np.arange(n.seconds.size), np.diff(n.first))
+    states = list[int]()
+    at = int(np.argmax(worth)) if worth.size else -1
+    best = float(worth[at]) if worth.size else 0.0
     while at >= 0:
-        chosen[owner[at]] = at
+        states.append(at)
         at = int(before[at])
-    return best, chosen
+    state = np.array(states[::-1], dtype=np.int64)
+    candidate = state // 2
+    node = owner[candidate]
+    previous = np.concatenate((node[:1], node[:-1]))
+    overlaps = (n.seconds[node] >= other.begin) & (n.seconds[previous] <= other.end)
+    return Chain(
+        best, node, candidate, 2 * n.edge[candidate] + state % 2, link[state], overlaps
+    )  # fmt: skip
 
 
-def off_between(nodes: Nodes, chosen: IntArray) -> Iterator[tuple[int, int]]:
-    """Pairs of fixes of a chain, forward, between which the receiver was off.
+def off_between(nodes: EdgeNodes, chain: Chain) -> Iterator[tuple[int, int]]:
+    """Pairs of fixes of a chain on one edge between which the receiver was off.
 
     It was where so many fixes are left out that this is likelier than their being wrong one by one,
     and distance and speed agree from the one before to the one after.
     """
     if np.isnan(nodes.driven).any():
         return
-    inside = np.flatnonzero(chosen >= 0)
     eligible = np.cumsum(np.diff(nodes.first) > 0)
-    for before, after in pairwise(inside.tolist()):
+    place = np.where(chain.course % 2, -1.0, 1.0) * nodes.chainage[chain.candidate]
+    for number, (before, after) in enumerate(pairwise(chain.node.tolist())):
         left_out = int(eligible[after] - eligible[before]) - 1
         if left_out * OFF_REWARD <= OFF_PENALTY:
             continue
-        gained = nodes.chainage[chosen[after]] - nodes.chainage[chosen[before]]
-        apart = gained - (nodes.driven[after] - nodes.driven[before])
+        apart = place[number + 1] - place[number] - (nodes.driven[after] - nodes.driven[before])
         variance = nodes.std[before] ** 2 + nodes.std[after] ** 2
         variance += nodes.driven_variance[after] - nodes.driven_variance[before]
         variance += (DELAY * (nodes.pace[after] - nodes.pace[before])) ** 2
@@ -168,48 +325,113 @@ def _viterbi(
     driven: FloatArray,
     driven_variance: FloatArray,
     pace: FloatArray,
+    stood: IntArray,
+    away: IntArray,
     first: IntArray,
+    edge: IntArray,
     chainage: FloatArray,
     distance: FloatArray,
-    way: float,
-) -> tuple[FloatArray, IntArray]:
-    worth = np.zeros(chainage.size)
-    before = np.full(chainage.size, -1, dtype=np.int64)
+    lengths: FloatArray,
+    row: IntArray,
+    ahead: FloatArray,
+    other_row: IntArray,
+    other_ahead: FloatArray,
+    left_out: int,
+    begin: float,
+    end: float,
+    absence: float,
+    reward: float,
+) -> tuple[FloatArray, IntArray, IntArray]:
+    worth = np.full(2 * chainage.size, -np.inf)
+    before = np.full(2 * chainage.size, -1, dtype=np.int64)
+    link = np.zeros(2 * chainage.size, dtype=np.int64)
     for i in range(seconds.size):
         for c in range(first[i], first[i + 1]):
-            own = REWARD - 0.5 * (distance[c] / std[i]) ** 2
-            best = 0.0
-            seen = 0
-            for j in range(i - 1, -1, -1):
-                if first[j + 1] == first[j]:
-                    continue
-                seen += 1
-                if seen > LOOK_BACK:
-                    break
-                elapsed = seconds[i] - seconds[j]
-                variance = std[i] ** 2 + std[j] ** 2
-                left_out = 0.0
-                if np.isnan(driven[i]):
-                    step = np.hypot(east[i] - east[j], north[i] - north[j])
-                    variance += (TURN_SHARE * step) ** 2 + (IDLE_SPEED * elapsed) ** 2
-                else:
-                    step = driven[i] - driven[j]
-                    variance += driven_variance[i] - driven_variance[j]
+            own = reward - 0.5 * (distance[c] / std[i]) ** 2
+            for way in range(2):
+                if 2 * edge[c] + way != left_out or not begin <= seconds[i] <= end:
+                    worth[2 * c + way] = own
+        seen = 0
+        for j in range(i - 1, -1, -1):
+            if first[j + 1] == first[j]:
+                continue
+            seen += 1
+            if seen > LOOK_BACK:
+                break
+            elapsed = seconds[i] - seconds[j]
+            noise = std[i] ** 2 + std[j] ** 2
+            variance = noise
+            off = 0.0
+            if np.isnan(driven[i]):
+                step = np.hypot(east[i] - east[j], north[i] - north[j])
+                variance += (TURN_SHARE * step) ** 2 + (IDLE_SPEED * elapsed) ** 2
+            else:
+                step = driven[i] - driven[j]
+                variance += driven_variance[i] - driven_variance[j]
+                if not np.isnan(pace[i]):
                     variance += (DELAY * (pace[i] - pace[j])) ** 2
                     if variance < SURE_WAY**2:
-                        left_out = max((seen - 1) * OFF_REWARD - OFF_PENALTY, 0.0)
+                        off = max((seen - 1) * OFF_REWARD - OFF_PENALTY, 0.0)
+            behind = -3.0 * np.sqrt(noise)
+            most = FASTEST * elapsed + 4.0 * np.sqrt(variance)
+            may_turn = stood[i] > stood[j]
+            absent = away[i] - away[j] >= AWAY or elapsed > LONGEST_LINK
+            without = seconds[i] >= begin and seconds[j] <= end
+            for c in range(first[i], first[i + 1]):
+                e = edge[c]
+                own = reward - 0.5 * (distance[c] / std[i]) ** 2
                 for d in range(first[j], first[j + 1]):
-                    gained = way * (chainage[c] - chainage[d])
-                    if gained > FASTEST * elapsed + 4.0 * np.sqrt(variance):
-                        continue
-                    # A receiver is off for a while only if fixes and speed agree across it.
-                    penalty = 0.5 * (gained - step) ** 2 / variance - left_out
-                    if gained > -3.0 * np.sqrt(std[i] ** 2 + std[j] ** 2):
-                        most = STEP_PENALTY + np.abs(gained - step) / STEP_LENGTH
-                        penalty = min(penalty, most)
-                    value = worth[d] - penalty
-                    if value > best:
-                        best = value
-                        before[c] = d
-            worth[c] = own + best
-    return worth, before
+                    f = edge[d]
+                    for way in range(2):
+                        to = 2 * c + way
+                        if 2 * e + way == left_out and begin <= seconds[i] <= end:
+                            continue
+                        for was in range(2):
+                            source = worth[2 * d + was]
+                            if own + source + off <= worth[to]:
+                                continue
+                            kind = 0
+                            gained = np.inf
+                            turned = 0.0
+                            if e == f and not (without and 2 * e + way == left_out):
+                                along = chainage[c] - chainage[d]
+                                if way == 1:
+                                    along = -along
+                                if way == was:
+                                    if along > behind:
+                                        gained = along
+                                elif may_turn:
+                                    kind = 1
+                                    turned = REVERSAL
+                                    # Where it turned round is not known: it drove at least this.
+                                    gained = max(abs(along), step)
+                            if gained == np.inf:
+                                rest = chainage[d] if was == 1 else lengths[f] - chainage[d]
+                                begun = lengths[e] - chainage[c] if way == 1 else chainage[c]
+                                if without:
+                                    gap = other_ahead[other_row[2 * f + was], 2 * e + way]
+                                else:
+                                    gap = ahead[row[2 * f + was], 2 * e + way]
+                                gained = rest + gap + begun
+                            if gained <= most:
+                                # A receiver is off for a while only if fixes and speed agree
+                                # across it.
+                                penalty = 0.5 * (gained - step) ** 2 / variance - off
+                                if gained > behind:
+                                    cap = STEP_PENALTY + np.abs(gained - step) / STEP_LENGTH
+                                    penalty = min(penalty, cap)
+                                penalty += turned
+                            elif absent:
+                                kind = 2
+                                penalty = absence
+                            else:
+                                continue
+                            if absent and penalty > absence:
+                                kind = 2
+                                penalty = absence
+                            value = own + source - penalty
+                            if value > worth[to]:
+                                worth[to] = value
+                                before[to] = 2 * d + was
+                                link[to] = kind
+    return worth, before, link

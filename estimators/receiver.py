@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import nnls
 
 from trainlog.arrays import FloatArray, IntArray, robust_std
@@ -58,7 +59,7 @@ OUTLIER = 4.685
 """Residuals beyond this many standard deviations have no weight (Tukey's biweight)."""
 
 LARGEST_GAP = 2.5
-"""Between wheel speeds further apart [s] none is interpolated."""
+"""Between speeds further apart [s], and than so many steps, none is interpolated."""
 
 DELAY_TURNS, REWEIGHTED = 12, 5
 """Times the delay is sought around the one found, and the residuals are weighted anew each time."""
@@ -184,6 +185,32 @@ def mean_square(values: FloatArray) -> float:
     usual = robust_std(size)
     bound = WINSOR * usual if usual > 0.0 else np.inf
     return float(np.mean(np.minimum(size, bound) ** 2))
+
+
+def integral(seconds: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Integral of a speed [m] at every sample, and how long it was missing until then [s].
+
+    Across gaps of the speed the integral goes on a line; a gap is longer than 2.5 s and 2.5 steps.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> integral(np.array([0.0, 1.0, 2.0]), np.array([4.0, np.nan, 6.0]))
+    (array([ 0.,  5., 10.]), array([0., 0., 0.]))
+    """
+    known = np.flatnonzero(np.isfinite(speed))
+    if known.size < 2:
+        return np.full(speed.size, np.nan), np.zeros(speed.size)
+    time, value = seconds[known], speed[known]
+    steps = np.diff(time)
+    late = steps > LARGEST_GAP * max(1.0, float(np.median(steps)))
+    driven = cumulative_trapezoid(value, time, initial=0.0)
+    missing = np.concatenate(([0.0], np.cumsum(np.where(late, steps, 0.0))))
+    outside = np.maximum(seconds - time[-1], 0.0) - np.maximum(time[0] - seconds, 0.0)
+    return (
+        np.interp(seconds, time, driven) + np.where(outside > 0.0, value[-1], value[0]) * outside,
+        np.interp(seconds, time, missing) + outside,
+    )
 
 
 def position_noise(seconds: FloatArray, beside: FloatArray) -> ReceiverNoise:
@@ -402,10 +429,7 @@ class WheelSpeeds:
         if self.seconds.size < 2 or fixes.values.size < LEAST_DELAYED:
             return None
         at = fixes.seconds - delay
-        steps = np.diff(self.seconds)
-        mean = 0.5 * (self.speed[1:] + self.speed[:-1])
-        driven = np.concatenate(([0.0], np.cumsum(mean * steps)))
-        missing = np.concatenate(([0.0], np.cumsum(np.where(steps > LARGEST_GAP, steps, 0.0))))
+        driven, missing = integral(self.seconds, self.speed)
         speed = self.at(at)
         sums = np.column_stack(
             [np.interp(at, self.seconds, driven), -speed, 0.5 * speed**2, fixes.values]

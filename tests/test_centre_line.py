@@ -14,7 +14,7 @@ from trainlog.cli.main import run
 from trainlog.errors import InputError
 from trainlog.formats.railway import read_line
 from trainlog.ingest import ingest_each, profile_of
-from trainlog.ingest.estimates import estimated_state
+from trainlog.ingest.chainage import estimated_state
 from trainlog.mcap import write_log
 from trainlog.railway import Geometry
 from trainlog.railway.geometry import beside, nearest_on, track_of

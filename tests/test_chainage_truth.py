@@ -29,7 +29,7 @@ from simulated_line import level_line
 
 from trainlog.errors import InputError
 from trainlog.ingest import Profile, ingest, profile_of, repairs_of, report_of
-from trainlog.ingest.estimates import Estimate, estimated_state
+from trainlog.ingest.chainage import Estimate, estimated_state
 from trainlog.railway import Geometry, Line
 from trainlog.railway.geometry import nearest_on, track_of
 from trainlog.trip import Trip

@@ -16,7 +16,7 @@ from simulated_line import flirt, hilly_line
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, report_of
 from trainlog.ingest.chainage import chainage_of
-from trainlog.ingest.fixes import Fixes
+from trainlog.ingest.receiver import Fixes
 from trainlog.railway import Geometry, Line
 from trainlog.railway.geometry import nearest_on, track_of
 from trainlog.simulation import draw_scenarios, simulate

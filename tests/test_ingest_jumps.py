@@ -11,7 +11,7 @@ from ingest_logs import plain_profile, plain_rows, write
 from recorder_files import MTK_HEADER, Drive, drive, mtk_rows
 
 from trainlog.ingest import ingest, repairs_of, report_of
-from trainlog.ingest.spikes import spikes
+from trainlog.ingest.jumps import spikes
 
 METRE = 1.0 / 111_195.0
 

@@ -27,8 +27,8 @@ from trainlog.formats.railway import read_line
 from trainlog.formats.samples import sample
 from trainlog.ingest import RULES, ingest, report_of
 from trainlog.ingest.clock import longest_nondecreasing
+from trainlog.ingest.jumps import spikes
 from trainlog.ingest.profile import Repair
-from trainlog.ingest.spikes import spikes
 from trainlog.railway import StepProfile
 from trainlog.trip import Trip, seconds
 

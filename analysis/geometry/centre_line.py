@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
@@ -17,9 +18,8 @@ from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.identity import Known, identity_of, same_drives
-from trainlog.ingest.chainage import Matched, chainage_of, distance_driven
-from trainlog.ingest.estimates import fixes_of
-from trainlog.ingest.fixes import Fixes
+from trainlog.ingest.chainage import OnLine, chainage_of
+from trainlog.ingest.receiver import Fixes, distance_driven, fixes_of
 from trainlog.presentation import Presented
 from trainlog.railway.geometry import from_plane, nearest_on, thinned, to_plane, track_of
 from trainlog.railway.line import (
@@ -182,7 +182,7 @@ class _Pass:
     name: str
     fixes: Fixes
     points: ComplexArray
-    matched: Matched | None = None
+    matched: OnLine | None = None
     chainage: FloatArray = field(default_factory=lambda: np.zeros(0))
     reason: str = ""
     altitude: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -348,7 +348,7 @@ def _plane(fixes: Fixes, origin: tuple[float, float]) -> ComplexArray:
 def _thinned(one: _Pass) -> ComplexArray:
     """One point for every `PIECE` driven, the median of its fixes."""
     known = np.flatnonzero(np.isfinite(one.points))
-    driven = distance_driven(one.fixes)[0]
+    driven = distance_driven(one.fixes).distance
     if not np.isfinite(driven).any():
         driven = _distance_along_fixes(one)
     piece = np.floor(driven[known] / PIECE)
@@ -367,8 +367,7 @@ def _distance_along_fixes(one: _Pass) -> FloatArray:
     speed = np.hypot(axes[0].speed, axes[1].speed)
     unsure = np.hypot(axes[0].speed_std, axes[1].speed_std)
     speed = np.where(speed > unsure, speed, 0.0)
-    steps = np.diff(one.fixes.seconds)
-    return np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * steps)))
+    return np.asarray(cumulative_trapezoid(speed, one.fixes.seconds, initial=0.0))
 
 
 def _by_length(curve: Curve, origin: tuple[float, float]) -> Geometry:

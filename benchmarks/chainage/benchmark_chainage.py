@@ -22,7 +22,7 @@ import numpy as np
 
 from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.ingest.estimates import estimated_state
+from trainlog.ingest.chainage import estimated_state
 from trainlog.ingest.profile import Profile
 from trainlog.railway.geometry import nearest_on, track_of
 from trainlog.simulation import draw_scenarios, simulate

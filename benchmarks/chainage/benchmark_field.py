@@ -29,7 +29,7 @@ from satellite_trips import PACES, Field, errors, paced, receive, streets, valle
 from trainlog.errors import InputError
 from trainlog.formats.railway import read_line
 from trainlog.formats.samples import DEFAULT_LINE, sample
-from trainlog.ingest.estimates import estimated_state
+from trainlog.ingest.chainage import estimated_state
 from trainlog.ingest.profile import Limits, Profile, Repair
 from trainlog.ingest.receiver import without_contradicted
 from trainlog.ingest.recording import Table

@@ -21,7 +21,7 @@ from benchmark_chainage import PROFILE, Receiver, driven, received, rms
 from analysis.geometry.centre_line import geometry_of, line_of
 from trainlog.formats.railway import read_line
 from trainlog.formats.samples import DEFAULT_LINE, sample
-from trainlog.ingest.estimates import estimated_state
+from trainlog.ingest.chainage import estimated_state
 from trainlog.railway.geometry import beside, nearest_on, track_of
 
 

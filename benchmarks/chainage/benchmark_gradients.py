@@ -26,7 +26,7 @@ from analysis.truth import truth_of
 from estimators.altitude import OVER
 from trainlog.errors import NotIdentifiableError
 from trainlog.ingest import profile_of
-from trainlog.ingest.estimates import estimated_state
+from trainlog.ingest.chainage import estimated_state
 from trainlog.railway import Line, Train
 from trainlog.railway.geometry import nearest_on, track_of
 from trainlog.simulation import Sensors, draw_scenarios, simulate

@@ -19,7 +19,7 @@ import numpy as np
 from analysis.geometry.centre_line import geometry_of, line_of
 from trainlog.errors import TrainlogError
 from trainlog.ingest import ingest_each
-from trainlog.ingest.estimates import estimated_state
+from trainlog.ingest.chainage import estimated_state
 from trainlog.ingest.profile import Profile
 from trainlog.railway.geometry import beside, nearest_on, track_of
 from trainlog.trip import Trip

@@ -1,42 +1,73 @@
-"""Chainage from satellite fixes: matched to the line's geometry, smoothed with the speed.
+"""The motion along a line from satellite fixes: chainage and speed with their standard deviations.
 
 First the best chain of places along the line (`estimators.matching`): where a line comes close to
 itself, continuity and direction decide. Then, a few times over: the fixes are projected where the
 chain or the last turn's motion puts the train, what departs from it is set aside, and the motion is
-smoothed anew (`estimators.motion`).
+smoothed anew (`estimators.motion`), with the noise that the receiver shows on this trip. Speed and
+position never come from differences of raw values.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+import pandas as pd
+from scipy.stats import t as t_distribution
 
-from estimators.matching import Nodes, best_chain, off_between
-from estimators.motion import SmoothedMotion
-from estimators.receiver import Delay, ReceiverNoise
-from trainlog.arrays import BoolArray, ComplexArray, FloatArray, robust_std
-from trainlog.errors import InputError
-from trainlog.ingest.fixes import GATE, Fixes, slipping_wheels, wheel_ratio
-from trainlog.ingest.line_motion import GEOMETRY_STD, SMALLEST_NOISE, LineMotion
-from trainlog.ingest.receiver import (
-    Speeds,
-    common_delay,
-    extrapolated,
-    kept_on,
-    with_late_wheels,
+from estimators.matching import EdgeGraph, LeftOut, best_chain, distances, off_between
+from estimators.motion import (
+    ACCELERATION_TIME,
+    LASTING_TIME,
+    MotionModel,
+    SmoothedMotion,
+    smooth_motion,
 )
+from estimators.receiver import (
+    LARGEST_GAP,
+    Delay,
+    ReceiverNoise,
+    integral,
+    mean_square,
+    position_noise,
+    series_of,
+    speed_noise,
+    structure,
+    white_noise,
+)
+from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
+from trainlog.errors import InputError
+from trainlog.ingest.clock import Result
+from trainlog.ingest.matching import GEOMETRY_STD, EdgeTracks, edge_nodes, rough_noise
+from trainlog.ingest.motion import ENOUGH, GATE, MOVING, POSITION, held, scale_of
+from trainlog.ingest.profile import Profile, Quantity
+from trainlog.ingest.receiver import (
+    ODOMETER_STD,
+    Driven,
+    Fixes,
+    common_delay,
+    contradicted,
+    delay_of,
+    distance_driven,
+    extrapolated,
+    fixes_of,
+    frozen,
+    hold_of,
+    kept_on,
+    slipping_wheels,
+)
+from trainlog.ingest.recording import Finding, Table
+from trainlog.ingest.rules import quantum
 from trainlog.railway.geometry import Track, beside, candidates, nearest_on, track_of
-from trainlog.railway.line import Geometry
+from trainlog.railway.line import Geometry, Line
+from trainlog.topics import ESTIMATED_STATE
+from trainlog.trip import Trip, frame_of, seconds as seconds_of
+from trainlog.units import NANOSECONDS
 
 NODE = 5.0
 """Time between fixes from which the chain is made [s]."""
-
-UNCHECKED_DENSITY = 5.0
-"""Spectral density of the error of a speed that was not checked [m²/s]: 0.5 m/s for 10 s."""
-
-LOSS_DENSITY = 1.6
-"""Spectral density of a train's acceleration [m²/s³]: how unsure an unmeasured speed becomes."""
 
 MAX_MISFIT = 500.0
 """Misfit of line and fixes [m] beyond which it is another line."""
@@ -44,29 +75,87 @@ MAX_MISFIT = 500.0
 BACKWARDS = 500.0
 """Distance against the line [m] from which a trip is refused."""
 
+SCALE = 0.2
+"""Speeds whose distance is off by this part over the whole trip are in another unit."""
 
 MOST_ASIDE = 0.5
 """Part of the fixes that may be set aside; a trip with more is refused."""
+
+DRIFT = 0.1
+"""Random walk [m/√s] of the chainage beyond the integral of the speed: curves cut short by the
+geometry."""
+
+TURNS = 5
+"""Times the fixes are projected and the motion is smoothed."""
+
+WHEEL_TIME = 2.0
+"""Time over which the errors of wheel speeds last [s]: creep goes with the effort."""
+
+SMALLEST_NOISE = 0.3, 0.02
+"""Standard deviations that no receiver undercuts: of a position [m], of a speed [m/s]."""
+
+UNSEEN_SPREAD, UNSEEN_DENSITY = 0.6, 6.0
+"""The least of both where no speed was measured."""
+
+LOST_AFTER = 15.0
+"""Steps between measurements further apart than this [s] are an outage."""
+
+OUTAGE_DENSITY = 3.0, 12.0
+"""Least and largest spectral density of the acceleration in an outage [m²/s³]."""
+
+SPEED_SPREAD = 0.4, 1.2
+"""Least and largest standard deviation of a train's acceleration [m/s²]: trains that rarely
+change speed, trams."""
+
+SPARSE = 2.5
+"""Fixes further apart than this [s] are rare."""
+
+LEAST_PREDICTED, FOLDS, PREDICTED = 8, 4, 10.0
+"""Fixes from which on they are left out and predicted, in so many parts, each in stretches of so
+long [s] or a fix."""
+
+LATE_SHARE = 0.5
+"""Part of that noise that no averaging removes: fixes that come late err to one side."""
+
+MOST_ALONG = 500.0
+"""Largest noise along the line alone [m]."""
+
+LEAST_FREEDOM = 3.0
+"""Least number of independent values that the size of errors is taken to rest on."""
+
+LEAST_CALIBRATED = 30
+"""Fixes from which on the band is compared with the distances beside the track."""
+
+OFFSET = 30.0
+"""A recorded position further than this [m], and than `GATE` standard deviations, from the chainage
+of the fixes contradicts it."""
+
+ODOMETER_DRIFT = 0.005
+"""Share of the distance by which an odometer drifts."""
+
+CLOCKS = 1.0
+"""Time [s] by which odometer and receiver may be apart."""
+
+CONSTANT = 0.95
+"""Share of the samples that have an offset which is called constant."""
+
+MOST_CONTRADICTING = 0.5
+"""Share of the positions that may contradict the fixes; of more none is used."""
 
 
 class AgainstLineError(InputError):
     """The fixes run against the direction of travel."""
 
 
-@dataclass(frozen=True, eq=False)
-class Matched:
-    """Fixes on the line.
+class OnLine:
+    """Fixes on a line: projected, sized, smoothed, what departs set aside, until all agrees.
 
     Attributes
     ----------
     chainage : (n,) array [m]
         NaN where there is none.
-    rejected : (n,) bool array
-        Fixes that give no chainage.
-    extrapolated : (n,) bool array
+    computed : (n,) bool array
         Fixes that the receiver did not measure then: extrapolated, held or replayed ones.
-    contradicted : (n,) bool array
-        Satellite speeds that are not used.
     slipping : (n,) bool array
         Wheel speeds that are not trusted.
     misfit : float [m]
@@ -83,23 +172,457 @@ class Matched:
     common_delay : Delay
         By which fixes and satellite speed came later than the wheels' speed, NaN if that is not
         known; `motion` is that of the satellites' clock.
-    reasons : str
-        Why speeds are not used, in words.
     """
 
-    chainage: FloatArray
-    rejected: BoolArray
-    extrapolated: BoolArray
-    contradicted: BoolArray
-    slipping: BoolArray
-    misfit: float
-    motion: SmoothedMotion
-    position_noise: ReceiverNoise
-    speed_noise: ReceiverNoise | None
-    along_std: float
-    delay: float
-    common_delay: Delay
-    reasons: str
+    def __init__(
+        self, geometry: Geometry, fixes: Fixes, *, gated: bool, slip_aware: bool, speed_aware: bool
+    ) -> None:
+        self.gated, self.slip_aware = gated, slip_aware
+        self.track = track = track_of(geometry)
+        self.points = points = track.plane(fixes.latitude, fixes.longitude)
+        self.known = np.isfinite(points)
+        self.near, distance = nearest_on(track, points)
+        self.aside = np.zeros(points.size, dtype=np.bool_)
+        self.judged = self.aside
+        self.reasons_aside: Counter[str] = Counter()
+        self.along_std = self.delay = 0.0
+        self.common_delay = Delay(0.0, 0.0)
+        self.speed_noise: ReceiverNoise | None = None
+        self.position_noise = ReceiverNoise(1.0, 0.0, LASTING_TIME)
+        self.chainage = np.full(points.size, np.nan)
+        count = np.count_nonzero(self.known)
+        std, self.misfit = rough_noise(fixes.std, distance)
+        if self.misfit > MAX_MISFIT:
+            raise InputError(
+                f"half of the {count} fixes lie"
+                f" {np.nanmedian(distance) / 1e3:.1f} km or more from the line",
+                remedy="give the line that was driven",
+            )
+        self.computed = extrapolated(fixes.seconds, points) | kept_on(fixes.seconds, points, std)
+        self.computed &= gated
+        points[self.computed] = np.nan
+        self.hold = hold_of(fixes.seconds, fixes.speed)
+        self.fixes = replace(fixes, std=std, speed=fixes.speed.copy())
+        if speed_aware:
+            self._set_doubtful_aside()
+        fitting, course = self._roughly(speed_aware)
+        self.known = np.isfinite(points)
+        self.motion = self._run(course, fitting)
+        lost = int(np.count_nonzero(self.rejected | self.computed))
+        if gated and lost > MOST_ASIDE * count:
+            raise InputError(
+                f"{lost} of {count} fixes were set aside"
+                f" ({np.count_nonzero(self.computed)} extrapolated, held or replayed, the others"
+                " away from line or motion): what is left determines no chainage",
+                remedy="give the line that was driven, or another recording of the trip",
+            )
+
+    @property
+    def rejected(self) -> BoolArray:
+        """Fixes that were measured and give no chainage, (n,)."""
+        return np.asarray(np.isfinite(self.points) & ~np.isfinite(self.chainage))
+
+    @property
+    def contradicted(self) -> BoolArray:
+        """Satellite speeds that are not used, (n,)."""
+        return self.aside | self.judged
+
+    @property
+    def reasons(self) -> str:
+        """Why speeds are not used, in words."""
+        counts = self.reasons_aside.copy()
+        if further := int(np.count_nonzero(self.judged & ~self.aside)):
+            counts["contradicted"] += further
+        found = [f"{count} {reason}" for reason, count in counts.items()]
+        if self.delay:
+            found.append(f"all {self.delay:g} s late")
+        if self.common_delay.value > 0.0:
+            late, std = self.common_delay.value, self.common_delay.std
+            found.append(f"with the fixes {late:.2f} s (standard deviation {std:.2f} s) late")
+        return ", ".join(found)
+
+    # -------------------------------------------------------------- before the motion is known
+
+    def _without_speeds(self, reason: str, flags: BoolArray) -> None:
+        speed = self.fixes.speed
+        flags = flags & np.isfinite(speed)
+        if flags.any():
+            self.reasons_aside[reason] += int(np.count_nonzero(flags))
+        self.aside = self.aside | flags
+        self.fixes = replace(self.fixes, speed=np.where(flags, np.nan, speed))
+
+    def _set_doubtful_aside(self) -> None:
+        """Set aside frozen speeds, those of extrapolated fixes, all where the unit is another."""
+        seconds = self.fixes.seconds
+        if np.count_nonzero(np.isfinite(self.fixes.speed)) < 2:
+            return
+        self._without_speeds("extrapolated", self.computed)
+        self._without_speeds("frozen", frozen(seconds, self.fixes.speed))
+        scale = scale_of(seconds, self.points, self.fixes.speed)
+        if np.isfinite(scale) and not 1.0 / (1.0 + SCALE) < scale < 1.0 + SCALE:
+            every = np.isfinite(self.fixes.speed)
+            self._without_speeds(f"{scale:.2f} times what positions show", every)
+
+    def _roughly(self, speed_aware: bool) -> tuple[BoolArray, FloatArray]:
+        """Which fixes fit the chain, and a rough chainage at every row [m]; it judges speeds."""
+        std = np.sqrt(self.fixes.std**2 + self.misfit**2 + GEOMETRY_STD**2)
+        driven = distance_driven(self.fixes, slip_aware=self.slip_aware)
+        self.slipping = driven.slipping
+        chain = self._chain(std, driven)
+        seconds, nodes = self.fixes.seconds, np.flatnonzero(np.isfinite(chain))
+        course = np.interp(seconds, seconds[nodes], chain[nodes])
+        if np.isfinite(driven.distance).all():
+            off = chain[nodes] - driven.distance[nodes]
+            course = driven.distance + np.interp(seconds, seconds[nodes], off)
+        chainage, aside = beside(self.track, self.points, course)
+        spread = robust_std(aside[~np.isnan(aside)])
+        fitting = np.isfinite(self.points)
+        if self.gated:
+            fitting &= np.hypot(aside, chainage - course) < GATE * np.hypot(spread, std)
+        if speed_aware:
+            fit = np.where(fitting, chainage, np.nan)
+            if np.count_nonzero(np.isfinite(self.fixes.speed)) > 1:
+                self._compare_speeds(fit, max(spread, SMALLEST_NOISE[0]))
+            self.common_delay = common_delay(self.fixes, fit)
+            if self.common_delay.value > 0.0:
+                self.fixes = self.fixes.with_late_wheels(self.common_delay.value)
+                again = distance_driven(self.fixes, slip_aware=self.slip_aware)
+                self.slipping = again.slipping
+        return fitting, course
+
+    def _compare_speeds(self, chainage: FloatArray, std: float) -> None:
+        """Put late speeds back, and set aside those that do not go with the chainage."""
+        seconds, used = self.fixes.seconds, self.fixes.speed
+        self.delay = delay_of(seconds, chainage, used)
+        if self.delay:
+            known = np.flatnonzero(np.isfinite(used))
+            at = seconds + self.delay
+            put_back = np.interp(at, seconds[known], used[known])
+            _, missing = integral(seconds, used)
+            whole = np.interp(at, seconds, missing) - missing < 1e-6
+            inside = (at <= seconds[known[-1]]) & whole & np.isfinite(used)
+            used = np.where(inside, put_back, np.nan)
+            self.fixes = replace(self.fixes, speed=used)
+        self._without_speeds("contradicted", contradicted(seconds, chainage, used, std))
+
+    def _chain(self, std: FloatArray, driven: Driven) -> FloatArray:
+        """Chainage of the fixes in the best chain, NaN for all others.
+
+        Fixes while the receiver is off become computed ones.
+
+        Raises
+        ------
+        InputError
+            If most fixes follow no chain, or one against the line.
+        """
+        fixes, known = self.fixes, np.flatnonzero(np.isfinite(self.points))
+        _, first = np.unique(np.floor(fixes.seconds[known] / NODE), return_index=True)
+        chosen = known[first]
+        places = candidates(self.track, self.points[chosen], GATE * std[chosen])
+        one = np.zeros(places.owner.size, dtype=np.int64)
+        graph = EdgeGraph(self.track.positions[-1:], np.zeros((0, 2), dtype=np.int64))
+        edges = EdgeTracks(graph, (self.track,), self.track.origin)
+        found = places.owner, one, places.chainage, places.distance
+        pace = fixes.any_speed
+        moving = np.isfinite(pace)
+        if moving.any():
+            pace = np.interp(fixes.seconds, fixes.seconds[moving], pace[moving])
+        nodes = edge_nodes(edges, fixes, chosen, std[chosen], driven, found, pace)
+        # On a line the train does not turn round.
+        nodes = replace(nodes, stood=np.zeros(chosen.size, dtype=np.bool_))
+        between = distances(graph, np.zeros(1, dtype=np.int64))
+        chain, back = (
+            best_chain(graph, nodes, between, only, absence=np.inf)
+            for only in (LeftOut(course, -np.inf, np.inf, between) for course in (1, 0))
+        )
+        backwards = nodes.chainage[back.candidate]
+        if back.worth > chain.worth and np.ptp(backwards) > BACKWARDS:
+            near = self.near[known[np.isfinite(self.near[known])][[0, -1]]] / 1e3
+            raise AgainstLineError(
+                f"the fixes run from km {near[0]:.3f} to km {near[1]:.3f},"
+                " against the direction of travel",
+                remedy="correct the direction: 'reverse' instead of 'forward', or vice versa; it is"
+                " given by --reverse, direction= in Python, or direction under [trip] of the"
+                " profile",
+            )
+        near_line = np.count_nonzero(np.diff(nodes.first))
+        against = backwards[~np.isin(back.node, chain.node)]
+        returns = against.size > 0.25 * chain.node.size and np.ptp(against) > BACKWARDS
+        if self.gated and (returns or chain.node.size < 0.5 * near_line):
+            raise InputError(
+                f"only {chain.node.size / near_line:.0%} of the fixes near the line follow it in"
+                " one direction",
+                remedy="give the line that was driven; a log that runs in both directions is two"
+                " trips",
+            )
+        chainage = np.full(self.points.size, np.nan)
+        chainage[chosen[chain.node]] = nodes.chainage[chain.candidate]
+        off = np.zeros(self.points.size, dtype=np.bool_)
+        for before, after in off_between(nodes, chain):
+            off[chosen[before] + 1 : chosen[after]] = True
+        off &= np.isfinite(self.points)
+        self.computed |= off
+        if self.gated:
+            self.points[off] = np.nan
+        return chainage
+
+    # -------------------------------------------------------------- the motion, turn by turn
+
+    def _run(self, course: FloatArray, fitting: BoolArray) -> SmoothedMotion:
+        """The motion; `course` and `fitting` are the first guess of position and good fixes."""
+        seconds = self.fixes.seconds
+        position, pace = course, np.gradient(course, seconds)
+        motion = None
+        for turn in range(TURNS):
+            chainage, aside = beside(self.track, self.points, position)
+            before = self.chainage
+            if motion is not None and self.gated:
+                fitting = self.known & ~self._departs(chainage, aside, motion)
+                self._judge_speeds(motion)
+            self.chainage = np.where(fitting, chainage, np.nan)
+            if np.count_nonzero(fitting) < 2:
+                break
+            if turn < 3:
+                self._size(np.where(fitting, aside, np.nan), pace, smoothed=motion is not None)
+            last = position
+            if turn < 3:
+                self._size_along(
+                    np.where(np.abs(aside) < GATE * self._usual(aside), chainage, np.nan)
+                )
+            motion = self._smoothed()
+            position, pace = motion.position, motion.speed
+            ratio = 1.0 - motion.wheel_error
+            self.slipping = (
+                slipping_wheels(self.fixes, motion.speed, motion.speed_std, ratio) & self.slip_aware
+            )
+            settled = turn > 1 and np.abs(position - last).max() < 0.1
+            if settled and np.array_equal(np.isfinite(before), fitting):
+                break
+        found = self._smoothed() if motion is None else self._calibrated(motion)
+        late = LATE_SHARE * self.along_std
+        return replace(
+            found,
+            position_std=np.hypot(found.position_std, late),
+            speed_std=np.hypot(found.speed_std, late / LASTING_TIME),
+        )
+
+    def _size(self, aside: FloatArray, pace: FloatArray, *, smoothed: bool) -> None:
+        """Estimate the noise of positions and speeds, and the train's agility, on this trip."""
+        seconds, fixes = self.fixes.seconds, self.fixes
+        self.relative = _relative_accuracy(fixes.std, aside)
+        moving = pace > MOVING
+        enough = np.count_nonzero(np.isfinite(aside) & moving) > 60
+        values = np.where(moving, aside, np.nan) if enough else aside
+        series = series_of(seconds, values / self.relative)
+        self.position_noise = position_noise(series.seconds, series.values)
+        self._size_misfit(series.values, series.seconds)
+        of_fix = series_of(seconds, self.chainage)
+        self.position_count = np.where(of_fix.owner >= 0, of_fix.count[of_fix.owner], 1)
+        speed = np.where(self.judged, np.nan, fixes.speed)
+        self._size_agility(pace)
+        if np.count_nonzero(np.isfinite(speed)) < 20:
+            self.speed_noise = None
+            return
+        shown = series_of(seconds, speed)
+        self.speed_count = np.where(shown.owner >= 0, shown.count[shown.owner], 1)
+        driven, missing = integral(seconds, speed)
+        along = series_of(seconds, self.chainage - driven)
+        whole = np.round(np.interp(along.seconds, seconds, missing), 6)
+        dense = float(np.median(np.diff(shown.seconds))) < 2.0
+        white = np.sqrt(self.hold) * white_noise(shown.values) if dense else 0.0
+        found = speed_noise(
+            along.seconds,
+            along.values,
+            whole,
+            structure(series.seconds, series.values)[:2],
+            max(white, SMALLEST_NOISE[1]),
+        )
+        # The speeds depart from the motion by no less than their noise.
+        apart = mean_square(series_of(seconds, speed - pace).values) if smoothed else 0.0
+        lasting = float(np.sqrt(max(apart - found.white**2, found.lasting**2, 0.0)))
+        self.speed_noise = ReceiverNoise(found.white, lasting, found.time)
+
+    def _size_misfit(self, aside: FloatArray, seconds: FloatArray) -> None:
+        """The line's misfit: what of the distances neither noise nor stated accuracy explains."""
+        noise = self.position_noise
+        stated = float(np.median(self.fixes.std[self.known]))
+        apart = np.minimum(np.diff(seconds, prepend=seconds[0]), noise.time)
+        lasting = min(noise.time / max(float(apart.sum()), noise.time), 1.0)
+        share = noise.lasting**2 / max(noise.std**2, 1e-12)
+        independent = share**2 * lasting + (1.0 - share**2) / max(aside.size, 1)
+        total = mean_square(aside)
+        explained = max(noise.std, stated) ** 2 * (1.0 + np.sqrt(2.0 * independent))
+        self.misfit = float(np.sqrt(max(0.0, total - explained)))
+        # What the differences do not show but is no misfit lasts.
+        rest = total - self.misfit**2 - noise.std**2
+        lasting_std = float(np.sqrt(noise.lasting**2 + max(rest, 0.0)))
+        self.position_noise = ReceiverNoise(noise.white, lasting_std, noise.time)
+        # A size from few independent values is unsure, the more as errors have heavy tails:
+        # Student's t in place of the normal.
+        freedom = max(float(apart.sum()) / (4.0 * noise.time), LEAST_FREEDOM)
+        self.unsure = float(t_distribution.ppf(0.975, freedom)) / 1.96
+
+    def _size_along(self, chainage: FloatArray) -> None:
+        """Noise along the line alone, from fixes that are left out and predicted by the others.
+
+        A fix that comes late, as phones replay them, lies on the line, behind the train: what
+        departs beside the line does not show it. Only where fixes are rare or come without a speed;
+        else the integral of the speed shows it.
+        """
+        seconds = self.fixes.seconds
+        known = np.flatnonzero(np.isfinite(chainage))
+        spacing = float(np.median(np.diff(seconds[known]))) if known.size > 1 else 0.0
+        if known.size < LEAST_PREDICTED or (spacing < SPARSE and self.speed_noise is not None):
+            return
+        _, first = np.unique(np.floor(seconds / max(0.5 * spacing, 1.0)), return_index=True)
+        rows = np.unique(np.concatenate([first, known])) if spacing >= 1.0 else first
+        seen = np.isfinite(chainage[rows]) & (np.isfinite(self.chainage[rows]))
+        judged = np.isfinite(chainage[rows])
+        number = np.floor(seconds[rows] / max(PREDICTED, 1.01 * spacing)).astype(np.int64) % FOLDS
+        own = self._position_std()[rows]
+        for _ in range(4):
+            error, std = np.full(rows.size, np.nan), np.ones(rows.size)
+            for fold in range(FOLDS):
+                out = number == fold
+                given = np.where(seen & ~out, chainage[rows], np.nan)
+                if np.count_nonzero(np.isfinite(given)) < 4:
+                    continue
+                motion = self._smoothed(given, rows=rows)
+                asked = out & judged
+                error[asked] = (chainage[rows] - motion.position)[asked]
+                std[asked] = np.hypot(motion.position_std, np.hypot(own, self.along_std))[asked]
+            found = np.isfinite(error)
+            if np.count_nonzero(found) < LEAST_PREDICTED:
+                return
+            ratio = float(np.quantile(np.abs(error[found]) / std[found], 0.95)) / 1.96
+            if ratio < 1.05:
+                return
+            usual = np.median(np.hypot(own, self.along_std)[found])
+            self.along_std = float(np.hypot(self.along_std, usual * np.sqrt(ratio**2 - 1.0)))
+            self.along_std = min(self.along_std, MOST_ALONG)
+
+    def _position_std(self) -> FloatArray:
+        """Standard deviation of each fix [m]."""
+        noise = self.position_noise
+        white = np.hypot(noise.white, SMALLEST_NOISE[0]) * np.sqrt(self.position_count)
+        return np.asarray(np.hypot(white, noise.lasting) * self.relative)
+
+    def _usual(self, aside: FloatArray) -> FloatArray:
+        """Usual distance of each fix beside the line, as a standard deviation [m]."""
+        size = robust_std((aside / self.relative)[self.known])
+        return np.hypot(max(size, SMALLEST_NOISE[0]) * self.relative, GEOMETRY_STD)
+
+    def _size_agility(self, pace: FloatArray) -> None:
+        """Standard deviation of the acceleration, from the changes of speed over 10 s."""
+        seconds = self.fixes.seconds
+        even = np.arange(seconds[0], seconds[-1], 10.0)
+        values = np.interp(even, seconds, pace)
+        change = np.diff(values)
+        share = 10.0 / ACCELERATION_TIME
+        per_unit = 2.0 * ACCELERATION_TIME**2 * (share + np.expm1(-share))
+        size = float(np.sqrt(np.mean(change**2) / per_unit)) if change.size else 0.0
+        least, most = SPEED_SPREAD
+        densities = OUTAGE_DENSITY
+        if np.count_nonzero(np.isfinite(self.fixes.speed)) < 20:
+            # Smoothed positions hide how hard a train brakes: any train then.
+            least, densities = UNSEEN_SPREAD, (UNSEEN_DENSITY, OUTAGE_DENSITY[1])
+        self.acceleration_std = float(np.clip(size, least, most))
+        # Over an outage a train brakes, stands and starts: what counts is how much its speed
+        # changes over as long.
+        measured = np.isfinite(self.chainage) | np.isfinite(self.fixes.speed)
+        if self.fixes.wheel_speed is not None:
+            measured |= np.isfinite(self.fixes.wheel_speed)
+        apart = _apart(seconds, measured)
+        values[np.interp(even, seconds, apart) > LOST_AFTER] = np.nan
+        density = [1.0]
+        for lag in (1, 2, 4, 8):
+            square = (values[lag:] - values[:-lag]) ** 2
+            if np.count_nonzero(np.isfinite(square)) > lag:
+                density.append(float(np.nanmean(square)) / (10.0 * lag))
+        usual = 2.0 * self.acceleration_std**2 * ACCELERATION_TIME
+        outage = float(np.clip(max(density), *densities))
+        self.unmeasured = np.where(apart > LOST_AFTER, max(outage / usual, 1.0), 1.0)
+
+    def _calibrated(self, motion: SmoothedMotion) -> SmoothedMotion:
+        """The motion with bands as wide as the same smoothing errs beside the track.
+
+        A train on rails does not move across them: distances beside the track, smoothed as if they
+        had been driven, should be 0, and so should their rate. Whatever the receiver's errors are
+        like, those along the track are like them.
+        """
+        _, aside = beside(self.track, self.points, motion.position)
+        fitting = np.isfinite(self.chainage)
+        if np.count_nonzero(fitting) < LEAST_CALIBRATED:
+            return motion
+        across = self._smoothed(np.where(fitting, aside, np.nan), 0.0)
+        rows = np.flatnonzero(fitting & (motion.speed > MOVING))
+        rows = rows if rows.size >= LEAST_CALIBRATED else np.flatnonzero(fitting)
+        return replace(
+            motion,
+            position_std=_widened(across.position[rows], motion.position_std, rows, self.misfit),
+            speed_std=_widened(across.speed[rows], motion.speed_std, rows, 0.0),
+        )
+
+    def _smoothed(
+        self,
+        along: FloatArray | None = None,
+        factor: float = 1.0,
+        rows: IntArray | slice = slice(None),
+    ) -> SmoothedMotion:
+        """The motion by the chainage, or by other positions and the speeds times a factor."""
+        fixes, noise, speeds = self.fixes, self.position_noise, self.speed_noise
+        white = np.maximum(noise.white, SMALLEST_NOISE[0]) * np.sqrt(self.position_count)
+        speed = np.where(self.judged, np.nan, fixes.speed)
+        speed_white, speed_lasting = fixes.speed_std, 0.0
+        if speeds is not None:
+            speed_white = np.maximum(speeds.white, SMALLEST_NOISE[1]) * np.sqrt(self.speed_count)
+            speed_lasting = speeds.lasting
+        wheels, wheel_std = fixes.wheel_speed, fixes.wheel_speed_std
+        if wheels is not None and wheel_std is not None:
+            step = float(np.median(np.diff(fixes.seconds[np.isfinite(wheels)])))
+            wheels = (np.where(self.slipping, np.nan, wheels) * factor)[rows]
+            # White noise of this size carries as much, taken together, as errors that last.
+            wheel_std = (wheel_std * np.sqrt(max(1.0, 2.0 * WHEEL_TIME / step)))[rows]
+        lasting = self.unsure * noise.lasting * self.relative
+        return smooth_motion(
+            fixes.seconds[rows],
+            speed[rows] * factor,
+            speed_white[rows],
+            self.chainage[rows] if along is None else along,
+            np.hypot(white * self.relative, self.along_std)[rows],
+            lasting_std=np.hypot(lasting, GEOMETRY_STD)[rows],
+            lasting_speed_std=speed_lasting,
+            wheel_speed=wheels,
+            wheel_speed_std=wheel_std,
+            model=MotionModel(
+                acceleration_std=self.acceleration_std,
+                position_time=noise.time,
+                speed_time=LASTING_TIME if speeds is None else speeds.time,
+                drift=DRIFT,
+                unmeasured=self.unmeasured[rows],
+            ),
+        )
+
+    def _departs(
+        self, chainage: FloatArray, aside: FloatArray, motion: SmoothedMotion
+    ) -> BoolArray:
+        """Fixes that do not go with the motion, along the line or beside it."""
+        std = self._usual(aside)
+        spread = np.sqrt(std**2 + motion.position_std**2 + self.along_std**2)
+        along = (chainage - motion.position) / spread
+        departure = np.hypot(along, aside / std)
+        departure[_ends(self.track, chainage, std)] = np.inf
+        return held(departure, self.fixes.seconds)
+
+    def _judge_speeds(self, motion: SmoothedMotion) -> None:
+        """Set aside the speeds that do not go with the motion."""
+        noise = self.speed_noise
+        if noise is None:
+            return
+        std = np.hypot(noise.white * np.sqrt(self.speed_count), noise.lasting)
+        apart = np.abs(self.fixes.speed - motion.speed)
+        departure = apart / np.hypot(std, motion.speed_std)
+        self.judged = held(departure, self.fixes.seconds)
 
 
 def chainage_of(
@@ -109,7 +632,7 @@ def chainage_of(
     gated: bool = True,
     slip_aware: bool = True,
     speed_aware: bool = True,
-) -> Matched:
+) -> OnLine:
     """Chainage of satellite fixes, growing in the direction of travel.
 
     Parameters
@@ -132,197 +655,279 @@ def chainage_of(
     AgainstLineError
         If chainage falls while the train drives.
     """
-    track = track_of(geometry)
-    points = track.plane(fixes.latitude, fixes.longitude)
-    count = np.count_nonzero(np.isfinite(points))
-    near, distance = nearest_on(track, points)
-    fixes, misfit = _rough_noise(fixes, distance)
-    computed = extrapolated(fixes.seconds, points) | kept_on(fixes.seconds, points, fixes.std)
-    computed &= gated
-    points[computed] = np.nan
-    speeds = Speeds(fixes, points, computed) if speed_aware else Speeds(fixes)
-    std = np.sqrt(fixes.std**2 + misfit**2 + GEOMETRY_STD**2)
-    fixes = replace(fixes, speed=speeds.used)
-    ratio = wheel_ratio(fixes)
-    slipping = slipping_wheels(fixes, fixes.speed, fixes.speed_std, ratio) & slip_aware
-    driven = _driven(fixes, slipping, ratio)
-    chain, off = _chain(track, points, fixes, std, driven, near, gated)
-    computed |= off
-    points[off & gated] = np.nan
-    course = _course(fixes.seconds, chain, driven[0])
-    chainage, aside = beside(track, points, course)
-    spread = robust_std(aside[~np.isnan(aside)])
-    fitting = np.isfinite(points)
-    if gated:
-        fitting &= np.hypot(aside, chainage - course) < GATE * np.hypot(spread, std)
-    if speed_aware:
-        fit = np.where(fitting, chainage, np.nan)
-        speeds.compare(fit, max(spread, SMALLEST_NOISE[0]))
-        fixes = replace(fixes, speed=speeds.used)
-        speeds.common = common_delay(fixes, fit)
-        if speeds.common.value > 0.0:
-            fixes = with_late_wheels(fixes, speeds.common.value)
-            slipping = slipping_wheels(fixes, fixes.speed, fixes.speed_std, wheel_ratio(fixes))
-            slipping &= slip_aware
-    work = LineMotion(track, points, fixes, gated=gated, slip_aware=slip_aware, hold=speeds.hold)
-    motion = work.run(course, fitting, slipping)
-    rejected = np.isfinite(points) & ~np.isfinite(work.chainage)
-    aside_count = int(np.count_nonzero(rejected | computed))
-    if gated and aside_count > MOST_ASIDE * count:
-        raise InputError(
-            f"{aside_count} of {count} fixes were set aside"
-            f" ({np.count_nonzero(computed)} extrapolated, held or replayed, the others away from"
-            " line or motion):"
-            " what is left determines no chainage",
-            remedy="give the line that was driven, or another recording of the trip",
-        )
-    return Matched(
-        chainage=work.chainage,
-        rejected=rejected,
-        extrapolated=computed,
-        contradicted=speeds.aside | work.contradicted,
-        slipping=work.slipping,
-        misfit=work.misfit,
-        motion=motion,
-        position_noise=work.position_noise,
-        speed_noise=work.speed_noise,
-        along_std=work.along_std,
-        delay=speeds.delay,
-        common_delay=speeds.common,
-        reasons=speeds.words(int(np.count_nonzero(work.contradicted & ~speeds.aside))),
+    return OnLine(geometry, fixes, gated=gated, slip_aware=slip_aware, speed_aware=speed_aware)
+
+
+def _apart(seconds: FloatArray, measured: BoolArray) -> FloatArray:
+    """Time between the measurements on both sides of each step [s]."""
+    at = np.flatnonzero(measured)
+    if not at.size:
+        return np.full(seconds.size, np.inf)
+    after = np.searchsorted(at, np.arange(seconds.size))
+    later = seconds[at[np.minimum(after, at.size - 1)]]
+    return np.asarray(later - seconds[at[np.maximum(after - 1, 0)]])
+
+
+def _widened(error: FloatArray, std: FloatArray, rows: IntArray, besides: float) -> FloatArray:
+    """Standard deviations that hold 95 % of the errors in the given rows; never smaller ones."""
+    stated = np.hypot(std[rows], besides)
+    factor = float(np.quantile(np.abs(error) / stated, 0.95)) / 1.96
+    more = max(factor**2 - 1.0, 0.0) * float(np.median(stated)) ** 2
+    return np.asarray(np.sqrt(std**2 + more))
+
+
+def _relative_accuracy(stated: FloatArray, aside: FloatArray) -> FloatArray:
+    """What the stated accuracies say of the fixes beside each other, with a median of 1.
+
+    A power of them, 0, 1/2 or 1: that under which the distances beside the track are likeliest.
+    """
+    used = np.isfinite(aside)
+    unit = stated / float(np.median(stated[used]))
+    best, chosen = np.inf, 0.0
+    for power in (0.0, 0.5, 1.0):
+        scaled = np.abs(aside[used]) / unit[used] ** power
+        size = max(robust_std(scaled), 1e-6)
+        # Negative log-likelihood of Laplace's distribution, whose tails are heavy.
+        value = np.log(size) + float(np.mean(power * np.log(unit[used]) + scaled / size))
+        if value < best - 0.01:
+            best, chosen = value, power
+    return np.asarray(unit**chosen)
+
+
+def _ends(track: Track, chainage: FloatArray, std: FloatArray) -> BoolArray:
+    """Fixes beyond the ends of the track, by more than their own error."""
+    margin = GATE * std
+    return np.asarray(
+        (chainage < track.positions[0] - margin) | (chainage > track.positions[-1] + margin)
     )
 
 
-def _rough_noise(fixes: Fixes, distance: FloatArray) -> tuple[Fixes, float]:
-    """Fixes whose accuracy is no larger than the distances show, and a guess of the line's misfit.
+# ------------------------------------------------------------------ the estimated state
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What could be estimated: the frame, if any, what was found, and the metadata of it."""
+
+    frame: pd.DataFrame | None = None
+    findings: tuple[Finding, ...] = ()
+    metadata: dict[str, str] = field(default_factory=dict)
+
+
+def estimated_state(
+    trip: Trip,
+    line: Line | None,
+    profile: Profile,
+    unplaced: Sequence[tuple[int, int]] = (),
+) -> Estimate:
+    """The ``/estimates/state`` frame of a trip, if its data give one.
+
+    From fixes and satellite speed on a line with geometry; else from the wheels' speed and the
+    profile's start position, where no position was recorded.
+
+    Parameters
+    ----------
+    line : Line or None
+        As travelled.
 
     Raises
     ------
     InputError
-        If the line is too far away to be theirs.
+        If the fixes lie elsewhere, or, as `AgainstLineError`, run against the line.
     """
-    known = np.isfinite(distance)
-    spread = robust_std(distance[known])
-    stated = float(np.median(fixes.std[known]))
-    misfit = float(np.sqrt(max(0.0, spread**2 - stated**2)))
-    if misfit > MAX_MISFIT:
-        raise InputError(
-            f"half of the {np.count_nonzero(known)} fixes lie"
-            f" {np.median(distance[known]) / 1e3:.1f} km or more from the line",
-            remedy="give the line that was driven",
+    geometry = line.geometry if line is not None else None
+    if geometry is not None and "/gnss/fix" in trip and trip["/gnss/fix"]["latitude"].count() > 1:
+        fixes = _placed(fixes_of(trip), unplaced)
+        matched = chainage_of(
+            geometry,
+            fixes,
+            gated=profile.repair.off_line,
+            slip_aware=profile.repair.slip,
+            speed_aware=profile.repair.contradicted,
         )
-    smaller = min(1.0, max(spread, GEOMETRY_STD) / stated)
-    return replace(fixes, std=fixes.std * smaller), misfit
+        metadata = _noise_of(matched)
+        if fixes.row_time:
+            metadata["receiver.held_rows"] = f"{fixes.row_time:g}"
+        usable = np.isfinite(matched.chainage).sum() > 1
+        frame = _smoothed_fixes(fixes, matched) if usable else None
+        return Estimate(frame, _findings(fixes, matched), metadata)
+    start = profile.trip.start_position
+    if not isinstance(start, Quantity) or "/train/state" not in trip:
+        return Estimate()
+    state = trip["/train/state"]
+    if state["position"].notna().any() or not state["speed"].notna().any():
+        return Estimate()
+    index = pd.DatetimeIndex(state.index)
+    motion = smooth_motion(seconds_of(state), state["speed"].to_numpy(), ODOMETER_STD)
+    return Estimate(_frame(index, motion, start.si("m")))
 
 
-def _course(seconds: FloatArray, chain: FloatArray, driven: FloatArray) -> FloatArray:
-    """Rough chainage at every row: that of the chain, between its fixes by the distance driven."""
-    nodes = np.flatnonzero(np.isfinite(chain))
-    if not np.isfinite(driven).all():
-        return np.interp(seconds, seconds[nodes], chain[nodes])
-    return driven + np.interp(seconds, seconds[nodes], chain[nodes] - driven[nodes])
+def position_offset(table: Table, estimate: pd.DataFrame) -> Result:
+    """Shift recorded positions by a constant offset from the fixes; take away what contradicts.
 
+    An odometer that drifts by up to `ODOMETER_DRIFT` of the distance does not contradict the fixes.
 
-def distance_driven(fixes: Fixes) -> tuple[FloatArray, FloatArray]:
-    """Distance driven since the first row [m] by the measured speeds, and its variance [m²].
-
-    NaN without any speed.
+    Parameters
+    ----------
+    table : Table
+        In order of time.
+    estimate : DataFrame
+        ``/estimates/state`` from the fixes.
     """
-    ratio = wheel_ratio(fixes)
-    slipping = slipping_wheels(fixes, fixes.speed, fixes.speed_std, ratio)
-    return _driven(fixes, slipping, ratio)
-
-
-def _driven(fixes: Fixes, slipping: BoolArray, ratio: float) -> tuple[FloatArray, FloatArray]:
-    """Distance driven since the first row [m] and its variance [m²]; NaN where no speed is known.
-
-    By the satellite speed, else by the wheels', across gaps on a line.
-    """
-    speed, std = fixes.speed, fixes.speed_std
-    if fixes.wheel_speed is not None and fixes.wheel_speed_std is not None:
-        wheels = np.where(slipping, np.nan, fixes.wheel_speed * ratio)
-        std = np.where(np.isfinite(speed), std, fixes.wheel_speed_std)
-        speed = np.where(np.isfinite(speed), speed, wheels)
-    known = np.isfinite(speed)
-    if not known.any():
-        return np.full(speed.size, np.nan), np.zeros(speed.size)
-    time = fixes.seconds[known]
-    steps = np.diff(time)
-    driven = np.concatenate(
-        ([0.0], np.cumsum(0.5 * (speed[known][1:] + speed[known][:-1]) * steps))
+    position = table.signals.get(POSITION)
+    if position is None:
+        return table, []
+    known = pd.DatetimeIndex(estimate.index).as_unit("ns").asi8
+    rows = np.flatnonzero(np.isfinite(position) & _near(table.time, known))
+    if rows.size < ENOUGH:
+        return table, []
+    chainage, std, speed = (
+        np.interp(table.time[rows], known, estimate[name].to_numpy())
+        for name in ("position", "position_std", "speed")
     )
-    unsure = (std[known][1:] * steps) ** 2 + UNCHECKED_DENSITY * steps
-    unsure += LOSS_DENSITY * steps**3 / 12.0
-    variance = np.concatenate(([0.0], np.cumsum(unsure)))
-    return np.interp(fixes.seconds, time, driven), np.interp(fixes.seconds, time, variance)
-
-
-def _pace(fixes: Fixes) -> FloatArray:
-    """The speed at every row [m/s], between measured ones on a line; NaN where there is none."""
-    speed = fixes.speed
-    if fixes.wheel_speed is not None:
-        speed = np.where(np.isfinite(speed), speed, fixes.wheel_speed)
-    known = np.isfinite(speed)
-    if not known.any():
-        return np.full(speed.size, np.nan)
-    return np.interp(fixes.seconds, fixes.seconds[known], speed[known])
-
-
-def _chain(
-    track: Track,
-    points: ComplexArray,
-    fixes: Fixes,
-    std: FloatArray,
-    driven: tuple[FloatArray, FloatArray],
-    near: FloatArray,
-    gated: bool,
-) -> tuple[FloatArray, BoolArray]:
-    """Chainage of the fixes in the best chain, NaN for all others; fixes while the receiver is off.
-
-    Raises
-    ------
-    InputError
-        If most fixes follow no chain, or one against the line.
-    """
-    known = np.flatnonzero(np.isfinite(points))
-    _, first = np.unique(np.floor(fixes.seconds[known] / NODE), return_index=True)
-    chosen = known[first]
-    places = candidates(track, points[chosen], GATE * std[chosen])
-    counts = np.bincount(places.owner, minlength=chosen.size)
-    nodes = Nodes(
-        seconds=fixes.seconds[chosen],
-        east=points[chosen].real,
-        north=points[chosen].imag,
-        std=std[chosen],
-        driven=driven[0][chosen],
-        driven_variance=driven[1][chosen],
-        pace=_pace(fixes)[chosen],
-        first=np.concatenate(([0], np.cumsum(counts))),
-        chainage=places.chainage,
-        distance=places.distance,
+    off = position[rows] - chainage
+    least = np.maximum(OFFSET, GATE * std) + (quantum(position) or 0.0)
+    drifted = least + ODOMETER_DRIFT * np.ptp(chainage) + CLOCKS * speed
+    shift = _constant(off, least, drifted)
+    wrong = np.abs(off - shift) > drifted
+    if not (shift or wrong.any()):
+        return table, []
+    away = np.interp(table.time, table.time[rows], wrong) >= 0.5
+    if shift:
+        size = "too large" if shift > 0.0 else "too small"
+        note = f"the distance was {abs(shift) / 1e3:.3f} km off the fixes, {size}; put back"
+    else:
+        note = (
+            f"the distance is {np.min(off) / 1e3:+.3f} to {np.max(off) / 1e3:+.3f} km off the"
+            " fixes, by no constant offset"
+        )
+    if np.mean(wrong) > MOST_CONTRADICTING:
+        away[:] = True
+        note += "; none of it is used"
+    elif away.any():
+        note += "; it is absent where it contradicts them"
+    moved = np.where(away, np.nan, position - shift)
+    changed = np.isfinite(position) & (moved != position)
+    return table.with_values(POSITION, moved), table.found(
+        "position_offset", changed, POSITION, note
     )
-    worth, chain = best_chain(nodes, 1.0)
-    back, backwards = best_chain(nodes, -1.0)
-    if back > worth and np.ptp(places.chainage[backwards[backwards >= 0]]) > BACKWARDS:
-        ends = known[np.isfinite(near[known])][[0, -1]]
-        raise AgainstLineError(
-            f"the fixes run from km {near[ends[0]] / 1e3:.3f} to km {near[ends[1]] / 1e3:.3f},"
-            " against the direction of travel",
-            remedy="correct the direction: 'reverse' instead of 'forward', or vice versa; it is"
-            " given by --reverse, direction= in Python, or direction under [trip] of the profile",
-        )
-    inside = np.count_nonzero(chain >= 0)
-    against = backwards[(chain < 0) & (backwards >= 0)]
-    returns = against.size > 0.25 * inside and np.ptp(places.chainage[against]) > BACKWARDS
-    if gated and (returns or inside < 0.5 * np.count_nonzero(counts)):
-        raise InputError(
-            f"only {inside / np.count_nonzero(counts):.0%} of the fixes near the line follow it"
-            " in one direction",
-            remedy="give the line that was driven; a log that runs in both directions is two trips",
-        )
-    chainage = np.full(points.size, np.nan)
-    chainage[chosen[chain >= 0]] = places.chainage[chain[chain >= 0]]
-    off = np.zeros(points.size, dtype=np.bool_)
-    for before, after in off_between(nodes, chain):
-        off[chosen[before] + 1 : chosen[after]] = True
-    return chainage, off & np.isfinite(points)
+
+
+def _near(time: IntArray, known: IntArray) -> BoolArray:
+    """Which times lie in no gap of the estimate, and neither before nor after it."""
+    after = np.searchsorted(known, time)
+    inside = (after > 0) & (after < known.size)
+    after = np.clip(after, 1, known.size - 1)
+    return inside & (known[after] - known[after - 1] <= LARGEST_GAP * NANOSECONDS)
+
+
+def _constant(off: FloatArray, least: FloatArray, drifted: FloatArray) -> float:
+    """The offset [m] that nearly all differences have, up to drift; 0 if there is none."""
+    offset = float(np.median(off))
+    beyond = float(np.mean(np.sign(offset) * off > least))
+    agreeing = float(np.mean(np.abs(off - offset) <= drifted))
+    return offset if min(beyond, agreeing) >= CONSTANT else 0.0
+
+
+def _placed(fixes: Fixes, unplaced: Sequence[tuple[int, int]]) -> Fixes:
+    """The fixes without positions between some times [ns]."""
+    time = fixes.index.as_unit("ns").asi8
+    lost = np.zeros(time.size, dtype=np.bool_)
+    for first, last in unplaced:
+        lost |= (time >= first) & (time <= last)
+    if not lost.any():
+        return fixes
+    latitude, longitude = (
+        np.where(lost, np.nan, each) for each in (fixes.latitude, fixes.longitude)
+    )
+    return replace(fixes, latitude=latitude, longitude=longitude)
+
+
+def _findings(fixes: Fixes, matched: OnLine) -> tuple[Finding, ...]:
+    """What was set aside, by rule."""
+    count = int(np.count_nonzero(matched.computed))
+    computed = f"{count} extrapolated, held or replayed by the receiver" if count else ""
+    # A delay of fixes and speeds together concerns every speed.
+    late = np.isfinite(fixes.speed) & (matched.common_delay.value > 0.0)
+    counts = (
+        ("contradicted", matched.contradicted | late, "/gnss/motion.speed", matched.reasons),
+        ("off_line", matched.rejected | matched.computed, "/gnss/fix", computed),
+        ("slip", matched.slipping, "/train/state.speed", ""),
+    )
+    return tuple(
+        Finding(rule, int(np.count_nonzero(flags)), (), column, note)
+        for rule, flags, column, note in counts
+        if flags.any()
+    )
+
+
+def _noise_of(matched: OnLine) -> dict[str, str]:
+    """What was found of the receiver and the line, as metadata."""
+    noise = matched.position_noise
+    found = {
+        "line.misfit": f"{matched.misfit:.1f}",
+        "receiver.position_std": f"{noise.std:.1f}",
+        "receiver.position_time": f"{noise.time:.0f}",
+    }
+    if matched.along_std:
+        found["receiver.along_std"] = f"{matched.along_std:.0f}"
+    if matched.speed_noise is not None:
+        found["receiver.speed_std"] = f"{matched.speed_noise.std:.2f}"
+        found["receiver.speed_time"] = f"{matched.speed_noise.time:.0f}"
+    if matched.delay:
+        found["receiver.speed_delay"] = f"{matched.delay:g}"
+    if matched.common_delay.value > 0.0:
+        found["receiver.delay"] = f"{matched.common_delay.value:.2f}"
+        found["receiver.delay_std"] = f"{matched.common_delay.std:.2f}"
+    elif np.isnan(matched.common_delay.value):
+        found["receiver.delay"] = "not known"
+    return found
+
+
+def _smoothed_fixes(fixes: Fixes, matched: OnLine) -> pd.DataFrame:
+    """Smoothed motion over the span in which fixes were matched."""
+    known = np.flatnonzero(np.isfinite(matched.chainage))
+    span = slice(int(known[0]), int(known[-1]) + 1)
+    # Where the line itself is misplaced no number of fixes helps.
+    motion = _on_time(fixes.seconds, matched)
+    std = np.hypot(motion.position_std, matched.misfit)
+    return _frame(fixes.index, replace(motion, position_std=std), 0.0).iloc[span]
+
+
+def _on_time(seconds: FloatArray, matched: OnLine) -> SmoothedMotion:
+    """The motion on the table's clock, its band wider by what is not known of the delay."""
+    motion, late = matched.motion, matched.common_delay
+    if not late.value > 0.0:
+        return motion
+    at = seconds + late.value
+
+    def earlier(values: FloatArray) -> FloatArray:
+        return np.asarray(np.interp(at, seconds, values))
+
+    beyond = np.maximum(at - seconds[-1], 0.0)
+    speed, acceleration = earlier(motion.speed), earlier(motion.acceleration)
+    return replace(
+        motion,
+        position=earlier(motion.position) + speed * beyond,
+        position_std=np.hypot(earlier(motion.position_std), late.std * speed),
+        speed=speed,
+        speed_std=np.hypot(earlier(motion.speed_std), late.std * acceleration),
+        acceleration=acceleration,
+        acceleration_std=earlier(motion.acceleration_std),
+    )
+
+
+def _frame(index: pd.DatetimeIndex, motion: SmoothedMotion, start: float) -> pd.DataFrame:
+    """The topic's frame; a train on its trip does not roll back."""
+    return frame_of(
+        ESTIMATED_STATE,
+        index,
+        {
+            "position": np.maximum.accumulate(motion.position) + start,
+            "position_std": motion.position_std,
+            "speed": np.maximum(motion.speed, 0.0),
+            "speed_std": motion.speed_std,
+            "acceleration": motion.acceleration,
+            "acceleration_std": motion.acceleration_std,
+        },
+    )

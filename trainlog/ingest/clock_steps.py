@@ -18,6 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.stats import t as t_distribution
 
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
@@ -30,8 +31,20 @@ from trainlog.ingest.clock import (
     same_as_previous,
     usual_step,
 )
+from trainlog.ingest.motion import (
+    ENOUGH,
+    GATE,
+    GNSS_SPEED,
+    MOVING,
+    POSITION,
+    SPEED,
+    agreement,
+    plane,
+    seconds_of,
+    speed_of,
+)
 from trainlog.ingest.profile import Limits
-from trainlog.ingest.recording import METRES_PER_DEGREE, Finding, Table
+from trainlog.ingest.recording import Finding, Table
 from trainlog.units import DAY, NANOSECONDS
 
 ROLLOVER = 1024 * 7 * DAY
@@ -55,9 +68,6 @@ MAJORITY = 2.0 / 3.0
 MOST_EDGES = 50
 """Steps beyond which it is not the clock that was set."""
 
-LEAST_ROWS = 10
-"""Rows that it takes to judge a clock."""
-
 CHAIN = 15.0
 """Time [s] between two steps that may belong to one setting of the clock."""
 
@@ -80,15 +90,9 @@ ones back are of zones and dates."""
 HARDEST = 0.4
 """Acceleration and braking [m/s²] with which a train may have slowed down, and gone on, unseen."""
 
-SLOWEST = 2.0
-"""Speed [m/s] from which on distance shows how much time passed."""
-
 WINDOWS = (2.0, 5.0, 10.0, 20.0)
 """Times [s] before and after a step over which distances are compared: a receiver that begins late
 after a gap has caught up within the longest."""
-
-LEAST_REFERENCES = 6
-"""Places without a step on which what is usual is measured."""
 
 SMALLEST_STD = 0.2
 """Standard deviation [m] that no distance undercuts."""
@@ -101,17 +105,11 @@ SETTING_COST, BOTH_COST, SURE = 5.0, 2.0, 1.5
 much likelier that is without missing rows than with them, and how much likelier than everything
 else a setting must be to be undone."""
 
-MOST_ERRORS = 5.0
-"""Standard deviations beyond which a distance is explained by something else."""
-
 TAILS = 5
 """Degrees of freedom of the errors of distances."""
 
 BRAKED = 0.2
 """Share of gaps in which a train is taken to brake and go on."""
-
-SPEEDS = ("/train/state.speed", "/gnss/motion.speed")
-"""Columns of a speed, that of the same source as the distance first."""
 
 
 def undo_clock_steps(table: Table, limits: Limits) -> Result:
@@ -123,7 +121,7 @@ def undo_clock_steps(table: Table, limits: Limits) -> Result:
     if the motion across the step shows that the clock was set.
     """
     time = table.time
-    if len(table) < LEAST_ROWS:
+    if len(table) < ENOUGH:
         return table, []
     shift = _too_early(time, limits)
     shift = shift + _coarse(time + shift, limits)
@@ -140,7 +138,7 @@ def undo_clock_steps(table: Table, limits: Limits) -> Result:
 def suspect_clock_steps(table: Table, limits: Limits) -> Result:
     """Report what may be steps of the clock, and what may be dates of another week count."""
     findings: list[Finding] = []
-    if len(table) < LEAST_ROWS:
+    if len(table) < ENOUGH:
         return table, findings
     undecided = _seconds(table)[1]
     if undecided:
@@ -213,14 +211,14 @@ def _to_most(levels: IntArray) -> IntArray:
 def _to_latest(levels: IntArray) -> IntArray:
     """What puts every row on the latest level that is no slip of a few rows."""
     values, counts = np.unique(levels, return_counts=True)
-    real = values[(counts >= LEAST_ROWS) | (counts == counts.max())]
+    real = values[(counts >= ENOUGH) | (counts == counts.max())]
     return np.asarray(real.max() - levels)
 
 
 def _to_last(levels: IntArray) -> IntArray:
     """What puts every row on the last level that is no slip of a few rows: clocks are set right."""
     _, owner, counts = np.unique(levels, return_inverse=True, return_counts=True)
-    real = np.flatnonzero((counts >= LEAST_ROWS)[owner] | (counts == counts.max())[owner])
+    real = np.flatnonzero((counts >= ENOUGH)[owner] | (counts == counts.max())[owner])
     return np.asarray(levels[real[-1]] - levels)
 
 
@@ -252,7 +250,7 @@ def _to_dated(time: IntArray, levels: IntArray) -> IntArray:
     if counts.max() < MAJORITY * counts.sum():
         return none
     right = values[np.argmax(counts)]
-    few = values[counts < LEAST_ROWS]
+    few = values[counts < ENOUGH]
     return np.where(~undated & np.isin(levels, few), 0, right - levels)
 
 
@@ -318,7 +316,7 @@ class _Rows:
     def of(cls, table: Table) -> _Rows | None:
         """The rows of a table; None if they come too rarely."""
         usual = rows_per_second(table)
-        seconds = (table.time - table.time[0]) / NANOSECONDS
+        seconds = seconds_of(table)
         if usual > 1:
             time, period = _with_fractions(seconds, usual), 1.0 / usual
         else:
@@ -540,7 +538,7 @@ class _Across:
     def fits(self, lost: float) -> bool:
         """Whether `lost` seconds without rows explain all that is seen."""
         std = np.hypot(self.std, self.unseen(abs(lost)))
-        return bool(np.all(np.abs(self.excess - self.speed * lost) < MOST_ERRORS * std))
+        return bool(np.all(np.abs(self.excess - self.speed * lost) < GATE * std))
 
     def likelihood(self, lost: float) -> FloatArray:
         """Logarithm of the likelihood that `lost` seconds passed without rows; (k,) array.
@@ -598,15 +596,15 @@ class _Motion:
     @classmethod
     def of(cls, rows: _Rows) -> _Motion | None:
         """What the columns of a table show; None without a distance and a speed."""
-        signals = rows.table.signals
-        found = _places(rows.table)
-        names = SPEEDS if found is not None and found[1] else SPEEDS[::-1]
-        speed = next((signals[name] for name in names if name in signals), None)
-        if speed is None or found is None:
+        position, points = rows.table.signals.get(POSITION), plane(rows.table)
+        signed = position is not None and bool(np.isfinite(position).any())
+        # The speed of the same source as the distance first.
+        speed = speed_of(rows.table, *((SPEED, GNSS_SPEED) if signed else (GNSS_SPEED, SPEED)))
+        places = position + 0j if position is not None and signed else points
+        if speed is None or places is None:
             return None
-        places, signed = found
         known = np.flatnonzero(np.isfinite(speed) & np.isfinite(places))
-        if known.size < LEAST_ROWS:
+        if known.size < ENOUGH:
             return None
         passed = rows.late + rows.period
         passed[rows.steps] = rows.period
@@ -619,13 +617,17 @@ class _Motion:
         first = np.diff(number, prepend=-1) != 0
         edges = np.diff(broken[known], append=-1) != 0
         nodes = known[first | edges]
-        pace = np.abs(speed[known])
-        driven = np.interp(time[nodes], time[known], _integral(time[known], pace))
+        driven = cumulative_trapezoid(speed[known], time[known], initial=0.0)
+        driven = np.interp(time[nodes], time[known], driven)
         along = places[nodes].real if signed else _along(places[nodes], broken[nodes], time[nodes])
-        scale = _scale(time[nodes], along, driven, broken[nodes])
-        if not np.isfinite(scale):
+        # Distance over the integral of the speed, the median over 20 s.
+        later = np.minimum(np.searchsorted(time[nodes], time[nodes] + WINDOWS[-1]), nodes.size - 1)
+        by_speed = driven[later] - driven
+        moving = (broken[nodes][later] == broken[nodes]) & (by_speed > WINDOWS[-1] * MOVING)
+        found = agreement(along[later] - along, by_speed, moving)
+        if found is None:
             return None
-        driven, pace = scale * driven, scale * np.abs(speed[nodes])
+        driven, pace = found.ratio * driven, found.ratio * speed[nodes]
         motion = cls(
             nodes, time[nodes], places[nodes], along - driven, driven, pace, broken[nodes], {}
         )
@@ -633,14 +635,14 @@ class _Motion:
 
     def _calibrated(self) -> _Motion | None:
         """With what is usual where no step is."""
-        moving = np.flatnonzero(self.speed > SLOWEST)
+        moving = np.flatnonzero(self.speed > MOVING)
         usual: dict[float, tuple[float, float]] = {}
         for window in WINDOWS:
             left, right = self._around(moving, moving, window)
             whole = self.broken[left] == self.broken[right]
             whole &= self.time[right] - self.time[left] > 1.5 * window
             change = (self.rest[right] - self.rest[left])[whole]
-            if change.size < LEAST_REFERENCES:
+            if change.size < ENOUGH:
                 continue
             middle = float(np.median(change))
             size = np.abs(change - middle)
@@ -663,7 +665,7 @@ class _Motion:
         if before < 0 or after >= self.rows.size or self.broken[after] != self.broken[before] + 1:
             return None
         speed = 0.5 * float(self.speed[before] + self.speed[after])
-        if speed < SLOWEST:
+        if speed < MOVING:
             return None
         found = []
         for window, (middle, std) in self.usual.items():
@@ -704,9 +706,9 @@ class _Motion:
         later = np.searchsorted(self.time, self.time + lost)
         known = np.flatnonzero(later < self.time.size)
         later = later[known]
-        moving = (self.speed[known] > SLOWEST) & (self.speed[later] > SLOWEST)
+        moving = (self.speed[known] > MOVING) & (self.speed[later] > MOVING)
         known, later = known[moving], later[moving]
-        if known.size < LEAST_REFERENCES:
+        if known.size < ENOUGH:
             return float(np.sqrt(MOST_UNSEEN / UNSEEN) * least)
         mean = 0.5 * (self.speed[later] + self.speed[known])
         beside = (
@@ -719,22 +721,9 @@ class _Motion:
         first, last = np.searchsorted(self.rows, [before, after])
         last = min(int(last), self.rows.size - 1)
         speed = float(np.mean(self.speed[first : last + 1])) if last > first else 0.0
-        if speed <= SLOWEST:
+        if speed <= MOVING:
             return None
         return float(self.rest[last] - self.rest[first]) / speed
-
-
-def _places(table: Table) -> tuple[ComplexArray, bool] | None:
-    """Chainage, or the fixes in a plane [m], and whether it is the former."""
-    position = table.signals.get("/train/state.position")
-    if position is not None and np.isfinite(position).any():
-        return position.astype(np.complex128), True
-    latitude, longitude = (table.signals.get(f"/gnss/fix.{n}") for n in ("latitude", "longitude"))
-    if latitude is None or longitude is None or not np.isfinite(latitude).any():
-        return None
-    east = METRES_PER_DEGREE * np.cos(np.radians(float(np.nanmedian(latitude))))
-    points: ComplexArray = longitude * east + 1j * latitude * METRES_PER_DEGREE
-    return points, False
 
 
 def _along(points: ComplexArray, broken: IntArray, time: FloatArray) -> FloatArray:
@@ -746,17 +735,3 @@ def _along(points: ComplexArray, broken: IntArray, time: FloatArray) -> FloatArr
     heading = points[:-1] - points[behind]
     size[step & (np.real(chord * np.conj(heading)) < 0.0)] *= -1.0
     return np.concatenate(([0.0], np.cumsum(size)))
-
-
-def _integral(time: FloatArray, speed: FloatArray) -> FloatArray:
-    return np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
-
-
-def _scale(time: FloatArray, along: FloatArray, driven: FloatArray, broken: IntArray) -> float:
-    """Distance over the integral of the speed, the median over 20 s; NaN if it stands."""
-    later = np.minimum(np.searchsorted(time, time + 20.0), time.size - 1)
-    by_speed = driven[later] - driven
-    kept = (broken[later] == broken) & (by_speed > 20.0 * SLOWEST)
-    if np.count_nonzero(kept) < LEAST_REFERENCES:
-        return float("nan")
-    return float(np.median((along[later] - along)[kept] / by_speed[kept]))

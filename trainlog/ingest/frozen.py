@@ -14,31 +14,38 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
 from trainlog.ingest.clock import Result, gap_threshold
+from trainlog.ingest.motion import (
+    EFFORTS,
+    GATE,
+    GNSS_SPEED,
+    LATITUDE,
+    LONGITUDE,
+    MOVING,
+    POSITION,
+    RESTING,
+    RESTING_SAMPLES,
+    SPEED,
+    SPEED_STD,
+    STANDING,
+    WHEEL_SPEED,
+    Agreement,
+    agreement,
+    covered,
+    plane,
+    repeats,
+    seconds_of,
+)
 from trainlog.ingest.profile import Limits
 from trainlog.ingest.recording import Finding, Table, field_of
-from trainlog.ingest.spikes import GNSS_SPEED, LATITUDE, LONGITUDE, SPEED, plane
-from trainlog.units import NANOSECONDS
 
 Column = FloatArray | ComplexArray
 
-POSITION = "/train/state.position"
-WHEEL_SPEED = "/train/axles.wheel_speed"
-EFFORTS = tuple(
-    f"/train/controls.{kind}_effort"
-    for kind in ("tractive", "dynamic_braking", "pneumatic_braking")
-)
-
 MEASURED = ("/train/state", "/train/controls", "/train/axles", "/gnss/fix", "/gnss/motion", "/imu")
 """Topics that are measured at every instant; others, such as the weather, rest."""
-
-LEAST_SECONDS = 10.0
-"""Time [s] from which on a repeated value may be frozen."""
-
-LEAST_SAMPLES = 6
-"""Samples that this is at least."""
 
 WINDOW = 5.0
 """Time [s] over which speeds and distances are compared."""
@@ -55,23 +62,12 @@ UNUSUAL = 10.0
 LEAST_COMPARED = 50
 """Samples of like size that it takes to know a column's noise."""
 
-MOVING = 0.5
-"""Speed [m/s] from which on a train moves."""
+SPEED_MARGIN = 0.3
+"""How far two speeds may differ [m/s], beside `GATE` standard deviations of their usual
+difference."""
 
-DRIVING = 1.0
-"""Speed [m/s] from which on positions must change, whatever the speed's noise."""
-
-CALIBRATING = 3.0
-"""Speed [m/s] from which on two columns are compared where neither rests."""
-
-LEAST_WINDOWS = 10
-"""Windows that it takes to do so."""
-
-SPEED_MARGIN, STDS = 0.3, 4.0
-"""How far two speeds may differ: in m/s, and in standard deviations of their usual difference."""
-
-USUAL_STD, USUAL_FIX_STD = 0.5, 3.0
-"""Standard deviation of that difference [m/s] where it is not known, without and with fixes."""
+USUAL_FIX_STD = 3.0
+"""Standard deviation of that difference [m/s] where it is not known, of the speed by fixes."""
 
 STAYED, FIX_STAYED = 15.0, 30.0
 """Distance [m] from which on a position, or a fix, must have changed."""
@@ -123,10 +119,7 @@ class Runs:
 
     def rows(self, chosen: BoolArray, size: int) -> BoolArray:
         """The rows of the chosen runs but for the first of each, which was measured."""
-        change = np.zeros(size + 1, dtype=np.int64)
-        np.add.at(change, self.first[chosen] + 1, 1)
-        np.add.at(change, self.last[chosen] + 1, -1)
-        return np.asarray(np.cumsum(change[:-1]) > 0)
+        return covered(self.first[chosen] + 1, self.last[chosen] + 1, size)
 
     @property
     def broken(self) -> BoolArray:
@@ -135,8 +128,8 @@ class Runs:
         return np.asarray((self.before > most) | ~(self.after <= most))
 
 
-def runs_of(seconds: FloatArray, values: Column, gap: float) -> Runs | None:
-    """The runs of at least `LEAST_SECONDS`; None if there are none.
+def long_runs(seconds: FloatArray, values: Column, gap: float) -> Runs | None:
+    """The runs of at least `RESTING`; None if there are none.
 
     Parameters
     ----------
@@ -147,18 +140,12 @@ def runs_of(seconds: FloatArray, values: Column, gap: float) -> Runs | None:
         Time between two samples that ends a run.
     """
     known = np.flatnonzero(np.isfinite(values))
-    if known.size < LEAST_SAMPLES:
+    if known.size < RESTING_SAMPLES:
         return None
-    every = known.size == values.size
-    column, at = (values, seconds) if every else (values[known], seconds[known])
-    ends = np.flatnonzero(column[1:] != column[:-1])
-    if at[-1] - at[0] > gap * known.size / 100.0:
-        late = np.flatnonzero(np.diff(at) > gap)
-        ends = np.union1d(ends, late) if late.size else ends
-    first = np.concatenate(([0], ends + 1))
-    last = np.concatenate((ends, [column.size - 1]))
-    samples = last - first + 1
-    long = (samples >= LEAST_SAMPLES) & (at[last] - at[first] >= LEAST_SECONDS)
+    column, at = values[known], seconds[known]
+    found = repeats(values, np.flatnonzero(np.diff(at) > gap))
+    first, last, samples = found.first, found.last, found.samples
+    long = (samples >= RESTING_SAMPLES) & (at[last] - at[first] >= RESTING)
     if not long.any():
         return None
     jump = np.abs(column[first[1:]] - column[last[:-1]])
@@ -261,13 +248,13 @@ class _Motion:
     excluded: dict[str, BoolArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.seconds = (self.table.time - self.table.time[0]) / NANOSECONDS
+        self.seconds = seconds_of(self.table)
         self.edges = np.arange(0.0, self.seconds[-1] + 1e-9, WINDOW)
         self.gap = gap_threshold(self.table.time, self.limits)
 
     def add(self, name: str, values: Column) -> None:
         """Take in a column."""
-        runs = runs_of(self.seconds, values, max(self.gap, 5.0))
+        runs = long_runs(self.seconds, values, max(self.gap, WINDOW))
         self.values[name] = values
         if runs is not None:
             self.runs[name] = runs
@@ -288,20 +275,14 @@ class _Motion:
             return found
         at, column = self.seconds[known], values[known]
         if is_rate:
-            parts = np.diff(at) * 0.5 * (column[1:] + column[:-1])
-            column = np.concatenate(([0.0], np.cumsum(parts)))
-        else:
-            column = column - column[0]
+            column = cumulative_trapezoid(column, at, initial=0.0)
         moved = np.diff(np.interp(self.edges, at, column))
         late = np.flatnonzero(np.diff(at) > max(self.gap, WINDOW / 2.0))
         inside = (self.edges[:-1] >= at[0]) & (self.edges[1:] <= at[-1])
         # Windows that overlap a gap.
         begin = np.searchsorted(self.edges, at[late], side="right") - 1
         end = np.searchsorted(self.edges, at[late + 1], side="left")
-        change = np.zeros(found.size + 2, dtype=np.int64)
-        np.add.at(change, np.clip(begin, 0, found.size), 1)
-        np.add.at(change, np.clip(end, 0, found.size), -1)
-        inside &= np.cumsum(change)[: found.size] <= 0
+        inside &= ~covered(begin, end, found.size)
         found[inside] = np.abs(moved[inside]) / WINDOW
         return found
 
@@ -323,10 +304,7 @@ class _Motion:
         runs = self.runs[name]
         first = np.floor(self.seconds[runs.first[chosen]] / WINDOW).astype(np.int64)
         last = np.ceil(self.seconds[runs.last[chosen]] / WINDOW).astype(np.int64)
-        change = np.zeros(size + 1, dtype=np.int64)
-        np.add.at(change, np.clip(first, 0, size), 1)
-        np.add.at(change, np.clip(last, 0, size), -1)
-        return np.asarray(np.cumsum(change)[:size] > 0)
+        return covered(first, last, size)
 
     def trembling(self, name: str) -> BoolArray:
         """Which runs are of a column that never rests at such values while the train moves."""
@@ -353,13 +331,13 @@ class _Motion:
         """During which runs the train moves, by any speed; always for an IMU."""
         runs = self.runs[name]
         if is_speed(name):
-            return np.abs(runs.value) > MOVING
+            return np.abs(runs.value) > STANDING
         moving = np.full(runs.value.size, name.startswith("/imu"))
         first, beyond = self.windows(name)
         for other, pace in self.paces().items():
             if is_speed(other):
                 total = np.concatenate(([0.0], np.cumsum(np.nan_to_num(pace))))
-                moving |= total[beyond] - total[first] > MOVING * (beyond - first)
+                moving |= total[beyond] - total[first] > STANDING * (beyond - first)
         return moving
 
     def stayed(self, name: str) -> BoolArray:
@@ -375,7 +353,7 @@ class _Motion:
             if other in self.runs:
                 resting = self._covered(other, self.runs[other].value != 0.0, pace.size)
             for live in (True, False):
-                usable = (pace > DRIVING) & ~self.excluded[other] & (resting != live)
+                usable = (pace > MOVING) & ~self.excluded[other] & (resting != live)
                 total = np.concatenate(([0.0], np.cumsum(np.where(usable, pace * WINDOW, 0.0))))
                 gained = total[beyond] - total[first]
                 if live:
@@ -399,7 +377,7 @@ class _Motion:
         compared = []
         for other, pace in self._others(name).items():
             ratio, std = _agreement(own, pace, ~resting, name, other)
-            allowed = runs.step + SPEED_MARGIN + STDS * std
+            allowed = runs.step + SPEED_MARGIN + GATE * std
             compared.append(self._compared(name, own - ratio * pace, std, allowed))
         contradicted, asked = _verdict(compared, runs)
         # Nothing to compare with: it rests far longer than it ever does, and then jumps.
@@ -439,7 +417,7 @@ class _Motion:
         mean = [self._pace(values, is_rate=True) for values in efforts.values()]
         mean = [0.5 * (each + np.append(each[1:], np.nan)) for each in mean]
         columns = np.column_stack([*mean, np.ones(speed.size), speed, speed**2])
-        known = np.isfinite(columns).all(axis=1) & np.isfinite(acceleration) & (speed > MOVING)
+        known = np.isfinite(columns).all(axis=1) & np.isfinite(acceleration) & (speed > STANDING)
         live = known.copy()
         for name in names:
             # What another effort does while one is known to be frozen is not known.
@@ -453,7 +431,7 @@ class _Motion:
         size = np.abs(off[live])
         if np.sqrt(np.mean(size**2)) > EXPLAINED * np.std(acceleration[live]):
             return none
-        allowed = max(STDS * robust_std(size), BEYOND * float(np.max(size)))
+        allowed = max(GATE * robust_std(size), BEYOND * float(np.max(size)))
         # Of two efforts that rest at the same time the one that does so longer is doubted first.
         took = {n: np.max(self.runs[n].last - self.runs[n].first) for n in names}
         for name in sorted(names, key=lambda n: -took[n]):
@@ -544,11 +522,7 @@ def _trembles(column: Column, size: float, step: float) -> bool:
 
 def _agreement(
     own: FloatArray, pace: FloatArray, live: BoolArray, name: str, other: str
-) -> tuple[float, float]:
+) -> Agreement:
     """Ratio of a column to another where neither rests, and the noise of their difference."""
-    both = live & (own > CALIBRATING) & (pace > CALIBRATING)
-    if np.count_nonzero(both) < LEAST_WINDOWS:
-        return 1.0, USUAL_FIX_STD if LATITUDE in (name, other) else USUAL_STD
-    ratio = float(np.median(own[both] / pace[both]))
-    off = own[both] - ratio * pace[both]
-    return ratio, robust_std(off)
+    found = agreement(own, pace, live & (own > MOVING) & (pace > MOVING))
+    return found or Agreement(1.0, USUAL_FIX_STD if LATITUDE in (name, other) else SPEED_STD)

@@ -17,13 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.ingest.motion import POSITION, STANDING, speed_of
 from trainlog.ingest.profile import Profile, TripColumns
 from trainlog.ingest.recording import NO_TIME, Finding, Recording, Table, base_name
 from trainlog.topics import RECORDED
 from trainlog.units import DAY, NANOSECONDS, to_si
-
-STANDING = 0.5
-"""Speed up to which a train may stand [m/s]: noise of a sensor."""
 
 BACKWARDS = 0.75
 """Share of the steps of time that fall where a table has its newest row first."""
@@ -184,7 +182,7 @@ def pauses_in(table: Table, pause: float) -> IntArray:
     known = np.flatnonzero(table.time != NO_TIME)
     if known.size < 2 * LEAST_GROUP:
         return np.zeros(0, dtype=np.int64)
-    time, speed = table.time[known], _speed(table)
+    time, speed = table.time[known], speed_of(table)
     longest = int(pause * NANOSECONDS)
     steps = np.diff(time)
     leaps = np.flatnonzero(np.abs(steps) > longest) + 1
@@ -204,15 +202,6 @@ def pauses_in(table: Table, pause: float) -> IntArray:
     if speed is not None:
         cuts += _standstills(time, speed[known], known, longest)
     return _that_move(table, speed, sorted(set(cuts)))
-
-
-def _speed(table: Table) -> FloatArray | None:
-    """The train's speed, or its receiver's; None if there is none."""
-    for name in ("/train/state.speed", "/gnss/motion.speed"):
-        values = table.signals.get(name)
-        if values is not None and np.isfinite(values).any():
-            return np.abs(values)
-    return None
 
 
 def _stands(speed: FloatArray) -> bool:
@@ -252,7 +241,7 @@ def _that_move(table: Table, speed: FloatArray | None, cuts: list[int]) -> IntAr
 
 
 def _moves(table: Table, speed: FloatArray | None, first: int, last: int) -> bool:
-    position = table.signals.get("/train/state.position")
+    position = table.signals.get(POSITION)
     if position is not None and np.isfinite(position[first:last]).any():
         inside = position[first:last]
         low, high = np.nanpercentile(inside, [1.0, 99.0])

@@ -16,8 +16,13 @@ from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import read_bytes, sha256, sha256_of
 from trainlog.formats.railway import line_to_bytes, train_to_bytes
 from trainlog.identity import source_of
-from trainlog.ingest.chainage import AgainstLineError
-from trainlog.ingest.estimates import Estimate, estimated_state, position_offset
+from trainlog.ingest.chainage import (
+    AgainstLineError,
+    Estimate,
+    estimated_state,
+    position_offset,
+)
+from trainlog.ingest.motion import GNSS_SPEED, POSITION, SPEED
 from trainlog.ingest.parts import parts_of
 from trainlog.ingest.placing import OVERRUN, placed
 from trainlog.ingest.profile import (
@@ -660,7 +665,7 @@ def bounded_limits(limits: Limits, line: Line | None, train: Train | None) -> Li
         return limits
     fastest = SPEED_MARGIN * min(allowed)
     bounded = {}
-    for name in ("/train/state.speed", "/gnss/motion.speed"):
+    for name in (SPEED, GNSS_SPEED):
         item = field_of(name)[2]
         usual = item.bounds
         bounded[name] = Limit(
@@ -671,14 +676,12 @@ def bounded_limits(limits: Limits, line: Line | None, train: Train | None) -> Li
 
 def _from_start(table: Table, start: Quantity | str | None) -> Table:
     """The table with its position counted so that the first is the profile's start position."""
-    position = table.signals.get("/train/state.position")
+    position = table.signals.get(POSITION)
     if not isinstance(start, Quantity) or position is None or not np.isfinite(position).any():
         return table
     first = position[np.isfinite(position)][0]
     moved = position - first + start.si("m")
-    return Table(
-        table.time, table.rows, {**table.signals, "/train/state.position": moved}, table.texts
-    )
+    return Table(table.time, table.rows, {**table.signals, POSITION: moved}, table.texts)
 
 
 def metadata_of(

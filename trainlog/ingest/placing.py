@@ -12,6 +12,7 @@ import numpy as np
 
 from trainlog.arrays import FloatArray, robust_std
 from trainlog.errors import InputError
+from trainlog.ingest.motion import EFFORTS, MOVING, POSITION, SPEED, STANDING, seconds_of
 from trainlog.ingest.recording import Table
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
@@ -19,9 +20,6 @@ from trainlog.units import NANOSECONDS
 
 OVERRUN = 500.0
 """How far recorded positions may leave the line [m]: odometers drift, lines end at platforms."""
-
-SLOW = 0.5
-"""Speed up to which a train may stand [m/s]: noise of a sensor."""
 
 LEAST_STOP = 8.0
 """A shorter standstill [s] is no stop at a station, but for the trip's ends."""
@@ -37,9 +35,6 @@ LEAST_WINDOWS = 60
 
 DECIDES = 12.0
 """Log-likelihood ratio from which on the gradients decide; of three windows one counts."""
-
-_POSITION, _SPEED = "/train/state.position", "/train/state.speed"
-_EFFORTS = ("tractive_effort", "dynamic_braking_effort", "pneumatic_braking_effort")
 
 
 @dataclass(frozen=True)
@@ -67,11 +62,11 @@ def stops_of(table: Table) -> FloatArray | None:
 
     The trip has to begin and end at standstill.
     """
-    position, speed = table.signals.get(_POSITION), table.signals.get(_SPEED)
+    position, speed = table.signals.get(POSITION), table.signals.get(SPEED)
     if position is None or speed is None:
         return None
     known = np.flatnonzero(np.isfinite(position) & np.isfinite(speed))
-    moves = np.flatnonzero(np.abs(speed[known]) > SLOW)
+    moves = np.flatnonzero(np.abs(speed[known]) > STANDING)
     if moves.size < 2 or moves[0] == 0 or moves[-1] == known.size - 1:
         return None
     time, place = table.time[known] / NANOSECONDS, position[known]
@@ -131,11 +126,10 @@ def gradients_in(table: Table, line: Line, train: Train, start: float | None) ->
     Least squares of the acceleration by efforts, running resistance and gradients, with every
     coefficient free.
     """
-    names = [f"/train/controls.{name}" for name in _EFFORTS]
-    if not {_POSITION, _SPEED, names[0]} <= set(table.signals):
+    if not {POSITION, SPEED, EFFORTS[0]} <= set(table.signals):
         return None
-    seconds = (table.time - table.time[0]) / NANOSECONDS
-    columns = [table.signals[name] for name in (_POSITION, _SPEED, *names) if name in table.signals]
+    seconds = seconds_of(table)
+    columns = [table.signals[name] for name in (POSITION, SPEED, *EFFORTS) if name in table.signals]
     values = np.column_stack([seconds, *columns])
     values = values[np.isfinite(values).all(axis=1)]
     if not len(values):
@@ -148,8 +142,8 @@ def gradients_in(table: Table, line: Line, train: Train, start: float | None) ->
         mean = np.column_stack(sums) / count[:, None]
     rate = (mean[2:, 2] - mean[:-2, 2]) / (mean[2:, 0] - mean[:-2, 0])
     mean = 0.25 * (mean[2:] + 2.0 * mean[1:-1] + mean[:-2])
-    used = np.isfinite(rate) & np.isfinite(mean).all(axis=1) & (mean[:, 2] > 2.0)
-    used &= rate > (-0.4 if names[2] not in table.signals else -3.0)
+    used = np.isfinite(rate) & np.isfinite(mean).all(axis=1) & (mean[:, 2] > MOVING)
+    used &= rate > (-0.4 if EFFORTS[2] not in table.signals else -3.0)
     if used.sum() < LEAST_WINDOWS:
         return None
     rate, mean = rate[used], mean[used]

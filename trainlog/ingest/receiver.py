@@ -1,50 +1,84 @@
-"""What a satellite receiver gives that is no measurement: computed fixes, frozen or late speeds.
+"""Satellite fixes, satellite speeds and wheel speeds of a trip, and what of them is no measurement.
 
-Each is found by what only a computed value does: a speed that repeats to its last digit while the
-train moves, fixes that advance by one and the same step, an integral that runs away from the
+Fixes that a receiver holds or computes, speeds that it repeats or that come late, wheels that slip:
+each is found by what only it does. A held fix repeats to its last digit while the train moves,
+computed ones advance by one and the same step, the integral of a wrong speed runs away from the
 positions. Positions are absolute and speeds are not, so that where both are steady it is the speed
 that is set aside; a step of the positions alone, with speeds that go on, is the positions' fault.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from itertools import pairwise
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
+from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import label
+from scipy.integrate import cumulative_trapezoid
 
 from estimators.receiver import (
     Delay,
     WheelSpeeds,
+    integral,
     mean_square,
     pairs_at,
     series_of,
 )
-from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
+from trainlog.arrays import BoolArray, ComplexArray, FloatArray, robust_std
 from trainlog.ingest.clock import Result
-from trainlog.ingest.fixes import GATE, STEEPEST, Fixes, slipping_wheels, wheel_ratio
+from trainlog.ingest.motion import (
+    ACCURACY,
+    ENOUGH,
+    FIX_STD,
+    GATE,
+    GNSS_SPEED,
+    MOVING,
+    RESTING,
+    RESTING_SAMPLES,
+    SPEED_STD,
+    agreement,
+    covered,
+    held,
+    plane,
+    repeats,
+    seconds_of,
+)
 from trainlog.ingest.recording import Table
-from trainlog.ingest.spikes import GNSS_SPEED, plane
+from trainlog.spans import runs_of
+from trainlog.trip import Trip
 from trainlog.units import NANOSECONDS
 
-FROZEN_TIME, FROZEN_SAMPLES = 5.0, 4
-"""A speed that repeats for so long [s], in so many samples, and three times as long as is usual on
-the trip, is frozen."""
+STANDSTILL_STDS = 2.0
+"""A receiver gives the size of the speed, so its noise never averages to 0: below this many
+standard deviations the train is taken to stand."""
 
-MOVING = 2.0
-"""Speed [m/s] from which on a repeated value is suspicious: a train may stand for long."""
+SMALLEST_SPEED_STD = 0.03
+"""What no receiver undercuts [m/s], whatever it states."""
 
-EXTRAPOLATED_TIME = 5.0
-"""Fixes that advance evenly for so long [s] are extrapolated."""
+ODOMETER_STD = 0.1
+"""Standard deviation of the speed from the wheels [m/s]."""
 
-EVEN = 0.02
-"""Part of the usual change of a step that is still the same step."""
+LONGEST_OUTAGE = 600.0
+"""Through longer gaps [s] nothing is estimated: the train may have been anywhere."""
 
-ROUNDING = 0.03
-"""Change of a step [m] that comes of fixes rounded to 1e-7 degrees."""
+WHEEL_GATE = 0.4
+"""Least difference between wheels and satellites that counts as slip [m/s]."""
+
+EVIDENT = 0.8
+"""Part of the fixes that must be held equally long, both coordinates changing at once: coordinates
+that are only rounded change one by one, and after times that vary."""
+
+SLIP_TIME = 5.0
+"""Wheels that changed speed too fast twice within this time [s] are not trusted between."""
+
+STEEPEST = 1.5
+"""No train on wheels gains or loses speed faster than this [m/s²]; slipping wheels do."""
+
+EVEN, ROUNDING = 0.02, 0.03
+"""Part of the usual change of a step that is still the same step, and the change [m] that comes of
+fixes rounded to 1e-7 degrees."""
 
 LEAST_RETURN = 4.0
 """Step [m] with which extrapolated fixes return to the track; a smaller one does no harm."""
@@ -59,7 +93,8 @@ WINDOWS = (4.0, 10.0, 20.0, 40.0, 80.0)
 """Spans over which positions and the integral of the speed are compared [s]."""
 
 STEEPEST_ERROR = 0.1
-"""Part of the distance by which the integral of a good speed may be off."""
+"""Part of the distance by which the integral of a good speed may be off, and by which the ways
+along the fixes and by the speeds may differ while both are right."""
 
 LATEST = 3.0
 """Delay of a speed [s] for which it is not yet set aside before its delay is known."""
@@ -68,33 +103,17 @@ LEAST_CHORDS = ((0.7, 10.0), (0.3, 20.0))
 """Within so long [s] no train, nor tram, turns so sharply that the distance between its fixes is
 less than this part of that along the track."""
 
-LEAST_STD = 1.0
-"""Standard deviation [m] of distances between fixes that is not undercut."""
-
-WINDOWS = (4.0, 10.0, 20.0, 40.0, 80.0)
-"""Spans over which positions and the integral of the speed are compared [s]."""
-
-STEEPEST_ERROR = 0.1
-"""Part of the distance by which the integral of a good speed may be off."""
-
-LATEST = 3.0
-"""Delay of a speed [s] for which it is not yet set aside before its delay is known."""
-
-LEAST_CHORD, LONGEST_CHORD = 0.3, 20.0
-"""Within so long [s] no train turns so sharply that the distance between its fixes is less than
-this part of that along the track."""
-
-AGREEING = 0.1
-"""Part by which the ways along the fixes and by the speeds may differ while both are right."""
-
-LEAST_COMPARED, FIX_STD = 60, 5.0
-"""Fixes from which on they judge speeds, and their standard deviation [m] where none is stated."""
-
-SCALE = 0.2
-"""Speeds whose distance is off by this part over the whole trip are in another unit."""
+LEAST_COMPARED = 60
+"""Fixes from which on they judge speeds."""
 
 DELAYS = np.arange(-2.0, 12.1, 0.5)
 """Delays of the speed behind the positions that are tried [s]."""
+
+UNCHECKED_DENSITY = 5.0
+"""Spectral density of the error of a speed that was not checked [m²/s]: 0.5 m/s for 10 s."""
+
+LOSS_DENSITY = 1.6
+"""Spectral density of a train's acceleration [m²/s³]: how unsure an unmeasured speed becomes."""
 
 LEAST_DELAY = 0.4
 """A smaller delay [s] is not corrected."""
@@ -103,12 +122,176 @@ LEAST_COMMON, LEAST_OF_STEP = 0.05, 0.1
 """A smaller delay of fixes and speeds together [s], or part of the time between speeds, is not
 corrected."""
 
-UNKNOWN = Delay(np.nan, np.nan)
-"""What a trip does not show."""
-
 SIGNIFICANT, SIGNIFICANT_ALONE = 3.0, 2.0
 """A delay of fewer standard deviations is not corrected; fixes that are earlier than the speeds by
 more, and by half the delay, do not share it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fixes:
+    """Satellite fixes and speeds on one clock; all (n,) arrays, NaN where absent.
+
+    Attributes
+    ----------
+    index : DatetimeIndex
+    seconds : array [s]
+        Since the first row.
+    latitude, longitude : array [deg]
+    std : array [m]
+        Of each horizontal axis.
+    speed, speed_std : array [m/s]
+    wheel_speed, wheel_speed_std : array [m/s] or None
+    row_time : float [s]
+        Between the rows of a table that held each fix for several rows, of which the first is
+        kept: it may be late by as much. 0 where fixes were not held.
+    """
+
+    index: pd.DatetimeIndex
+    seconds: FloatArray
+    latitude: FloatArray
+    longitude: FloatArray
+    std: FloatArray
+    speed: FloatArray
+    speed_std: FloatArray
+    wheel_speed: FloatArray | None = None
+    wheel_speed_std: FloatArray | None = None
+    row_time: float = 0.0
+
+    @property
+    def wheels(self) -> WheelSpeeds:
+        """The wheels' speeds where they are known."""
+        speed = np.full(self.seconds.size, np.nan) if self.wheel_speed is None else self.wheel_speed
+        known = np.isfinite(speed)
+        return WheelSpeeds(self.seconds[known], speed[known])
+
+    def with_late_wheels(self, delay: float) -> Fixes:
+        """The same with wheels as late as the satellites [s]: all on the satellites' clock."""
+        if self.wheel_speed is None:
+            return self
+        late = self.wheels.at(self.seconds - delay)
+        return replace(self, wheel_speed=np.where(np.isfinite(self.wheel_speed), late, np.nan))
+
+    @property
+    def any_speed(self) -> FloatArray:
+        """The satellite speed, else the wheels' [m/s]; NaN without either."""
+        if self.wheel_speed is None:
+            return self.speed
+        return np.where(np.isfinite(self.speed), self.speed, self.wheel_speed)
+
+
+def fixes_of(trip: Trip) -> Fixes:
+    """Fixes, satellite speeds and wheel speeds of a trip on one clock, rows in its outages too.
+
+    Parameters
+    ----------
+    trip : Trip
+        With ``/gnss/fix``.
+
+    Examples
+    --------
+    >>> from trainlog.ingest import ingest
+    >>> fixes = fixes_of(ingest("sample_logs/gnss.csv"))
+    >>> fixes.seconds.size >= 6847
+    True
+    """
+    frame = trip["/gnss/fix"]
+    if "/gnss/motion" in trip:
+        frame = frame.join(trip["/gnss/motion"], how="outer")
+    frame, row_time = _first_of_held(frame)
+    index = pd.DatetimeIndex(frame.index)
+    wheels = None
+    if "/train/state" in trip:
+        wheels = trip["/train/state"]["speed"].loc[index[0] : index[-1]]
+        wheels = wheels if wheels.notna().any() else None
+    if wheels is not None:
+        index = index.union(pd.DatetimeIndex(wheels.index))
+    index = _with_outages(index)
+    frame = frame.reindex(index)
+    absent = np.full(len(frame), np.nan)
+    columns = {name: frame[name].to_numpy(np.float64) for name in frame.columns}
+    accuracy = columns["horizontal_accuracy"]
+    stated = columns.get("speed_accuracy", absent)
+    speed_std = np.maximum(np.where(stated > 0.0, stated, SPEED_STD), SMALLEST_SPEED_STD)
+    speed = columns.get("speed", absent)
+    turning = None
+    if wheels is not None:
+        turning = np.asarray(wheels.reindex(index), dtype=np.float64)
+    return Fixes(
+        index=index,
+        seconds=np.asarray((index.asi8 - index.asi8[0]) / NANOSECONDS),
+        latitude=columns["latitude"],
+        longitude=columns["longitude"],
+        std=np.where(accuracy > 0.0, accuracy, FIX_STD),
+        speed=np.where(speed < STANDSTILL_STDS * speed_std, 0.0, speed),
+        speed_std=speed_std,
+        wheel_speed=turning,
+        wheel_speed_std=None if turning is None else np.full(turning.size, ODOMETER_STD),
+        row_time=row_time,
+    )
+
+
+def _first_of_held(frame: pd.DataFrame) -> tuple[pd.DataFrame, float]:
+    """Fixes and speeds without those that only repeat the fix before; the time between rows [s]."""
+    time = pd.DatetimeIndex(frame.index).asi8
+    coordinates = [frame[name].to_numpy(np.float64) for name in ("latitude", "longitude")]
+    repeated, row_time = held_fixes(np.asarray((time - time[0]) / NANOSECONDS), *coordinates)
+    if not repeated.any():
+        return frame, 0.0
+    frame = frame.copy()
+    if "speed" in frame:
+        again = frame["speed"].to_numpy() == frame["speed"].shift().to_numpy()
+        frame.loc[repeated & again, "speed"] = np.nan
+    frame.loc[repeated, ["latitude", "longitude"]] = np.nan
+    return frame, row_time
+
+
+def _with_outages(index: pd.DatetimeIndex) -> pd.DatetimeIndex:
+    """The times, and further ones in the gaps between them, a usual step and at most 1 s apart."""
+    time = index.as_unit("ns").asi8
+    steps = np.diff(time)
+    usual = min(int(np.median(steps)), NANOSECONDS)
+    lost = np.flatnonzero((steps > 2 * usual) & (steps <= LONGEST_OUTAGE * NANOSECONDS))
+    count = -(-steps[lost] // usual)
+    start, width = np.repeat(time[lost], count), np.repeat(steps[lost] / count, count)
+    within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    extra = start + (within * width).astype(np.int64)
+    return pd.DatetimeIndex(np.union1d(time, extra), tz="UTC", name=index.name)
+
+
+# ------------------------------------------------------------------ held and computed values
+
+
+def held_fixes(
+    seconds: FloatArray, latitude: FloatArray, longitude: FloatArray
+) -> tuple[BoolArray, float]:
+    """Fixes that a table with more rows than the receiver had fixes repeats, and its row time [s].
+
+    None, and 0 s, unless most fixes are held equally long. What is held longer, as at a standstill,
+    is left.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> fix = np.repeat(np.arange(40.0), 5)
+    >>> repeated, row = held_fixes(np.arange(200) / 5.0, fix, fix)
+    >>> np.flatnonzero(repeated)[:5], row
+    (array([ 6,  7,  8,  9, 11]), 0.2)
+    """
+    flags = np.zeros(seconds.size, dtype=np.bool_)
+    found = repeats(latitude + 1j * longitude)
+    time, begins = seconds[found.known], found.first[1:]
+    lasted = np.diff(time[begins])
+    if lasted.size < 2 * ENOUGH:
+        return flags, 0.0
+    row, usual = float(np.median(np.diff(time))), float(np.median(lasted))
+    even = np.mean(np.abs(lasted - usual) < 1.1 * row)
+    moved = [np.diff(each[found.known])[begins - 1] != 0.0 for each in (latitude, longitude)]
+    if usual < 1.9 * row or min(even, np.mean(moved[0] & moved[1])) < EVIDENT:
+        return flags, 0.0
+    short = np.flatnonzero(lasted < usual + 1.1 * row) + 1
+    again = covered(found.first[short] + 1, found.last[short] + 1, found.known.size)
+    flags[found.known] = again
+    return flags, round(row, 6)
 
 
 def frozen(seconds: FloatArray, speed: FloatArray) -> BoolArray:
@@ -123,20 +306,16 @@ def frozen(seconds: FloatArray, speed: FloatArray) -> BoolArray:
     array([21, 39])
     """
     flags = np.zeros(speed.size, dtype=np.bool_)
-    known = np.flatnonzero(np.isfinite(speed))
-    if known.size < FROZEN_SAMPLES:
-        return flags
-    value, time = speed[known], seconds[known]
-    first = np.flatnonzero(np.diff(value, prepend=np.nan) != 0.0)
-    last = np.append(first[1:], value.size) - 1
-    lasted, count = time[last] - time[first], last - first + 1
-    moving = value[first] > MOVING
+    found = repeats(speed)
+    value, time = speed[found.known], seconds[found.known]
+    lasted = time[found.last] - time[found.first]
+    moving = value[found.first] > MOVING
     if not moving.any():
         return flags
     usual = float(np.quantile(lasted[moving], 0.95))
-    still = moving & (count >= FROZEN_SAMPLES) & (lasted > max(FROZEN_TIME, 3.0 * usual))
-    for begin, end in zip(first[still], last[still], strict=True):
-        flags[known[begin + 1 : end + 1]] = True
+    still = moving & (found.samples >= RESTING_SAMPLES) & (lasted > max(RESTING, 3.0 * usual))
+    first, last = found.first[still], found.last[still]
+    flags[found.known] = covered(first + 1, last + 1, found.known.size)
     return flags
 
 
@@ -150,7 +329,7 @@ def hold_of(seconds: FloatArray, speed: FloatArray) -> float:
     3.9
     """
     moving = np.flatnonzero(speed > MOVING)
-    if moving.size < FROZEN_SAMPLES:
+    if moving.size < RESTING_SAMPLES:
         return 1.0
     steps = np.diff(seconds[moving])
     together = steps < 3.0 * float(np.median(steps))
@@ -189,14 +368,13 @@ def extrapolated(seconds: FloatArray, points: ComplexArray) -> BoolArray:
     moving = np.abs(after - before) / span > MOVING
     usual = float(np.median(change[near & moving])) if np.any(near & moving) else 0.0
     even = near & moving & (change < max(EVEN * usual, min(ROUNDING, 0.3 * usual)))
-    runs, count = label(even)
-    least = max(EXTRAPOLATED_TIME, 2.0 * step)
-    for run in _spans(runs, count):
-        begin, end = middle[run[0]], middle[run[-1]]
-        following = slice(run[-1] + 1, run[-1] + ahead + 2)
+    least = max(RESTING, 2.0 * step)
+    for first, beyond in runs_of(even):
+        begin, end = middle[first], middle[beyond - 1]
+        following = slice(beyond, beyond + ahead + 1)
         lost = bool(np.any(~near[following])) and usual > LEAST_NOISE
         returns = lost or bool(np.any(change[following] > LEAST_RETURN))
-        if returns and run.size > 1 and time[end] - time[begin] + 2.0 * ahead * step >= least:
+        if returns and end > begin and time[end] - time[begin] + 2.0 * ahead * step >= least:
             flags[known[begin : end + ahead + 1]] = True
     return flags
 
@@ -215,53 +393,16 @@ def kept_on(seconds: FloatArray, points: ComplexArray, std: FloatArray) -> BoolA
     array([21, 34])
     """
     flags = np.zeros(points.size, dtype=np.bool_)
-    known = np.flatnonzero(np.isfinite(points))
-    if known.size < FROZEN_SAMPLES:
-        return flags
-    time, point = seconds[known], points[known]
-    first = np.flatnonzero(np.diff(point, prepend=np.nan) != 0.0)
-    last = np.append(first[1:], point.size) - 1
-    for begin, end in zip(first[:-1], last[:-1], strict=True):
-        step = time[end + 1] - time[end]
-        reach = 0.5 * STEEPEST * step**2 + GATE * np.sqrt(2.0) * std[known[end]]
-        if end > begin and abs(point[end + 1] - point[end]) > max(reach, LEAST_RETURN):
-            flags[known[begin + 1 : end + 1]] = True
+    found = repeats(points)
+    time, point, end = seconds[found.known], points[found.known], found.last[:-1]
+    step = time[end + 1] - time[end]
+    reach = 0.5 * STEEPEST * step**2 + GATE * np.sqrt(2.0) * std[found.known[end]]
+    far = np.abs(point[end + 1] - point[end]) > np.maximum(reach, LEAST_RETURN)
+    flags[found.known] = covered(found.first[:-1][far] + 1, end[far] + 1, found.known.size)
     return flags
 
 
-def _spans(runs: IntArray, count: int) -> list[IntArray]:
-    """Numbers of the members of each run."""
-    order = np.argsort(runs, kind="stable")
-    edges = np.searchsorted(runs[order], np.arange(1, count + 2))
-    return [order[a:b] for a, b in pairwise(edges.tolist())]
-
-
-def integral(seconds: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Integral of a speed [m] at every sample, and how long it was missing until then [s].
-
-    Across gaps of the speed the integral goes on a line; a gap is longer than 2.5 s and 2.5 steps.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> integral(np.array([0.0, 1.0, 2.0]), np.array([4.0, np.nan, 6.0]))
-    (array([ 0.,  5., 10.]), array([0., 0., 0.]))
-    """
-    known = np.flatnonzero(np.isfinite(speed))
-    if known.size < 2:
-        return np.full(speed.size, np.nan), np.zeros(speed.size)
-    time, value = seconds[known], speed[known]
-    steps = np.diff(time)
-    usual = float(np.median(steps))
-    driven = np.concatenate(([0.0], np.cumsum(0.5 * (value[1:] + value[:-1]) * steps)))
-    missing = np.concatenate(
-        ([0.0], np.cumsum(np.where(steps > max(2.5, 2.5 * usual), steps, 0.0)))
-    )
-    outside = np.maximum(seconds - time[-1], 0.0) - np.maximum(time[0] - seconds, 0.0)
-    return (
-        np.interp(seconds, time, driven) + np.where(outside > 0.0, value[-1], value[0]) * outside,
-        np.interp(seconds, time, missing) + outside,
-    )
+# ------------------------------------------------------------------ speeds against positions
 
 
 def delay_of(seconds: FloatArray, along: FloatArray, speed: FloatArray) -> float:
@@ -308,87 +449,6 @@ def delay_of(seconds: FloatArray, along: FloatArray, speed: FloatArray) -> float
     return float(DELAYS[least])
 
 
-def common_delay(fixes: Fixes, chainage: FloatArray) -> Delay:
-    """By how much fixes and satellite speeds together come later than the wheels' speed.
-
-    The speeds give the delay, which the fixes must not contradict; 0 s where there is no wheel
-    speed, where the fixes are not late, or where the delay is no larger than its standard deviation
-    explains; NaN where the train changes its speed too little to show one. Of fixes held over
-    rows, half the time between rows in place of what is not known.
-
-    Parameters
-    ----------
-    fixes : Fixes
-        Their speeds without those that are set aside.
-    chainage : (n,) array [m]
-        Of the fixes that fit, NaN for others.
-    """
-    none = Delay(0.0, 0.0)
-    # A table whose rows hold fixes asks for them at any time after they came.
-    row = fixes.row_time
-    unknown = Delay(0.5 * row, row / np.sqrt(12.0)) if row else UNKNOWN
-    known = np.isfinite(fixes.speed)
-    if fixes.wheel_speed is None or np.count_nonzero(known) < 2:
-        return unknown if row else none
-    wheels = wheel_speeds(fixes)
-    late = wheels.delay_of(fixes.seconds[known], fixes.speed[known])
-    if late is not None and late.value > LEAST_COMMON:
-        # Late wheels are no slipping ones, so that slip is only seen now.
-        on_time = with_late_wheels(fixes, late.value)
-        slips = slipping_wheels(on_time, fixes.speed, fixes.speed_std, wheel_ratio(on_time))
-        turning = np.isfinite(fixes.wheel_speed)
-        known &= np.interp(fixes.seconds, fixes.seconds[turning], slips[turning]) == 0.0
-        late = wheels.delay_of(fixes.seconds[known], fixes.speed[known])
-    if late is None:
-        return unknown
-    step = float(np.median(np.diff(fixes.seconds[known])))
-    least = max(LEAST_COMMON, LEAST_OF_STEP * min(step, 1.0), SIGNIFICANT * late.std)
-    if late.value < least:
-        return none
-    left = wheels.delay_left(fixes.seconds, chainage, late.value)
-    alone = left is not None and left.value < -max(0.5 * late.value, SIGNIFICANT_ALONE * left.std)
-    return none if alone else late
-
-
-def wheel_speeds(fixes: Fixes) -> WheelSpeeds:
-    """The wheels' speeds where they are known."""
-    speed = np.full(fixes.seconds.size, np.nan) if fixes.wheel_speed is None else fixes.wheel_speed
-    known = np.isfinite(speed)
-    return WheelSpeeds(fixes.seconds[known], speed[known])
-
-
-def with_late_wheels(fixes: Fixes, delay: float) -> Fixes:
-    """Fixes whose wheel speeds are as late as the satellites' [s]: all on the satellites' clock."""
-    if fixes.wheel_speed is None:
-        return fixes
-    late = wheel_speeds(fixes).at(fixes.seconds - delay)
-    return replace(fixes, wheel_speed=np.where(np.isfinite(fixes.wheel_speed), late, np.nan))
-
-
-def scale_of(seconds: FloatArray, points: ComplexArray, speed: FloatArray) -> float:
-    """Distance by the speeds over the distance between fixes, the median over 20 s; NaN if unknown.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> time = np.arange(0.0, 300.0)
-    >>> scale_of(time, 20.0 * time + 0j, np.full(300, 38.9)).__round__(2)
-    1.94
-    """
-    driven, missing = integral(seconds, speed)
-    fixes = series_of(seconds, points)
-    if not np.isfinite(driven).all() or fixes.values.size < 20:
-        return float("nan")
-    along = np.interp(fixes.seconds, seconds, driven)
-    absent = np.interp(fixes.seconds, seconds, missing)
-    first, second = pairs_at(fixes.seconds, 20.0)
-    chord = np.abs(fixes.values[second] - fixes.values[first])
-    whole = (np.abs(absent[second] - absent[first]) < 1e-6) & (chord > 60.0)
-    if np.count_nonzero(whole) < 10:
-        return float("nan")
-    return float(np.median((along[second] - along[first])[whole] / chord[whole]))
-
-
 def contradicted(
     seconds: FloatArray, places: NDArray[Any], speed: FloatArray, std: float
 ) -> BoolArray:
@@ -425,10 +485,10 @@ def contradicted(
     known = np.isfinite(speed)
     pace = np.interp(time, seconds[known], speed[known])
     broken = np.cumsum(_breaks(time, fixes.values, along, std))
-    bad = np.zeros(time.size + 1, dtype=np.int64)
+    bad = np.zeros(time.size, dtype=np.bool_)
     for window in WINDOWS:
         first, second = pairs_at(time, window)
-        marked = np.cumsum(bad[:-1] > 0)
+        marked = np.cumsum(bad)
         whole = (absent[first] == absent[second]) & (broken[first] == broken[second])
         whole &= marked[first] == marked[second]
         first, second = first[whole], second[whole]
@@ -450,13 +510,10 @@ def contradicted(
                     wrong |= share * by_speed - chord > noise + late
         else:
             wrong = np.abs(moved - by_speed) > noise
-        count = np.zeros(time.size + 1, dtype=np.int64)
-        np.add.at(count, first[wrong], 1)
-        np.add.at(count, second[wrong] + 1, -1)
-        bad[:-1] += np.cumsum(count)[:-1] > 0
+        bad |= covered(first[wrong], second[wrong] + 1, time.size)
     if not bad.any():
         return flags
-    inside = np.interp(seconds, time, (bad[:-1] > 0).astype(np.float64)) >= 0.5
+    inside = np.interp(seconds, time, bad) >= 0.5
     return np.asarray(inside & np.isfinite(speed))
 
 
@@ -472,9 +529,9 @@ def _breaks(time: FloatArray, places: NDArray[Any], along: FloatArray, std: floa
     usual = robust_std(apart[close]) if close.any() else std
     far = close & (apart > max(GATE * usual, std))
     # A speed that is wrong is wrong step after step; a position steps once.
-    runs, count = label(far)
-    size = np.bincount(runs, minlength=count + 1)
-    return np.asarray(far & (size[runs] <= 2))
+    first, beyond = np.array(runs_of(far), dtype=np.int64).reshape(-1, 2).T
+    once = beyond - first <= 2
+    return covered(first[once], beyond[once], time.size)
 
 
 def without_contradicted(table: Table) -> Result:
@@ -506,8 +563,8 @@ def without_contradicted(table: Table) -> Result:
     known = np.isfinite(points)
     if np.count_nonzero(known) < LEAST_COMPARED or np.count_nonzero(np.isfinite(speed)) < 2:
         return table, []
-    seconds = (table.time - table.time[0]) / NANOSECONDS
-    accuracy = table.signals.get("/gnss/fix.horizontal_accuracy", np.full(speed.size, np.nan))
+    seconds = seconds_of(table)
+    accuracy = table.signals.get(ACCURACY, np.full(speed.size, np.nan))
     stated = accuracy[known & (accuracy > 0.0)]
     std = np.sqrt(2.0) * (float(np.median(stated)) if stated.size else FIX_STD)
     doubtful = contradicted(seconds, points, speed, std)
@@ -517,78 +574,165 @@ def without_contradicted(table: Table) -> Result:
     fixes = series_of(seconds, points)
     way = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(fixes.values)))))
     wrong = np.zeros(speed.size, dtype=np.bool_)
-    runs, count = label(doubtful | ~np.isfinite(speed))
-    for run in _spans(runs, count):
-        if not doubtful[run].any():
-            continue
-        before, after = np.searchsorted(fixes.seconds, seconds[run[[0, -1]]])
+    for first, beyond in runs_of(doubtful | ~np.isfinite(speed)):
+        before, after = np.searchsorted(fixes.seconds, seconds[[first, beyond - 1]])
         ends = np.array([max(before - 1, 0), min(after, way.size - 1)])
         by_fixes = way[ends[1]] - way[ends[0]]
         by_speed = float(np.ptp(np.interp(fixes.seconds[ends], seconds, driven)))
-        if abs(by_fixes - by_speed) > AGREEING * max(by_fixes, by_speed) + GATE * std:
-            wrong[run] = True
+        if abs(by_fixes - by_speed) > STEEPEST_ERROR * max(by_fixes, by_speed) + GATE * std:
+            wrong[first:beyond] = True
     wrong &= doubtful
     found = table.found("contradicted", wrong, GNSS_SPEED, "by the way along the fixes")
     return (table.without(GNSS_SPEED, wrong) if wrong.any() else table), found
 
 
-class Speeds:
-    """The satellite speeds of a trip, and which of them are used.
+def common_delay(fixes: Fixes, chainage: FloatArray) -> Delay:
+    """By how much fixes and satellite speeds together come later than the wheels' speed.
 
-    Before the chainage is known: frozen ones, those of extrapolated fixes, and those that do not go
-    with the distances between the fixes are set aside. `compare` then puts late ones back and sets
-    aside those that do not go with the chainage.
+    The speeds give the delay, which the fixes must not contradict; 0 s where there is no wheel
+    speed, where the fixes are not late, or where the delay is no larger than its standard deviation
+    explains; NaN where the train changes its speed too little to show one. Of fixes held over
+    rows, half the time between rows in place of what is not known.
+
+    Parameters
+    ----------
+    fixes : Fixes
+        Their speeds without those that are set aside.
+    chainage : (n,) array [m]
+        Of the fixes that fit, NaN for others.
+    """
+    none = Delay(0.0, 0.0)
+    # A table whose rows hold fixes asks for them at any time after they came.
+    row = fixes.row_time
+    unknown = Delay(0.5 * row, row / np.sqrt(12.0)) if row else Delay(np.nan, np.nan)
+    known = np.isfinite(fixes.speed)
+    if fixes.wheel_speed is None or np.count_nonzero(known) < 2:
+        return unknown if row else none
+    wheels = fixes.wheels
+    late = wheels.delay_of(fixes.seconds[known], fixes.speed[known])
+    if late is not None and late.value > LEAST_COMMON:
+        # Late wheels are no slipping ones, so that slip is only seen now.
+        on_time = fixes.with_late_wheels(late.value)
+        slips = slipping_wheels(on_time, fixes.speed, fixes.speed_std, wheel_ratio(on_time))
+        turning = np.isfinite(fixes.wheel_speed)
+        known &= np.interp(fixes.seconds, fixes.seconds[turning], slips[turning]) == 0.0
+        late = wheels.delay_of(fixes.seconds[known], fixes.speed[known])
+    if late is None:
+        return unknown
+    step = float(np.median(np.diff(fixes.seconds[known])))
+    least = max(LEAST_COMMON, LEAST_OF_STEP * min(step, 1.0), SIGNIFICANT * late.std)
+    if late.value < least:
+        return none
+    left = wheels.delay_left(fixes.seconds, chainage, late.value)
+    alone = left is not None and left.value < -max(0.5 * late.value, SIGNIFICANT_ALONE * left.std)
+    return none if alone else late
+
+
+# ------------------------------------------------------------------ wheels
+
+
+def wheel_ratio(fixes: Fixes) -> float:
+    """Speed over the ground for a wheel speed of 1: the median where both are known, else 1."""
+    if fixes.wheel_speed is None:
+        return 1.0
+    satellite = _bridged(fixes.seconds, fixes.speed)
+    moving = (fixes.wheel_speed > MOVING) & (satellite > MOVING)
+    found = agreement(satellite, fixes.wheel_speed, moving)
+    return 1.0 if found is None else found.ratio
+
+
+def slipping_wheels(
+    fixes: Fixes, speed: FloatArray, speed_std: FloatArray, ratio: float
+) -> BoolArray:
+    """Wheel speeds away from a speed over the ground, or changing faster than a train can.
+
+    Parameters
+    ----------
+    fixes : Fixes
+    speed, speed_std : (n,) array [m/s]
+        Over the ground, NaN where not known.
+    ratio : float
+        Speed over the ground for a wheel speed of 1.
+
+    Returns
+    -------
+    (n,) bool array
+    """
+    if fixes.wheel_speed is None or fixes.wheel_speed_std is None:
+        return np.zeros(fixes.seconds.size, dtype=np.bool_)
+    apart = np.abs(fixes.wheel_speed * ratio - _bridged(fixes.seconds, speed))
+    spread = np.hypot(fixes.wheel_speed_std, _bridged(fixes.seconds, speed_std))
+    unit = np.maximum(spread, WHEEL_GATE / GATE)
+    slipping = held(apart / unit, fixes.seconds)
+    known = np.flatnonzero(np.isfinite(fixes.wheel_speed))
+    speeds, time = fixes.wheel_speed[known], fixes.seconds[known]
+    back = np.ascontiguousarray(speeds[::-1])  # one layout, one compiled version
+    spans = (_feasible(time, speeds), _feasible(-time[::-1], back)[::-1])
+    unit = np.maximum(fixes.wheel_speed_std[known], WHEEL_GATE / GATE)
+    for feasible in spans:
+        slipping[known] |= held(np.abs(speeds - feasible) / unit, time)
+    # Between the rise and the fall of a slip the wheels turn at a steady speed.
+    flagged = np.flatnonzero(slipping)
+    short = np.diff(fixes.seconds[flagged]) < SLIP_TIME
+    slipping |= covered(flagged[:-1][short], flagged[1:][short], slipping.size)
+    return np.asarray(slipping & np.isfinite(fixes.wheel_speed))
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _feasible(time: FloatArray, speed: FloatArray) -> FloatArray:
+    """Speed that follows the given one no faster than a train can."""
+    feasible = speed.copy()
+    for i in range(1, speed.size):
+        most = STEEPEST * (time[i] - time[i - 1])
+        feasible[i] = min(max(speed[i], feasible[i - 1] - most), feasible[i - 1] + most)
+    return feasible
+
+
+def _bridged(seconds: FloatArray, values: FloatArray) -> FloatArray:
+    """Values at every row, on a line between those at most 2 s apart; NaN elsewhere."""
+    known = np.flatnonzero(np.isfinite(values))
+    if not known.size:
+        return np.full(seconds.size, np.nan)
+    time = seconds[known]
+    following = np.clip(np.searchsorted(time, seconds), 0, time.size - 1)
+    preceding = np.maximum(np.searchsorted(time, seconds, side="right") - 1, 0)
+    near = np.maximum(time[following] - seconds, seconds - time[preceding]) <= 2.0
+    return np.where(near, np.interp(seconds, time, values[known]), np.nan)
+
+
+class Driven(NamedTuple):
+    """The distance driven by the measured speeds; (n,) arrays.
+
+    Attributes
+    ----------
+    distance, variance : array [m], [m²]
+        Since the first row; NaN, and 0, where no speed is known.
+    slipping : bool array
+        Wheel speeds that are not trusted.
     """
 
-    def __init__(
-        self, fixes: Fixes, points: ComplexArray | None = None, computed: BoolArray | None = None
-    ) -> None:
-        self.seconds, self.used = fixes.seconds, fixes.speed.copy()
-        self.aside = np.zeros(fixes.speed.size, dtype=np.bool_)
-        self.delay = 0.0
-        self.common = Delay(0.0, 0.0)
-        self.hold = hold_of(fixes.seconds, fixes.speed)
-        self._counts: dict[str, int] = {}
-        if points is None or computed is None or np.count_nonzero(np.isfinite(self.used)) < 2:
-            return
-        self._without("extrapolated", computed)
-        self._without("frozen", frozen(self.seconds, self.used))
-        scale = scale_of(self.seconds, points, self.used)
-        if not 1.0 / (1.0 + SCALE) < scale < 1.0 + SCALE and np.isfinite(scale):
-            self._without(f"{scale:.2f} times what positions show", np.isfinite(self.used))
-            return
+    distance: FloatArray
+    variance: FloatArray
+    slipping: BoolArray
 
-    def compare(self, chainage: FloatArray, std: float) -> None:
-        """Judge the speeds by the chainage of the fixes that fit, NaN for others."""
-        if np.count_nonzero(np.isfinite(self.used)) < 2:
-            return
-        self.delay = delay_of(self.seconds, chainage, self.used)
-        if self.delay:
-            known = np.flatnonzero(np.isfinite(self.used))
-            at = self.seconds + self.delay
-            put_back = np.interp(at, self.seconds[known], self.used[known])
-            _, missing = integral(self.seconds, self.used)
-            whole = np.interp(at, self.seconds, missing) - missing < 1e-6
-            inside = (at <= self.seconds[known[-1]]) & whole & np.isfinite(self.used)
-            self.used = np.where(inside, put_back, np.nan)
-        self._without("contradicted", contradicted(self.seconds, chainage, self.used, std))
 
-    def words(self, further: int) -> str:
-        """Why speeds are not used."""
-        counts = dict(self._counts)
-        if further:
-            counts["contradicted"] = counts.get("contradicted", 0) + further
-        found = [f"{count} {reason}" for reason, count in counts.items()]
-        if self.delay:
-            found.append(f"all {self.delay:g} s late")
-        if self.common.value > 0.0:
-            late, std = self.common.value, self.common.std
-            found.append(f"with the fixes {late:.2f} s (standard deviation {std:.2f} s) late")
-        return ", ".join(found)
-
-    def _without(self, reason: str, flags: BoolArray) -> None:
-        flags = flags & np.isfinite(self.used)
-        if flags.any():
-            self._counts[reason] = self._counts.get(reason, 0) + int(np.count_nonzero(flags))
-        self.aside |= flags
-        self.used = np.where(flags, np.nan, self.used)
+def distance_driven(fixes: Fixes, *, slip_aware: bool = True) -> Driven:
+    """The distance driven by the satellite speed, else by the wheels', across gaps on a line."""
+    ratio, speed, std = wheel_ratio(fixes), fixes.speed, fixes.speed_std
+    slipping = slipping_wheels(fixes, speed, std, ratio) & slip_aware
+    if fixes.wheel_speed is not None and fixes.wheel_speed_std is not None:
+        wheels = np.where(slipping, np.nan, fixes.wheel_speed * ratio)
+        std = np.where(np.isfinite(speed), std, fixes.wheel_speed_std)
+        speed = np.where(np.isfinite(speed), speed, wheels)
+    known = np.isfinite(speed)
+    if not known.any():
+        return Driven(np.full(speed.size, np.nan), np.zeros(speed.size), slipping)
+    time = fixes.seconds[known]
+    steps = np.diff(time, prepend=time[0])
+    unsure = (std[known] * steps) ** 2 + UNCHECKED_DENSITY * steps + LOSS_DENSITY * steps**3 / 12.0
+    driven = cumulative_trapezoid(speed[known], time, initial=0.0)
+    return Driven(
+        np.interp(fixes.seconds, time, driven),
+        np.interp(fixes.seconds, time, np.cumsum(unsure)),
+        slipping,
+    )

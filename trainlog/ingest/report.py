@@ -111,17 +111,8 @@ class Report(Presented):
 
     def details(self) -> dict[str, Any]:
         """The report as an entry of provenance; `report_of` makes it a report again."""
-        return {
-            "rows_read": self.rows_read,
-            "rows_kept": self.rows_kept,
-            "findings": [
-                {**asdict(finding), "rows": list(finding.rows)} for finding in self.findings
-            ],
-            "switched_off": list(self.switched_off),
-            "not_used": dict(self.not_used),
-            "raw_kept": self.raw_kept,
-            "raw_beyond": self.raw_beyond,
-        }
+        findings = [{**asdict(each), "rows": list(each.rows)} for each in self.findings]
+        return asdict(self) | {"findings": findings, "switched_off": list(self.switched_off)}
 
     @property
     def title(self) -> str:
@@ -177,18 +168,12 @@ def report_of(trip: Trip) -> Report:
     for entry in trip.provenance:
         if entry.get("step") == "ingest":
             stored = entry["report"]
-            return Report(
-                int(stored["rows_read"]),
-                int(stored["rows_kept"]),
-                tuple(
-                    Finding(**{**finding, "rows": tuple(int(row) for row in finding["rows"])})
-                    for finding in stored["findings"]
-                ),
-                tuple(stored["switched_off"]),
-                {what: int(count) for what, count in stored.get("not_used", {}).items()},
-                int(stored.get("raw_kept", 0)),
-                int(stored.get("raw_beyond", 0)),
+            findings = tuple(
+                Finding(**{**each, "rows": tuple(map(int, each["rows"]))})
+                for each in stored["findings"]
             )
+            switched_off = tuple(stored["switched_off"])
+            return Report(**{**stored, "findings": findings, "switched_off": switched_off})
     raise LogError(
         f"trip '{trip.name}' was not made by ingest", remedy="simulated trips have no such report"
     )

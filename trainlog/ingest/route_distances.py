@@ -2,8 +2,8 @@
 
 Recorders write the number of a line and its kilometre, which jumps where the train passes to
 another line: the places on the edges that this means are a chain as fixes are
-(`trainlog.ingest.route_matching`). Without numbers the distances between the stops of a trip are
-compared with those between stations, over the shortest ways.
+(`trainlog.ingest.matching`). Without numbers the distances between the stops of a trip are
+compared with those between stations, by the same chain: each stop may be at any station.
 """
 
 from __future__ import annotations
@@ -13,14 +13,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.route_matching import Between, EdgeGraph, EdgeNodes, distances
+from estimators.matching import EdgeGraph, EdgeNodes
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
-from trainlog.ingest.edge_candidates import SPACING, STOOD_SPEED, EdgeTracks
+from trainlog.ingest.matching import (
+    DECIDES,
+    LEAST_NODES,
+    SPACING,
+    EdgeTracks,
+    Passage,
+    Search,
+    Way,
+)
+from trainlog.ingest.motion import MOVING, POSITION
 from trainlog.ingest.placing import DRIFT, NEAR
 from trainlog.ingest.recording import NO_TIME, Table
-from trainlog.ingest.route_matching import DECIDES, LEAST_NODES, Search, Way
-from trainlog.ingest.rules import POSITION
 from trainlog.railway.line import Line
 from trainlog.railway.network import Network
 from trainlog.units import NANOSECONDS
@@ -38,8 +45,8 @@ SKIPPED, MOST_SKIPPED = 8.0, 0.25
 """What it costs, in units of log-likelihood, to take a stop for one outside stations, and the share
 of stops that may be."""
 
-RANKS = 6
-"""Sequences of stations that are kept at each stop."""
+USUAL_PACE = 10.0
+"""Speed [m/s] that stands for the times of stops, of which only the order counts."""
 
 LEAST_STOPS = 3
 """Fewer stops, both ends included, show no route."""
@@ -47,37 +54,20 @@ LEAST_STOPS = 3
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """A route by its courses, and what shows it.
+    """A route, and what shows it.
 
     Attributes
     ----------
-    courses : tuple of int
-    start, end : float [m]
-        On the first and the last edge.
-    margin : float
-        By how much it is better than the second-best.
-    other : tuple of int
-        The second-best.
+    passage : Passage
     words : str
         What was matched.
     position : (n,) array or None [m]
         Of every row from the beginning of the first edge, in the direction of travel.
     """
 
-    courses: tuple[int, ...]
-    start: float
-    end: float
-    margin: float
-    other: tuple[int, ...]
+    passage: Passage
     words: str
     position: FloatArray | None = None
-
-
-class _KilometreSearch(Search):
-    """The best way through kilometres: nothing but the chain itself decides."""
-
-    def compared(self, best: Way, rival: Way) -> float:
-        return best.chain.worth - rival.chain.worth
 
 
 def by_kilometres(
@@ -123,8 +113,7 @@ def by_kilometres(
             f" that were looked at{''.join(where)}",
             remedy="are the kilometres of the network's lines (reference) those of the recorder?",
         )
-    bare = EdgeTracks(graph, tuple(None for _ in network.edges), (0.0, 0.0))
-    search = _KilometreSearch(bare, nodes, distances(graph, np.unique(nodes.edge)))
+    search = Search(_bare(graph), nodes, {})
     best, margin, other = search.best()
     if len(best.parts) > 1:
         raise InputError(
@@ -142,9 +131,12 @@ def by_kilometres(
     position = _positions(network, best, chosen, kilometre, words) - first
     count = best.chain.node.size
     shown = f"kilometres of {len(set(words[known]))} line(s), {count} of {chosen.size} looked at"
-    return Placed(
-        passage.courses, passage.start, passage.end, passage.margin, passage.other, shown, position
-    )
+    return Placed(passage, shown, position)
+
+
+def _bare(graph: EdgeGraph) -> EdgeTracks:
+    """Edges without a course."""
+    return EdgeTracks(graph, (None,) * graph.lengths.size, (0.0, 0.0))
 
 
 def _filled(words: NDArray[np.object_]) -> NDArray[np.object_]:
@@ -218,6 +210,7 @@ def _nodes(
         std=np.full(chosen.size, KILOMETRE_STD),
         driven=driven,
         driven_variance=variance,
+        pace=np.full(chosen.size, np.nan),
         stood=stood,
         first=np.concatenate(([0], np.cumsum(counts))),
         edge=np.concatenate([each[1] for each in rows])[order],
@@ -242,7 +235,7 @@ def _driven(
     speed = table.signals.get("/train/state.speed")
     stood = np.zeros(chosen.size, dtype=np.bool_)
     if speed is not None:
-        still = np.cumsum(np.abs(speed) < STOOD_SPEED)
+        still = np.cumsum(np.abs(speed) < MOVING)
         stood[1:] = np.diff(still[chosen]) > 0
     return seconds, driven, variance, stood
 
@@ -270,16 +263,6 @@ def _positions(
     return position
 
 
-@dataclass(frozen=True, eq=False)
-class _Stations:
-    """Stations on courses: where a train may stop, travelling in a direction; (m,) arrays."""
-
-    course: IntArray
-    along: FloatArray
-    length: FloatArray
-    name: list[str]
-
-
 def by_stops(network: Network, graph: EdgeGraph, stops: FloatArray) -> Placed:
     """The route whose stations lie as far apart as the stops of a trip [m].
 
@@ -293,129 +276,49 @@ def by_stops(network: Network, graph: EdgeGraph, stops: FloatArray) -> Placed:
             f"{stops.size} stops show no route in network '{network.name}'",
             remedy="state its stations (--stations A,B)",
         )
-    stations = _stations(network)
-    between = distances(graph, np.arange(graph.lengths.size))
-    found = _sequences(stations, between, stops)
-    if not found:
+    edges, chainages = _stations(network)
+    none = np.zeros(stops.size)
+    nodes = EdgeNodes(
+        seconds=stops / USUAL_PACE,
+        east=none,
+        north=none,
+        # Distances between two stops err by half of `NEAR`, and of `DRIFT` of them.
+        std=np.full(stops.size, 0.5 * NEAR / np.sqrt(2.0)),
+        driven=stops,
+        driven_variance=(0.5 * DRIFT * stops) ** 2,
+        pace=np.full(stops.size, np.nan),
+        stood=none > 0.0,
+        first=edges.size * np.arange(stops.size + 1),
+        edge=np.tile(edges, stops.size),
+        chainage=np.tile(chainages, stops.size),
+        distance=np.zeros(edges.size * stops.size),
+    )
+    search = Search(_bare(graph), nodes, {"absence": np.inf, "reward": SKIPPED})
+    best, margin, other = search.best()
+    node, gap = best.chain.node, np.diff(stops[best.chain.node])
+    ends = node.size > 1 and node[0] == 0 and node[-1] == stops.size - 1
+    off = np.abs(np.diff(best.position) - gap)
+    few = node.size < stops.size - int(MOST_SKIPPED * stops.size)
+    if not ends or few or np.any(off > 2.0 * NEAR + DRIFT * gap):
         raise InputError(
             f"no stations of network '{network.name}' lie as far apart as its {stops.size} stops",
             remedy="state its stations (--stations A,B), or check the unit of the position",
         )
-    routes = [(cost, _courses(stations, between, states), states) for cost, states in found]
-    cost, courses, states = routes[0]
-    rivals = [each for each in routes[1:] if each[1] != courses]
-    margin = rivals[0][0] - cost if rivals else np.inf
-    first, last = states[0], states[-1]
-    ends = [
-        float(stations.length[at] - stations.along[at])
-        if stations.course[at] % 2
-        else float(stations.along[at])
-        for at in (first, last)
-    ]
-    words = f"{len(states)} of {stops.size} stops lie as far apart as its stations"
-    other = rivals[0][1] if rivals else ()
-    return Placed(courses, ends[0], ends[1], float(margin), other, words)
+    words = f"{node.size} of {stops.size} stops lie as far apart as its stations"
+    return Placed(search.passage_of(best, margin, other), words)
 
 
-def _stations(network: Network) -> _Stations:
-    """Every station of every edge, in both directions; nodes that are stations, too."""
-    rows: list[tuple[int, float, float, str]] = []
+def _stations(network: Network) -> tuple[IntArray, FloatArray]:
+    """Edge and chainage [m] of every station of every edge; nodes that are stations, too."""
+    rows: list[tuple[int, float]] = []
     for number, edge in enumerate(network.edges):
-        length = edge.line.length
-        places = {round(each.position, 3): each.name for each in edge.line.stations}
-        for at, name in ((0.0, edge.start), (length, edge.end)):
-            near = [each for each in places if abs(each - at) <= 1.0]
-            for each in near:
-                del places[each]
-            if network.node(name).kind == "station":
-                places[at] = name
-        for at, name in places.items():
-            rows.append((2 * number, at, length, name))
-            rows.append((2 * number + 1, length - at, length, name))
-    course, along, length_of, names = zip(*rows, strict=True)
-    return _Stations(np.array(course), np.array(along), np.array(length_of), list(names))
-
-
-def _sequences(
-    stations: _Stations, between: Between, stops: FloatArray
-) -> list[tuple[float, list[int]]]:
-    """The sequences of stations that fit best, the best first, with what they cost."""
-    departs = np.flatnonzero(stations.along < stations.length - 1.0)
-    arrives = np.flatnonzero(stations.along > 1.0)
-    most = int(MOST_SKIPPED * stops.size)
-    # Of each stop: the station of each sequence kept, its cost, and the sequence before.
-    layers: list[tuple[IntArray, FloatArray, list[tuple[int, int]]]] = [
-        (departs, np.zeros(departs.size), [(-1, -1)] * departs.size)
-    ]
-    for number in range(1, stops.size):
-        costs, backs = list[FloatArray](), list[tuple[int, IntArray]]()
-        for before in range(max(0, number - 1 - most), number):
-            states, cost, _ = layers[before]
-            if not states.size:
-                continue
-            gap = stops[number] - stops[before]
-            off = np.abs(_apart(stations, between, states, arrives) - gap)
-            near = off <= 2.0 * NEAR + DRIFT * gap
-            penalty = np.where(near, 0.5 * (off / _std(gap)) ** 2, np.inf)
-            costs.append(cost[:, None] + penalty + SKIPPED * (number - 1 - before))
-            backs.append((before, np.arange(states.size)))
-        layers.append(_kept(costs, backs, arrives))
-    states, cost, _ = layers[-1]
-    order = np.argsort(cost, kind="stable")[: 4 * RANKS]
-    return [(float(cost[at]), _traced(layers, int(at))) for at in order]
-
-
-def _kept(
-    costs: list[FloatArray], backs: list[tuple[int, IntArray]], arrives: IntArray
-) -> tuple[IntArray, FloatArray, list[tuple[int, int]]]:
-    """The best sequences to each station."""
-    if not costs:
-        return np.zeros(0, dtype=np.int64), np.zeros(0), []
-    every = np.concatenate(costs)
-    origin = [(layer, int(row)) for layer, rows in backs for row in rows]
-    best = np.argsort(every, axis=0, kind="stable")[:RANKS]
-    rank, column = np.nonzero(np.isfinite(np.take_along_axis(every, best, axis=0)))
-    source = best[rank, column]
-    return arrives[column], every[source, column], [origin[each] for each in source]
-
-
-def _traced(layers: list[tuple[IntArray, FloatArray, list[tuple[int, int]]]], at: int) -> list[int]:
-    found, layer = list[int](), len(layers) - 1
-    while layer >= 0:
-        states, _, backs = layers[layer]
-        found.append(int(states[at]))
-        layer, at = backs[at]
-    return found[::-1]
-
-
-def _std(gap: float) -> float:
-    """Standard deviation [m] of a distance between two stops."""
-    return float(0.5 * NEAR + 0.5 * DRIFT * gap)
-
-
-def _apart(
-    stations: _Stations, between: Between, states: IntArray, arrives: IntArray
-) -> FloatArray:
-    """Distances [m] from stations to stations, the shortest way on."""
-    course, along = stations.course[states], stations.along[states]
-    to, at = stations.course[arrives], stations.along[arrives]
-    rest = stations.length[states] - along
-    found = rest[:, None] + between.distance[between.row[course]][:, to] + at[None, :]
-    ahead = at[None, :] - along[:, None]
-    direct = (course[:, None] == to[None, :]) & (ahead > 1.0)
-    return np.asarray(np.where(direct, ahead, found))
-
-
-def _courses(stations: _Stations, between: Between, states: list[int]) -> tuple[int, ...]:
-    """The courses that a sequence of stations leads over."""
-    found = [int(stations.course[states[0]])]
-    along = float(stations.along[states[0]])
-    for state in states[1:]:
-        course, at = int(stations.course[state]), float(stations.along[state])
-        if course != found[-1] or at <= along + 1.0:
-            found += [*between.path(found[-1], course), course]
-        along = at
-    return tuple(found)
+        ends = [(0.0, edge.start), (edge.line.length, edge.end)]
+        places = {round(station.position, 3) for station in edge.line.stations}
+        places = {at for at in places if all(abs(at - end) > 1.0 for end, _ in ends)}
+        places |= {at for at, name in ends if network.node(name).kind == "station"}
+        rows += [(number, at) for at in sorted(places)]
+    edges, chainages = zip(*rows, strict=True) if rows else ((), ())
+    return np.array(edges, dtype=np.int64), np.array(chainages, dtype=np.float64)
 
 
 def check_determined(placed: Placed, words: str, other: str) -> None:
@@ -425,10 +328,11 @@ def check_determined(placed: Placed, words: str, other: str) -> None:
     ------
     InputError
     """
-    if placed.margin < DECIDES:
+    margin = placed.passage.margin
+    if not placed.passage.determined:
         raise InputError(
             f"they do not determine the route ({placed.words}): over {words} is by a"
-            f" log-likelihood of {placed.margin:.1f} better than over {other}, {DECIDES:g} is"
+            f" log-likelihood of {margin:.1f} better than over {other}, {DECIDES:g} is"
             " needed",
             remedy="state its stations (--stations A,B)",
         )

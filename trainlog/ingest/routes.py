@@ -1,6 +1,6 @@
 """Recordings on a network: which route each was driven over, cut where one route ends.
 
-By satellite fixes (`trainlog.ingest.route_matching`), by stations that are stated, by kilometres
+By satellite fixes (`trainlog.ingest.matching`), by stations that are stated, by kilometres
 with the number of a line, or by the distances between stops (`trainlog.ingest.route_distances`).
 """
 
@@ -12,22 +12,27 @@ from functools import cached_property
 
 import numpy as np
 
-from estimators.route_matching import EdgeGraph
+from estimators.matching import EdgeGraph
 from trainlog.arrays import BoolArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.files import sha256
-from trainlog.ingest.chainage import distance_driven
-from trainlog.ingest.edge_candidates import EdgeTracks, edge_tracks
-from trainlog.ingest.estimates import fixes_of
-from trainlog.ingest.fixes import Fixes
+from trainlog.ingest.matching import (
+    DECIDES,
+    EdgeTracks,
+    Passage,
+    Passages,
+    Unseen,
+    edge_tracks,
+    match_route,
+)
+from trainlog.ingest.motion import LATITUDE, POSITION
 from trainlog.ingest.parts import part_of, with_cut_lines
 from trainlog.ingest.placing import stops_of
+from trainlog.ingest.receiver import Fixes, fixes_of
 from trainlog.ingest.recording import Recording, Table
 from trainlog.ingest.route_distances import Placed, by_kilometres, by_stops, check_determined
-from trainlog.ingest.route_matching import DECIDES, Passage, Passages, Unseen, match_route
-from trainlog.ingest.rules import POSITION
 from trainlog.railway.line import Geometry, Leg, Line
 from trainlog.railway.network import Edge, Network, Route
 from trainlog.trip import Trip
@@ -43,8 +48,6 @@ LEFT_BEHIND = 60.0
 
 NETWORK_INPUT = "network.json"
 """Name of the network among the inputs of a trip's provenance."""
-
-_LATITUDE = "/gnss/fix.latitude"
 
 STATIONS = "stations"
 """Metadata that states the stations of a trip, with commas between them."""
@@ -277,7 +280,7 @@ def routed(
         route = routes.network.route(*places)
         return [(recording, OnRoute(route, f"stated: {', '.join(places)}"))]
     if "/gnss/fix" in trip and trip["/gnss/fix"]["latitude"].count() > 1:
-        number = next(i for i, each in enumerate(tables) if _LATITUDE in each.signals)
+        number = next(i for i, each in enumerate(tables) if LATITUDE in each.signals)
         return list(by_fixes(routes, recording, tables[number], fixes_of(trip), stem))
     return [(recording, _by_stops(routes, tables))]
 
@@ -312,7 +315,7 @@ def on_numbered_lines(
     assert found.position is not None
     moved = table.with_values(POSITION, found.position - begun)
     tables = (moved, *recording.tables[1:])
-    evidence = found.words + _margin(routes, found.margin, found.other)
+    evidence = found.words + _margin(routes, found.passage)
     return replace(recording, tables=tables), OnRoute(route, evidence)
 
 
@@ -333,19 +336,23 @@ def _by_stops(routes: NetworkRoutes, tables: list[Table]) -> OnRoute:
             remedy="state its stations (--stations A,B)",
         )
     found = by_stops(routes.network, routes.graph, stops)
-    evidence = found.words + _margin(routes, found.margin, found.other)
+    evidence = found.words + _margin(routes, found.passage)
     return OnRoute(_determined(routes, found), evidence, "stations")
 
 
 def _determined(routes: NetworkRoutes, found: Placed) -> Route:
-    check_determined(found, routes.words(found.courses), routes.words(found.other))
-    return routes.along(found.courses, found.start, found.end)
+    passage = found.passage
+    check_determined(found, routes.words(passage.courses), routes.words(passage.other))
+    return routes.along(passage.courses, passage.start, passage.end)
 
 
-def _margin(routes: NetworkRoutes, margin: float, other: Sequence[int]) -> str:
-    if not other:
+def _margin(routes: NetworkRoutes, passage: Passage) -> str:
+    if not passage.other:
         return "; no other route is possible"
-    return f"; log-likelihood {margin:.1f} better than the second-best, over {routes.words(other)}"
+    return (
+        f"; log-likelihood {passage.margin:.1f} better than the second-best, over"
+        f" {routes.words(passage.other)}"
+    )
 
 
 def by_fixes(
@@ -365,7 +372,7 @@ def by_fixes(
     stem : str
         Before the numbers in the names of the trips, where there are several.
     """
-    found = match_route(routes.edges, fixes, *distance_driven(fixes))
+    found = match_route(routes.edges, fixes)
     _check(routes.network, found)
     spans = _spans(fixes, found.passages)
     off = _rows_off(table, spans)
@@ -488,9 +495,7 @@ def _undetermined(routes: NetworkRoutes, passage: Passage) -> InputError:
 
 def _evidence(routes: NetworkRoutes, found: Passages, passage: Passage) -> str:
     share = found.on_network / max(found.near, 1)
-    return f"fixes ({share:.0%} of {found.near} looked at)" + _margin(
-        routes, passage.margin, passage.other
-    )
+    return f"fixes ({share:.0%} of {found.near} looked at)" + _margin(routes, passage)
 
 
 def _spans(fixes: Fixes, passages: Sequence[Passage]) -> list[tuple[int, int]]:

@@ -11,26 +11,29 @@ from typing import Literal
 
 import numpy as np
 
+from estimators.receiver import integral
 from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import InputError
 from trainlog.ingest import clock
 from trainlog.ingest.clock import Result, gap_threshold, has_fix
 from trainlog.ingest.clock_steps import suspect_clock_steps, undo_clock_steps
-from trainlog.ingest.counters import report_steps, unwrap_counters
 from trainlog.ingest.frozen import blank_frozen
-from trainlog.ingest.profile import Limits, Repair
-from trainlog.ingest.recording import (
-    METRES_PER_DEGREE,
-    NO_TIME,
-    Finding,
-    Raw,
-    Table,
-    base_name,
-    field_of,
+from trainlog.ingest.jumps import blank_spikes, report_steps, unwrap_counters
+from trainlog.ingest.motion import (
+    EFFORTS,
+    GNSS_SPEED,
+    MOVING,
+    POSITION,
+    SPEED,
+    WHEEL_SPEED,
+    agreement,
+    plane,
+    scale_of,
+    seconds_of,
 )
+from trainlog.ingest.profile import Limits, Repair
+from trainlog.ingest.recording import NO_TIME, Finding, Raw, Table, base_name, field_of
 from trainlog.ingest.report import changes
-from trainlog.ingest.spikes import GNSS_SPEED, LATITUDE, LONGITUDE, SPEED, blank_spikes
-from trainlog.units import NANOSECONDS
 
 MAX_OUT_OF_LIMITS = 0.5
 """Share of a column's values out of limits beyond which its unit is doubted."""
@@ -85,31 +88,22 @@ def blank_out_of_limits(table: Table, limits: Limits) -> Result:
 SHORTEST = 500.0
 """Distance [m] from which on position and speed are compared."""
 
-MOVING = 5.0
-"""Speed [m/s] from which on two speeds are compared."""
-
 FACTOR = 2.0
 """Ratio of two columns beyond which they cannot be of the units that the profile gives."""
 
 FEW = 0.01
 """Share of steps up to which a position that leaps was set, and is not of another unit."""
 
-CHORD = 10.0
-"""Time [s] between two fixes whose distance is compared with the distance driven."""
-
 AGAINST = -0.5
 """Correlation of effort and acceleration below which the sign of the effort is wrong."""
-
-LONGEST_GAP_IN_CHORD = 3.0
-"""Gap [s] beyond which fixes do not give the distance in between."""
 
 LEAST_EFFORT = 0.2
 """Share of the largest effort from which on acceleration is expected to follow it."""
 
+LEVER = "/train/controls.lever"
+
 LEAST_SECONDS = 60.0
 """Time [s] with such efforts that it takes to judge their sign."""
-
-POSITION = "/train/state.position"
 
 
 def refuse_inconsistent(table: Table, limits: Limits) -> Result:
@@ -145,14 +139,18 @@ def ratios(table: Table, limits: Limits) -> Iterator[tuple[str, float, str]]:
         if position is not None:
             yield from _distance_ratio(table, position, speed, limits)
         for name, other in table.signals.items():
-            if name == GNSS_SPEED or name.startswith("/train/axles.wheel_speed"):
-                both = (speed > MOVING) & np.isfinite(other)
-                if np.count_nonzero(both) >= 10:
-                    ratio = float(np.median(other[both] / speed[both]))
-                    yield name, ratio, f"{name} is {ratio:.4g} times {SPEED}"
+            if name == GNSS_SPEED or name.startswith(WHEEL_SPEED):
+                found = agreement(other, speed, speed > MOVING)
+                if found is not None:
+                    yield name, found.ratio, f"{name} is {found.ratio:.4g} times {SPEED}"
+    points = plane(table)
     for name in (GNSS_SPEED, SPEED):
-        if name in table.signals and LATITUDE in table.signals and LONGITUDE in table.signals:
-            yield from _fix_ratio(table, name)
+        if points is not None and name in table.signals:
+            seconds, speed = seconds_of(table), table.signals[name]
+            ratio = scale_of(seconds, points, speed)
+            if np.isfinite(ratio) and np.ptp(integral(seconds, speed)[0]) > SHORTEST:
+                words = f"{name} is {ratio:.4g} times the speed at which the fixes move"
+                yield name, ratio, words
 
 
 def _distance_ratio(
@@ -160,7 +158,7 @@ def _distance_ratio(
 ) -> Iterator[tuple[str, float, str]]:
     """Compare the change of position with the integral of speed, gaps left out."""
     known = np.isfinite(position) & np.isfinite(speed)
-    seconds = table.time[known] / NANOSECONDS
+    seconds = seconds_of(table)[known]
     step = np.diff(seconds)
     whole = step <= gap_threshold(table.time, limits)
     moves = np.diff(position[known])
@@ -170,8 +168,7 @@ def _distance_ratio(
         # Steps to another chainage are no unit.
         whole &= ~leaps
     moved = float(np.sum(moves[whole]))
-    mean = 0.5 * (speed[known][1:] + speed[known][:-1])
-    driven = float(np.sum((mean * step)[whole]))
+    driven = float(np.sum(np.diff(integral(seconds, speed[known])[0])[whole]))
     if driven < SHORTEST:
         return
     if moved < -SHORTEST:
@@ -183,68 +180,22 @@ def _distance_ratio(
     yield POSITION, moved / driven, f"{POSITION} moves {moved:.0f} m, {SPEED} gives {driven:.0f} m"
 
 
-def _fix_ratio(table: Table, name: str) -> Iterator[tuple[str, float, str]]:
-    """Compare the distances between fixes `CHORD` apart with the integral of a speed."""
-    latitude, longitude = table.signals[LATITUDE], table.signals[LONGITUDE]
-    speed = table.signals[name]
-    fixed = np.isfinite(latitude) & np.isfinite(longitude)
-    if np.count_nonzero(fixed) < 3 or np.count_nonzero(np.isfinite(speed)) < 3:
-        return
-    seconds = (table.time - table.time[0]) / NANOSECONDS
-    known = np.isfinite(speed)
-    at, speeds = seconds[known], speed[known]
-    distance = np.concatenate(([0.0], np.cumsum(np.diff(at) * 0.5 * (speeds[1:] + speeds[:-1]))))
-    marks = np.arange(max(at[0], seconds[fixed][0]), min(at[-1], seconds[fixed][-1]), CHORD)
-    if marks.size < 2:
-        return
-    driven = np.diff(np.interp(marks, at, distance))
-    north = np.interp(marks, seconds[fixed], latitude[fixed]) * METRES_PER_DEGREE
-    scale = METRES_PER_DEGREE * np.cos(np.radians(float(np.median(latitude[fixed]))))
-    east = np.interp(marks, seconds[fixed], longitude[fixed]) * scale
-    chord = np.hypot(np.diff(north), np.diff(east))
-    whole = _without_gap(marks, seconds[fixed]) & _without_gap(marks, at)
-    whole &= driven > CHORD * MOVING
-    if float(np.sum(driven[whole])) < SHORTEST:
-        return
-    ratio = float(np.median(driven[whole] / np.maximum(chord[whole], 1.0)))
-    yield name, ratio, f"{name} is {ratio:.4g} times the speed at which the fixes move"
-
-
-def _without_gap(marks: FloatArray, known: FloatArray) -> BoolArray:
-    """Between which marks no gap lies in the samples `known` [s]."""
-    late = np.flatnonzero(np.diff(known) > LONGEST_GAP_IN_CHORD)
-    if not late.size:
-        return np.ones(marks.size - 1, dtype=np.bool_)
-    begins, ends = known[late], known[late + 1]
-    # The first gap that ends after the chord begins; does it begin before the chord ends?
-    first = np.searchsorted(ends, marks[:-1], side="right")
-    inside = first < begins.size
-    return ~(inside & (begins[np.minimum(first, begins.size - 1)] < marks[1:]))
-
-
 def _refuse_sign(table: Table) -> None:
     """Refuse efforts, or a lever, that the train's acceleration runs against."""
     speed = table.signals.get(SPEED)
     if speed is None:
         return
-    prefix = "/train/controls."
-    efforts = {
-        f"{prefix}tractive_effort": 1.0,
-        f"{prefix}dynamic_braking_effort": -1.0,
-        f"{prefix}pneumatic_braking_effort": -1.0,
-    }
-    present = [name for name in efforts if name in table.signals]
-    if f"{prefix}tractive_effort" in present:
-        net = sum(efforts[name] * np.nan_to_num(table.signals[name]) for name in present)
-        _refuse_against(table, speed, np.asarray(net), " and ".join(present))
-    lever = table.signals.get(f"{prefix}lever")
+    present = [name for name in EFFORTS if name in table.signals]
+    if EFFORTS[0] in present:
+        sizes = [np.nan_to_num(table.signals[name]) for name in present]
+        _refuse_against(table, speed, sizes[0] - sum(sizes[1:]), " and ".join(present))
+    lever = table.signals.get(LEVER)
     if lever is not None:
-        _refuse_against(table, speed, np.nan_to_num(lever), f"{prefix}lever")
+        _refuse_against(table, speed, np.nan_to_num(lever), LEVER)
 
 
 def _refuse_against(table: Table, speed: FloatArray, push: FloatArray, name: str) -> None:
-    seconds = (table.time - table.time[0]) / NANOSECONDS
-    known = np.isfinite(speed)
+    seconds, known = seconds_of(table), np.isfinite(speed)
     if np.count_nonzero(known) < 3:
         return
     ahead, behind = (
@@ -252,7 +203,7 @@ def _refuse_against(table: Table, speed: FloatArray, push: FloatArray, name: str
     )
     acceleration = (ahead - behind) / 5.0
     strong = np.abs(push) >= LEAST_EFFORT * np.max(np.abs(push))
-    strong &= (speed > 1.0) & (np.max(np.abs(push)) > 0.0)
+    strong &= (speed > MOVING) & (np.max(np.abs(push)) > 0.0)
     held = np.diff(seconds, append=seconds[-1])
     if float(np.sum(np.minimum(held, 1.0)[strong])) < LEAST_SECONDS:
         return

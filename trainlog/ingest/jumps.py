@@ -1,27 +1,81 @@
-"""Distances of a counter that starts anew, wraps, or counts both ways become one that grows.
+"""Values that jump: spikes, places that no train gets to, counters that lose their distance.
 
-A counter is known from the distance that it loses: all of it, when it starts anew; a power of ten
-or 2^16 of its steps, or the same distance every time, when it wraps; and whole stretches between
-two stops, when it counts down because the train has turned. Other steps stay and are reported:
-the chainage of another line, a balise, a wheel diameter that was set.
+A spike is a piece of a column that nothing can have jumped to and back from. A counter is known
+from the distance that it loses: all of it, when it starts anew; a power of ten or 2^16 of its
+steps, or the same distance every time, when it wraps; and whole stretches between two stops, when
+it counts down because the train has turned. Other steps stay and are reported: the chainage of
+another line, a balise, a wheel diameter that was set.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import median_filter
 
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from trainlog.ingest.clock import Result, gap_threshold
+from trainlog.ingest.motion import (
+    ACCURACY,
+    FIX_STD,
+    GNSS_SPEED,
+    LATITUDE,
+    LONGITUDE,
+    POSITION,
+    RESTING,
+    SPEED,
+    STANDING,
+    covered,
+    plane,
+    repeats,
+    seconds_of,
+    speed_of,
+)
 from trainlog.ingest.profile import Limits
-from trainlog.ingest.recording import Table
-from trainlog.ingest.spikes import GNSS_SPEED, SPEED
+from trainlog.ingest.recording import Finding, Table, base_name
 from trainlog.spans import runs_of
-from trainlog.units import NANOSECONDS
 
-POSITION = "/train/state.position"
+LEAST = 7
+"""Samples that a column needs before any of them can be a spike."""
+
+PERSISTING = 5.0
+"""Time [s] for which values must stay where they jumped to before the jump is taken for real; twice
+that between a jump and the jump back."""
+
+LEAST_PERSISTING = 3
+"""Samples that this is at least."""
+
+REACH = 20
+"""Pieces between which the way back is looked for."""
+
+MOST_SPIKES = 1 / 3
+"""Share of a column's values beyond which they are no spikes: it has another unit."""
+
+FIX_TOLERANCE = 20.0
+"""By how much satellite positions of perfect accuracy may err from one to the next [m]."""
+
+FIX_STDS = 3.0
+"""Standard deviations, as receivers usually state them, that are added to that."""
+
+LARGEST_USUAL = 50.0
+"""Standard deviation [m] that is usual at most."""
+
+SPEED_MARGIN, FASTER = 1.2, 10.0
+"""How much faster than the recorded speed positions may move, as a factor and beyond it [m/s]."""
+
+MOST_JUMPS = 0.02
+"""Share of steps between positions beyond which it is the recorded speed that is doubted."""
+
+POOR = 3.0
+"""Ratio to the usual accuracy from which on a fix is compared with those around it."""
+
+TURNING = 2.0
+"""Acceleration [m/s²], along and across, by which a train departs from a straight line."""
+
+LONGEST_BETWEEN = 60.0
+"""Time [s] between two good fixes beyond which they do not say where one between them is."""
 
 WRAPS = (1e3, 1e4, 1e5, 1e6)
 """Distances [m] at which counters of whole kilometres wrap."""
@@ -44,9 +98,6 @@ RETURNING = 10.0
 LEAST_LOST = 100.0
 """Distance [m] from which on a loss is one of a counter and not of a balise."""
 
-STANDING = 0.3
-"""Speed [m/s] below which a train may turn."""
-
 TURNED = 50.0
 """Distance [m] between two stops from which on a counter may be said to count down."""
 
@@ -58,6 +109,167 @@ MOST_STEPS = 0.01
 
 THROUGHOUT = 0.9
 """Share of the distance beyond which it is the sign of the column that is wrong."""
+
+
+def blank_spikes(table: Table, limits: Limits) -> Result:
+    """Take away values that nothing can have jumped to and back from.
+
+    A column is cut wherever two values differ by more than ``tolerance + rate * (time between
+    them)``. Of its pieces those are kept that make the best sequence: the most samples, less
+    `PERSISTING` for every two that follow each other and do not fit. The sample after a spike, and
+    runs of several, are judged in the same way as a spike. What changes no faster than `rate` is
+    never taken for one, whatever its sampling; nor is anything where most would be.
+    """
+    findings: list[Finding] = []
+    seconds = seconds_of(table)
+    for name, values in table.signals.items():
+        bounds = limits.of(name)
+        if math.isinf(bounds.rate):
+            continue
+        spike = spikes(seconds, values, bounds.rate, bounds.tolerance)
+        findings += table.found("spikes", spike, base_name(name))
+        if spike.any():
+            table = table.without(name, spike)
+    leaps = leaping_fixes(table, limits, seconds)
+    if leaps.any():
+        for name in (LATITUDE, LONGITUDE):
+            findings += table.found("spikes", leaps, name)
+            table = table.without(name, leaps)
+    return table, findings
+
+
+def spikes(
+    seconds: FloatArray,
+    values: FloatArray | ComplexArray,
+    rate: float | FloatArray,
+    tolerance: float,
+) -> BoolArray:
+    """Mark spikes; see `blank_spikes`.
+
+    Parameters
+    ----------
+    seconds : (n,) array [s]
+        Increasing.
+    values : (n,) array
+        NaN where absent; absent values take no part. Complex: places in a plane.
+    rate : float or (n,) array
+        How fast they change, in the unit of `values` a second.
+    tolerance : float
+        In the unit of `values`.
+    """
+    marked = np.zeros(values.size, dtype=np.bool_)
+    present = np.flatnonzero(np.isfinite(values))
+    if present.size < LEAST:
+        return marked
+    known, at = values[present], seconds[present]
+    fastest = np.broadcast_to(np.asarray(rate, dtype=np.float64), values.shape)[present]
+    allowed = tolerance + np.maximum(fastest[1:], fastest[:-1]) * np.diff(at)
+    cuts = np.flatnonzero(np.abs(np.diff(known)) > allowed)
+    if not cuts.size:
+        return marked
+    first = np.concatenate(([0], cuts + 1))
+    last = np.concatenate((cuts, [present.size - 1]))
+    kept = _best_sequence(first, last, at, known, fastest, tolerance)
+    outside = np.repeat(~kept, last - first + 1)
+    if np.count_nonzero(outside) <= MOST_SPIKES * present.size:
+        marked[present] = outside
+    return marked
+
+
+def _best_sequence(
+    first: IntArray,
+    last: IntArray,
+    at: FloatArray,
+    known: FloatArray | ComplexArray,
+    rate: FloatArray,
+    tolerance: float,
+) -> BoolArray:
+    """Which pieces, each from sample `first` to `last`, make the best sequence."""
+    size = last - first + 1.0
+    step = float(np.median(np.diff(at)))
+    price = max(LEAST_PERSISTING, round(PERSISTING / step)) if step > 0.0 else LEAST_PERSISTING
+    best, before = size.copy(), np.full(size.size, -1)
+    for piece in range(1, size.size):
+        others = np.arange(max(0, piece - REACH), piece)
+        end, begin = last[others], first[piece]
+        allowed = tolerance + np.maximum(rate[end], rate[begin]) * (at[begin] - at[end])
+        fits = np.abs(known[begin] - known[end]) <= allowed
+        score = best[others] - np.where(fits, 0, price)
+        # Of equals the nearest.
+        chosen = score.size - 1 - int(np.argmax(score[::-1]))
+        if score[chosen] > 0.0:
+            best[piece] += score[chosen]
+            before[piece] = others[chosen]
+    kept = np.zeros(size.size, dtype=np.bool_)
+    piece = int(np.argmax(best))
+    while piece >= 0:
+        kept[piece] = True
+        piece = int(before[piece])
+    return kept
+
+
+def leaping_fixes(table: Table, limits: Limits, seconds: FloatArray) -> BoolArray:
+    """Which satellite positions the train cannot have been at.
+
+    The recorded speed bounds how far it gets from one to the next, else the largest speed that
+    `limits` allow. A fix whose own accuracy is stated to be much worse than usual is compared with
+    the good ones around it as well.
+    """
+    places = plane(table)
+    if places is None:
+        return np.zeros(len(table), dtype=np.bool_)
+    stated = table.signals.get(ACCURACY, np.full(len(table), np.nan))
+    stated = np.where(stated > 0.0, stated, np.nan)
+    known = stated[np.isfinite(stated) & np.isfinite(places)]
+    usual = min(float(np.median(known)), LARGEST_USUAL) if known.size else FIX_STD
+    tolerance = FIX_TOLERANCE + FIX_STDS * usual
+    fastest = limits.of(GNSS_SPEED).high
+    rate = _fastest(table, seconds, fastest)
+    leaps = spikes(seconds, places, rate, tolerance)
+    if np.count_nonzero(leaps) > MOST_JUMPS * np.count_nonzero(np.isfinite(places)):
+        leaps = spikes(seconds, places, fastest, tolerance)
+    poor = np.isfinite(places) & (stated > POOR * usual) & ~leaps
+    return leaps | _beside(seconds, places, poor, np.isfinite(places) & ~leaps & ~poor, tolerance)
+
+
+def _fastest(table: Table, seconds: FloatArray, most: float) -> FloatArray:
+    """How fast satellite positions can move [m/s], by the recorded speed where there is one."""
+    speed = speed_of(table, GNSS_SPEED, SPEED)
+    if speed is None:
+        return np.full(len(table), most)
+    found = repeats(speed)
+    at, column = seconds[found.known], speed[found.known]
+    # A speed that repeats itself may be frozen: it bounds nothing.
+    rests = np.repeat(at[found.last] - at[found.first] >= RESTING, found.samples)
+    bound = np.where(rests, most, SPEED_MARGIN * column + FASTER)
+    return np.minimum(np.interp(seconds, at, bound), most)
+
+
+def _beside(
+    seconds: FloatArray,
+    places: ComplexArray,
+    poor: BoolArray,
+    good: BoolArray,
+    tolerance: float,
+) -> BoolArray:
+    """Which of the poor fixes are further from the way between the good ones than a train gets."""
+    beside = np.zeros(places.size, dtype=np.bool_)
+    asked, known = np.flatnonzero(poor), np.flatnonzero(good)
+    after = np.searchsorted(known, asked)
+    between = (after > 0) & (after < known.size)
+    asked, after = asked[between], after[between]
+    if not asked.size:
+        return beside
+    a, b = known[after - 1], known[after]
+    since, until = seconds[asked] - seconds[a], seconds[b] - seconds[asked]
+    there = (places[a] * until + places[b] * since) / (since + until)
+    allowed = tolerance + 0.5 * TURNING * since * until
+    far = np.abs(places[asked] - there) > allowed
+    beside[asked] = far & (since + until <= LONGEST_BETWEEN)
+    return beside
+
+
+# ------------------------------------------------------------------ counters
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +321,7 @@ def unwrap_counters(table: Table, limits: Limits) -> Result:
     down = _counting_down(counter, step)
     if down.any():
         step = np.where(down, -step, step)
-        words.append(f"{_stretches(down)} stretches counted down")
+        words.append(f"{len(runs_of(down))} stretches counted down")
     changed = step != counter.step
     if not changed.any():
         return table, []
@@ -118,7 +330,9 @@ def unwrap_counters(table: Table, limits: Limits) -> Result:
     grown = counter.position.copy()
     grown[first:] = grown[first - 1] + np.cumsum(step[first - 1 :])
     shift = np.round(grown - counter.position, 6)
-    grown = np.where(_mirrored(down), np.round(grown, 6), counter.position + shift)
+    # From the first one that was counted down on they are sums of steps.
+    mirrored = np.concatenate(([False], np.cumsum(down) > 0))
+    grown = np.where(mirrored, np.round(grown, 6), counter.position + shift)
     cells = np.zeros(len(table), dtype=np.bool_)
     cells[known] = grown != counter.position
     values = position.copy()
@@ -127,27 +341,17 @@ def unwrap_counters(table: Table, limits: Limits) -> Result:
     return table.with_values(POSITION, values), found
 
 
-def _mirrored(down: BoolArray) -> BoolArray:
-    """The samples from the first on that was counted down: they are sums of steps."""
-    return np.concatenate(([False], np.cumsum(down) > 0))
-
-
-def _stretches(marked: BoolArray) -> int:
-    return int(np.count_nonzero(np.diff(marked.astype(np.int8), prepend=0) == 1))
-
-
 def _counter(table: Table, position: FloatArray, known: BoolArray, limits: Limits) -> _Counter:
-    seconds = (table.time[known] - table.time[0]) / NANOSECONDS
-    column = position[known]
+    clock = seconds_of(table)
+    seconds, column = clock[known], position[known]
     step, took = np.diff(column), np.diff(seconds)
     bounds = limits.of(POSITION)
     rate, tolerance = bounds.rate, bounds.tolerance
     driven = expected = np.full(step.size, np.nan)
-    name = next((n for n in (SPEED, GNSS_SPEED) if _present(table, n)), None)
-    if name is not None:
-        at = np.isfinite(table.signals[name])
-        clock = (table.time - table.time[0])[at] / NANOSECONDS
-        speed = np.interp(seconds, clock, np.abs(table.signals[name][at]))
+    recorded = speed_of(table)
+    if recorded is not None:
+        at = np.isfinite(recorded)
+        speed = np.interp(seconds, clock[at], recorded[at])
         driven = 0.5 * (speed[1:] + speed[:-1]) * took
         # The two may be in other units: what they usually have in common counts.
         whole = (driven > 0.0) & (np.abs(step) > 0.0) & (np.abs(step) < tolerance + rate * took)
@@ -157,15 +361,11 @@ def _counter(table: Table, position: FloatArray, known: BoolArray, limits: Limit
         expected = median_filter(np.abs(step) / np.maximum(took, 1e-9), STEADY) * took
     late = took > gap_threshold(table.time, limits)
     driven[late] = np.nan
-    expected = np.where(late, 0.0, expected if name is None else np.nan_to_num(driven))
+    expected = np.where(late, 0.0, expected if recorded is None else np.nan_to_num(driven))
     reach = tolerance + rate * took
     sure = tolerance + UNSURE * driven + UNSTEADY * took
     reach = np.where(np.isfinite(driven), np.minimum(sure, reach), reach)
     return _Counter(seconds, column, step, driven, expected, late, reach)
-
-
-def _present(table: Table, name: str) -> bool:
-    return name in table.signals and bool(np.isfinite(table.signals[name]).any())
 
 
 def _losses(counter: _Counter, lost: IntArray, gained: IntArray) -> tuple[IntArray, list[str]]:
@@ -261,16 +461,13 @@ def _counting_down(counter: _Counter, step: FloatArray) -> BoolArray:
     small = np.where(possible, step, 0.0)
     sums = np.concatenate(([0.0], np.cumsum(small)))
     ways = np.concatenate(([0.0], np.cumsum(np.abs(small))))
-    net, covered = sums[ends] - sums[begins], ways[ends] - ways[begins]
+    net, both_ways = sums[ends] - sums[begins], ways[ends] - ways[begins]
     driven = np.concatenate(([0.0], np.cumsum(counter.expected)))
-    far = np.maximum(covered, driven[ends] - driven[begins])
+    far = np.maximum(both_ways, driven[ends] - driven[begins])
     falls = (net < -TURNED) & (-net >= BACK * far)
     if not falls.any() or -net[falls].sum() > THROUGHOUT * np.abs(net).sum():
         return none
-    change = np.zeros(step.size + 1, dtype=np.int8)
-    change[begins[falls]] += 1
-    change[ends[falls]] -= 1
-    return np.asarray((np.cumsum(change[:-1]) > 0) & possible)
+    return covered(begins[falls], ends[falls], step.size) & possible
 
 
 def report_steps(table: Table, limits: Limits) -> Result:

@@ -1,14 +1,14 @@
-"""The route of satellite fixes over the edges of a network, and by how much it is the best.
+"""The route of satellite fixes over the edges of a network, or along a line, which is one edge.
 
-First the best chain of places on all edges (`estimators.route_matching`), cut where the train
-turned round or was away. Then, for every edge of the chain, the best one without it: both are
-compared by the fixes' distances beside them, whose errors last, and by the distances driven. The
-least of these differences is the margin. What is below `DECIDES` is not determined.
+First the best chain of the places that the fixes may mean (`estimators.matching`), on a network cut
+where the train turned round or was away. Then, for every edge of the chain, the best one without
+it: both are compared by the fixes' distances beside them, whose errors last, and by the distances
+driven. The least of these differences is the margin. What is below `DECIDES` is not determined.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby, pairwise
@@ -16,24 +16,44 @@ from itertools import groupby, pairwise
 import numpy as np
 from scipy.special import logsumexp
 
-from estimators.matching import IDLE_SPEED, STEP_LENGTH, STEP_PENALTY, TURN_SHARE
-from estimators.route_matching import (
+from estimators.matching import (
     ABSENCE,
     ALONG,
+    IDLE_SPEED,
     REVERSAL,
     REVERSED,
+    STEP_LENGTH,
+    STEP_PENALTY,
+    TURN_SHARE,
     Between,
     Chain,
     EdgeGraph,
     EdgeNodes,
     LeftOut,
-    best_chain_on,
+    best_chain,
     distances,
 )
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
-from trainlog.ingest.edge_candidates import SHIFT, EdgeTracks, edge_nodes
-from trainlog.ingest.fixes import GATE, Fixes
-from trainlog.railway.geometry import Track, beside
+from trainlog.ingest.motion import GATE, MOVING
+from trainlog.ingest.receiver import Driven, Fixes, distance_driven
+from trainlog.railway.geometry import SPACING as TRACK_SPACING, Track, beside, candidates, to_plane
+from trainlog.railway.line import Geometry
+
+GEOMETRY_STD = 2.0
+"""Standard deviation of a good line's own geometry [m]."""
+
+SPACING, MOST_NODES, STANDING_TIME = 50.0, 800, 120.0
+"""Distance [m] between fixes that are looked at, how many at most, and how often [s] at a
+standstill."""
+
+SHIFT = 5.0
+"""Standard deviation [m] of a constant shift between a receiver's fixes and a network."""
+
+WIDEST = 150.0
+"""Distance [m] within which a fix may be on the network at all."""
+
+TURNING_TIME = 60.0
+"""Time [s] that it takes a train to turn round, where no speed is known."""
 
 LASTING, LEAST_LASTING, WHITE = 60.0, 2.5, 2.0
 """How long [s] errors of a receiver last, their least standard deviation [m], and that [m] of what
@@ -63,6 +83,150 @@ KNOWN_LENGTH = 0.01
 
 ROUNDS = 4
 """How often a better route found among the others takes the place of the best."""
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeTracks:
+    """Edges of a network on a plane.
+
+    Attributes
+    ----------
+    graph : EdgeGraph
+    tracks : tuple of Track or None
+        By edge; None where an edge has no geometry.
+    origin : (latitude, longitude) [deg]
+        Where the plane touches the earth.
+    """
+
+    graph: EdgeGraph
+    tracks: tuple[Track | None, ...]
+    origin: tuple[float, float]
+
+
+def edge_tracks(
+    graph: EdgeGraph, geometries: Sequence[Geometry | None], origin: tuple[float, float]
+) -> EdgeTracks:
+    """The edges on the plane that touches the earth at `origin`."""
+    tracks = tuple(
+        None if geometry is None else _track(geometry, float(length), origin)
+        for geometry, length in zip(geometries, graph.lengths, strict=True)
+    )
+    return EdgeTracks(graph, tracks, origin)
+
+
+def _track(geometry: Geometry, length: float, origin: tuple[float, float]) -> Track:
+    even = np.arange(geometry.positions[0], geometry.positions[-1], TRACK_SPACING)
+    positions = np.unique(np.concatenate([geometry.positions, even]))
+    positions = positions[(positions >= -1.0) & (positions <= length + 1.0)]
+    points = to_plane(*geometry.at(positions), origin)
+    moving = np.concatenate(([True], np.abs(np.diff(points)) > 0.0))
+    return Track(positions[moving], points[moving], origin)
+
+
+def edge_nodes(
+    edges: EdgeTracks,
+    fixes: Fixes,
+    chosen: IntArray,
+    std: FloatArray,
+    driven: Driven,
+    found: tuple[IntArray, IntArray, FloatArray, FloatArray],
+    pace: FloatArray | None = None,
+) -> EdgeNodes:
+    """Some fixes with their candidates.
+
+    Parameters
+    ----------
+    edges : EdgeTracks
+    fixes : Fixes
+    chosen : (n,) int array
+        Which of them are looked at.
+    std : (n,) array [m]
+        Of their distances from the right edge.
+    driven : Driven
+    found : (owner, edge, chainage, distance)
+        Their candidates, in order of their owners.
+    pace : array [m/s], optional
+        The speed at every fix, where it is to show that the receiver was off.
+    """
+    points = to_plane(fixes.latitude[chosen], fixes.longitude[chosen], edges.origin)
+    owner, edge, chainage, apart = found
+    counts = np.bincount(owner, minlength=chosen.size)
+    return EdgeNodes(
+        seconds=fixes.seconds[chosen],
+        east=np.ascontiguousarray(points.real),
+        north=np.ascontiguousarray(points.imag),
+        std=std,
+        driven=driven.distance[chosen],
+        driven_variance=driven.variance[chosen],
+        pace=np.full(chosen.size, np.nan) if pace is None else pace[chosen],
+        stood=_stood(fixes, chosen, points),
+        first=np.concatenate(([0], np.cumsum(counts))),
+        edge=edge,
+        chainage=chainage,
+        distance=apart,
+    )
+
+
+def _chosen(seconds: FloatArray, points: ComplexArray, driven: FloatArray) -> IntArray:
+    """Of many fixes the first of each stretch driven, and of each longer time."""
+    if not seconds.size:
+        return np.zeros(0, dtype=np.int64)
+    way = driven
+    if not np.isfinite(driven).all():
+        way = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(points)))))
+    stretch = max(SPACING, float(way[-1] - way[0]) / MOST_NODES)
+    number = np.floor((way - way[0]) / stretch) + np.floor((seconds - seconds[0]) / STANDING_TIME)
+    return np.unique(number, return_index=True)[1].astype(np.int64)
+
+
+def _candidates(
+    edges: EdgeTracks, points: ComplexArray, reach: FloatArray
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """Owner, edge, chainage and distance of all candidates, in order of their owners."""
+    found = []
+    furthest = float(reach.max())
+    for number, track in enumerate(edges.tracks):
+        if track is None:
+            continue
+        east, north = track.points.real, track.points.imag
+        inside = (points.real > east.min() - furthest) & (points.real < east.max() + furthest)
+        inside &= (points.imag > north.min() - furthest) & (points.imag < north.max() + furthest)
+        mine = np.flatnonzero(inside)
+        if mine.size:
+            of = candidates(track, points[mine], reach[mine])
+            edge = np.full(of.owner.size, number, dtype=np.int64)
+            found.append((mine[of.owner], edge, of.chainage, of.distance))
+    if not found:
+        none, nothing = np.zeros(0, dtype=np.int64), np.zeros(0)
+        return none, none, nothing, nothing
+    owner, edge, chainage, apart = (np.concatenate(each) for each in zip(*found, strict=True))
+    order = np.argsort(owner, kind="stable")
+    length = edges.graph.lengths[edge[order]]
+    return owner[order], edge[order], np.clip(chainage[order], 0.0, length), apart[order]
+
+
+def rough_noise(std: FloatArray, near: FloatArray) -> tuple[FloatArray, float]:
+    """Accuracies of fixes [m], no larger than their distances from the nearest edge show.
+
+    And what these distances show beyond them: a guess of how far the edges are misplaced [m].
+    """
+    known = np.isfinite(near)
+    if not known.any():
+        return std, 0.0
+    spread, stated = robust_std(near[known]), float(np.median(std[known]))
+    smaller = min(1.0, max(spread, GEOMETRY_STD) / stated)
+    return std * smaller, float(np.sqrt(max(0.0, spread**2 - stated**2)))
+
+
+def _stood(fixes: Fixes, chosen: IntArray, points: ComplexArray) -> BoolArray:
+    """Whether the train may have stood since the fix chosen before."""
+    steps, way = np.diff(fixes.seconds[chosen]), np.abs(np.diff(points))
+    slow = (way < MOVING * steps) & (steps > 5.0) | (steps > TURNING_TIME)
+    speed = fixes.any_speed
+    if np.count_nonzero(np.isfinite(speed)) > 0.5 * np.count_nonzero(np.isfinite(fixes.latitude)):
+        still = np.cumsum(speed < MOVING)
+        slow = (np.diff(still[chosen]) > 0) | (steps > TURNING_TIME)
+    return np.concatenate(([False], slow)).astype(np.bool_)
 
 
 @dataclass(frozen=True)
@@ -159,25 +323,32 @@ class Passages:
     dropped: tuple[tuple[float, float], ...] = field(default=())
 
 
-def match_route(
-    edges: EdgeTracks, fixes: Fixes, driven: FloatArray, driven_variance: FloatArray
-) -> Passages:
+def match_route(edges: EdgeTracks, fixes: Fixes) -> Passages:
     """The passages of a trip over the edges of a network.
 
     Parameters
     ----------
     edges : EdgeTracks
     fixes : Fixes
-    driven, driven_variance : (n,) arrays [m], [m²]
-        Distance driven at every fix; NaN throughout where no speed is known.
     """
-    nodes, near = edge_nodes(edges, fixes, driven, driven_variance)
+    driven = distance_driven(fixes)
+    points = to_plane(fixes.latitude, fixes.longitude, edges.origin)
+    known = np.flatnonzero(np.isfinite(points))
+    chosen = known[_chosen(fixes.seconds[known], points[known], driven.distance[known])]
+    owner, edge, chainage, apart = _candidates(edges, points[chosen], np.full(chosen.size, WIDEST))
+    near = np.full(chosen.size, np.inf)
+    np.minimum.at(near, owner, apart)
+    std, misfit = rough_noise(fixes.std[chosen], near)
+    std = np.sqrt(std**2 + min(misfit, WIDEST / GATE) ** 2 + GEOMETRY_STD**2 + (0.5 * SHIFT) ** 2)
+    close = apart <= np.maximum(GATE * std, 20.0)[owner]
+    places = owner[close], edge[close], chainage[close], apart[close]
+    nodes = edge_nodes(edges, fixes, chosen, std, driven, places)
     distance = float(np.median(near)) if near.size else np.inf
     count, reached = nodes.seconds.size, int(np.count_nonzero(np.diff(nodes.first)))
     if reached < LEAST_NODES:
         return Passages((), count, 0, reached, distance)
     between = distances(edges.graph, np.unique(nodes.edge))
-    chain = best_chain_on(edges.graph, nodes, between)
+    chain = best_chain(edges.graph, nodes, between)
     found, dropped, inside = list[Passage](), list[tuple[float, float]](), 0
     for part, after in _parts(chain):
         first, last = int(part.node[0]), int(part.node[-1])
@@ -186,8 +357,8 @@ def match_route(
             dropped.append((float(nodes.seconds[first]), float(nodes.seconds[last])))
             continue
         inside += part.node.size
-        own = _between_nodes(nodes, first, last + 1)
-        found.append(replace(Search(edges, own, between).passage(), after=after))
+        own = nodes.between(first, last + 1)
+        found.append(replace(Search(edges, own).passage(), after=after))
     return Passages(tuple(found), count, inside, reached, distance, tuple(dropped))
 
 
@@ -210,17 +381,6 @@ def _slice(chain: Chain, index: IntArray) -> Chain:
     return Chain(
         chain.worth, chain.node[index], chain.candidate[index], chain.course[index], link,
         chain.without[index],
-    )  # fmt: skip
-
-
-def _between_nodes(nodes: EdgeNodes, first: int, last: int) -> EdgeNodes:
-    """Some of the fixes, one after the other."""
-    low, high = int(nodes.first[first]), int(nodes.first[last])
-    own = slice(first, last)
-    return EdgeNodes(
-        nodes.seconds[own], nodes.east[own], nodes.north[own], nodes.std[own], nodes.driven[own],
-        nodes.driven_variance[own], nodes.stood[own], nodes.first[first : last + 1] - low,
-        nodes.edge[low:high], nodes.chainage[low:high], nodes.distance[low:high],
     )  # fmt: skip
 
 
@@ -313,10 +473,22 @@ class _Leg:
 
 
 class Search:
-    """The best way of a train among all others, from fixes of one direction of travel."""
+    """The best way of a train among all others, from fixes of one direction of travel.
 
-    def __init__(self, edges: EdgeTracks, nodes: EdgeNodes, between: Between) -> None:
-        self.edges, self.nodes, self.between = edges, nodes, between
+    Parameters
+    ----------
+    edges : EdgeTracks
+    nodes : EdgeNodes
+    worth : dict of str to float
+        What absences cost and fixes are worth, where nothing but the chain itself is compared:
+        options of `estimators.matching.best_chain`.
+    """
+
+    def __init__(
+        self, edges: EdgeTracks, nodes: EdgeNodes, worth: dict[str, float] | None = None
+    ) -> None:
+        self.edges, self.nodes, self.worth = edges, nodes, worth
+        self.between = distances(edges.graph, np.unique(nodes.edge))
         self.points = nodes.east + 1j * nodes.north
         self._distances: dict[int, Between] = {}
 
@@ -376,7 +548,9 @@ class Search:
                 )
 
     def _way(self, left_out: LeftOut | None) -> Way:
-        chain = best_chain_on(self.edges.graph, self.nodes, self.between, left_out)
+        chain = best_chain(
+            self.edges.graph, self.nodes, self.between, left_out, **(self.worth or {})
+        )
         parts = [
             _driven(part, self.nodes, self.edges.graph, self.between, left_out)
             for part, _ in _parts(chain)
@@ -418,6 +592,8 @@ class Search:
 
     def compared(self, best: Way, rival: Way) -> float:
         """By how much one way fits better than another."""
+        if self.worth is not None:
+            return best.chain.worth - rival.chain.worth
         one, other = self._aside(best), self._aside(rival)
         known = one.known | other.known
         # Where both run together neither gains; each stretch apart is judged by itself.

@@ -1,0 +1,234 @@
+"""Motion in recorded columns: how far and how fast each says that the train moves.
+
+Every rule that asks whether a column goes with the motion asks it here: the names of the columns,
+from which speed on a train stands or moves, the integral of a speed, the fixes in a plane, which
+values repeat, the ratio of two columns and how far they usually depart from it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from estimators.receiver import integral, pairs_at, series_of
+from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
+from trainlog.ingest.recording import METRES_PER_DEGREE, Table
+from trainlog.spans import runs_of
+from trainlog.units import NANOSECONDS
+
+POSITION, SPEED, GNSS_SPEED = "/train/state.position", "/train/state.speed", "/gnss/motion.speed"
+LATITUDE, LONGITUDE = "/gnss/fix.latitude", "/gnss/fix.longitude"
+ACCURACY = "/gnss/fix.horizontal_accuracy"
+WHEEL_SPEED = "/train/axles.wheel_speed"
+EFFORTS = tuple(
+    f"/train/controls.{kind}_effort"
+    for kind in ("tractive", "dynamic_braking", "pneumatic_braking")
+)
+
+STANDING = 0.3
+"""Speed [m/s] up to which a train may stand: what sensors of speed show at rest."""
+
+MOVING = 1.0
+"""Speed [m/s] from which on a train moves, and ratios of columns mean something: receivers show as
+much at rest, and hold a position that stands."""
+
+RESTING, RESTING_SAMPLES = 10.0, 6
+"""A value that repeats for so long [s], in so many samples, may be frozen."""
+
+GATE, HOLD = 4.5, 2.5
+"""What departs by more than `GATE` standard deviations is off; so are its neighbours, one after the
+other, down to `HOLD`."""
+
+CHORD = 20.0
+"""Time [s] between two fixes whose distance is compared with the distance driven."""
+
+ENOUGH = 10
+"""Samples from which on their median, and how they spread, are known."""
+
+FIX_STD, SPEED_STD = 5.0, 0.5
+"""Standard deviation of a fix in each direction [m], and of a satellite speed [m/s], where the
+receiver states none."""
+
+
+def seconds_of(table: Table) -> FloatArray:
+    """Time of each row since the first [s]."""
+    return np.asarray((table.time - table.time[0]) / NANOSECONDS)
+
+
+def speed_of(table: Table, *names: str) -> FloatArray | None:
+    """The first of some speeds (the train's, then its receiver's) that is recorded, without sign.
+
+    Examples
+    --------
+    >>> table = Table(np.arange(2), np.arange(2), {GNSS_SPEED: np.array([3.0, np.nan])})
+    >>> speed_of(table)
+    array([ 3., nan])
+    """
+    for name in names or (SPEED, GNSS_SPEED):
+        values = table.signals.get(name)
+        if values is not None and np.isfinite(values).any():
+            return np.abs(values)
+    return None
+
+
+def plane(table: Table) -> ComplexArray | None:
+    """Satellite positions in a plane, north + i east [m], NaN where absent; None without any."""
+    latitude, longitude = table.signals.get(LATITUDE), table.signals.get(LONGITUDE)
+    if latitude is None or longitude is None:
+        return None
+    fixed = np.isfinite(latitude) & np.isfinite(longitude)
+    if not fixed.any():
+        return None
+    scale = METRES_PER_DEGREE * np.cos(np.radians(float(np.median(latitude[fixed]))))
+    places = METRES_PER_DEGREE * latitude + 1j * scale * longitude
+    return np.where(fixed, places, np.nan)
+
+
+class Agreement(NamedTuple):
+    """How one column goes with another: their median ratio, and what is left of it.
+
+    Attributes
+    ----------
+    ratio : float
+    std : float
+        Robust standard deviation of the first less the ratio times the other.
+    """
+
+    ratio: float
+    std: float
+
+
+def agreement(one: FloatArray, other: FloatArray, moving: BoolArray) -> Agreement | None:
+    """The ratio of two columns over samples in which the train moves; None of fewer than `ENOUGH`.
+
+    Parameters
+    ----------
+    one, other : (n,) array
+        In the same unit; NaN where absent.
+    moving : (n,) bool array
+
+    Examples
+    --------
+    >>> speed = np.linspace(3.0, 20.0, 50)
+    >>> agreement(1.944 * speed, speed, speed > MOVING).ratio.__round__(3)
+    1.944
+    """
+    both = moving & np.isfinite(one) & np.isfinite(other)
+    if np.count_nonzero(both) < ENOUGH:
+        return None
+    ratio = float(np.median(one[both] / other[both]))
+    return Agreement(ratio, robust_std(one[both] - ratio * other[both]))
+
+
+def scale_of(seconds: FloatArray, points: ComplexArray, speed: FloatArray) -> float:
+    """Distance by a speed over the distance between fixes, the median over 20 s; NaN if unknown.
+
+    Parameters
+    ----------
+    seconds, speed : (n,) array [s], [m/s]
+    points : (n,) complex array [m]
+        Fixes in a plane, NaN where absent.
+
+    Examples
+    --------
+    >>> time = np.arange(0.0, 300.0)
+    >>> scale_of(time, 20.0 * time + 0j, np.full(300, 38.9)).__round__(2)
+    1.94
+    """
+    fixes = series_of(seconds, points)
+    driven, missing = (np.interp(fixes.seconds, seconds, each) for each in integral(seconds, speed))
+    first, second = pairs_at(fixes.seconds, CHORD)
+    chord = np.abs(fixes.values[second] - fixes.values[first])
+    by_speed = driven[second] - driven[first]
+    whole = np.abs(missing[second] - missing[first]) < 1e-6
+    moving = np.minimum(chord, by_speed) > CHORD * MOVING
+    found = agreement(by_speed, chord, whole & moving)
+    return np.nan if found is None else found.ratio
+
+
+class Repeats(NamedTuple):
+    """Stretches in which a column repeats one value, of one sample or more; (k,) arrays.
+
+    Attributes
+    ----------
+    known : (n,) int array
+        Samples that have a value.
+    first, last : int arrays
+        Numbers among the known samples.
+    """
+
+    known: IntArray
+    first: IntArray
+    last: IntArray
+
+    @property
+    def samples(self) -> IntArray:
+        """How many samples each has."""
+        return self.last - self.first + 1
+
+
+def repeats(values: FloatArray | ComplexArray, breaks: IntArray | None = None) -> Repeats:
+    """The stretches in which a column repeats one value.
+
+    Parameters
+    ----------
+    values : (n,) array
+        NaN where absent; absent values take no part.
+    breaks : int array, optional
+        Numbers among the known samples behind which a stretch ends besides.
+
+    Examples
+    --------
+    >>> found = repeats(np.array([1.0, 1.0, np.nan, 2.0]))
+    >>> found.first, found.last
+    (array([0, 2]), array([1, 2]))
+    """
+    known = np.flatnonzero(np.isfinite(values))
+    column = values if known.size == values.size else values[known]
+    ends = np.flatnonzero(column[1:] != column[:-1])
+    if breaks is not None and breaks.size:
+        ends = np.union1d(ends, breaks)
+    last = np.append(ends, known.size - 1) if known.size else ends
+    return Repeats(known, np.concatenate(([0], ends + 1))[: last.size], last)
+
+
+def covered(first: IntArray, beyond: IntArray, size: int) -> BoolArray:
+    """Which of `size` samples lie in any of some stretches, each from `first` to before `beyond`.
+
+    Examples
+    --------
+    >>> covered(np.array([1]), np.array([3]), 4)
+    array([False,  True,  True, False])
+    """
+    change = np.zeros(size + 1, dtype=np.int64)
+    np.add.at(change, np.clip(first, 0, size), 1)
+    np.add.at(change, np.clip(beyond, 0, size), -1)
+    return np.asarray(np.cumsum(change)[:size] > 0)
+
+
+def held(
+    departure: FloatArray, seconds: FloatArray, gate: float = GATE, hold: float = HOLD
+) -> BoolArray:
+    """Samples of runs above `hold` that somewhere exceed `gate`: a switch with hysteresis.
+
+    Parameters
+    ----------
+    departure : (n,) array
+        In standard deviations; NaN where absent.
+    seconds : (n,) array [s]
+    gate, hold : float
+
+    Returns
+    -------
+    (n,) bool array
+    """
+    known = np.flatnonzero(np.isfinite(seconds) & ~np.isnan(departure))
+    part = departure[known]
+    first, beyond = np.array(runs_of(part > hold), dtype=np.int64).reshape(-1, 2).T
+    off = np.zeros(departure.size, dtype=np.bool_)
+    if first.size:
+        # What lies between the runs is below both.
+        far = np.maximum.reduceat(part, first) > gate
+        off[known] = covered(first[far], beyond[far], known.size)
+    return off
