@@ -12,7 +12,7 @@ import pandas as pd
 import pyarrow.dataset
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 from refusals import refused
 
 from tests.mcap_trips import START, assert_same, trip_of, trips
@@ -57,7 +57,8 @@ def together(pieces: Iterator[Trip]) -> Trip:
 
 
 @settings(max_examples=50)
-@given(trips())
+@given(trip=trips())
+@example(trip=Trip({}, attachments={"timetable.xls": b"\xd0\xcf\x11\xe0"}))
 def test_any_trip_comes_back_to_the_last_bit(
     tmp_path_factory: pytest.TempPathFactory, trip: Trip
 ) -> None:

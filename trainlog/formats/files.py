@@ -187,8 +187,14 @@ def write_bytes(path: str | Path, data: bytes) -> None:
         temporary.write_bytes(data)
 
 
-def read_bytes(path: str | Path) -> bytes:
+def read_bytes(path: str | Path, *, any_kind: bool = False) -> bytes:
     """The content of a file.
+
+    Parameters
+    ----------
+    path : path
+    any_kind : bool
+        Whether it may be a workbook, as an attachment of a trip may.
 
     Raises
     ------
@@ -199,7 +205,8 @@ def read_bytes(path: str | Path) -> bytes:
         data = Path(path).read_bytes()
     except OSError as error:
         refuse_reading(path, error)
-    refuse_workbook(data[:LOOKED_AT], path)
+    if not any_kind:
+        refuse_workbook(data[:LOOKED_AT], path)
     return data
 
 

@@ -866,7 +866,7 @@ def _opened(
     index = trip_index(folder)
     attachments = {}
     for entry in index.attachments:
-        attachments[entry.name] = read_bytes(_inside(folder, entry.file))
+        attachments[entry.name] = read_bytes(_inside(folder, entry.file), any_kind=True)
         if sha256(attachments[entry.name]) != entry.sha256:
             raise _damaged(folder / entry.file, "its checksum is another")
     wanted = _wanted(index, topics)
