@@ -18,14 +18,16 @@ if TYPE_CHECKING:
     from analysis.adhesion.characteristic import (
         fit_adhesion_characteristic as fit_adhesion_characteristic,
     )
-    from analysis.adhesion.condition_map import adhesion_map as adhesion_map
+    from analysis.adhesion.condition_map import (
+        adhesion_map as adhesion_map,
+        update_map as update_map,
+    )
     from analysis.adhesion.condition_table import bins_table as bins_table
     from analysis.adhesion.export import export_map as export_map
     from analysis.adhesion.map_difference import map_difference as map_difference
     from analysis.adhesion.map_history import map_history as map_history
     from analysis.adhesion.map_state import map_state as map_state
     from analysis.adhesion.slip import slip as slip
-    from analysis.adhesion.updating import update_map as update_map
     from analysis.comparison.calculated import calculate as calculate
     from analysis.comparison.compare import compare as compare
     from analysis.comparison.groups import compare_groups as compare_groups

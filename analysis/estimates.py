@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from analysis.adhesion.condition_map import own_line
+from analysis.adhesion.evidence import own_line
 from analysis.adhesion.slip import TOPICS, slip
 from analysis.resistance.fit import estimated_resistance, fit_trip
 from analysis.resistance.logs import fit_log

@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 
 from analysis.adhesion.condition_map import adhesion_map
-from trainlog.formats.condition import write_map
+from trainlog.formats.mapfile import write_map
 from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import write_log

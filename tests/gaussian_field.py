@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dptsv, dpttrf
 from scipy.special import log_ndtr
 
-from estimators.condition import Prior
+from estimators.condition_field import Prior
 from trainlog.arrays import FloatArray
 
 ITERATIONS = 50

@@ -28,7 +28,7 @@ from killed import PATIENCE, Forked
 
 from trainlog.catalogue import open_catalogue
 from trainlog.catalogue.database import results, trips
-from trainlog.formats.mapmerge import merge_files
+from trainlog.formats.mapfile import merge_files
 
 
 def started(catalogue: str, *options: str) -> subprocess.Popen[bytes]:

@@ -22,14 +22,14 @@ from typing import Any
 
 import numpy as np
 from killed import Forked
-from test_map_file import part, recording
+from test_map_file import part
 from test_traction_map import LINE, piece
 
 from analysis import update_map
+from analysis.adhesion import condition_map
 from analysis.adhesion.condition_map import empty_map
 from trainlog.cli.main import run
-from trainlog.formats.mapfile import MapFile
-from trainlog.formats.recordings import Recording
+from trainlog.formats.mapfile import MapFile, Recording
 
 EMPTY = empty_map(LINE)
 SHARED = {900 + n: part(900 + n, 3 * n, 3 * n + 9 + n) for n in range(5)}
@@ -39,7 +39,7 @@ SHARED |= {990: piece(990, "wet")}
 
 def recording_of(seed: int) -> Recording:
     """The recording whose trip is named after a seed."""
-    return recording(SHARED.get(seed) or piece(seed, ("dry", "wet")[seed % 2]))
+    return condition_map.recording_of(SHARED.get(seed) or piece(seed, ("dry", "wet")[seed % 2]))
 
 
 class Updater(Forked):

@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from refusals import refused
 from slipping_axles import AXLE_LOAD, AXLES, INERTIA, ROTATING_MASS, Run, run
 
-from analysis.adhesion.events import onset
+from analysis.adhesion.slip import onset
 from estimators.adhesion import AdhesionObserver, smoothed_force
 from estimators.linear_gaussian import LinearGaussian, random_walk_slope
 from estimators.slip import SlipDetector, impulse, train_speed

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from refusals import refused
 from simulated_line import flirt, hilly_line, level_line
 from slip_truth import Seen, seen
 
-from analysis.adhesion.slip import slip
+from analysis.adhesion.slip import _loads, slip
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.railway import read_train, train_from_bytes, train_to_bytes, write_train
@@ -83,6 +85,23 @@ class TestMoments:
         loads = axle_loads(load_transfer(GEOMETRY, 4, 84e3), 206e3, np.zeros(4), GRAVITY * 0.03)
         per_bogie = 84e3 * GRAVITY * 0.03 * (1.6 - 1.0) / 9.5
         np.testing.assert_allclose(loads - 206e3, np.array([-1, -1, 1, 1]) * per_bogie / 2.0)
+
+    def test_they_follow_what_accelerates_the_train_and_the_gradient(self) -> None:
+        """The force at the rail has turned the powered axles: their inertia is no part of it."""
+        train, load, rise = with_geometry(), 20e3, 0.02
+        count = train.axles.count
+        inertia = train.mass + load + train.rotating_mass - count * train.axles.rotating_mass
+        force = np.full((1, count), 10e3)
+        axles: Any = SimpleNamespace(
+            mass=train.mass + load, count=count, numbers=np.arange(count), axle_load=180e3,
+            total_effort=np.zeros(1),
+        )  # fmt: skip
+        other = np.array([0.7 * inertia - force.sum()])
+        loads = _loads(train, axles, force, other, np.array([rise]))
+        transfer = train.load_transfer(load)
+        assert transfer is not None
+        expected = axle_loads(transfer, 180e3, force, np.array([0.7 + GRAVITY * rise]))
+        np.testing.assert_allclose(loads, expected, rtol=1e-12)
 
     def test_outer_bogies_of_a_unit_mirror_each_other(self) -> None:
         transfer = load_transfer(replace(GEOMETRY, powered_bogies=1), 4, 72e3)

@@ -10,8 +10,8 @@ import pytest
 from simulated_line import level_line
 
 from analysis.adhesion.condition_map import LEVELS, empty_map
-from analysis.verification.forecasts import before, rolling_forecast
-from trainlog.condition import estimated
+from analysis.verification.forecasts import rolling_forecast
+from trainlog.condition import estimated, layer_before
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
 
@@ -126,7 +126,7 @@ def test_levels_stay_at_those_of_the_onsets_however_many_calm_trips(place_from: 
     track = replace(empty_map(LINE), layers={"wet": known})
     forecast = rolling_forecast(track)
     for number in (15, 12, 8):
-        whole, found = before(track, DAY + number, "wet"), forecast("wet", day(number))
+        whole, found = layer_before(track, DAY + number, "wet"), forecast("wet", day(number))
         assert whole is not None
         assert found is not None
         level = whole.quantile(0.5)[20:]

@@ -22,7 +22,7 @@ from analysis.truth import curve_error, map_error, truth_of
 from trainlog.cli import demo, main as cli
 from trainlog.display import at_most
 from trainlog.errors import InputError
-from trainlog.formats.condition import read_map
+from trainlog.formats.mapfile import read_map
 from trainlog.formats.railway import line_of, read_parameters, read_trajectory
 from trainlog.mcap import describe
 

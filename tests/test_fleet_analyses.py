@@ -14,14 +14,15 @@ import pytest
 from refusals import refused
 
 import trainlog
-from analysis.adhesion.condition_map import empty_map, evidence_of_log, own_line
+from analysis.adhesion.condition_map import empty_map
+from analysis.adhesion.evidence import evidence_of_log, own_line
 from analysis.comparison.driven import driven_trip
 from analysis.fleet.analyses import ANALYSES, FleetAnalysis, analyses_named
 from analysis.fleet.trips import TOPICS, FleetTrip, fleet_trips, parts_of
 from analysis.network.edges import EdgeOfLine, Stretch, edges_of, on_edge
 from analysis.resistance.fit import fit_trip
 from trainlog.errors import InputError, LogError
-from trainlog.formats.recordings import packed_evidence
+from trainlog.formats.mapfile import packed_evidence
 from trainlog.mcap.reader import rows_of_log
 from trainlog.trip import Trip
 

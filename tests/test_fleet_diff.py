@@ -23,7 +23,7 @@ from analysis.fleet.maps import evidence_of_row
 from analysis.fleet.trips import fleet_trips
 from trainlog.catalogue import Computation
 from trainlog.errors import InputError
-from trainlog.formats.recordings import packed_evidence
+from trainlog.formats.mapfile import packed_evidence
 
 SIDES = tuple(Version(name, {"made up": Computation("made up", name)}) for name in "ab")
 

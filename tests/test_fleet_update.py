@@ -31,7 +31,7 @@ from killed_fleet import (
 )
 from killed_points import ANALYSES as TWO, POINTS
 
-from analysis.adhesion.updating import update_map
+from analysis.adhesion.condition_map import update_map
 from analysis.fleet.analyses import ANALYSES, FleetAnalysis, code_of, computation_of
 from analysis.fleet.maps import maps_folder, update_maps
 from analysis.fleet.update import (

@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 
 from analysis.verification.forecasts import forecast_of, stated_forecast
-from analysis.verification.references import climatology
+from analysis.verification.scores import climatology
 from trainlog.errors import InputError
-from trainlog.formats.condition import read_map
 from trainlog.formats.csv_tables import read_forecast, write_forecast
+from trainlog.formats.mapfile import read_map
 from trainlog.formats.samples import sample
 from trainlog.railway.condition import TrackConditionMap
 

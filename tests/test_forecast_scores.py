@@ -12,18 +12,27 @@ from scipy import stats
 from simulated_line import level_line
 
 from analysis.adhesion.condition_map import LEVELS, empty_map
-from analysis.verification.passages import Demand, Passages, asked_adhesion, passages_of
-from analysis.verification.references import climatology, persistence
 from analysis.verification.scores import (
     brier_score,
     brier_sums,
+    climatology,
     crps,
     observed_shares,
     onset_score,
+    persistence,
     pit_sums,
     used_score,
 )
-from analysis.verification.verify import Forecaster, Verification, slip_probability, verify
+from analysis.verification.verify import (
+    Demand,
+    Forecaster,
+    Passages,
+    Verification,
+    asked_adhesion,
+    passages_of,
+    slip_probability,
+    verify,
+)
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway.condition import AdhesionEstimate

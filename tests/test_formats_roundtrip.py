@@ -22,10 +22,9 @@ from hypothesis import given, settings
 from refusals import refused
 
 from trainlog.errors import InputError, LogError
-from trainlog.formats.condition import read_map, write_map
 from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
 from trainlog.formats.files import plain, read_json
-from trainlog.formats.mapfile import MapFile, whole_file
+from trainlog.formats.mapfile import MapFile, read_map, whole_file, write_map
 from trainlog.formats.railway import (
     line_from_bytes,
     line_of,

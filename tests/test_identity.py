@@ -24,8 +24,8 @@ from analysis.resistance.combination import SAME_DRIVE, each_drive_once
 from analysis.resistance.fit import fit_trip
 from analysis.resistance.logs import fit
 from trainlog.errors import InputError
-from trainlog.formats.condition import map_from_bytes, map_to_bytes
 from trainlog.formats.files import sha256_of
+from trainlog.formats.mapfile import map_from_bytes, map_to_bytes
 from trainlog.formats.samples import sample
 from trainlog.formats.summaries import read_summaries, write_summaries
 from trainlog.identity import (
@@ -394,7 +394,7 @@ class TestMap:
         assert map_to_bytes(whole.track) == map_to_bytes(found.track)
         apart = [adhesion_map([half]).track for half in halves]
         assert map_to_bytes(merge(*apart)) == map_to_bytes(found.track)
-        refused(InputError, "both track-condition maps count trip", merge, apart[0], mapped)
+        refused(InputError, "the sums of several maps hold one drive", merge, apart[0], mapped)
 
     def test_two_drives_of_one_name_are_two(self) -> None:
         stopping = read_log(sample("stopping.mcap"))

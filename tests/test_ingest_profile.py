@@ -10,7 +10,7 @@ import pytest
 from ingest_logs import PLAIN, clean_run, plain_profile, write
 from refusals import refused
 
-from analysis.adhesion.events import protection_onsets
+from analysis.adhesion.axles import protection_onsets
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, profile_of, read_profile, report_of
 from trainlog.mcap import read_log, write_log

@@ -9,7 +9,7 @@ import pytest
 from refusals import refused
 
 from analysis.adhesion.condition_map import empty_map
-from analysis.adhesion.line_table import UNITS, line_table
+from analysis.adhesion.condition_table import LINE_UNITS, line_table
 from trainlog.errors import InputError
 from trainlog.formats.railway import read_line
 from trainlog.formats.samples import sample
@@ -36,7 +36,7 @@ def made_up(**changes: object) -> Line:
 def test_each_bin_states_what_the_line_is_within_it(name: str) -> None:
     line = made_up() if name == "made up" else read_line(sample(f"{name}.line.json"))
     table = line_table(line, empty_map(line))
-    assert table.columns.tolist() == list(UNITS)[:-1]
+    assert table.columns.tolist() == list(LINE_UNITS)[:-1]
     assert table.attrs["units"].keys() == set(table.columns)
     assert table["end"].iloc[-1] == line.length
     for row in table.iloc[:: max(1, len(table) // 150)].to_dict("records"):

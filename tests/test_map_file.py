@@ -19,25 +19,26 @@ from refusals import refused
 from test_traction_map import LINE, piece
 
 import trainlog
-from analysis.adhesion.condition_map import empty_map, entry_of, update
+from analysis.adhesion.condition_map import empty_map, recording_of, update, update_map
 from analysis.adhesion.evidence import Evidence
-from analysis.adhesion.updating import update_map
 from trainlog.errors import InputError
-from trainlog.formats.condition import map_from_bytes, map_to_bytes, read_map, write_map
-from trainlog.formats.mapfile import MapFile, whole_file
-from trainlog.formats.mapmerge import merge_files
+from trainlog.formats.mapfile import (
+    MapFile,
+    map_from_bytes,
+    map_to_bytes,
+    merge_files,
+    place_of,
+    read_map,
+    whole_file,
+    write_map,
+)
 from trainlog.formats.packed import pack, unpack, unpack_joined
-from trainlog.formats.recordings import Recording, place_of
 from trainlog.formats.samples import sample
 from trainlog.identity import TripIdentity
 from trainlog.railway.condition import ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
 
 SAMPLE = sample("CH_StGallen_Wil.map")
-
-
-def recording(found: Evidence) -> Recording:
-    return Recording(found.layer, entry_of(found), found.recorded, found.steps, found.layers)
 
 
 def drive(first: int, last: int) -> TripIdentity:
@@ -56,7 +57,7 @@ def part(seed: int, first: int, last: int) -> Evidence:
 def given_to(path: Path, pieces: list[Evidence]) -> None:
     with MapFile(path, empty_map(LINE)) as file:
         for each in pieces:
-            file.append(recording(each))
+            file.append(recording_of(each))
 
 
 def bytes_of(path: Path) -> bytes:
@@ -174,10 +175,10 @@ class TestSet:
 
     def test_what_became_of_a_recording_is_stated(self, tmp_path: Path) -> None:
         with MapFile(tmp_path / "a.map", empty_map(LINE)) as file:
-            first = file.append(recording(part(1, 0, 9)))
-            fuller = file.append(recording(part(2, 0, 20)))
-            poorer = file.append(recording(part(3, 3, 8)))
-            again = file.append(recording(part(2, 0, 20)))
+            first = file.append(recording_of(part(1, 0, 9)))
+            fuller = file.append(recording_of(part(2, 0, 20)))
+            poorer = file.append(recording_of(part(3, 3, 8)))
+            again = file.append(recording_of(part(2, 0, 20)))
             assert file.amount() == (1, 1)
         assert (first.counted, first.replaced) == (True, ())
         assert (fuller.counted, fuller.replaced) == (True, ("trip-1",))
@@ -255,14 +256,23 @@ class TestCompaction:
         given_to(tmp_path / "whole.map", pieces)
         assert bytes_of(path) == bytes_of(tmp_path / "whole.map")
 
+    def test_sums_that_several_maps_hold_are_added_up(self, tmp_path: Path) -> None:
+        for number in range(2):
+            given_to(tmp_path / f"{number}.map", [piece(number, "wet")])
+            with MapFile(tmp_path / f"{number}.map") as file:
+                file.compact(99_999)
+        merge_files([tmp_path / "0.map", tmp_path / "1.map"], tmp_path / "both.map")
+        given_to(tmp_path / "whole.map", [piece(0, "wet"), piece(1, "wet")])
+        assert bytes_of(tmp_path / "both.map") == bytes_of(tmp_path / "whole.map")
+
     def test_a_log_is_still_known_and_its_drive_decided(self, tmp_path: Path) -> None:
         path = tmp_path / "a.map"
         given_to(path, [part(1, 0, 9), part(2, 0, 20)])
         with MapFile(path) as file:
             file.compact(99_999)
-            assert file.append(recording(part(1, 0, 9))).held
-            assert file.append(recording(part(2, 0, 20))).held
-            fuller = file.append(recording(part(3, 0, 40)))
+            assert file.append(recording_of(part(1, 0, 9))).held
+            assert file.append(recording_of(part(2, 0, 20))).held
+            fuller = file.append(recording_of(part(3, 0, 40)))
         assert not fuller.counted
         assert "which is counted already" in fuller.reason
         assert [trip["trip"] for trip in read_map(path).trips] == ["trip-2"]

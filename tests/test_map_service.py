@@ -20,14 +20,11 @@ from typer.testing import CliRunner
 
 import trainlog
 from analysis import update_map
-from analysis.adhesion import updating
-from analysis.adhesion.condition_map import adhesion_map, empty_map
-from analysis.adhesion.updating import naming_log
+from analysis.adhesion import condition_map
+from analysis.adhesion.condition_map import adhesion_map, empty_map, naming_log
 from trainlog.cli.main import app
 from trainlog.errors import InputError, LogError, NotRecordedError
-from trainlog.formats.condition import map_to_bytes, read_map
-from trainlog.formats.mapfile import MapFile
-from trainlog.formats.recordings import Row
+from trainlog.formats.mapfile import MapFile, Row, map_to_bytes, read_map
 from trainlog.formats.samples import sample
 from trainlog.mcap import write_log
 from trainlog.railway.evidence import DailyEvidence
@@ -191,7 +188,7 @@ class TestUpdate:
         update_map(logs, path)
         read: list[Path] = []
         monkeypatch.setattr(
-            "analysis.adhesion.updating.sha256_of", lambda log: read.append(log) or "0" * 64
+            "analysis.adhesion.condition_map.sha256_of", lambda log: read.append(log) or "0" * 64
         )
         assert len(update_map(logs, path).of("held")) == 3
         assert read == []
@@ -389,16 +386,16 @@ class TestCommand:
             file.remove([trips[0].name])
         assert len(update_map(log, path).refused) == 1
         tried = []
-        analysed = updating.FileUpdate.analysed
+        analysed = condition_map.FileUpdate.analysed
 
         def seen(*given: Any) -> Any:
             tried.append(given)
             return analysed(*given)
 
-        monkeypatch.setattr(updating.FileUpdate, "analysed", seen)
+        monkeypatch.setattr(condition_map.FileUpdate, "analysed", seen)
         assert len(update_map(log, path).refused_before) == 1
         assert not tried
-        monkeypatch.setattr(updating, "code_version", lambda: "another")
+        monkeypatch.setattr(condition_map, "code_version", lambda: "another")
         assert len(update_map(log, path).refused_before) == 1
         assert len(update_map(log, path).refused_before) == 1
         assert len(tried) == 1, "by the other version once"

@@ -13,11 +13,9 @@ import pytest
 from typer.testing import CliRunner
 
 import trainlog
+from analysis.adhesion.condition_map import update_map
 from analysis.adhesion.evidence import Evidence
-from analysis.adhesion.updating import update_map
 from analysis.network.edges import EdgeOfLine
-from analysis.network.map_scores import score_network, score_network_on
-from analysis.network.map_table import network_table
 from analysis.network.maps import (
     LogOnEdges,
     NetworkMap,
@@ -25,9 +23,11 @@ from analysis.network.maps import (
     forecasts_of_network,
     map_along,
     network_map,
+    network_table,
     update_network_map,
 )
 from analysis.reports.fleet import condition_parts, known_maps
+from analysis.verification.scoring import score_network, score_network_on
 from trainlog.cli.main import app
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import sha256_of

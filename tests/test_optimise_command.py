@@ -17,7 +17,7 @@ from analysis.trajectory.adhesion import adhesion_demand, adhesion_words
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
-from trainlog.formats.condition import read_map
+from trainlog.formats.mapfile import read_map
 from trainlog.formats.railway import (
     read_line,
     read_parameters,

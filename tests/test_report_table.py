@@ -20,7 +20,7 @@ from analysis.resistance.coast_down import coast_down
 from analysis.resistance.logs import fit
 from analysis.truth import curve_error, map_error, true_adhesion
 from trainlog.errors import InputError
-from trainlog.formats.condition import read_map, write_map
+from trainlog.formats.mapfile import read_map, write_map
 from trainlog.formats.railway import write_coast_down, write_parameters
 from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.mcap import read_log, write_log

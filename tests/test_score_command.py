@@ -17,8 +17,8 @@ from trainlog.cli.main import run
 from trainlog.cli.terminal import as_json_text
 from trainlog.condition import estimated
 from trainlog.errors import InputError
-from trainlog.formats.condition import read_map, write_map
 from trainlog.formats.csv_tables import read_forecast
+from trainlog.formats.mapfile import read_map, write_map
 from trainlog.formats.samples import copy_samples
 from trainlog.mcap import read_log, write_log
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap

@@ -15,9 +15,8 @@ from slip_truth import Fine, Score, Seen, onset_errors, seen, slip_power
 
 from analysis import passport
 from analysis.adhesion.condition_map import empty_map
-from analysis.adhesion.events import adhesion_noise
 from analysis.adhesion.evidence import evidence_of
-from analysis.adhesion.slip import SlipAnalysis, slip, wheel_noise
+from analysis.adhesion.slip import SlipAnalysis, adhesion_noise, slip, wheel_noise
 from analysis.estimates import estimate_log
 from trainlog.arrays import FloatArray
 from trainlog.errors import LogError

@@ -25,7 +25,7 @@ from analysis.control.traction import (
 )
 from trainlog.cli.main import app
 from trainlog.errors import InputError
-from trainlog.formats.condition import read_map, write_map
+from trainlog.formats.mapfile import read_map, write_map
 from trainlog.formats.railway import read_line, read_train, write_line
 from trainlog.mcap import read_log
 from trainlog.railway import StepProfile, Train

@@ -23,17 +23,17 @@ from analysis.adhesion.condition_map import (
     adhesion_map,
     empty_map,
     merge,
-    summary,
     update,
 )
 from analysis.adhesion.evidence import Evidence, evidence, evidence_of
+from analysis.adhesion.map_state import summary
 from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.charts import draw
-from estimators.condition import Prior
+from estimators.condition_field import Prior
 from trainlog.arrays import FloatArray
 from trainlog.condition import prior_of
 from trainlog.errors import InputError, LogError
-from trainlog.formats.condition import map_from_bytes, map_to_bytes
+from trainlog.formats.mapfile import map_from_bytes, map_to_bytes
 from trainlog.mcap import write_log
 from trainlog.railway import TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
@@ -221,6 +221,16 @@ class TestBounds:
         assert [self.level(found, place) for place in (2, 3)] == [0.15, 0.15]
         assert found.daily.censored.sum() == 2.0
 
+    def test_what_the_onsets_of_a_trip_err_by_alike_is_kept_with_them(self) -> None:
+        """Calibration, delay and load transfer: by a quarter, and a twentieth besides."""
+        bare = self.made(np.array([4.5 * BIN, 4.6 * BIN]), np.zeros(2), 0.01)
+        event = {"start": bare.time[0], "position": 4.5 * BIN, "adhesion": 0.2, "measured": True}
+        stds = {"adhesion_std": 0.01, "delay_std": 0.03, "transfer_std": 0.04}
+        slipped = replace(bare, common_std=0.05, events=pd.DataFrame([event | stds]))
+        found = evidence_of(slipped, empty_map(LINE), "dry").daily
+        np.testing.assert_allclose(found.weight, 1.0 / (SETTINGS["trip_std"] ** 2 + 0.05**2), 1e-6)
+        np.testing.assert_allclose(found.common, found.weight**2 * (0.05**2 + 0.25**2), 1e-5)
+
 
 class TestMerging:
     @settings(max_examples=3)
@@ -266,7 +276,7 @@ class TestMerging:
     def test_maps_that_share_a_trip_cannot_be_merged(self) -> None:
         first, _ = update(empty_map(LINE), [piece(1), piece(2)])
         second, _ = update(empty_map(LINE), [piece(2), piece(3)])
-        with pytest.raises(InputError, match=r"both .* count trip 'trip-2' \(1 in common\)"):
+        with pytest.raises(InputError, match=r"has trip .trip-2. in its sums, and so"):
             merge(first, second)
 
     def test_maps_that_differ_cannot_be_merged(self) -> None:

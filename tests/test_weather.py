@@ -14,8 +14,8 @@ from analysis.adhesion.condition_map import adhesion_map, empty_map
 from analysis.adhesion.evidence import Evidence, evidence
 from trainlog.cli.main import app
 from trainlog.errors import InputError, LogError
-from trainlog.formats.condition import read_map
 from trainlog.formats.csv_tables import read_weather, write_weather
+from trainlog.formats.mapfile import read_map
 from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import write_log

@@ -32,13 +32,13 @@ if TYPE_CHECKING:
         read_characteristic as read_characteristic,
         write_characteristic as write_characteristic,
     )
-    from trainlog.formats.condition import read_map as read_map, write_map as write_map
     from trainlog.formats.csv_tables import (
         read_forecast as read_forecast,
         read_weather as read_weather,
         write_forecast as write_forecast,
         write_weather as write_weather,
     )
+    from trainlog.formats.mapfile import read_map as read_map, write_map as write_map
     from trainlog.formats.railway import (
         read_consist as read_consist,
         read_journey as read_journey,

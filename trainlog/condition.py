@@ -14,12 +14,20 @@ from typing import Any
 import numpy as np
 from pandas import Timestamp
 
-from estimators.condition import Prior, common_std, onset_std
-from estimators.condition_changes import FieldChange
-from estimators.condition_evidence import FieldEvidence
-from estimators.condition_field import DOUBT, FieldPosterior, solve
-from estimators.condition_levels import LEVELS, SPOT_CELLS
-from estimators.condition_parameters import POSITION_STD, FieldParameters
+from estimators.condition_field import (
+    DOUBT,
+    LEVELS,
+    POSITION_STD,
+    SPOT_CELLS,
+    FieldChange,
+    FieldEvidence,
+    FieldParameters,
+    FieldPosterior,
+    Prior,
+    common_std,
+    onset_std,
+    solve,
+)
 from estimators.condition_passes import OFTEN, blurred
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted
@@ -129,6 +137,30 @@ def known_before(track: TrackConditionMap, time: Timestamp) -> TrackConditionMap
         )
     trips = tuple(each for each in track.trips if (ran := day_of_trip(each)) and ran < day)
     return estimated(replace(track, layers=layers, trips=trips))
+
+
+def layer_before(track: TrackConditionMap, day: int, layer: str) -> ConditionLayer | None:
+    """A layer of the map as it was before a day; None if there was no evidence until then.
+
+    Parameters
+    ----------
+    track : TrackConditionMap
+    day : int
+        Counted from 1970-01-01 in UTC.
+    layer : str
+
+    Examples
+    --------
+    >>> from trainlog.formats.mapfile import read_map
+    >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
+    >>> layer_before(track, 0, "wet") is None
+    True
+    """
+    known = track.layer(layer).evidence.between(-1, day - 1)
+    if not known.days.size:
+        return None
+    alone = replace(track, layers={layer: ConditionLayer.unestimated(known)}, trips=())
+    return estimated(alone).layer(layer)
 
 
 def day_of_trip(entry: Mapping[str, Any]) -> int | None:

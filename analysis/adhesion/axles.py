@@ -21,8 +21,14 @@ from trainlog.errors import LogError, NotRecordedError
 from trainlog.railway.passport import Passport
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
-from trainlog.topics import TRAIN_AXLES, TRAIN_CONTROLS
-from trainlog.trip import Trip, seconds
+from trainlog.topics import (
+    EVENTS,
+    SLIP_PROTECTION,
+    TRAIN_AXLES,
+    TRAIN_CONTROLS,
+    TRAIN_SLIP_PROTECTION,
+)
+from trainlog.trip import SCENARIO_ATTACHMENT, Trip, seconds
 
 Value = TypeVar("Value", np.float64, np.bool_)
 
@@ -377,3 +383,28 @@ def _earlier(time: FloatArray, values: FloatArray, delay: float) -> FloatArray:
         return values
     moved = np.interp(time + delay, time[finite], values[finite])
     return np.where(finite, moved, np.nan)
+
+
+def protection_onsets(trip: Trip) -> pd.DatetimeIndex | None:
+    """When the slip protection began to act; None where that is not recorded.
+
+    From the topic ``/train/slip_protection``, or from events of that name. Where there are none, it
+    never acted only if the recorder's profile maps its words (metadata ``slip_protection``) or the
+    trip is simulated.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> len(protection_onsets(trainlog.read("sample_logs/stopping.mcap")))
+    27
+    """
+    frame = trip.topics.get(TRAIN_SLIP_PROTECTION.name)
+    if frame is not None and frame["active"].notna().any():
+        active = frame["active"].ffill().to_numpy() > 0.0
+        return pd.DatetimeIndex(frame.index[np.diff(active, prepend=False) & active])
+    if EVENTS.name not in trip:
+        return None
+    events = trip[EVENTS.name]
+    named = (events["name"] == SLIP_PROTECTION) | events["message"].str.startswith(SLIP_PROTECTION)
+    covered = "slip_protection" in trip.metadata or SCENARIO_ATTACHMENT in trip.attachments
+    return pd.DatetimeIndex(events.index[named]) if covered or named.any() else None

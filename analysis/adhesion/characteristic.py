@@ -21,6 +21,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from analysis.charts import BLUE, GREY, RED, Chart, Curve, Panel, Span
 from trainlog.arrays import FloatArray
 from trainlog.display import counted
 from trainlog.errors import InputError, NotIdentifiableError
@@ -79,7 +80,7 @@ class CharacteristicFit(Presented):
         What the points do not show, in sentences.
     """
 
-    charts_by: ClassVar[str] = "analysis.adhesion.plot:characteristic_charts"
+    charts_by: ClassVar[str] = "analysis.adhesion.characteristic:characteristic_charts"
 
     characteristic: AdhesionCharacteristic
     family: str
@@ -458,3 +459,44 @@ def _uncertainty(
     low, high = np.quantile(within[np.argmax(own + drawn, axis=1)], [0.025, 0.975])
     flat = within[own >= own.max() - 1.96 * solution.form]
     return std, (float(min(low, flat[0])), float(max(high, flat[-1])))
+
+
+def characteristic_charts(fit: CharacteristicFit) -> list[Chart]:
+    """Measured points of adhesion over slip, the curve fitted to them, and its maximum."""
+    points = fit.points
+    over_creepage = points.variable == "creepage"
+    scale, unit = (100.0, "%") if over_creepage else (KMH, "km/h")
+    speed = None if np.isnan(fit.speed) else fit.speed
+    last = 1.02 * float(points.slips.max())
+    near = min(4.0 * fit.optimal_slip, last)
+    slips = np.unique(np.concatenate([np.linspace(0.0, end, 400) for end in (near, last)]))
+    curve = fit.characteristic
+    adhesion = curve.over_creepage(slips, speed or 1.0) if over_creepage else curve(slips, speed)
+    low, high = fit.optimal_band
+    reach = 1.96 * fit.maximum_std
+    curves = [
+        Curve("measured", scale * points.slips, points.adhesions, GREY, "points", width=1.6),
+        Curve(NAMES[fit.family], scale * slips, adhesion, BLUE, width=1.4),
+        Curve("maximum, 95 % band", [scale * fit.optimal_slip], [fit.maximum], RED, "points",
+              [fit.maximum - reach], [fit.maximum + reach], width=2.5),
+    ]  # fmt: skip
+    top = 1.15 * max(fit.maximum, float(points.adhesions.max()))
+    at = f" at {KMH * speed:.0f} km/h" if speed is not None else ""
+    title = (
+        f"Adhesion characteristic: maximum {fit.maximum:.3f} ± {reach:.3f},"
+        f" optimal {points.variable} {fit.optimum_in_words()}{at}"
+    )
+    return [
+        Chart(
+            f"{points.variable} [{unit}]",
+            [
+                Panel(
+                    "adhesion", curves, 1.1, words, limits=(0.0, top),
+                    spans=[Span(scale * low, scale * min(high, end), label="optimum, 95 % band")],
+                )
+            ],
+            f"Adhesion over {points.variable}, {words}.",
+            span=(0.0, scale * end), title="" if number else title, width=0.5, beside=number > 0,
+        )
+        for number, (words, end) in enumerate((("up to the maximum", near), ("all points", last)))
+    ]  # fmt: skip

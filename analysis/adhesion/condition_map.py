@@ -1,62 +1,139 @@
 """The track-condition map: maximum adhesion along a line, learnt from trips.
 
-Each trip gives additive evidence a bin (`evidence`). `update` adds it to a map and solves for the
-estimate (`trainlog.condition`). All sums are exact: trips can be processed apart, in any
-order and grouping, and give the same map, byte for byte.
+Each trip gives additive evidence a bin (`analysis.adhesion.evidence`); the map's ledger
+(`trainlog.formats.mapfile`) decides which recordings count and adds their evidence up; the estimate
+(`trainlog.condition`) is made of the sums. All sums are exact: trips can be processed apart, in any
+order and grouping, and give the same map, byte for byte. The file of a map takes trips one after
+the other, as they come: each is on the disk when it is reported. Logs are known by their content,
+so that the same folder can be given again and again: what the map holds is neither read nor counted
+again.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+import pickle
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import astuple, dataclass, replace
+from functools import cached_property
+from os import stat_result
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from analysis.adhesion.covariates import TOPICS as COVARIATE_TOPICS, covariates
-from analysis.adhesion.empty_map import (
-    LEVELS as LEVELS,
-    SETTINGS as SETTINGS,
-    empty_map as empty_map,
-    empty_map_of as empty_map_of,
-)
-from analysis.adhesion.evidence import (
-    Evidence,
-    check_line,
-    condition_of,
-    evidence,
-    evidence_of_parts,
-)
-from analysis.adhesion.slip import TOPICS, SlipAnalysis, slip
-from analysis.given import Given, each_given
-from trainlog import __version__
-from trainlog.condition import estimated
 from trainlog.display import counted
-from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.files import sha256_of
-from trainlog.formats.railway import line_of
-from trainlog.identity import (
-    COLUMNS,
-    Known,
-    TripIdentity,
-    identity_from_text,
-    identity_of,
-    same_drives,
-    text_of,
-)
-from trainlog.mcap import read_log
-from trainlog.mcap.reader import identity_of_log, stretches
-from trainlog.presentation import NUMBER, POSITION, Column, Presented, Said, WordTable, new_table
-from trainlog.railway.condition import ConditionLayer, TrackConditionMap
-from trainlog.railway.evidence import DailyEvidence
+from trainlog.errors import InputError, LogError, NotRecordedError, TrainlogError
+from trainlog.formats.files import logs_of, refuse_reading, sha256, sha256_of
+from trainlog.formats.mapfile import MapFile, Recording, Refusal, merged, reasons_of
+from trainlog.identity import identity_of, text_of
+from trainlog.presentation import Column, Presented, Said, WordTable, new_table
+from trainlog.railway.adhesion import DRY, WET
+from trainlog.railway.condition import BIN_LENGTH, TrackConditionMap
 from trainlog.railway.line import Line
-from trainlog.railway.weather import Weather, given_condition
+from trainlog.railway.weather import given_condition, stated_condition
 from trainlog.trip import Trip
+from trainlog.version import __version__, code_version
 
-SPOT_SEPARATION = 250.0
-"""Two low spots count as two when they are at least this far from each other [m]."""
+if TYPE_CHECKING:
+    from analysis.adhesion.evidence import Evidence
+    from analysis.adhesion.map_state import LayerSummary
+    from analysis.given import Given
+    from trainlog.railway.weather import Weather
+
+# What analyses logs is imported with the first one that the map does not hold: most of the time of
+# an update that finds nothing new would be spent on it.
+
+LEVELS = np.round(np.arange(0.02, 0.601, 0.01), 2)
+"""Adhesion levels of the censoring histograms."""
+
+SETTINGS: dict[str, float] = {
+    "prior_dry": DRY.peak,
+    "prior_wet": WET.peak,
+    "prior_other": float(np.sqrt(DRY.peak * WET.peak)),
+    "prior_std": 0.4,
+    "correlation_length": 120.0,
+    "trip_std": 0.12,
+    "model_std": 0.04,
+    "observed_share": 0.5,
+}
+"""How a map is made; every map records its own.
+
+prior_dry, prior_wet, prior_other
+    Maximum adhesion expected of a layer before any evidence (Zhao et al., 2025, table 1; between
+    the two for layers of any other name).
+prior_std, correlation_length [m]
+    Of the logarithm of the maximum adhesion along a line.
+trip_std
+    Of the same from trip to trip at one place, leaves and other passing spots included.
+model_std
+    Least standard deviation that is published, for what the model leaves out.
+observed_share
+    A bin is observed where an onset was measured in it, or where onsets nearby bring the standard
+    deviation, by themselves, to this share of prior_std.
+"""
+
+
+def empty_map(
+    line: Line, bin_length: float = BIN_LENGTH, settings: dict[str, float] | None = None
+) -> TrackConditionMap:
+    """A map without layers.
+
+    Parameters
+    ----------
+    line : Line
+        In its own direction.
+    bin_length : float [m]
+    settings : dict, optional
+        Replaces entries of `SETTINGS`.
+
+    Raises
+    ------
+    InputError
+        If the bin length or a setting is not positive, or a setting unknown.
+    """
+    return empty_map_of(line.name, line.length, bin_length, settings)
+
+
+def empty_map_of(
+    line: str,
+    length: float,
+    bin_length: float = BIN_LENGTH,
+    settings: dict[str, float] | None = None,
+) -> TrackConditionMap:
+    """A map without layers of a line, or an edge of a network, of which only this is known.
+
+    Parameters are those of `empty_map`, with the name and the length [m] in place of the line.
+    """
+    chosen = {**SETTINGS, **(settings or {})}
+    for name, value in {"bin_length": bin_length, **chosen}.items():
+        if name not in SETTINGS and name != "bin_length":
+            raise InputError(
+                f"track-condition map: unknown setting '{name}'",
+                remedy=f"settings: {', '.join(SETTINGS)}",
+            )
+        if not (value > 0.0 and np.isfinite(value)):
+            raise InputError(f"track-condition map: {name} must be positive, got {value}")
+    return TrackConditionMap(
+        line=line,
+        length=length,
+        bin_length=bin_length,
+        levels=LEVELS,
+        layers={},
+        settings=chosen,
+    )
+
+
+_SETTLED = 2_000_000_000
+"""A file that was changed so shortly before [ns] may change again within one step of its clock."""
+
+Outcome = Literal["added", "held", "same drive", "not recorded", "refused", "refused before"]
+
+
+# ----------------------------------------------------------------------------- a map at hand
 
 
 def update(
@@ -84,23 +161,32 @@ def update(
         If evidence belongs to another line or other bins.
     """
     given = list(pieces)
-    for piece in given:
+    found, left_out = _updated(track, given)
+    return found, tuple(given[number].trip for number in left_out)
+
+
+def _updated(
+    track: TrackConditionMap, pieces: list[Evidence]
+) -> tuple[TrackConditionMap, dict[int, str]]:
+    """The map with the evidence of trips, and why some do not count, by number."""
+    for piece in pieces:
         _check_fits(track, piece)
-    left_out = _left_out(track, _of_pieces(given))
-    sums = {name: [layer.evidence] for name, layer in track.layers.items()}
-    trips = list(track.trips)
-    for number, piece in enumerate(given):
-        if number in left_out:
-            continue
-        trips.append(entry_of(piece))
-        for name, daily in piece.layers.items():
-            sums.setdefault(name, []).append(daily)
-    return _solved(track, sums, trips), tuple(given[number].trip for number in left_out)
+    with MapFile.of_map(track) as ledger:
+        left_out = {}
+        for number, recording in enumerate(map(recording_of, pieces)):
+            if why := ledger.reason(recording):
+                left_out[number] = why
+            ledger.append(recording)
+        reasons = reasons_of(ledger.rows())
+        for number, recording in enumerate(map(recording_of, pieces)):
+            if number not in left_out and recording.key in reasons:
+                left_out[number] = reasons[recording.key]
+        return ledger.read(), dict(sorted(left_out.items()))
 
 
-def entry_of(piece: Evidence) -> dict[str, Any]:
-    """What a map keeps of a trip."""
-    return {
+def recording_of(piece: Evidence, **details: Any) -> Recording:
+    """What a map keeps of a trip, with its evidence."""
+    entry = {
         "trip": piece.trip,
         "sha256": piece.sha256,
         "layer": piece.layer,
@@ -108,82 +194,33 @@ def entry_of(piece: Evidence) -> dict[str, Any]:
         "software": f"trainlog {__version__}",
         "identity": text_of(piece.recorded),
         **piece.details,
+        **details,
     }
+    return Recording(piece.layer, entry, piece.recorded, piece.steps, piece.layers)
 
 
-class _Log(NamedTuple):
-    """What a trip is known by."""
+def merge(first: TrackConditionMap, second: TrackConditionMap) -> TrackConditionMap:
+    """One map from two that were made of different trips.
 
-    trip: str
-    sha256: str
-    identity: TripIdentity | None
-    steps: int = 0
-
-    @property
-    def key(self) -> tuple[str, str]:
-        """What identifies the log by itself: its SHA-256, or what was recorded, or the name."""
-        if self.sha256:
-            return "", self.sha256
-        return (self.trip, "") if self.identity is None else ("", self.identity.text)
+    Raises
+    ------
+    InputError
+        If the maps differ in line, bins or settings, or count a trip in both.
+    """
+    with merged(map(MapFile.of_map, (first, second))) as both:
+        return both.read()
 
 
-def _logs(track: TrackConditionMap) -> list[_Log]:
-    """The trips that a map holds; of those of older maps the identity is not known."""
-    return [
-        _Log(str(trip["trip"]), str(trip.get("sha256") or ""), identity_from_text(text))
-        for trip in track.trips
-        for text in [str(trip.get("identity") or "")]
-    ]
+def _check_fits(track: TrackConditionMap, piece: Evidence) -> None:
+    from analysis.adhesion.evidence import check_line
 
-
-def _of_pieces(pieces: Iterable[Evidence]) -> list[_Log]:
-    return [_Log(piece.trip, piece.sha256, piece.recorded, piece.steps) for piece in pieces]
-
-
-def _left_out(track: TrackConditionMap, logs: Sequence[_Log]) -> dict[int, str]:
-    """The trips that are not to be counted, by number, with the reason; see `same_drives`."""
-    held = _logs(track)
-    found: dict[int, str] = {}
-    counted = {log.key for log in held}
-    for number, log in enumerate(logs):
-        if log.key in counted or (not log.sha256 and (log.trip, "") in counted):
-            found[number] = f"trip '{log.trip}': in the map already, not counted again"
-        counted.add(log.key)
-    known = [Known(log.trip, log.identity, held=True, digest=log.sha256) for log in held]
-    known += [
-        Known(
-            log.trip,
-            None if number in found else log.identity,
-            (log.steps, log.sha256, log.trip),
-            digest=log.sha256,
+    check_line(track, piece.trip, piece.line, piece.length)
+    if piece.bin_length != track.bin_length or piece.daily.levels != track.levels.size:
+        raise InputError(
+            f"trip '{piece.trip}': evidence in bins of {piece.bin_length:g} m does not fit the"
+            f" map's {track.bin_length:g} m",
+            remedy="make the evidence with the map's bin length",
         )
-        for number, log in enumerate(logs)
-    ]
-    found |= {same.number - len(held): same.sentence for same in same_drives(known)}
-    return dict(sorted(found.items()))
-
-
-def _spots_in_words(layer: LayerSummary) -> str:
-    spots = [
-        f"km {spot.position / 1e3:.3f}: {spot.adhesion:.3f} ({spot.low:.3f} to {spot.high:.3f})"
-        for spot in layer.lowest
-    ]
-    return "\n".join(spots) or "nothing observed"
-
-
-def _observed(layer: LayerSummary) -> Said:
-    share = layer.observed_bins / layer.bins
-    words = f"{layer.observed_length / 1e3:.1f} km, {share:.0%}"
-    return Said(layer.observed_length, words)
-
-
-LAYER_COLUMNS = (
-    Column("rail\ncondition", key="layer"),
-    Column("trips", NUMBER),
-    Column("onsets measured", NUMBER, key="onsets", of="events"),
-    Column("observed", POSITION, each=True, of=_observed),
-    Column("lowest maximum adhesion (95 % band)", key="lowest", of=_spots_in_words, rank=1),
-)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -216,17 +253,23 @@ class UpdatedMap(Presented):
 
     def tables(self) -> list[WordTable]:
         """What the map knows, layer by layer, with its lowest spots."""
+        from analysis.adhesion.map_state import LAYER_COLUMNS
+
         title = f"Track condition of {self.track.line}, {self.track.bin_length:.0f} m bins"
         return [new_table(title, *LAYER_COLUMNS, name="layers").add_rows(self.layers)]
 
     @property
     def notes(self) -> list[str]:
         """What holds where nothing was observed, and what the recorders lacked."""
+        from analysis.adhesion.map_state import map_words
+
         return map_words(self.track)
 
     @property
     def layers(self) -> tuple[LayerSummary, ...]:
         """What each layer amounts to, with its lowest spots."""
+        from analysis.adhesion.map_state import summary
+
         return summary(self.track)
 
 
@@ -268,6 +311,17 @@ def adhesion_map(
     >>> [(each.layer, each.trips) for each in found.layers]
     [('dry', 1)]
     """
+    from analysis.adhesion.evidence import (
+        COVARIATE_TOPICS,
+        condition_of,
+        evidence,
+        evidence_of_log,
+        own_line,
+    )
+    from analysis.given import each_given
+    from trainlog.mcap import read_log
+    from trainlog.mcap.reader import identity_of_log
+
     if layer is not None:
         layer = given_condition(layer, () if known is None else known.layers)
     track = known
@@ -282,9 +336,11 @@ def adhesion_map(
             condition_of(trip, track, layer, weather)
             digest = "" if path is None else sha256_of(path)
             recorded = identity_of(trip) if path is None else identity_of_log(path)
-            why = _left_out(track, [_Log(trip.name, digest, recorded)])
+            with MapFile.of_map(replace(track, layers={})) as ledger:
+                log = {"trip": trip.name, "sha256": digest}
+                why = ledger.reason(Recording("", log, recorded))
             if why:
-                held.append((trip.name, why[0]))
+                held.append((trip.name, why))
                 continue
             pieces.append(
                 evidence(trip, track, layer=layer, weather=weather)
@@ -297,252 +353,459 @@ def adhesion_map(
             raise type(error)(error.problem, file=path, remedy=error.remedy) from error
     if track is None:
         raise InputError("no trip was given", remedy="name trips or logs to build the map from")
-    left_out = _left_out(track, _of_pieces(pieces))
+    found, left_out = _updated(track, pieces)
     held += [(pieces[number].trip, why) for number, why in left_out.items()]
-    used = [piece for number, piece in enumerate(pieces) if number not in left_out]
-    return UpdatedMap(
-        update(track, used)[0],
-        tuple(name for name, _ in held),
-        tuple(why for _, why in held),
-    )
+    return UpdatedMap(found, tuple(name for name, _ in held), tuple(why for _, why in held))
 
 
-def evidence_of_log(
-    path: Path,
-    track: TrackConditionMap,
+# ------------------------------------------------------------------------------ a map's file
+
+
+@dataclass(frozen=True, slots=True)
+class LogOutcome:
+    """What became of a log that was given to a map.
+
+    Attributes
+    ----------
+    log : str
+        Its path.
+    outcome : {"added", "held", "same drive", "not recorded", "refused", "refused before"}
+        Counted from now on; this very log was there already; kept, but a fuller recording of the
+        drive counts; whole, but its recorder never recorded what the map is made of; not usable;
+        not added for the reason that an earlier update reported.
+    trip, layer : str
+        Empty where that is not known.
+    reason : str
+        Why it does not count, or is held under another layer than the one given.
+    replaced : tuple of str
+        Trips that counted until now, of which this is a fuller recording.
+    damage : str
+        What of the log is lost; empty if it is whole.
+    recorded : str
+        Rail condition that the trip itself states, where another was given; else empty.
+    """
+
+    log: str
+    outcome: Outcome
+    trip: str = ""
+    layer: str = ""
+    reason: str = ""
+    replaced: tuple[str, ...] = ()
+    damage: str = ""
+    recorded: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """It in words."""
+        name = f"trip '{self.trip}'"
+        if self.outcome == "added":
+            more = f", in place of {', '.join(self.replaced)}" if self.replaced else ""
+            lost = f"; the log {self.damage}" if self.damage else ""
+            other = f", though it states '{self.recorded}'" if self.recorded else ""
+            return f"{name} added to '{self.layer}'{other}{more}{lost}"
+        if self.outcome == "held":
+            return f"{name}: in the map already, not counted again" + (
+                f"; {self.reason}" if self.reason else ""
+            )
+        return self.reason
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MapUpdate(Presented):
+    """What became of the logs that were given to a map, and what the map holds now.
+
+    Attributes
+    ----------
+    path : Path
+    logs : tuple of LogOutcome
+    trips, days : int
+        That the map counts, and the days on which they ran.
+    made : bool
+        Whether there is a map file: none is begun without a trip.
+    """
+
+    path: Path
+    logs: tuple[LogOutcome, ...]
+    trips: int
+    days: int
+    made: bool = True
+
+    @property
+    def title(self) -> str:
+        """What became of the logs."""
+        return f"Update of {self.path}: {self.sentence}"
+
+    def summary(self) -> dict[str, str]:
+        """The first log that was refused."""
+        return {each.outcome: each.sentence for each in self.refused[:1]}
+
+    def facts(self) -> dict[str, Any]:
+        """How many logs were added, held and refused."""
+        numbers = {
+            "added": len(self.added),
+            "held": len(self.of("held")),
+            "same_drive": len(self.of("same drive")),
+            "not_recorded": len(self.not_recorded),
+            "refused": len(self.refused),
+            "refused_before": len(self.refused_before),
+        }
+        of_map = {"trips": self.trips, "days": self.days, "made": self.made}
+        return {"map": str(self.path), **numbers, **of_map}
+
+    def tables(self) -> list[WordTable]:
+        """What became of each log."""
+        columns = (
+            *map(Column, ("log", "outcome", "trip", "layer", "reason")),
+            Column("replaced", of=lambda log: Said(list(log.replaced), ", ".join(log.replaced))),
+            *map(Column, ("damage", "recorded")),
+        )
+        title = f"Update of {self.path}"
+        return [new_table(title, *columns, name="logs", usual=False).add_rows(self.logs)]
+
+    @property
+    def notes(self) -> list[str]:
+        """What to do about logs without axle speeds."""
+        remedy = "record wheel speeds, or name their columns in the profile and ingest again"
+        return [f"a map needs the speed of a powered axle: {remedy}"] * bool(self.not_recorded)
+
+    def of(self, outcome: Outcome) -> tuple[LogOutcome, ...]:
+        """The logs with an outcome."""
+        return tuple(each for each in self.logs if each.outcome == outcome)
+
+    @property
+    def added(self) -> tuple[LogOutcome, ...]:
+        """The logs whose trips count from now on."""
+        return self.of("added")
+
+    @property
+    def refused(self) -> tuple[LogOutcome, ...]:
+        """The logs that could not be used, and that no earlier update reported."""
+        return self.of("refused")
+
+    @property
+    def not_recorded(self) -> tuple[LogOutcome, ...]:
+        """The logs in which nothing is wrong, but that never recorded what the map is made of."""
+        return self.of("not recorded")
+
+    @property
+    def refused_before(self) -> tuple[LogOutcome, ...]:
+        """The logs that are not used for a reason that an earlier update reported."""
+        return self.of("refused before")
+
+    @property
+    def elsewhere(self) -> tuple[LogOutcome, ...]:
+        """The logs that the map holds under another rail condition than the one given."""
+        return tuple(each for each in self.of("held") if each.reason)
+
+    @property
+    def sentence(self) -> str:
+        """The update in one sentence."""
+        parts = [f"{counted(len(self.added), 'trip')} added"]
+        for outcome, words in (
+            ("held", "held already"),
+            ("same drive", "of a drive that counts already"),
+            ("not recorded", "without axle speeds"),
+            ("refused", "refused"),
+            ("refused before", "refused before (--retry states why)"),
+        ):
+            number = len(self.of(outcome))  # type: ignore[arg-type]
+            parts += [f"{number} {words}"] if number else []
+            if outcome == "held" and self.elsewhere:
+                parts[-1] += f" ({len(self.elsewhere)} under another rail condition)"
+        stated = Counter((each.recorded, each.layer) for each in self.logs if each.recorded)
+        parts += [
+            f"{counted(number, 'trip')} that state{'s' * (number == 1)} '{recorded}'"
+            f" count{'s' * (number == 1)} as '{layer}', as given"
+            for (recorded, layer), number in sorted(stated.items())
+        ]
+        held = f"the map holds {counted(self.trips, 'trip')} of {counted(self.days, 'day')}"
+        return f"{', '.join(parts)}; {held if self.made else 'no map was made'}"
+
+
+def update_map(
+    logs: str | Path | Iterable[str | Path],
+    path: str | Path,
     layer: str | None = None,
     weather: Weather | None = None,
     *,
-    sha256: str = "",
-) -> Evidence:
-    """What the trip of a log says of the maximum adhesion; a long log is analysed in stretches.
+    retry: bool = False,
+    report: Callable[[LogOutcome], None] | None = None,
+) -> MapUpdate:
+    """Add the trips of logs to the file of a track-condition map.
 
-    Parameters and errors are those of `analysis.adhesion.evidence.evidence`, for a log.
-    """
-    trip = read_log(path, topics=COVARIATE_TOPICS)
-    condition = condition_of(trip, track, layer, weather)
-    recorded: list[TripIdentity | None] = []
+    Several processes may do so at once. A trip is on the disk, once, when it is reported; whatever
+    interrupts the update afterwards, giving the same logs again adds the others. What counts does
+    not depend on the order in which logs come: of several recordings of one drive the fullest, in
+    place of a poorer one that was there (see `trainlog.identity`). A log that cannot be used is
+    reported and does not keep the others from being added. The map remembers it by its content:
+    later updates state it as ``"refused before"``, and try it again where code, `layer` or
+    `weather` are others.
 
-    def analysed() -> Iterator[SlipAnalysis]:
-        for stretch in stretches(path, TOPICS):
-            if stretch.count == 1 and _decides(stretch.trip):
-                recorded.append(identity_of(stretch.trip))
-            # A stretch in which the axles were not recorded has no slip.
-            if stretch.count == 1 or len(stretch.trip["/train/axles"]) > 1:
-                yield slip(stretch.trip).part(stretch.span)
+    Parameters
+    ----------
+    logs : path or iterable of paths
+        Logs, and folders of logs.
+    path : path
+        The map's file (``.map``); begun on the line of the first log if it does not exist.
+    layer : str, optional
+        Rail condition of all trips, one that is known or ``"new:grease"``; default: what each
+        states (metadata ``weather``). That it is another than a trip states is reported.
+    weather : Weather, optional
+        At the line: the rail's condition where neither the call nor the trip states it, and what
+        is kept with each trip.
+    retry : bool, optional
+        Try logs that were refused before again, and report those that are refused as new.
+    report : callable, optional
+        Is given the outcome of each log.
 
-    piece = evidence_of_parts(analysed(), track, condition, sha256=sha256)
-    found = recorded[0] if recorded else identity_of_log(path)
-    details = piece.details | covariates(trip, piece.span, weather)
-    return replace(piece, recorded=found, steps=len(trip.provenance), details=details)
-
-
-def slips_of_log(path: Path) -> Iterator[SlipAnalysis]:
-    """The slip analysis of a log; of a long log stretch by stretch."""
-    for stretch in stretches(path, TOPICS):
-        # A stretch in which the axles were not recorded has no slip.
-        if stretch.count == 1 or len(stretch.trip["/train/axles"]) > 1:
-            yield slip(stretch.trip).part(stretch.span)
-
-
-def _decides(trip: Trip) -> bool:
-    """Whether the topics that slip needs hold the column that identifies the drive."""
-    topic, column, _ = COLUMNS[0]
-    frame = trip.topics.get(topic)
-    return frame is not None and column in frame and bool(frame[column].notna().any())
-
-
-def own_line(trip: Trip) -> Line:
-    """The line of a trip in its own direction."""
-    line = line_of(trip)
-    return line.reversed() if trip.metadata.get("direction") == "reverse" else line
-
-
-def merge(first: TrackConditionMap, second: TrackConditionMap) -> TrackConditionMap:
-    """One map from two that were made of different trips.
+    Returns
+    -------
+    MapUpdate
 
     Raises
     ------
     InputError
-        If the maps differ in line, bins or settings, or count a trip in both.
+        If the map cannot be read or written, or no log was given.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     first = update_map("sample_logs", Path(folder) / "wil.map")
+    ...     again = update_map("sample_logs/nonstop.mcap", Path(folder) / "wil.map")
+    >>> first.sentence
+    '2 trips added; the map holds 2 trips of 1 day'
+    >>> again.sentence
+    '0 trips added, 1 held already; the map holds 2 trips of 1 day'
     """
-    for name in ("line", "length", "bin_length", "settings", "levels"):
-        if not np.array_equal(getattr(first, name), getattr(second, name)):
-            raise InputError(
-                f"track-condition maps differ in {name}:"
-                f" {getattr(first, name)} and {getattr(second, name)}",
-                remedy="merge maps of one line that were made with the same settings",
-            )
-    more = _logs(second)
-    both = _left_out(first, more)
-    if both:
-        names = sorted(more[number].trip for number in both)
+    if layer is not None:
+        layer = given_condition(layer, known_layers(Path(path)))
+    update = FileUpdate(Path(path), layer, weather, retry)
+    try:
+        outcomes = outcomes_of(logs, update.outcome, report)
+        trips, days = update.file.amount() if update.file else (0, 0)
+    finally:
+        update.close()
+    return MapUpdate(update.path, outcomes, trips, days, made=update.file is not None)
+
+
+def outcomes_of(
+    logs: str | Path | Iterable[str | Path],
+    outcome: Callable[[Path], LogOutcome],
+    report: Callable[[LogOutcome], None] | None,
+) -> tuple[LogOutcome, ...]:
+    """What became of each log, and of each of the logs in folders; reported as it is known."""
+    found: list[LogOutcome] = []
+    given = [logs] if isinstance(logs, str | Path) else [*logs]
+    if isinstance(logs, Trip) or not all(isinstance(each, str | Path) for each in given):
         raise InputError(
-            f"both track-condition maps count trip '{names[0]}' ({len(both)} in common)",
-            remedy="build one map from the logs instead",
+            "a map is updated from logs, by which it knows what it holds",
+            remedy="write the trip first, with trainlog.write",
         )
-    sums = {name: [layer.evidence] for name, layer in first.layers.items()}
-    for name, layer in second.layers.items():
-        sums.setdefault(name, []).append(layer.evidence)
-    return _solved(first, sums, [*first.trips, *second.trips])
+    for log in (log for each in given for log in logs_of(Path(each))):
+        found.append(outcome(log))
+        if report is not None:
+            report(found[-1])
+    if not found:
+        raise InputError("no log was given", remedy="name logs, or folders of logs")
+    return tuple(found)
 
 
-def _solved(
-    track: TrackConditionMap, sums: dict[str, list[DailyEvidence]], trips: list[dict[str, Any]]
-) -> TrackConditionMap:
-    layers = {
-        name: ConditionLayer.unestimated(DailyEvidence.total(sums[name])) for name in sorted(sums)
-    }
-    keys = ("layer", "trip", "sha256", "identity")
-    ordered = tuple(sorted(trips, key=lambda trip: [trip.get(key, "") for key in keys]))
-    return estimated(replace(track, layers=layers, trips=ordered))
+def refusal_of(error: TrainlogError, log: Path) -> str:
+    """Why a log cannot be used, with its path."""
+    return str(error if error.file else type(error)(error.problem, file=log, remedy=error.remedy))
 
 
-def _check_fits(track: TrackConditionMap, piece: Evidence) -> None:
-    check_line(track, piece.trip, piece.line, piece.length)
-    if piece.bin_length != track.bin_length or piece.daily.levels != track.levels.size:
-        raise InputError(
-            f"trip '{piece.trip}': evidence in bins of {piece.bin_length:g} m does not fit the"
-            f" map's {track.bin_length:g} m",
-            remedy="make the evidence with the map's bin length",
-        )
+def known_layers(path: Path) -> Iterator[str]:
+    """The rail conditions of a map's file, read when they are asked for; none without a file."""
+    if path.exists():
+        with MapFile(path) as file:
+            yield from file.contents()
 
 
-@dataclass(frozen=True, slots=True)
-class Spot:
-    """A low spot: chainage [m], maximum adhesion there and the ends of its 95 % band."""
+class FileUpdate:
+    """An update of a map's file, which is begun with the first trip if it is not there.
 
-    position: float
-    adhesion: float
-    low: float
-    high: float
-
-
-UNMEASURED = (
-    "in them the axle's effort neither fell nor was cut, or it is not known, or is known of the"
-    " whole train only and another axle had slipped just before"
-)
-"""Why slip events do not show the maximum."""
-
-
-@dataclass(frozen=True, slots=True)
-class LayerSummary:
-    """What a layer of a map amounts to.
-
-    Attributes
+    Parameters
     ----------
-    layer : str
-    trips : int
-    observed_bins, bins : int
-    observed_length : float [m]
-    events : int
-        Onsets of slip that measured the maximum.
-    lowest : tuple of Spot
-        Least adhesion first, at least `SPOT_SEPARATION` apart.
-    unmeasured : int
-        Slip events that did not show the maximum (`UNMEASURED`).
-    incomplete : int
-        Trips on which slips may have gone unseen.
-    notes : dict of str to tuple of str
-        What the recorders of the trips lacked, as first met, with the trips of which that holds.
+    path : Path
+    layer, weather, retry
+        As of `update_map`.
     """
 
-    layer: str
-    trips: int
-    observed_bins: int
-    bins: int
-    observed_length: float
-    events: int
-    lowest: tuple[Spot, ...]
-    unmeasured: int = 0
-    incomplete: int = 0
-    notes: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    def __init__(self, path: Path, layer: str | None, weather: Weather | None, retry: bool) -> None:
+        self.path, self.layer, self.weather, self.retry = path, layer, weather, retry
+        self.file = MapFile(path) if path.exists() else None
+        self._refusals: dict[str, Refusal] = {}
+        """Not in the file yet, by SHA-256."""
 
-    @property
-    def elsewhere(self) -> str:
-        """What holds where nothing was observed, in words."""
-        if not self.unmeasured and not self.incomplete:
-            return "Where nothing was observed, demand never met the limit: no estimate."
-        words = "Where nothing was observed, the map has no estimate"
-        if self.unmeasured:
-            measured = counted(self.events, "onset")
-            words += f"; {measured} of slip measured the maximum, {self.unmeasured} others did not"
-            words += f" ({UNMEASURED})"
-        if self.incomplete:
-            words += f"; on {counted(self.incomplete, 'trip')} slips may have gone unseen"
-        return words + "."
+    def close(self) -> None:
+        """Close the file, with what is to be remembered."""
+        if self.file is None:
+            return
+        try:
+            if self._refusals:
+                self.file.remember_refusals(self._refusals.values())
+        finally:
+            self.file.close()
+
+    def outcome(self, log: Path, digest: str = "") -> LogOutcome:
+        """Add a log's trip, if it is usable and new; `digest`: its SHA-256, if it is known."""
+        try:
+            state = _state(log)
+            known = self.file.digest_of(log, state) if self.file else ""
+            digest = known or digest or sha256_of(log)
+        except TrainlogError as error:
+            return LogOutcome(str(log), "refused", reason=str(error))
+        found = _held(self.file, log, digest, self.layer) or self._refused_before(log, digest)
+        found = found or self._tried(log, state, digest)
+        remembered = found.outcome != "refused" or digest in self._refusals
+        if self.file and not known and remembered and _is_settled(state):
+            self.file.remember(log, state, digest)
+        return found
+
+    def _tried(self, log: Path, state: stat_result, digest: str) -> LogOutcome:
+        """The outcome of a log that the map does not hold."""
+        try:
+            piece, track, damage = self.analysed(log, digest)
+        except TrainlogError as error:
+            if _has_changed(log, state) or isinstance(error.__cause__, OSError):
+                # Not because of what the log holds.
+                return LogOutcome(str(log), "refused", reason=str(error))
+            return self._refused(log, digest, error)
+        if _has_changed(log, state):
+            return _changed(log, piece)
+        self.file = self.file or MapFile(self.path, track)
+        recorded = self.stated(log) if self.layer is not None else ""
+        found = _added(self.file, log, piece, damage)
+        return found if recorded in ("", self.layer) else replace(found, recorded=recorded)
+
+    def stated(self, log: Path) -> str:
+        """The rail condition that the trip of a log states itself; empty if it states none."""
+        from trainlog.mcap import read_log
+
+        return stated_condition(read_log(log, topics=[]).metadata)
+
+    def analysed(self, log: Path, digest: str) -> tuple[Evidence, TrackConditionMap, str]:
+        """The evidence of a log, the map that it is for, without trips, and what of it is lost.
+
+        Raises
+        ------
+        TrainlogError
+            If the log cannot be used, naming its file.
+        """
+        from analysis.adhesion.evidence import evidence_of_log, own_line
+        from trainlog.mcap import read_log
+
+        with naming_log(log) as losses:
+            if self.file:
+                track = self.file.without_evidence
+            else:
+                track = empty_map(own_line(read_log(log, topics=[])))
+            piece = evidence_of_log(log, track, self.layer, self.weather, sha256=digest)
+        return piece, track, losses[-1] if losses else ""
+
+    def _refused_before(self, log: Path, digest: str) -> LogOutcome | None:
+        """The outcome of a log that was refused when nothing else was given; else None."""
+        found = self.file.refusal(digest) if self.file and not self.retry else None
+        if found is None or found.tried != self._conditions:
+            return None
+        return LogOutcome(str(log), "refused before", reason=found.reason)
+
+    def _refused(self, log: Path, digest: str, error: TrainlogError) -> LogOutcome:
+        """The outcome of a log that is refused now, which is remembered."""
+        reason = str(error)
+        new = Refusal(digest, str(log), reason, self._conditions)
+        earlier = self.file.refusal(digest) if self.file else None
+        self._refusals[digest] = new
+        again = earlier is not None and not self.retry and earlier.is_repeated_by(new)
+        kind: Outcome = "not recorded" if isinstance(error, NotRecordedError) else "refused"
+        return LogOutcome(str(log), "refused before" if again else kind, reason=reason)
+
+    @cached_property
+    def _conditions(self) -> str:
+        """What the outcome of a log depends on besides what it holds."""
+        known = "" if self.weather is None else sha256(pickle.dumps(astuple(self.weather)))
+        return f"{code_version()} {self.layer or ''} {known}"
 
 
-def summary(track: TrackConditionMap, spots: int = 5) -> tuple[LayerSummary, ...]:
-    """What each layer of a map amounts to, with its lowest spots."""
-    return tuple(
-        LayerSummary(
-            layer=name,
-            trips=sum(trip["layer"] == name for trip in track.trips),
-            observed_bins=int(np.count_nonzero(layer.observed)),
-            bins=track.bins,
-            observed_length=_observed_length(track, layer),
-            events=int(layer.events.sum()),
-            lowest=_lowest(track, layer, spots),
-            **_recorded(track, name),
-        )
-        for name, layer in track.layers.items()
-    )
+def _state(log: Path) -> stat_result:
+    try:
+        return log.stat()
+    except OSError as error:
+        refuse_reading(log, error)
 
 
-def _recorded(track: TrackConditionMap, layer: str) -> dict[str, Any]:
-    """What the trips of a layer lacked: the last fields of `LayerSummary`."""
-    trips = [trip for trip in track.trips if trip["layer"] == layer]
-    first: dict[str, str] = {}
-    found: dict[str, list[str]] = {}
-    for trip in trips:
-        for note in trip.get("notes", ()):
-            # Notes of one kind differ in their numbers only.
-            kind = "".join(re.split(r"[-\d., ]+", note))
-            found.setdefault(first.setdefault(kind, note), []).append(str(trip["trip"]))
-    return {
-        "unmeasured": sum(int(trip.get("unmeasured", 0)) for trip in trips),
-        "incomplete": sum(trip.get("complete") is False for trip in trips),
-        "notes": {note: tuple(names) for note, names in found.items()},
-    }
+def _has_changed(log: Path, before: stat_result) -> bool:
+    now = _state(log)
+    return (now.st_size, now.st_mtime_ns) != (before.st_size, before.st_mtime_ns)
 
 
-def _observed_length(track: TrackConditionMap, layer: ConditionLayer) -> float:
-    """Length of the observed bins [m]; the last bin ends with the line."""
-    widths = np.diff(np.minimum(np.arange(track.bins + 1) * track.bin_length, track.length))
-    return float(widths[layer.observed].sum())
+def _is_settled(state: stat_result) -> bool:
+    """Whether a later change of the file would show in the time of its last one."""
+    return time.time_ns() - state.st_mtime_ns > _SETTLED
 
 
-def _lowest(track: TrackConditionMap, layer: ConditionLayer, spots: int) -> tuple[Spot, ...]:
-    chosen: list[int] = []
-    candidates = np.flatnonzero(layer.observed)
-    for i in candidates[np.argsort(layer.log_mean[candidates], kind="stable")]:
-        if all(abs(i - j) * track.bin_length >= SPOT_SEPARATION for j in chosen):
-            chosen.append(int(i))
-        if len(chosen) == spots:
-            break
-    band = 1.96 * layer.log_std
-    return tuple(
-        Spot(
-            position=float(track.centres[i]),
-            adhesion=float(np.exp(layer.log_mean[i])),
-            low=float(np.exp(layer.log_mean[i] - band[i])),
-            high=float(np.exp(layer.log_mean[i] + band[i])),
-        )
-        for i in chosen
-    )
+def _held(file: MapFile | None, log: Path, digest: str, layer: str | None) -> LogOutcome | None:
+    """The outcome of a log that the map holds; None if it does not."""
+    row = file.held(digest) if file else None
+    if row is None:
+        return None
+    known = row.known
+    other = f"as '{row.layer}', not as '{layer}': take it out first (trainlog map remove)"
+    reason = other if layer is not None and layer != row.layer else ""
+    return LogOutcome(str(log), "held", known.name, row.layer, reason)
 
 
-def map_words(track: TrackConditionMap) -> list[str]:
-    """What holds where nothing was observed, and what the recorders lacked, in sentences."""
-    every = summary(track)
-    words = [
-        each.elsewhere if len(every) == 1 else f"{each.layer}: {each.elsewhere}" for each in every
+def _changed(log: Path, piece: Evidence) -> LogOutcome:
+    remedy = "give it again when its recording has ended"
+    error = InputError("changed while it was read", file=log, remedy=remedy)
+    return LogOutcome(str(log), "refused", piece.trip, piece.layer, str(error))
+
+
+@contextmanager
+def naming_log(log: Path) -> Iterator[list[str]]:
+    """Name the log in errors; gives what of it is lost, in sentences, once the block has run."""
+    losses: list[str] = []
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            yield losses
+    except TrainlogError as error:
+        kind = type(error)
+        if isinstance(error, NotRecordedError) and (
+            _losses(caught) or _holds_topic(log, error.topic)
+        ):
+            kind = LogError  # what it lacks may be what is lost, or was not read
+        if error.file and kind is type(error):
+            raise
+        raise kind(error.problem, file=log, remedy=error.remedy) from error
+    for each in caught:
+        warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+    losses += _losses(caught)
+
+
+def _holds_topic(log: Path, topic: str) -> bool:
+    """Whether a log has a channel of the topic, so that it was recorded."""
+    from trainlog.mcap import read_log
+
+    return bool(topic) and topic in read_log(log, topics=[topic])
+
+
+def _losses(caught: Iterable[warnings.WarningMessage]) -> list[str]:
+    """What is lost of a log, by the warnings of reading it."""
+    from trainlog.mcap import DamageWarning
+
+    return [
+        each.message.account.sentence for each in caught if isinstance(each.message, DamageWarning)
     ]
-    if len({each.elsewhere for each in every}) <= 1:
-        words = [each.elsewhere for each in every[:1]]
-    for each in every:
-        for note, trips in each.notes.items():
-            more = f" and {len(trips) - 1} more" if len(trips) > 1 else ""
-            words.append(f"{each.layer}, {trips[0]}{more}: {note}")
-    return words
+
+
+def _added(file: MapFile, log: Path, piece: Evidence, damage: str) -> LogOutcome:
+    details = {"damage": damage} if damage else {}
+    found = file.append(recording_of(piece, **details))
+    outcome: Outcome = "held" if found.held else "added" if found.counted else "same drive"
+    return LogOutcome(
+        str(log), outcome, piece.trip, piece.layer, found.reason, found.replaced, damage
+    )

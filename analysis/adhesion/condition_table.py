@@ -1,4 +1,4 @@
-"""A track-condition map as tables: bins, merged sections, passing spots and lasting changes.
+"""A track-condition map as tables: bins, merged sections, passing spots, lasting changes; its line.
 
 Names of columns end with their unit. What was not observed is empty, never the prior.
 """
@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from analysis.adhesion.line_table import line_table
+from analysis.adhesion.evidence import check_line
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.presentation import ADHESION, KILOMETRE, Column, Ends
@@ -24,7 +24,8 @@ from trainlog.railway.condition import (
     TrackConditionMap,
 )
 from trainlog.railway.kilometres import in_km, near
-from trainlog.railway.line import Line
+from trainlog.railway.line import Line, StepProfile
+from trainlog.units import KMH, PER_MILLE
 
 BAND = (0.025, 0.975)
 """Shares below the ends of the 95 % band."""
@@ -32,6 +33,18 @@ BAND = (0.025, 0.975)
 RESOLUTION = 0.01
 """Adhesion by which the bins of one section may differ."""
 
+
+LINE_UNITS = {
+    "start": "m",
+    "end": "m",
+    "gradient": "per mille",
+    "curve_radius": "m",
+    "tunnel": "",
+    "station": "",
+    "speed_limit": "km/h",
+    "speed_limit_reverse": "km/h",
+}
+"""Unit of each column of `line_table`; the last one where limits differ by direction."""
 
 LAYER = Column("rail\ncondition", key="layer")
 KM = Column("km", KILOMETRE, key="start_km")
@@ -114,9 +127,18 @@ def check_course(track: TrackConditionMap, line: Line) -> None:
         )
 
 
-def bin_edges(track: TrackConditionMap) -> FloatArray:
-    """Ends of the bins [m]; (bins + 1,) array. The last bin ends with the line."""
-    return np.asarray(np.minimum(np.arange(track.bins + 1) * track.bin_length, track.length))
+def lowest_apart(
+    place: ArrayLike, value: ArrayLike, among: ArrayLike, apart: float, most: int
+) -> list[int]:
+    """Rows with the lowest values of those chosen, whose places [m] lie apart from each other."""
+    positions, rows = np.asarray(place), np.flatnonzero(among)
+    taken: list[int] = []
+    for row in rows[np.argsort(np.asarray(value)[rows], kind="stable")].tolist():
+        if len(taken) == most:
+            break
+        if all(abs(positions[row] - positions[other]) >= apart for other in taken):
+            taken.append(row)
+    return taken
 
 
 def bins_table(
@@ -153,7 +175,7 @@ def bins_table(
     """
     if line is not None:
         check_course(track, line)
-    edges = bin_edges(track)
+    edges = track.edges
     where = kilometres(line, edges[:-1], edges[1:])
     beside = {} if line is None else _line_attributes(line, track)
     parts = []
@@ -345,7 +367,7 @@ def changes_table(
     return pd.DataFrame(rows | {"log_odds": _each(changes, "significance")})
 
 
-_ADHESIONS = ("adhesion", "low", "high", "expected", "expected_low", "expected_high")
+ADHESIONS = ("adhesion", "low", "high", "expected", "expected_low", "expected_high")
 """Columns of `bins_table` with maximum adhesions."""
 
 
@@ -375,7 +397,7 @@ def _bins_of(track: TrackConditionMap, part: PassingSpot | ConditionChange) -> t
 
 def _estimates(layer: ConditionLayer, time: pd.Timestamp | None) -> dict[str, object]:
     columns = (*shown(layer), *shown(layer.expected(time)))
-    return {"observed": layer.observed, **dict(zip(_ADHESIONS, columns, strict=True))}
+    return {"observed": layer.observed, **dict(zip(ADHESIONS, columns, strict=True))}
 
 
 def _evidence(track: TrackConditionMap, layer: ConditionLayer) -> dict[str, object]:
@@ -396,20 +418,20 @@ def _evidence(track: TrackConditionMap, layer: ConditionLayer) -> dict[str, obje
         "events": known.by_bin("events").astype(np.int64),
         "trips_with_onsets": known.by_bin("trips").astype(np.int64),
         "used_without_slip": used,
-        "first_day": _dates(first, seen),
-        "last_day": _dates(last, seen),
-        "changed_day": _dates(changed, (changed > none) & layer.observed),
+        "first_day": dates(first, seen),
+        "last_day": dates(last, seen),
+        "changed_day": dates(changed, (changed > none) & layer.observed),
     }
 
 
-def _dates(day: IntArray, known: BoolArray) -> NDArray[np.datetime64]:
-    days = np.where(known, day, 0).astype("datetime64[D]")
-    return np.where(known, days, np.datetime64("NaT")).astype("datetime64[s]")
+def dates(days: ArrayLike, known: ArrayLike = True) -> NDArray[np.datetime64]:
+    """Days counted from 1970-01-01; none where they are not known."""
+    found = np.where(known, days, 0).astype("datetime64[D]")
+    return np.where(known, found, np.datetime64("NaT")).astype("datetime64[s]")
 
 
 def _days_of(parts: Sequence[object], name: str) -> NDArray[np.datetime64]:
-    days = np.array([getattr(each, name) for each in parts], dtype=np.int64)
-    return _dates(days, np.ones(days.size, dtype=np.bool_))
+    return dates(np.array([getattr(each, name) for each in parts], dtype=np.int64))
 
 
 def _each(parts: Sequence[object], name: str) -> FloatArray:
@@ -446,3 +468,117 @@ def _line_attributes(line: Line, track: TrackConditionMap) -> dict[str, object]:
         "tunnel": table["tunnel"].to_numpy(),
         "station": [name or None for name in station],
     }
+
+
+# ----------------------------------------------------------------------- the line, bin by bin
+
+
+def line_table(line: Line, track: TrackConditionMap) -> pd.DataFrame:
+    """Attributes of the line in each bin of a map, along the line in its own direction.
+
+    Parameters
+    ----------
+    line : Line
+    track : TrackConditionMap
+        Of that line; only its bins are used.
+
+    Returns
+    -------
+    DataFrame
+        One row a bin: ``start``, ``end`` [m]; ``gradient`` [per mille], its mean, uphill positive;
+        ``curve_radius`` [m], the least, infinite where the line is straight; ``tunnel``, whether
+        any of the bin lies in one that the line states; ``station``, the names of those in the
+        bin, joined by a comma, else empty; ``speed_limit`` [km/h], the least along the line, and
+        where limits differ by direction ``speed_limit_reverse``, the least against it. NaN is what
+        the line does not state. Units are in ``attrs["units"]``.
+
+    Raises
+    ------
+    InputError
+        If the map is of another line.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
+    >>> table = line_table(line, track)
+    >>> table.loc[400, ["gradient", "curve_radius", "speed_limit"]].astype(float).round(1).tolist()
+    [-3.3, 1694.8, 125.0]
+    >>> table.station[table.station != ""].tolist()
+    ['St.Gallen', 'Gossau SG', 'Flawil', 'Uzwil', 'Wil']
+    """
+    check_line(track, "line file", line.name, line.length)
+    start, end = track.edges[:-1], track.edges[1:]
+    sharpest = _sharpest(line, start, end)
+    with np.errstate(divide="ignore"):
+        radius = 1.0 / sharpest
+    columns: dict[str, object] = {
+        "start": start,
+        "end": end,
+        "gradient": PER_MILLE * line.gradients.mean(start, end),
+        "curve_radius": radius,
+        "tunnel": _in_tunnel(line, start, end),
+        "station": _stations(line, track),
+        "speed_limit": KMH * _least(line.speed_limits, start, end),
+    }
+    if line.speed_limits_reverse is not None:
+        columns["speed_limit_reverse"] = KMH * _least(line.speed_limits_reverse, start, end)
+    sources = {"gradient": "gradients", "speed_limit": "speed_limits"}
+    for column in columns:
+        if sources.get(column.removesuffix("_reverse")) in line.assumed:
+            columns[column] = np.full(start.size, np.nan)
+    table = pd.DataFrame(columns)
+    table.attrs["units"] = {name: LINE_UNITS[name] for name in table.columns}
+    return table
+
+
+def _least(profile: StepProfile, start: FloatArray, end: FloatArray) -> FloatArray:
+    """Least value over each bin, (n,)."""
+    return _extreme(np.minimum, profile(start), profile.positions, profile.values, (start, end))
+
+
+def _sharpest(line: Line, start: FloatArray, end: FloatArray) -> FloatArray:
+    """Largest size of the curvature in each bin [1/m], (n,); NaN where curves are not known."""
+    curves = line.curvatures
+    if curves is None or "curvatures" in line.assumed:
+        return np.full(start.size, np.nan)
+    # Elements are linear: the largest is at an end of the bin or of an element.
+    ends = np.append(curves.positions[1:], line.length)
+    nearly = np.maximum(end - 1e-6, start)
+    at_ends = np.maximum(np.abs(line.curvature(start)), np.abs(line.curvature(nearly)))
+    bins = (start, end)
+    found = _extreme(np.maximum, at_ends, curves.positions, np.abs(curves.start), bins)
+    return _extreme(np.maximum, found, ends - 1e-6, np.abs(curves.end), bins)
+
+
+def _extreme(
+    extreme: np.ufunc,
+    first: FloatArray,
+    positions: FloatArray,
+    values: FloatArray,
+    bins: tuple[FloatArray, FloatArray],
+) -> FloatArray:
+    """Extreme of `first` and of the values whose positions lie in each bin, (n,)."""
+    start, end = bins
+    found = np.array(first, dtype=np.float64)
+    index = np.searchsorted(start, positions, side="right") - 1
+    within = (index >= 0) & (positions < end[np.maximum(index, 0)])
+    extreme.at(found, index[within], values[within])
+    return found
+
+
+def _in_tunnel(line: Line, start: FloatArray, end: FloatArray) -> BoolArray:
+    """Whether any of each bin lies in a tunnel, (n,)."""
+    inside = np.zeros(start.size, dtype=np.bool_)
+    for tunnel in line.tunnels:
+        inside |= (start < tunnel.position + tunnel.length) & (end > tunnel.position)
+    return inside
+
+
+def _stations(line: Line, track: TrackConditionMap) -> list[str]:
+    """Names of the stations in each bin; ends that only close a line are none."""
+    names: list[list[str]] = [[] for _ in range(track.bins)]
+    for station in () if "stations" in line.assumed else line.stations:
+        names[int(track.bin_of(station.position))].append(station.name)
+    return [", ".join(each) for each in names]

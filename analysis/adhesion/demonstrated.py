@@ -95,7 +95,7 @@ def usable_adhesion(
 
     Examples
     --------
-    >>> from trainlog.formats.condition import read_map
+    >>> from trainlog.formats.mapfile import read_map
     >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
     >>> bold, careful = (usable_adhesion(track, "wet", risk=risk) for risk in (0.2, 0.01))
     >>> bool(np.all(bold.values[bold.seen] > careful.values[careful.seen]))

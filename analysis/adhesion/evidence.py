@@ -9,25 +9,34 @@ their order.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from analysis.adhesion.covariates import covariates
-from analysis.adhesion.slip import SlipAnalysis, joined_details, slip
+from analysis.adhesion.slip import TOPICS, SlipAnalysis, joined_details, slip
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.condition import setting
 from trainlog.errors import InputError, LogError, NotRecordedError
 from trainlog.formats.railway import line_of
-from trainlog.identity import TripIdentity, identity_of
+from trainlog.identity import COLUMNS, TripIdentity, identity_of
+from trainlog.mcap import read_log
+from trainlog.mcap.reader import identity_of_log, stretches
 from trainlog.railway.condition import TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
-from trainlog.railway.weather import Weather, check_condition, stated_condition
-from trainlog.trip import Trip
-from trainlog.units import DAY
+from trainlog.railway.line import Line
+from trainlog.railway.weather import Weather, check_condition, stated_condition, sun_elevation
+from trainlog.trip import LINE_ATTACHMENT, Trip
+from trainlog.units import DAY, NANOSECONDS
+
+COVARIATE_TOPICS = ("/environment",)
+"""What `covariates` takes of a log."""
+
+STEP = 60 * NANOSECONDS
+"""Weather is averaged over a trip in steps of a minute."""
 
 FIXED_POINT = 2.0**-20
 """Weights and weighted logarithms are whole multiples of this, so that their sums are exact."""
@@ -113,9 +122,70 @@ def evidence(
         (`analysis.adhesion.slip.slip`).
     """
     condition = condition_of(trip, track, layer, weather)
-    found = evidence_of(slip(trip), track, condition, sha256=sha256)
+    return with_details([slip(trip)], trip, track, condition, weather, sha256=sha256,
+                        recorded=identity_of(trip))  # fmt: skip
+
+
+def evidence_of_log(
+    path: Path,
+    track: TrackConditionMap,
+    layer: str | None = None,
+    weather: Weather | None = None,
+    *,
+    sha256: str = "",
+) -> Evidence:
+    """What the trip of a log says of the maximum adhesion; a long log is analysed in stretches.
+
+    Parameters and errors are those of `evidence`, for a log.
+    """
+    trip = read_log(path, topics=COVARIATE_TOPICS)
+    condition = condition_of(trip, track, layer, weather)
+    identified: list[TripIdentity | None] = []
+
+    def known(stretch: Trip) -> None:
+        """Which drive it is, where the topics that slip needs hold the column for that."""
+        topic, column, _ = COLUMNS[0]
+        frame = stretch.topics.get(topic)
+        if frame is not None and column in frame and bool(frame[column].notna().any()):
+            identified.append(identity_of(stretch))
+
+    found = with_details(slips_of_log(path, known), trip, track, condition, weather, sha256=sha256)
+    return replace(found, recorded=identified[0] if identified else identity_of_log(path))
+
+
+def slips_of_log(path: Path, whole: Callable[[Trip], None] | None = None) -> Iterator[SlipAnalysis]:
+    """The slip analysis of a log; of a long log stretch by stretch.
+
+    `whole` is called with the trip of a log that is not long.
+    """
+    for stretch in stretches(path, TOPICS):
+        if stretch.count == 1 and whole is not None:
+            whole(stretch.trip)
+        # A stretch in which the axles were not recorded has no slip.
+        if stretch.count == 1 or len(stretch.trip["/train/axles"]) > 1:
+            yield slip(stretch.trip).part(stretch.span)
+
+
+def with_details(
+    parts: Iterable[SlipAnalysis],
+    trip: Trip,
+    track: TrackConditionMap,
+    layer: str | Weather,
+    weather: Weather | None = None,
+    *,
+    sha256: str = "",
+    recorded: TripIdentity | None = None,
+) -> Evidence:
+    """As `evidence_of_parts`, with the drive, the steps and the weather of the trip."""
+    found = evidence_of_parts(parts, track, layer, sha256=sha256)
     details = found.details | covariates(trip, found.span, weather)
-    return replace(found, recorded=identity_of(trip), steps=len(trip.provenance), details=details)
+    return replace(found, recorded=recorded, steps=len(trip.provenance), details=details)
+
+
+def own_line(trip: Trip) -> Line:
+    """The line of a trip in its own direction."""
+    line = line_of(trip)
+    return line.reversed() if trip.metadata.get("direction") == "reverse" else line
 
 
 def condition_of(
@@ -338,3 +408,84 @@ def check_line(track: TrackConditionMap, trip: str, line: str, length: float) ->
 
 def _fixed(values: FloatArray) -> FloatArray:
     return np.asarray(np.round(values / FIXED_POINT) * FIXED_POINT)
+
+
+# ---------------------------------------------------------------------------------- weather
+
+
+def covariates(trip: Trip, span: tuple[int, int], weather: Weather | None = None) -> dict[str, Any]:
+    """Weather of a trip, as the map keeps it: the entry ``weather``, in SI units.
+
+    The air temperature is what the train measured (topic ``/environment``), else that of the
+    weather; humidity, precipitation and time since rain are the weather's. What is not known is
+    left out.
+
+    Parameters
+    ----------
+    trip : Trip
+        Of which the topics `COVARIATE_TOPICS` are used, if it has them.
+    span : (int, int) [ns since 1970 UTC]
+        First and last sample of its evidence.
+    weather : Weather, optional
+        At the line.
+
+    Returns
+    -------
+    dict
+        ``weather``: ``time``, the middle of the trip; means over the trip ``temperature`` [K],
+        ``temperature_source`` (``log``, ``weather``), ``head_wind`` [m/s], ``humidity``,
+        ``precipitation`` [m/s]; at its middle ``since_rain`` [s], ``condition`` of the rail as the
+        weather states it, and ``sun_elevation`` [deg], where the line knows where it lies.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> trip = trainlog.read("sample_logs/nonstop.mcap", topics=COVARIATE_TOPICS)
+    >>> kept = covariates(trip, (trip.start.value, trip.end.value))["weather"]
+    >>> kept["temperature"], kept["temperature_source"], kept["time"]
+    (283.86, 'log', '2024-10-07T06:09:52Z')
+    """
+    start, end = span
+    middle = (start + end) // 2
+    found: dict[str, Any] = {
+        "time": f"{pd.Timestamp(middle, tz='UTC').round('s'):%Y-%m-%dT%H:%M:%SZ}"
+    }
+    for column, name in (("air_temperature", "temperature"), ("head_wind", "head_wind")):
+        values = _measured(trip, column)
+        if values.size:
+            found[name] = round(float(values.mean()), 2)
+    if "temperature" in found:
+        found["temperature_source"] = "log"
+    if weather is not None:
+        found = _of_weather(weather, start, end) | found
+    position = line_of(trip).geometry if LINE_ATTACHMENT in trip.attachments else None
+    if position is not None:
+        place = float(np.mean(position.latitudes)), float(np.mean(position.longitudes))
+        found["sun_elevation"] = round(sun_elevation(middle, *place), 1)
+    return {"weather": dict(sorted(found.items()))}
+
+
+def _measured(trip: Trip, column: str) -> FloatArray:
+    """What the train measured of its surroundings, where it did, (n,)."""
+    if "/environment" not in trip:
+        return np.empty(0)
+    values = trip["/environment"][column].to_numpy(np.float64)
+    return np.asarray(values[np.isfinite(values)])
+
+
+def _of_weather(weather: Weather, start: int, end: int) -> dict[str, Any]:
+    """What the weather states of a trip."""
+    rows = weather.row_at(np.arange(start, end + 1, STEP, dtype=np.int64))
+    rows = rows[rows >= 0]
+    found: dict[str, Any] = {}
+    for name, digits in (("temperature", 2), ("humidity", 3), ("precipitation", 12)):
+        values = getattr(weather, name)[rows]
+        if np.isfinite(values).any():
+            found[name] = round(float(np.nanmean(values)), digits)
+    if "temperature" in found:
+        found["temperature_source"] = "weather"
+    there = weather.at((start + end) // 2)
+    if there is not None:
+        known = there.known()
+        found |= {name: known[name] for name in ("condition", "since_rain") if name in known}
+    return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,17 +11,16 @@ import pandas as pd
 from scipy.special import ndtr, ndtri
 
 from analysis.adhesion.condition_table import (
-    BAND,
     LAYER,
     NEAR,
     SPAN,
-    bin_edges,
     check_course,
     day_name,
     kilometres,
+    shown,
     with_ends,
 )
-from trainlog.arrays import BoolArray, FloatArray
+from trainlog.arrays import FloatArray
 from trainlog.condition import estimated
 from trainlog.display import counted
 from trainlog.errors import InputError
@@ -383,42 +382,25 @@ def _known(evidence: dict[str, DailyEvidence]) -> dict[str, ConditionLayer]:
     }
 
 
-def _added(
-    whole: dict[str, DailyEvidence], part: dict[str, DailyEvidence]
-) -> dict[str, DailyEvidence]:
-    """Evidence by layer without that of some of its trips."""
-    return {name: _less(each, part.get(name)) for name, each in whole.items()}
-
-
 def _less(whole: DailyEvidence, part: DailyEvidence | None) -> DailyEvidence:
     """Evidence without that of some of its trips; the sums are exact."""
     if part is None:
         return whole
     negative = replace(part, **{name: -getattr(part, name) for name in _SUMS})
     rest = DailyEvidence.total([whole, negative])
-    return _rows(rest, rest.trips > 0.0, rest.used_trips > 0.0)
+    return rest.chosen(rest.trips > 0.0, rest.used_trips > 0.0)
 
 
 def _other_days(evidence: DailyEvidence, first: DailyEvidence | None) -> DailyEvidence:
     days = np.zeros(0) if first is None else first.days
-    return _rows(evidence, ~np.isin(evidence.day, days), ~np.isin(evidence.used_day, days))
-
-
-def _rows(evidence: DailyEvidence, onsets: BoolArray, used: BoolArray) -> DailyEvidence:
-    """Some rows of evidence."""
-    columns = {
-        each.name: getattr(evidence, each.name)[used if each.name.startswith("used") else onsets]
-        for each in fields(evidence)
-        if each.name not in ("bins", "levels")
-    }
-    return replace(evidence, **columns)
+    return evidence.chosen(~np.isin(evidence.day, days), ~np.isin(evidence.used_day, days))
 
 
 def _bins(
     one: TrackConditionMap, other: TrackConditionMap, line: Line | None, least: float
 ) -> pd.DataFrame:
     """Both estimates and their difference in the bins that both observed, layer by layer."""
-    edges = bin_edges(one)
+    edges = one.edges
     where = kilometres(line, edges[:-1], edges[1:])
     parts = []
     for name in one.layers:
@@ -429,9 +411,8 @@ def _bins(
         columns |= {key: np.asarray(values)[seen] for key, values in where.items()}
         spread = np.zeros(deviation.size)
         for side, layer in (("before", old), ("after", new)):
-            columns |= {side: np.exp(layer.log_mean[seen])}
-            ends = [layer.quantile(share)[seen] for share in BAND]
-            columns |= {f"{side}_low": ends[0], f"{side}_high": ends[1]}
+            names = (side, f"{side}_low", f"{side}_high")
+            columns |= {name: x[seen] for name, x in zip(names, shown(layer), strict=True)}
             spread = np.hypot(spread, columns[side] * layer.log_std[seen])
         difference = columns["after"] - columns["before"]
         beyond = ndtr((-least - difference) / spread) + ndtr((difference - least) / spread)

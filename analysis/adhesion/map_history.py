@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from analysis.adhesion.condition_table import (
-    BAND,
+    ADHESIONS,
     MAY_BE_CHANGE,
+    changes_table,
     check_course,
+    dates,
     kilometres,
-    may_be_change,
     met_words,
     probability_words,
+    shown,
+    spots_table,
 )
 from trainlog.arrays import IntArray
-from trainlog.condition import estimated
+from trainlog.condition import layer_before
 from trainlog.errors import InputError
 from trainlog.presentation import (
     ADHESION,
@@ -42,6 +44,13 @@ MOST_DAYS = 12
 
 REACH = 500.0
 """A day counts for a place if it has evidence no further from it than this [m]."""
+
+SPOT = [
+    *("first_day", "last_day", "checked_day"),
+    *("adhesion", "low", "high", "present", "life", "may_be_change"),
+]
+CHANGE = ["day", "earliest", "latest", "before", "after"]
+"""Of passing spots and lasting changes, what a history has."""
 
 LISTED = 15
 """Days that a table lists: the last."""
@@ -226,6 +235,8 @@ def map_history(
         when = when[:0]
     evenly = np.linspace(when.size - 1, 0, min(days, when.size)).astype(int)
     shown = when[evenly[::-1]]
+    spots = spots_table(track, layers=[layer]).sort_values("first_day", kind="stable")
+    spots = spots.rename(columns={"present_when_checked": "present", "life_days": "life"})
     return PlaceHistory(
         line=track.line,
         layer=layer,
@@ -237,14 +248,10 @@ def map_history(
         onsets=onsets,
         used=_used(track, chosen, row),
         known=_known(track, layer, row, shown),
-        spots=_spots(track, chosen, start, end),
-        changes=_changes(chosen, start, end),
+        spots=_there(spots, start, end, SPOT),
+        changes=_there(changes_table(track, layers=[layer]), start, end, CHANGE),
         days=int(when.size),
     )
-
-
-def _dates(days: IntArray) -> NDArray[np.datetime64]:
-    return days.astype("datetime64[D]").astype("datetime64[s]")
 
 
 def _onsets(layer: ConditionLayer, row: int) -> pd.DataFrame:
@@ -256,7 +263,7 @@ def _onsets(layer: ConditionLayer, row: int) -> pd.DataFrame:
     std = np.sqrt(1.0 / weight + known.common[there] / weight**2)
     return pd.DataFrame(
         {
-            "day": _dates(known.day[there]),
+            "day": dates(known.day[there]),
             "trips": known.trips[there].astype(np.int64),
             "events": known.events[there].astype(np.int64),
             "adhesion": np.exp(mean),
@@ -271,7 +278,7 @@ def _used(track: TrackConditionMap, layer: ConditionLayer, row: int) -> pd.DataF
     there = known.used_bin == row
     rows = pd.DataFrame(
         {
-            "day": _dates(known.used_day[there]),
+            "day": dates(known.used_day[there]),
             "level": track.levels[known.used_level[there]],
             "trips": known.used_trips[there].astype(np.int64),
         }
@@ -291,50 +298,21 @@ def _days_near(track: TrackConditionMap, layer: ConditionLayer, row: int) -> Int
 
 def _known(track: TrackConditionMap, name: str, row: int, days: IntArray) -> pd.DataFrame:
     """The estimate in a bin as it was known at the end of each day."""
-    whole = track.layer(name).evidence
-    first = int(whole.days[0]) if whole.days.size else 0
     rows = []
     for day in days.tolist():
-        past = ConditionLayer.unestimated(whole.between(first, day))
-        layer = estimated(replace(track, layers={name: past})).layer(name)
-        expected = layer.expected()
-        values: dict[str, Any] = {"day": day, "observed": bool(layer.observed[row])}
-        for key, estimate in (("adhesion", layer), ("expected", expected)):
-            low, high = (float(estimate.quantile(share)[row]) for share in BAND)
-            prefix = "" if key == "adhesion" else "expected_"
-            found = (float(np.exp(estimate.log_mean[row])), low, high)
-            seen = bool(estimate.observed[row])
-            names = (key, f"{prefix}low", f"{prefix}high")
-            values |= {k: v if seen else np.nan for k, v in zip(names, found, strict=True)}
-        rows.append(values)
-    columns = ["day", "observed", "adhesion", "low", "high"]
-    table = pd.DataFrame(rows, columns=[*columns, "expected", "expected_low", "expected_high"])
-    table["day"] = _dates(days)
+        layer = layer_before(track, day + 1, name)
+        assert layer is not None
+        known = (each[row] for one in (layer, layer.expected()) for each in shown(one))
+        rows.append((day, layer.observed[row], *known))
+    table = pd.DataFrame(rows, columns=["day", "observed", *ADHESIONS])
+    table["day"] = dates(days)
     return table
 
 
-def _spots(
-    track: TrackConditionMap, layer: ConditionLayer, start: float, end: float
-) -> pd.DataFrame:
-    there = [each for each in layer.spots if each.start < end and each.end > start]
-    days = {
-        f"{name}_day": _dates(np.array([getattr(each, name) for each in there], dtype=np.int64))
-        for name in ("first", "last", "checked")
-    }
-    names = ("adhesion", "low", "high", "present", "life")
-    values = {name: [getattr(each, name) for each in there] for name in names}
-    doubtful = [may_be_change(track, layer, each) for each in there]
-    return pd.DataFrame(days | values | {"may_be_change": np.array(doubtful, dtype=np.bool_)})
-
-
-def _changes(layer: ConditionLayer, start: float, end: float) -> pd.DataFrame:
-    there = [each for each in layer.changes if each.start < end and each.end > start]
-    days = {
-        name: _dates(np.array([getattr(each, name) for each in there], dtype=np.int64))
-        for name in ("day", "earliest", "latest")
-    }
-    values = {name: [getattr(each, name) for each in there] for name in ("before", "after")}
-    return pd.DataFrame(days | values)
+def _there(rows: pd.DataFrame, start: float, end: float, columns: Sequence[str]) -> pd.DataFrame:
+    """Columns of the rows of a table that lie on a part of the line, from its beginning on."""
+    there = rows[(rows["start_m"] < end) & (rows["end_m"] > start)]
+    return there.sort_values("start_m", kind="stable")[columns].reset_index(drop=True)
 
 
 def _spot_in_words(spot: Mapping[Hashable, Any]) -> str:

@@ -16,7 +16,6 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from analysis.adhesion.condition_table import (
-    bin_edges,
     bins_table,
     check_course,
     day_name,
@@ -196,7 +195,7 @@ def strip_cells(
     track: TrackConditionMap, low: FloatArray, least: float, span: tuple[float, float]
 ) -> Cells:
     """A strip along a map: the adhesion to count on, pieces as long as `least` [m] at least."""
-    edges = bin_edges(track) / 1e3
+    edges = track.edges / 1e3
     shown = _widened(low, max(round(least / track.bin_length), 1))
     colours = np.array(
         ["" if np.isnan(each) else ADHESION_COLOURS[adhesion_class(each)] for each in shown]

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from analysis.adhesion.condition_map import SPOT_SEPARATION, map_words, summary
 from analysis.adhesion.condition_table import (
     KM,
     LAYER,
@@ -24,6 +24,7 @@ from analysis.adhesion.condition_table import (
     chosen_layers,
     day_name,
     last_evidence,
+    lowest_apart,
     met_words,
     probability_words,
     spots_table,
@@ -36,9 +37,21 @@ from trainlog.formats.mapfile import MapFile
 from trainlog.formats.railway import line_of, read_line
 from trainlog.formats.samples import names, sample
 from trainlog.mcap import read_log
-from trainlog.presentation import NUMBER, Column, Presented, Said, WordTable, frame_table, new_table
+from trainlog.presentation import (
+    NUMBER,
+    POSITION,
+    Column,
+    Presented,
+    Said,
+    WordTable,
+    frame_table,
+    new_table,
+)
 from trainlog.railway.condition import ConditionLayer, ModelParameter, TrackConditionMap
 from trainlog.railway.line import Line
+
+SPOT_SEPARATION = 250.0
+"""Two low spots count as two when they are at least this far from each other [m]."""
 
 LOGARITHMS = {
     "mean": "median of normal rail",
@@ -56,7 +69,7 @@ LISTED = 12
 
 Row = Mapping[Hashable, Any]
 
-LAYER_COLUMNS = (
+STATE_COLUMNS = (
     LAYER,
     Column("trips", NUMBER),
     Column("onsets measured", NUMBER, key="onsets"),
@@ -187,7 +200,7 @@ class MapState(Presented):
         """Layers, lowest places, spots and changes; the model is shown on request."""
         at = "" if self.at is None else f", expected at {self.at:%Y-%m-%d %H:%M} UTC"
         title = f"Track condition of {self.track.line}, {self.track.bin_length:.0f} m bins"
-        layers = new_table(title, *LAYER_COLUMNS, name="layers", frame=self.layers)
+        layers = new_table(title, *STATE_COLUMNS, name="layers", frame=self.layers)
         lowest = new_table(
             f"Lowest maximum adhesion{at}", *PLACE_COLUMNS, name="lowest", frame=self.lowest
         )
@@ -337,15 +350,11 @@ def _lowest(
 ) -> pd.DataFrame:
     """The lowest bins of each layer, lasting or expected, apart from each other."""
     rows = bins_table(track, line, at, names)
+    least = np.fmin(rows["adhesion"], rows["expected"])
     chosen: list[int] = []
-    for _, layer in rows[rows["observed"]].groupby("layer", sort=False):
-        least = layer[["adhesion", "expected"]].min(axis=1).sort_values(kind="stable")
-        taken: list[float] = []
-        for number in least.index:
-            place = float(rows["start_m"][number])
-            if len(taken) < places and all(abs(place - one) >= SPOT_SEPARATION for one in taken):
-                taken.append(place)
-                chosen.append(int(number))
+    for name in names:
+        own = rows["observed"] & (rows["layer"] == name)
+        chosen += lowest_apart(rows["start_m"], least, own, SPOT_SEPARATION, places)
     return rows.loc[chosen].reset_index(drop=True)
 
 
@@ -473,3 +482,159 @@ def _line_of_log(log: Path) -> Line:
     trip = read_log(log, topics=[])
     line = line_of(trip)
     return line.reversed() if trip.metadata.get("direction") == "reverse" else line
+
+
+# ---------------------------------------------------------------------------------- summary
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """A low spot: chainage [m], maximum adhesion there and the ends of its 95 % band."""
+
+    position: float
+    adhesion: float
+    low: float
+    high: float
+
+
+UNMEASURED = (
+    "in them the axle's effort neither fell nor was cut, or it is not known, or is known of the"
+    " whole train only and another axle had slipped just before"
+)
+"""Why slip events do not show the maximum."""
+
+
+@dataclass(frozen=True, slots=True)
+class LayerSummary:
+    """What a layer of a map amounts to.
+
+    Attributes
+    ----------
+    layer : str
+    trips : int
+    observed_bins, bins : int
+    observed_length : float [m]
+    events : int
+        Onsets of slip that measured the maximum.
+    lowest : tuple of Spot
+        Least adhesion first, at least `SPOT_SEPARATION` apart.
+    unmeasured : int
+        Slip events that did not show the maximum (`UNMEASURED`).
+    incomplete : int
+        Trips on which slips may have gone unseen.
+    notes : dict of str to tuple of str
+        What the recorders of the trips lacked, as first met, with the trips of which that holds.
+    """
+
+    layer: str
+    trips: int
+    observed_bins: int
+    bins: int
+    observed_length: float
+    events: int
+    lowest: tuple[Spot, ...]
+    unmeasured: int = 0
+    incomplete: int = 0
+    notes: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def elsewhere(self) -> str:
+        """What holds where nothing was observed, in words."""
+        if not self.unmeasured and not self.incomplete:
+            return "Where nothing was observed, demand never met the limit: no estimate."
+        words = "Where nothing was observed, the map has no estimate"
+        if self.unmeasured:
+            measured = counted(self.events, "onset")
+            words += f"; {measured} of slip measured the maximum, {self.unmeasured} others did not"
+            words += f" ({UNMEASURED})"
+        if self.incomplete:
+            words += f"; on {counted(self.incomplete, 'trip')} slips may have gone unseen"
+        return words + "."
+
+
+def summary(track: TrackConditionMap, spots: int = 5) -> tuple[LayerSummary, ...]:
+    """What each layer of a map amounts to, with its lowest spots."""
+    return tuple(
+        LayerSummary(
+            layer=name,
+            trips=sum(trip["layer"] == name for trip in track.trips),
+            observed_bins=int(np.count_nonzero(layer.observed)),
+            bins=track.bins,
+            observed_length=observed_length(track, layer),
+            events=int(layer.events.sum()),
+            lowest=tuple(
+                _spot(track, layer, int(row))
+                for row in lowest_apart(
+                    track.centres, layer.log_mean, layer.observed, SPOT_SEPARATION, spots
+                )
+            ),
+            **_recorded(track, name),
+        )
+        for name, layer in track.layers.items()
+    )
+
+
+def _recorded(track: TrackConditionMap, layer: str) -> dict[str, Any]:
+    """What the trips of a layer lacked: the last fields of `LayerSummary`."""
+    trips = [trip for trip in track.trips if trip["layer"] == layer]
+    first: dict[str, str] = {}
+    found: dict[str, list[str]] = {}
+    for trip in trips:
+        for note in trip.get("notes", ()):
+            # Notes of one kind differ in their numbers only.
+            kind = "".join(re.split(r"[-\d., ]+", note))
+            found.setdefault(first.setdefault(kind, note), []).append(str(trip["trip"]))
+    return {
+        "unmeasured": sum(int(trip.get("unmeasured", 0)) for trip in trips),
+        "incomplete": sum(trip.get("complete") is False for trip in trips),
+        "notes": {note: tuple(names) for note, names in found.items()},
+    }
+
+
+def observed_length(track: TrackConditionMap, layer: ConditionLayer) -> float:
+    """Length of the observed bins [m]; the last bin ends with the line."""
+    return float(np.diff(track.edges)[layer.observed].sum())
+
+
+def _spot(track: TrackConditionMap, layer: ConditionLayer, row: int) -> Spot:
+    mean, band = layer.log_mean[row], 1.96 * layer.log_std[row]
+    ends = (float(np.exp(each)) for each in (mean, mean - band, mean + band))
+    return Spot(float(track.centres[row]), *ends)
+
+
+def map_words(track: TrackConditionMap) -> list[str]:
+    """What holds where nothing was observed, and what the recorders lacked, in sentences."""
+    every = summary(track)
+    words = [
+        each.elsewhere if len(every) == 1 else f"{each.layer}: {each.elsewhere}" for each in every
+    ]
+    if len({each.elsewhere for each in every}) <= 1:
+        words = [each.elsewhere for each in every[:1]]
+    for each in every:
+        for note, trips in each.notes.items():
+            more = f" and {len(trips) - 1} more" if len(trips) > 1 else ""
+            words.append(f"{each.layer}, {trips[0]}{more}: {note}")
+    return words
+
+
+def _spots_in_words(layer: LayerSummary) -> str:
+    spots = [
+        f"km {spot.position / 1e3:.3f}: {spot.adhesion:.3f} ({spot.low:.3f} to {spot.high:.3f})"
+        for spot in layer.lowest
+    ]
+    return "\n".join(spots) or "nothing observed"
+
+
+def _observed(layer: LayerSummary) -> Said:
+    share = layer.observed_bins / layer.bins
+    words = f"{layer.observed_length / 1e3:.1f} km, {share:.0%}"
+    return Said(layer.observed_length, words)
+
+
+LAYER_COLUMNS = (
+    Column("rail\ncondition", key="layer"),
+    Column("trips", NUMBER),
+    Column("onsets measured", NUMBER, key="onsets", of="events"),
+    Column("observed", POSITION, each=True, of=_observed),
+    Column("lowest maximum adhesion (95 % band)", key="lowest", of=_spots_in_words, rank=1),
+)

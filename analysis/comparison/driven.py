@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import median_filter, uniform_filter1d
 
-from analysis.adhesion.events import protection_onsets
+from analysis.adhesion.axles import protection_onsets
 from analysis.given import Given, trip_of
 from trainlog.along_line import (
     GAP_DISTANCE,

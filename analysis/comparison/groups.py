@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.adhesion.events import protection_onsets
+from analysis.adhesion.axles import protection_onsets
 from analysis.comparison.driven import described, driven_trip, pieces_of
 from analysis.given import Given, each_given
 from trainlog.display import counted

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from analysis.adhesion.events import protection_onsets
+from analysis.adhesion.axles import protection_onsets
 from analysis.control import prediction as prediction
 from analysis.control.observer import Observer
 from analysis.control.odometry import MARGIN, Odometry

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from analysis.adhesion.events import protection_onsets
+from analysis.adhesion.axles import protection_onsets
 from analysis.adhesion.slip import slip
 from analysis.charts import (
     BLUE,

@@ -294,12 +294,10 @@ def adhesion(trip: FleetTrip, bin_length: float = BIN_LENGTH) -> pd.DataFrame:
 
     A trip that never met an edge's limit gives a row there, too: what it used without slip.
     """
-    from analysis.adhesion.condition_map import entry_of
-    from analysis.adhesion.covariates import covariates
-    from analysis.adhesion.empty_map import empty_map_of
-    from analysis.adhesion.evidence import condition_of, evidence_of
+    from analysis.adhesion.condition_map import empty_map_of, recording_of
+    from analysis.adhesion.evidence import condition_of, with_details
     from analysis.network.edges import edges_of, on_edge
-    from trainlog.formats.recordings import packed_evidence
+    from trainlog.formats.mapfile import packed_evidence
     from trainlog.identity import text_of
 
     line = trip.own_line
@@ -314,10 +312,10 @@ def adhesion(trip: FleetTrip, bin_length: float = BIN_LENGTH) -> pd.DataFrame:
         seen = on_edge(analysis, edge)
         if not seen.time.size:
             continue
-        found = evidence_of(seen, track, conditions[edge.name], sha256=trip.sha256)
-        details = found.details | covariates(trip.trip, found.span)
-        found = replace(found, recorded=trip.identity, details=details)
-        entry = {name: each for name, each in entry_of(found).items() if name != "identity"}
+        found = with_details([seen], trip.trip, track, conditions[edge.name], sha256=trip.sha256,
+                             recorded=trip.identity)  # fmt: skip
+        entry = recording_of(found).entry
+        entry.pop("identity")
         for layer, daily in found.layers.items():
             days = daily.days
             rows.append(
@@ -336,7 +334,7 @@ def adhesion(trip: FleetTrip, bin_length: float = BIN_LENGTH) -> pd.DataFrame:
                     "weighted_log": float(daily.weighted_log.sum()),
                     "sha256": trip.sha256,
                     "identity": text_of(trip.identity),
-                    "steps": len(trip.trip.provenance),
+                    "steps": found.steps,
                     "entry": json.dumps(entry, sort_keys=True, ensure_ascii=False),
                     "evidence": zlib.compress(packed_evidence(daily)),
                 }

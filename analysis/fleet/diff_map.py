@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from analysis.adhesion.empty_map import empty_map_of
+from analysis.adhesion.condition_map import empty_map_of
 from analysis.fleet.diff_judgement import REACH
 from analysis.fleet.maps import evidence_of_row
 from trainlog.arrays import FloatArray

@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from analysis.adhesion.empty_map import empty_map_of
+from analysis.adhesion.condition_map import empty_map_of
 from analysis.network.maps import edge_map_path
 from trainlog.formats.files import made_folder, write_bytes
-from trainlog.formats.mapfile import MapFile
+from trainlog.formats.mapfile import MapFile, Recording
 from trainlog.formats.packed import unpack
-from trainlog.formats.recordings import Recording
 from trainlog.identity import identity_from_text
 from trainlog.progress import task
 from trainlog.railway.evidence import DailyEvidence

@@ -7,7 +7,6 @@ do so where they are started with ``--preload analysis.fleet.worker``.
 from __future__ import annotations
 
 import analysis.adhesion.condition_map
-import analysis.adhesion.covariates
 import analysis.adhesion.evidence
 import analysis.fleet.checks
 import analysis.fleet.driving

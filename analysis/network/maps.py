@@ -18,23 +18,43 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from analysis.adhesion.updating import FileUpdate, LogOutcome, MapUpdate, known_layers
+from analysis.adhesion.condition_map import (
+    FileUpdate,
+    LogOutcome,
+    MapUpdate,
+    empty_map_of,
+    known_layers,
+    naming_log,
+    outcomes_of,
+    refusal_of,
+)
+from analysis.adhesion.condition_table import shown
+from analysis.adhesion.map_state import summary
 from trainlog.condition import estimated, known_before
 from trainlog.display import counted
-from trainlog.errors import InputError, LogError
-from trainlog.formats.condition import read_map
+from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.formats.declared import thing_to_bytes
 from trainlog.formats.files import (
-    logs_of,
     made_folder,
     read_bytes,
     sha256,
     sha256_of,
     write_bytes,
 )
-from trainlog.formats.mapfile import MapFile
+from trainlog.formats.mapfile import MapFile, read_map
 from trainlog.formats.railway import network_from_bytes
-from trainlog.presentation import Presented, WordTable
+from trainlog.presentation import (
+    ADHESION,
+    NUMBER,
+    POSITION,
+    Cell,
+    Column,
+    Ends,
+    Presented,
+    Said,
+    WordTable,
+    new_table,
+)
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.line import Leg, Line
@@ -144,8 +164,6 @@ class NetworkMap(Presented):
 
     def tables(self) -> list[WordTable]:
         """A row per edge and rail condition."""
-        from analysis.network.map_table import network_table
-
         return [network_table(self)]
 
     @property
@@ -222,6 +240,73 @@ def _network_of(folder: Path) -> Network | None:
     return network_from_bytes(read_bytes(path), file=path) if path.is_file() else None
 
 
+def network_table(
+    maps: NetworkMap, time: pd.Timestamp | None = None, layers: list[str] | None = None
+) -> WordTable:
+    """A row per edge and rail condition, in the order of the network's edges.
+
+    Parameters
+    ----------
+    maps : NetworkMap
+    time : Timestamp, optional
+        At which adhesion is expected; default: right after the last evidence.
+    layers : list of str, optional
+        Default: all.
+
+    Raises
+    ------
+    InputError
+        If no edge has a rail condition that is named.
+    """
+    for name in layers or []:
+        if name not in maps.layers:
+            raise InputError(
+                f"no edge has a layer '{name}'",
+                file=maps.folder,
+                remedy=f"layers there are: {', '.join(maps.layers) or 'none'}",
+            )
+    network = maps.network
+    name = network.name if network is not None else maps.folder.name
+    table = new_table(
+        f"Track condition of network {name}",
+        Column("edge"),
+        Column("rail\ncondition", key="layer"),
+        Column("trips", NUMBER),
+        Column("onsets\nmeasured", NUMBER, key="onsets"),
+        Column("observed", POSITION),
+        Column("expected\nadhesion", ADHESION, key="expected"),
+        Column("lowest (95 % band)", ADHESION, key="lowest"),
+        Column("lowest at", POSITION),
+        name="edges",
+    )
+    for edge in maps.maps if network is None else [each.name for each in network.edges]:
+        track = maps.maps.get(edge)
+        if track is None:
+            table.add_cells(edge, None, 0, 0, Said(0.0, "nothing"), None, None, None)
+            continue
+        for each in summary(track, 0):
+            if layers and each.layer not in layers:
+                continue
+            layer = track.layer(each.layer)
+            expected, seen = layer.expected(time), layer.observed
+            share = each.observed_length / track.length
+            observed = Said(
+                each.observed_length, f"{each.observed_length / 1e3:.1f} km, {share:.0%}"
+            )
+            found: tuple[Cell, ...] = (None, None, None)
+            if seen.any():
+                middle = expected.log_mean
+                lowest = int(np.flatnonzero(seen)[np.argmin(middle[seen])])
+                _, low, high = (float(each[lowest]) for each in shown(expected))
+                found = (
+                    float(np.exp(np.mean(middle[seen]))),
+                    Ends(float(np.exp(middle[lowest])), low, high),
+                    float(track.centres[lowest]),
+                )
+            table.add_cells(edge, each.layer, each.trips, each.events, observed, *found)
+    return table
+
+
 def map_along(line: Line, maps: Mapping[str, TrackConditionMap]) -> TrackConditionMap:
     """The map along a line of the maps of the edges that it runs over; see `NetworkMap.along`.
 
@@ -279,8 +364,7 @@ def map_along(line: Line, maps: Mapping[str, TrackConditionMap]) -> TrackConditi
 
 def _bins_of_line(leg: Leg, track: TrackConditionMap, whole: TrackConditionMap) -> NDArray[Any]:
     """By bin of an edge the bin of the line in which its middle lies; -1: not on the leg."""
-    ends = np.minimum(np.arange(track.bins + 1) * track.bin_length, track.length)
-    middle = 0.5 * (ends[1:] + ends[:-1])
+    middle = 0.5 * (track.edges[1:] + track.edges[:-1])
     low, high = sorted((leg.edge_start, leg.edge_end))
     there = (middle >= low) & (middle <= high)
     return np.where(there, whole.bin_of(leg.on_line(middle)), -1)
@@ -288,18 +372,8 @@ def _bins_of_line(leg: Leg, track: TrackConditionMap, whole: TrackConditionMap) 
 
 def _moved(evidence: DailyEvidence, rows: NDArray[Any], bins: int) -> DailyEvidence:
     """Evidence with its bins numbered anew; what is numbered -1 is left out."""
-    own, used = rows[evidence.bin] >= 0, rows[evidence.used_bin] >= 0
-    measured = ("day", "trips", "events", "weight", "weighted_log", "weighted_square", "common")
-    return DailyEvidence(
-        bins,
-        evidence.levels,
-        bin=rows[evidence.bin][own],
-        used_bin=rows[evidence.used_bin][used],
-        **{name: getattr(evidence, name)[own] for name in measured},
-        **{
-            name: getattr(evidence, name)[used] for name in ("used_day", "used_level", "used_trips")
-        },
-    )
+    kept = evidence.chosen(rows[evidence.bin] >= 0, rows[evidence.used_bin] >= 0)
+    return replace(kept, bins=bins, bin=rows[kept.bin], used_bin=rows[kept.used_bin])
 
 
 # ------------------------------------------------------------------------------------- update
@@ -349,20 +423,16 @@ def update_network_map(
         layer = given_condition(layer, layers)
     known = _kept_network(place, network)
     edges: dict[str, _EdgeUpdate] = {}
-    outcomes: list[LogOutcome] = []
     try:
-        given = [logs] if isinstance(logs, str | Path) else logs
-        for log in (log for each in given for log in logs_of(Path(each))):
-            outcomes.append(_outcome(log, place, known, edges, (layer, weather, retry)))
-            if report is not None:
-                report(outcomes[-1])
-        if not outcomes:
-            raise InputError("no log was given", remedy="name logs, or folders of logs")
+        options = (layer, weather, retry)
+        outcomes = outcomes_of(
+            logs, lambda log: _outcome(log, place, known, edges, options), report
+        )
     finally:
         for each in edges.values():
             each.close()
     trips, days = _amount(place)
-    return MapUpdate(place, tuple(outcomes), trips, days, made=trips > 0)
+    return MapUpdate(place, outcomes, trips, days, made=trips > 0)
 
 
 def _amount(folder: Path) -> tuple[int, int]:
@@ -395,7 +465,7 @@ class LogOnEdges:
     """A log that is added to the maps of its edges; it is analysed once at most."""
 
     def __init__(self, path: Path, network: Network | None) -> None:
-        from analysis.adhesion.condition_map import own_line
+        from analysis.adhesion.evidence import own_line
         from analysis.network.edges import edges_of
         from trainlog.mcap import read_log
 
@@ -417,7 +487,7 @@ class LogOnEdges:
     @cached_property
     def pieces(self) -> list[Any]:
         """Slip analyses of the stretches of the log."""
-        from analysis.adhesion.condition_map import slips_of_log
+        from analysis.adhesion.evidence import slips_of_log
 
         return list(slips_of_log(self.path))
 
@@ -430,8 +500,7 @@ class LogOnEdges:
         digest: str,
     ) -> Evidence:
         """What the trip showed on an edge, in the bins of its map."""
-        from analysis.adhesion.covariates import covariates
-        from analysis.adhesion.evidence import condition_of, evidence_of_parts
+        from analysis.adhesion.evidence import condition_of, with_details
         from analysis.network.edges import on_edge
         from trainlog.mcap.reader import identity_of_log
 
@@ -443,13 +512,8 @@ class LogOnEdges:
             raise LogError(
                 f"trip '{self.trip.name}' was not recorded on edge '{edge.name}' of its route"
             )
-        piece = evidence_of_parts(parts, track, condition, sha256=digest)
-        return replace(
-            piece,
-            recorded=identity_of_log(self.path),
-            steps=len(self.trip.provenance),
-            details=piece.details | covariates(self.trip, piece.span, weather),
-        )
+        return with_details(parts, self.trip, track, condition, weather, sha256=digest,
+                            recorded=identity_of_log(self.path))  # fmt: skip
 
 
 class _EdgeUpdate(FileUpdate):
@@ -464,9 +528,6 @@ class _EdgeUpdate(FileUpdate):
 
     def analysed(self, log: Path, digest: str) -> tuple[Evidence, TrackConditionMap, str]:
         """The evidence of the log on the edge, the map that it is for, and what is lost of it."""
-        from analysis.adhesion.condition_map import empty_map_of
-        from analysis.adhesion.updating import naming_log
-
         assert self.log is not None
         edge = next(each for each in self.log.edges if each.name == self.edge)
         with naming_log(log) as losses:
@@ -491,12 +552,10 @@ def _outcome(
     options: tuple[str | None, Weather | None, bool],
 ) -> LogOutcome:
     """What became of a log on all its edges."""
-    from trainlog.errors import TrainlogError
-
     try:
         given = LogOnEdges(log, network)
     except TrainlogError as error:
-        return LogOutcome(str(log), "refused", reason=_with_file(error, log))
+        return LogOutcome(str(log), "refused", reason=refusal_of(error, log))
     found: list[LogOutcome] = []
     digest = sha256_of(log)
     for edge in given.edges:
@@ -508,10 +567,6 @@ def _outcome(
         found.append(update.outcome(log, digest))
         update.log = None
     return _of_all(found)
-
-
-def _with_file(error: Any, log: Path) -> str:
-    return str(error if error.file else type(error)(error.problem, file=log, remedy=error.remedy))
 
 
 def _of_all(found: list[LogOutcome]) -> LogOutcome:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from analysis.adhesion.condition_table import bin_edges, bins_table
+from analysis.adhesion.condition_table import bins_table
 from analysis.adhesion.map_plot import detail, low_by_bin, lowest_bins, strip_cells
 from analysis.charts import GREY, INK, PALE, Chart, Curve, Label, Panel
 from trainlog.arrays import FloatArray
@@ -163,7 +163,7 @@ def network_map_charts(
         low = {edge: low_by_bin(each, _rows(bins, edge, name)) for edge, each in own.items()}
         if network is not None:
             shown = {
-                edge.name: (bin_edges(own[edge.name]), low[edge.name])
+                edge.name: (own[edge.name].edges, low[edge.name])
                 for edge in network.edges
                 if edge.name in own
             }

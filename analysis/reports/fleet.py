@@ -27,8 +27,7 @@ from analysis.fleet.plot import (
 from analysis.fleet.trains import FleetTrains, trains_in
 from analysis.fleet.unlike import Step
 from analysis.fleet.update import form_of_reason
-from analysis.network.map_table import network_table
-from analysis.network.maps import NetworkMap, map_files, two_maps
+from analysis.network.maps import NetworkMap, map_files, network_table, two_maps
 from analysis.reports.answers import (
     SPEED_OFF,
     doubts,
@@ -39,7 +38,7 @@ from analysis.reports.answers import (
 from analysis.reports.page import Page, Part, Section, Still, Warned
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.condition import read_map
+from trainlog.formats.mapfile import read_map
 from trainlog.presentation import (
     DURATION,
     NUMBER,

@@ -24,7 +24,7 @@ from analysis.trajectory.table import trajectory_table
 from analysis.verification.scoring import score_rolling
 from trainlog.display import at_most, counted, lateness
 from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.condition import read_map
+from trainlog.formats.mapfile import read_map
 from trainlog.formats.railway import (
     line_of_plan,
     read_coast_down,

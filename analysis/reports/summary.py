@@ -9,15 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from analysis.adhesion.condition_map import summary
+from analysis.adhesion.map_state import summary
 from analysis.comparison.groups import compare_groups, punctuality
 from analysis.trajectory.table import section_name
 from analysis.truth import SimulatedLogs, Truth, curve_error, map_error
 from trainlog.display import counted, lateness, span
 from trainlog.errors import InputError, LogError
-from trainlog.formats.condition import read_map
 from trainlog.formats.files import beginning, stated_format
-from trainlog.formats.mapfile import MapFile
+from trainlog.formats.mapfile import MapFile, read_map
 from trainlog.formats.railway import (
     line_of_plan,
     read_coast_down,

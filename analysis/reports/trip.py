@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from analysis.adhesion.condition_map import own_line
+from analysis.adhesion.evidence import own_line
 from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.charts import (
     BLUE,

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 from scipy.special import ndtr
 
 from analysis.adhesion.condition_table import last_evidence
-from analysis.verification.references import GRID, climatology
+from analysis.verification.scores import GRID, climatology
 from analysis.verification.verify import Forecaster
 from trainlog.arrays import BoolArray, FloatArray
-from trainlog.condition import estimated, known_before
+from trainlog.condition import known_before, layer_before
 from trainlog.errors import InputError
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import day_of
@@ -133,35 +131,11 @@ def rolling_forecast(track: TrackConditionMap) -> Forecaster:
     def expected(layer: str, time: pd.Timestamp) -> AdhesionEstimate | None:
         day = day_of(time)
         if (layer, day) not in made:
-            made[layer, day] = before(track, day, layer)
+            made[layer, day] = layer_before(track, day, layer)
         known = made[layer, day]
         return None if known is None else known.expected(time)
 
     return expected
-
-
-def before(track: TrackConditionMap, day: int, layer: str) -> ConditionLayer | None:
-    """A layer of the map as it was before a day; None if there was no evidence until then.
-
-    Parameters
-    ----------
-    track : TrackConditionMap
-    day : int
-        Counted from 1970-01-01 in UTC.
-    layer : str
-
-    Examples
-    --------
-    >>> from trainlog.formats.condition import read_map
-    >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
-    >>> before(track, 0, "wet") is None
-    True
-    """
-    known = track.layer(layer).evidence.between(-1, day - 1)
-    if not known.days.size:
-        return None
-    alone = replace(track, layers={layer: ConditionLayer.unestimated(known)}, trips=())
-    return estimated(alone).layer(layer)
 
 
 def forecast_of(
@@ -197,7 +171,7 @@ def forecast_of(
 
     Examples
     --------
-    >>> from trainlog.formats.condition import read_map
+    >>> from trainlog.formats.mapfile import read_map
     >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
     >>> found = forecast_of(track, pd.Timestamp("2026-11-22T06:00Z"), layer="wet")
     >>> found.start.size == track.bins, bool(found.end[-1] == track.length)
@@ -210,7 +184,6 @@ def forecast_of(
     track = known_before(track, time)
     names = list(track.layers) if layer is None else [layer]
     tables = [track.layer(name).expected(time) for name in names]
-    edges = np.minimum(np.arange(track.bins + 1) * track.bin_length, track.length)
     count, first = len(names) * track.bins, time.as_unit("ns").value
     known = np.concatenate([each.observed for each in tables])
     quantiles = [
@@ -218,8 +191,8 @@ def forecast_of(
     ]
     return AdhesionForecast(
         track.line,
-        start=np.tile(edges[:-1], len(names)),
-        end=np.tile(edges[1:], len(names)),
+        start=np.tile(track.edges[:-1], len(names)),
+        end=np.tile(track.edges[1:], len(names)),
         valid_from=np.full(count, first, dtype=np.int64),
         valid_to=np.full(count, first + round(hours * 3600 * NANOSECONDS), dtype=np.int64),
         issued=np.full(count, first, dtype=np.int64),

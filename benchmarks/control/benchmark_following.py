@@ -28,7 +28,7 @@ from analysis.trajectory.envelope import fastest_run
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.arrays import FloatArray
-from trainlog.formats.condition import read_map
+from trainlog.formats.mapfile import read_map
 from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.railway import Configuration, Line, TrackConditionMap, Train, Trajectory

@@ -25,8 +25,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from analysis.adhesion.events import adhesion_noise
-from analysis.adhesion.slip import CURVE_AFTER, CURVE_BEFORE, CURVE_SPEED_STD, slip, wheel_noise
+from analysis.adhesion.slip import (
+    CURVE_AFTER,
+    CURVE_BEFORE,
+    CURVE_SPEED_STD,
+    adhesion_noise,
+    slip,
+    wheel_noise,
+)
 from estimators import creep_curve
 from trainlog.formats.railway import read_line, read_train
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample

@@ -42,14 +42,12 @@ from analysis.fleet.maps import maps_folder
 from analysis.fleet.resistance import fleet_resistance
 from analysis.fleet.trains import fleet_trains, joined, trips_of
 from analysis.fleet.unlike import FALSE_ALARMS, Finding, UnlikeTrains, unlike_trains
-from analysis.network.map_scores import score_network
 from analysis.network.maps import NetworkMap, network_map
 from analysis.resistance.curve import band_factor, curve_std
 from analysis.verification.forecasts import rolling_forecast
-from analysis.verification.passages import time_of
-from analysis.verification.references import climatology, persistence, place_alone
-from analysis.verification.scores import crps, day_weights
-from analysis.verification.verify import BAND, DRAWS, FIGURES, FORECASTS, Forecaster
+from analysis.verification.scores import climatology, crps, day_weights, persistence, place_alone
+from analysis.verification.scoring import score_network
+from analysis.verification.verify import BAND, DRAWS, FIGURES, FORECASTS, Forecaster, time_of
 from trainlog.catalogue import Catalogue, open_catalogue
 from trainlog.cli.terminal import console
 from trainlog.formats.summaries import covariances_of, parameters_of

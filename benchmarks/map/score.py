@@ -27,11 +27,17 @@ from trips import Month, add_options, months
 
 from analysis.adhesion.condition_map import empty_map, update
 from analysis.charts import draw
-from analysis.verification.forecasts import before
-from analysis.verification.passages import Demand, passages_of
 from analysis.verification.scoring import Score
-from analysis.verification.verify import FIGURES, Forecaster, Verification, verify
+from analysis.verification.verify import (
+    FIGURES,
+    Demand,
+    Forecaster,
+    Verification,
+    passages_of,
+    verify,
+)
 from trainlog.cli.terminal import console
+from trainlog.condition import layer_before
 from trainlog.presentation import new_table
 from trainlog.railway.condition import AdhesionEstimate, ConditionLayer, TrackConditionMap
 from trainlog.units import NANOSECONDS
@@ -46,7 +52,7 @@ def by_map(track: TrackConditionMap) -> tuple[Forecaster, Forecaster]:
     def known(layer, time):
         day = int(time.value // DAY)
         if (layer, day) not in made:
-            made[layer, day] = before(track, day, layer)
+            made[layer, day] = layer_before(track, day, layer)
         return made[layer, day]
 
     def expected(layer, time):

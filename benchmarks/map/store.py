@@ -26,10 +26,8 @@ import pandas as pd
 
 from analysis import update_map
 from analysis.adhesion.condition_map import LEVELS, empty_map
-from trainlog.formats.mapfile import MapFile
-from trainlog.formats.mapmerge import merge_files
+from trainlog.formats.mapfile import MapFile, Recording, merge_files
 from trainlog.formats.railway import read_line, read_train
-from trainlog.formats.recordings import Recording
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.mcap import write_log
 from trainlog.railway import Line, Station, StepProfile

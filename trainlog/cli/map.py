@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from analysis.adhesion.updating import LogOutcome, MapUpdate
+    from analysis.adhesion.condition_map import LogOutcome, MapUpdate
     from analysis.verification.scoring import Score
 
 map_app = typer.Typer(help="The track-condition map: maximum adhesion.")
@@ -250,8 +250,7 @@ def _show_network(
 ) -> None:
     """Show the maps of a network's folder."""
     from analysis.charts import draw
-    from analysis.network.map_table import network_table
-    from analysis.network.maps import network_map
+    from analysis.network.maps import network_map, network_table
 
     maps = network_map(folder)
     shown = maps if when is None else maps.known_before(when)
@@ -468,9 +467,8 @@ def _scored(
     forecast: Path, logs: list[Path], rolling: bool, layer: str | None, weather: Path | None
 ) -> Score:
     """Score a map on its own days, or a forecast on logs."""
-    from analysis.network.map_scores import score_network, score_network_on
     from analysis.network.maps import network_map
-    from analysis.verification.scoring import line_of_logs
+    from analysis.verification.scoring import line_of_logs, score_network, score_network_on
 
     foreign = forecast.suffix.lower() == ".csv"
     if rolling:
@@ -541,7 +539,7 @@ def map_merge(maps: list[Path], /, *, output: Annotated[Path, Written(".map")]) 
     output : FILE
         New map file (.map).
     """
-    from trainlog.formats.mapmerge import merge_files
+    from trainlog.formats.mapfile import merge_files
 
     trips, days = merge_files(maps, output)
     console.print(f"the map holds {counted(trips, 'trip')} of {counted(days, 'day')}")

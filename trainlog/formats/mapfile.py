@@ -3,69 +3,343 @@
 Every recording that was given is kept with its evidence; which of them count is decided anew among
 the recordings of a drive whenever one comes. What a file holds is therefore a set that only grows,
 and the map a function of that set: it does not depend on the order in which trips came, nor on how
-they were divided between files that were merged.
+they were divided between files that were merged. A map at hand has the same ledger, in memory.
+
+The file holds evidence; docs/formats.md has its tables. The estimate is a function of evidence and
+settings (`trainlog.condition`): it is made on reading, or taken from the file where an earlier
+reader kept it.
 """
 
 from __future__ import annotations
 
+import json
 import os
+import secrets
 import sqlite3
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import asdict, dataclass, fields, replace
+from functools import reduce
 from itertools import groupby
+from operator import xor
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, NoReturn, Self
 
 import numpy as np
 from isal import isal_zlib
 from isal.igzip_lib import IsalError
 
 from trainlog.errors import InputError
-from trainlog.formats.files import refuse_reading, sha256
-from trainlog.formats.mapdatabase import (
-    HAS_REFUSED,
-    INSERT,
-    PATIENCE,
-    REFUSED,
-    SELECT,
-    add_to_total,
-    amount_in,
-    begin,
-    check_kind,
-    check_start,
-    damaged,
-    header_of,
-    insert_sums,
-    new_database,
-    refusing,
-    replace_row,
-    serialized,
-    set_total,
-    total_in,
+from trainlog.formats.files import (
+    check_written,
+    mistaken_map,
+    plain,
+    refuse_reading,
+    sha256,
+    write_bytes,
+    writing_error,
 )
-from trainlog.formats.packed import unpack_joined
-from trainlog.formats.recordings import (
-    Appended,
-    Recording,
-    Refusal,
-    Row,
-    packed_evidence,
-    place_of,
-    row_of,
-    sealed,
+from trainlog.formats.packed import pack, unpack, unpack_joined
+from trainlog.identity import Known, TripIdentity, identity_from_text, overlapping, same_drives
+from trainlog.railway.condition import (
+    ConditionChange,
+    ConditionLayer,
+    ConditionModel,
+    ModelParameter,
+    PassingSpot,
+    TrackConditionMap,
 )
-from trainlog.identity import identity_from_text, same_drives
-from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
+from trainlog.version import code_version_of
+
+APPLICATION = 0x746C6D70
+"""SQLite's application_id of a map: "tlmp"."""
+
+VERSION = 1
+"""Of the format; SQLite's user_version."""
+
+PATIENCE = 60.0
+"""How long another process that is writing is waited for [s]."""
+
+_TABLES = """
+CREATE TABLE header (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE trips (
+    key TEXT PRIMARY KEY, layer TEXT NOT NULL, start INTEGER, end INTEGER, first_day INTEGER,
+    last_day INTEGER, steps INTEGER NOT NULL, entry TEXT NOT NULL, identity TEXT, evidence TEXT,
+    counted INTEGER NOT NULL, digest TEXT NOT NULL
+) WITHOUT ROWID;
+CREATE INDEX trips_by_time ON trips (start, end);
+CREATE TABLE evidence (digest TEXT PRIMARY KEY, data BLOB NOT NULL);
+CREATE TABLE sums (layer TEXT PRIMARY KEY, digest TEXT NOT NULL, data BLOB NOT NULL);
+CREATE TABLE estimates (layer TEXT PRIMARY KEY, made_from TEXT NOT NULL, data BLOB NOT NULL);
+CREATE TABLE files (
+    path TEXT PRIMARY KEY, size INTEGER NOT NULL, changed INTEGER NOT NULL, sha256 TEXT NOT NULL
+);
+"""
+
+_REFUSED = """
+CREATE TABLE IF NOT EXISTS refused (
+    sha256 TEXT PRIMARY KEY, path TEXT NOT NULL, reason TEXT NOT NULL, tried TEXT NOT NULL
+)
+"""
+"""A table that a map has once a log was refused."""
+
+_HEADER = ("bin_length", "length", "levels", "line", "settings")
+_SORTED_BY = ("layer", "trip", "sha256", "identity")
+
+_EVIDENCE = tuple(
+    each.name for each in fields(DailyEvidence) if each.name not in ("bins", "levels")
+)
+_LISTED: dict[str, Any] = {"spots": PassingSpot, "changes": ConditionChange}
 
 _TOGETHER = 200
 """So many pieces of evidence are unpacked at once, and their rows in memory."""
 
 _FIRST, _LAST = np.iinfo(np.int64).min, np.iinfo(np.int64).max
 """Days before and after all."""
+
+
+# ------------------------------------------------------------------------------- recordings
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A recording of a drive, as it is given to a map.
+
+    Attributes
+    ----------
+    layer : str
+        Rail condition; where it changed on the way the one that held longest.
+    entry : dict
+        What the map keeps of the trip: ``trip`` (its name), ``sha256`` of its log (empty where
+        there is none), ``layer``, ``software`` and what else is known.
+    identity : TripIdentity or None
+        Which drive it is; None: not known.
+    steps : int
+        Of processing since it was recorded.
+    evidence : dict of str to DailyEvidence, optional
+        By rail condition. None: in the sums of its layers, or, if it does not count, not kept.
+    counted : bool
+        Whether it counts; a fuller recording of the same drive may do in its place.
+    """
+
+    layer: str
+    entry: dict[str, Any]
+    identity: TripIdentity | None = None
+    steps: int = 0
+    evidence: dict[str, DailyEvidence] | None = None
+    counted: bool = True
+
+    @property
+    def key(self) -> str:
+        """What identifies the recording: SHA-256 of the log, else the drive, else the name."""
+        if digest := str(self.entry.get("sha256") or ""):
+            return digest
+        if self.identity is not None:
+            return f"drive {sha256(self.identity.text.encode())}"
+        return f"trip {self.entry.get('trip', '')}"
+
+    def row(self, digests: Mapping[str, str] | None) -> Row:
+        """Its row; the digests of its evidence by layer, None if it is in the sums."""
+        identity, pieces = self.identity, (self.evidence or {}).values()
+        days = sorted({day for piece in pieces for day in piece.days.tolist()})
+        entry = plain({name: v for name, v in self.entry.items() if name != "identity"}, "trips")
+        return Row(
+            self.key,
+            self.layer,
+            None if identity is None else int(identity.start.value),
+            None if identity is None else int(identity.end.value),
+            days[0] if days else None,
+            days[-1] if days else None,
+            self.steps,
+            _compact_json(entry),
+            self.entry.get("identity"),
+            None if digests is None else _compact_json(digests),
+            int(self.counted),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Appended:
+    """What became of a recording that was given to a map.
+
+    Attributes
+    ----------
+    counted : bool
+    held : bool
+        Whether the map held this very recording already.
+    reason : str
+        Why it does not count, in words.
+    replaced : tuple of str
+        Names of the trips that counted before, and do no more: this is a fuller recording.
+    """
+
+    counted: bool
+    held: bool = False
+    reason: str = ""
+    replaced: tuple[str, ...] = ()
+
+
+class Refusal(NamedTuple):
+    """That a log could not be used, as a map's file keeps it.
+
+    Attributes
+    ----------
+    sha256 : str
+        Of the log.
+    path : str
+        Where it was.
+    reason : str
+        In words, with the path.
+    tried : str
+        What the outcome depends on besides the log: code, rail condition and weather given.
+    """
+
+    sha256: str
+    path: str
+    reason: str
+    tried: str
+
+    def is_repeated_by(self, other: Refusal) -> bool:
+        """Whether the other states the same, of the log where it is then."""
+        return self.reason.replace(self.path, "") == other.reason.replace(other.path, "")
+
+
+class Row(NamedTuple):
+    """A row of the table of trips, as it stands in the file.
+
+    Attributes
+    ----------
+    key : str
+        See `Recording.key`.
+    layer : str
+    start, end : int or None [ns since 1970 UTC]
+        Of what was recorded.
+    first_day, last_day : int or None
+        First and last day with evidence; None: there is none.
+    steps : int
+    entry : str
+        JSON.
+    identity : str or None
+    evidence : str or None
+        JSON: digests of the evidence by layer. None: it is in the sums, or was left out of them.
+    counted : int
+        1 or 0.
+    """
+
+    key: str
+    layer: str
+    start: int | None
+    end: int | None
+    first_day: int | None
+    last_day: int | None
+    steps: int
+    entry: str
+    identity: str | None
+    evidence: str | None
+    counted: int
+
+    @property
+    def full(self) -> tuple[Any, ...]:
+        """The columns and their digest."""
+        return (*self, _sealed(self))
+
+    @property
+    def days(self) -> tuple[int, int]:
+        """The first and the last with evidence; (-1, -1) if there is none."""
+        if self.first_day is None or self.last_day is None:
+            return -1, -1
+        return self.first_day, self.last_day
+
+    @property
+    def pieces(self) -> dict[str, str]:
+        """Digests of the evidence by layer; none if it is in the sums."""
+        found: dict[str, str] = json.loads(self.evidence) if self.evidence else {}
+        return found
+
+    @property
+    def entry_whole(self) -> dict[str, Any]:
+        """The entry of the trip as a map at hand has it."""
+        entry: dict[str, Any] = json.loads(self.entry)
+        return entry if self.identity is None else {**entry, "identity": self.identity}
+
+    @property
+    def known(self) -> Known:
+        """The recording, to be compared with others of the drive."""
+        entry = json.loads(self.entry)
+        name, digest = str(entry.get("trip", "")), str(entry.get("sha256") or "")
+        fixed = self.evidence is None
+        # What is in the sums is counted for good, what was left out of them never is.
+        identity = None if fixed and not self.counted else identity_from_text(self.identity or "")
+        order = (self.steps, digest, name)
+        return Known(name, identity, order, held=fixed and bool(self.counted), digest=digest)
+
+
+_SELECT = f"SELECT {', '.join((*Row._fields, 'digest'))} FROM trips"
+_INSERT = f"INSERT INTO trips VALUES ({', '.join('?' * (len(Row._fields) + 1))})"
+
+
+def reasons_of(rows: Sequence[Row]) -> dict[str, str]:
+    """Why recordings do not count, by key: each is of a drive of which another does."""
+    same = same_drives([row.known for row in rows])
+    return {rows[each.number].key: each.sentence for each in same}
+
+
+def packed_evidence(evidence: DailyEvidence) -> bytes:
+    """Evidence as bytes; its digest is that of these."""
+    facts = {"bins": evidence.bins, "levels": evidence.levels}
+    return pack(facts, {name: getattr(evidence, name) for name in _EVIDENCE})
+
+
+def unpacked_evidence(many: Sequence[bytes]) -> DailyEvidence:
+    """The rows of several pieces of evidence, one behind the other.
+
+    Raises
+    ------
+    ValueError, TypeError, KeyError
+        If they are none that `packed_evidence` made, or of different bins.
+    """
+    facts, arrays = unpack_joined(many)
+    if any(each != facts[0] for each in facts):
+        raise ValueError("its bins differ from those of others")
+    return DailyEvidence(facts[0]["bins"], facts[0]["levels"], **arrays)
+
+
+def place_of(entry: Mapping[str, Any]) -> tuple[str, ...]:
+    """By what the trips of a map are sorted."""
+    return (*(str(entry.get(name, "")) for name in _SORTED_BY), repr(sorted(entry.items())))
+
+
+def _sealed(values: Sequence[Any]) -> str:
+    """The checksum over the columns of a row."""
+    return sha256(repr(tuple(values)).encode())[:16]
+
+
+def _compact_json(value: Mapping[str, Any]) -> str:
+    """JSON on one line, keys in order."""
+    return json.dumps(value, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
+
+
+class _Piece(NamedTuple):
+    """Evidence of a trip in one layer, and the days on which the trip gave evidence."""
+
+    first_day: int
+    last_day: int
+    digest: str
+
+
+def _pieces_of(rows: Iterable[Row]) -> dict[str, list[_Piece]]:
+    """What the rows that count have in the file, by layer."""
+    found: dict[str, list[_Piece]] = {}
+    for row in rows:
+        for layer, digest in row.pieces.items() if row.counted else ():
+            found.setdefault(layer, []).append(_Piece(*row.days, digest))
+    return found
+
+
+# --------------------------------------------------------------------------------- the file
 
 
 class MapFile:
@@ -93,27 +367,87 @@ class MapFile:
                 start = stream.read(4096)
         except OSError as error:
             refuse_reading(self.path, error)
-        check_start(start, self.path)
-        with refusing(self.path):
+        _check_start(start, self.path)
+        with _refusing(self.path):
             name = f"{self.path.absolute().as_uri()}?mode=rw"
             self._database = sqlite3.connect(
                 name, timeout=PATIENCE, isolation_level=None, uri=True, check_same_thread=False
             )
             # Durable when a trip is acknowledged, also after a power cut.
             self._database.execute("PRAGMA synchronous = EXTRA")
-            check_kind(self._database, self.path)
+            _check_kind(self._database, self.path)
+
+    @classmethod
+    def _in_memory(cls, file: str | Path) -> Self:
+        found = cls.__new__(cls)
+        found.path = Path(file)
+        found._database = sqlite3.connect(":memory:", isolation_level=None)
+        return found
 
     @classmethod
     def of_bytes(cls, data: bytes, file: str | Path) -> Self:
         """A copy in memory of the bytes of a file; `file` is what errors call it."""
-        check_start(data[:4096], file)
-        found = cls.__new__(cls)
-        found.path = Path(file)
-        found._database = sqlite3.connect(":memory:", isolation_level=None)
-        with refusing(file):
+        _check_start(data[:4096], file)
+        found = cls._in_memory(file)
+        with _refusing(file):
             found._database.deserialize(data)
-            check_kind(found._database, file)
+            _check_kind(found._database, file)
         return found
+
+    @classmethod
+    def of_map(cls, track: TrackConditionMap, file: str | Path = "map") -> Self:
+        """The file of a map at hand, in memory: sums by day, so that all its trips count for good.
+
+        The same map gives the same bytes.
+        """
+        rows: dict[str, Row] = {}
+        for number, entry in enumerate(sorted(track.trips, key=place_of)):
+            identity = identity_from_text(str(entry.get("identity") or ""))
+            row = Recording(str(entry.get("layer", "")), dict(entry), identity).row(None)
+            if row.key in rows:
+                row = row._replace(key=f"{row.key} {number}")
+            rows[row.key] = row
+        sums = {name: track.layers[name].evidence for name in sorted(track.layers)}
+        return cls._made(track, file, rows.values(), (), sums)
+
+    @classmethod
+    def _made(
+        cls,
+        empty: TrackConditionMap,
+        file: str | Path,
+        rows: Iterable[Row],
+        evidence: Iterable[tuple[str, bytes]],
+        sums: Mapping[str, DailyEvidence],
+    ) -> Self:
+        """A file in memory with the header of a map, rows, their evidence and sums by layer."""
+        found = cls._in_memory(file)
+        found._database.execute(f"PRAGMA application_id = {APPLICATION}")
+        found._database.execute(f"PRAGMA user_version = {VERSION}")
+        found._database.executescript(_TABLES)
+        header = {name: plain(getattr(empty, name), name) for name in _HEADER}
+        stated = {
+            key: json.dumps(value, sort_keys=True, ensure_ascii=False, allow_nan=False)
+            for key, value in header.items()
+        }
+        with found._writing() as database:
+            stated["digest"] = _sealed([stated[key] for key in _HEADER])
+            database.executemany("INSERT INTO header VALUES (?, ?)", stated.items())
+            database.executemany(_INSERT, (row.full for row in rows))
+            database.executemany("INSERT INTO evidence VALUES (?, ?)", evidence)
+            for layer, piece in sums.items():
+                found._insert_sums(layer, piece)
+            found._set_total()
+        return found
+
+    def data(self, *, in_order: bool = False) -> bytes:
+        """The bytes of a file in memory; which release of SQLite wrote them is left out.
+
+        One whose rows were inserted in the order of their keys is compact already.
+        """
+        if not in_order:
+            self._database.execute("VACUUM")
+        data = self._database.serialize()
+        return b"".join((data[:96], bytes(4), memoryview(data)[100:]))
 
     def __enter__(self) -> Self:
         return self
@@ -127,25 +461,72 @@ class MapFile:
 
     # ------------------------------------------------------------------------------ reading
 
+    def read(self) -> TrackConditionMap:
+        """The whole map. An estimate that no earlier reader kept is made, and kept if possible.
+
+        Raises
+        ------
+        InputError
+            If the file is damaged, or its evidence is not of its bins.
+        """
+        with self.unchanging():
+            trips = self.trips()
+            entries = sorted((row.entry_whole for row in trips if row.counted), key=place_of)
+            track = replace(self.empty, trips=tuple(entries))
+            known = self.layers(trips)
+            # What else changed since the estimate was made does not matter.
+            code = code_version_of("trainlog.condition")
+            made_from = {name: f"{digest} {code}" for name, (_, digest) in known.items()}
+            kept = {name: self._estimate(name, each) for name, each in made_from.items()}
+        for name, (evidence, _) in known.items():
+            if (evidence.bins, evidence.levels) != (track.bins, track.levels.size):
+                raise InputError(
+                    f"has evidence of {evidence.bins} bins and {evidence.levels} levels for a line"
+                    f" of {track.bins} and {track.levels.size}",
+                    file=self.path,
+                    place=f"layer '{name}'",
+                    remedy="build the map anew from the logs",
+                )
+        layers = {
+            name: _layer_of(evidence, kept[name]) or ConditionLayer.unestimated(evidence)
+            for name, (evidence, _) in known.items()
+        }
+        if all(kept.values()) and all(np.isfinite(x.log_mean).all() for x in layers.values()):
+            return replace(track, layers=layers)
+        # Imported where it is needed: to keep evidence takes none of what computes with it.
+        from trainlog.condition import estimated
+
+        found = estimated(replace(track, layers=layers))
+        with suppress(TypeError, ValueError, InputError):
+            new = {name: (made_from[name], _packed(layer)) for name, layer in found.layers.items()}
+            self._keep_estimates(new)
+        return found
+
     @property
     def empty(self) -> TrackConditionMap:
-        """The map without its layers and trips."""
-        with refusing(self.path):
-            return header_of(dict(self._database.execute("SELECT key, value FROM header")))
+        """The map without its layers and trips; its header is verified."""
+        known = dict(self._asked("SELECT key, value FROM header"))
+        with _refusing(self.path):
+            if _sealed([known[key] for key in _HEADER]) != known["digest"]:
+                raise ValueError("its header was changed")
+            values = {key: json.loads(known[key]) for key in _HEADER}
+            for name in ("length", "bin_length"):
+                values[name] = float(values[name])
+            values["levels"] = np.asarray(values["levels"], dtype=np.float64)
+            return TrackConditionMap(layers={}, **values)
 
     @property
     def without_evidence(self) -> TrackConditionMap:
         """The map with its layers, in which nothing is."""
         track = self.empty
-        with refusing(self.path):
-            names = self._database.execute("SELECT layer FROM trips UNION SELECT layer FROM sums")
-            none = ConditionLayer.unestimated(DailyEvidence.none(track.bins, track.levels.size))
-            return replace(track, layers={name: none for (name,) in names})
+        names = self._asked("SELECT layer FROM trips UNION SELECT layer FROM sums")
+        none = ConditionLayer.unestimated(DailyEvidence.none(track.bins, track.levels.size))
+        return replace(track, layers={name: none for (name,) in names})
 
     @contextmanager
     def unchanging(self) -> Iterator[None]:
         """What is read within is of one moment, whatever other processes add."""
-        with refusing(self.path):
+        with _refusing(self.path):
             self._database.execute("BEGIN")
             try:
                 yield
@@ -155,15 +536,15 @@ class MapFile:
 
     def _asked(self, command: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
         """The rows that a command of SQL gives."""
-        with refusing(self.path):
+        with _refusing(self.path):
             return self._database.execute(command, tuple(values)).fetchall()
 
     def rows(self, where: str = "", values: Sequence[Any] = ()) -> list[Row]:
         """Rows of the trips; each is verified."""
         found = []
-        for row in self._asked(f"{SELECT} {where}", values):
-            if sealed(row[:-1]) != row[-1]:
-                raise damaged(self.path, f"trip {str(row[0])[:16]}", "its entry was changed")
+        for row in self._asked(f"{_SELECT} {where}", values):
+            if _sealed(row[:-1]) != row[-1]:
+                raise _damaged(self.path, f"trip {str(row[0])[:16]}", "its entry was changed")
             found.append(Row(*row[:-1]))
         return found
 
@@ -171,69 +552,61 @@ class MapFile:
         """The recording of a key."""
         return next(iter(self.rows("WHERE key = ?", (key,))), None)
 
-    def evidence(self, digest: str) -> DailyEvidence:
-        """The evidence of a digest."""
-        return self._joined(self._raws([digest]), digest)
-
-    def blobs(self) -> dict[str, bytes]:
-        """All evidence of single trips, compressed, by digest."""
-        return dict(self._asked("SELECT digest, data FROM evidence"))
+    def reason(self, recording: Recording) -> str:
+        """Why a recording would not count, whatever it shows: empty if that depends on it."""
+        if self.held(recording.key) is not None:
+            name = recording.entry.get("trip", "")
+            return f"trip '{name}': in the map already, not counted again"
+        row = recording.row({})
+        fixed = [each for each in self._of_the_drive(row) if each.evidence is None]
+        return reasons_of([*fixed, row]).get(row.key, "")
 
     def sums(self) -> dict[str, DailyEvidence]:
         """The evidence that was added up, by layer."""
-        rows = self._asked("SELECT layer, digest, data FROM sums")
-        return {layer: self._unpacked(data, digest, layer) for layer, digest, data in rows}
+        return {layer: piece for layer, (piece, _) in self._sums().items()}
 
-    def _unpacked(self, data: bytes, digest: str, layer: str = "") -> DailyEvidence:
-        return self._joined([self._raw(data, digest, layer)], digest)
+    def _sums(self) -> dict[str, tuple[DailyEvidence, str]]:
+        """The evidence that was added up, and its digest, by layer."""
+        return {
+            layer: (self._joined([self._raw(data, digest, layer)], digest), digest)
+            for layer, digest, data in self._asked("SELECT layer, digest, data FROM sums")
+        }
 
     def _raw(self, data: bytes, digest: str, layer: str = "") -> bytes:
         """Evidence of a digest, decompressed and verified."""
         try:
             raw = isal_zlib.decompress(data)
         except (IsalError, TypeError) as error:  # type: ignore[misc]  # the stubs' mistake
-            raise damaged(self.path, f"evidence {digest[:16]}", str(error)) from error
+            raise _damaged(self.path, f"evidence {digest[:16]}", str(error)) from error
         if sha256(layer.encode() + raw) != digest:
-            raise damaged(self.path, f"evidence {digest[:16]}", "its checksum fails")
+            raise _damaged(self.path, f"evidence {digest[:16]}", "its checksum fails")
         return raw
-
-    def _raws(self, digests: Sequence[str]) -> list[bytes]:
-        """Evidence of each digest, decompressed and verified."""
-        every = ",".join("?" * len(digests))
-        command = f"SELECT digest, data FROM evidence WHERE digest IN ({every})"
-        known = dict(self._asked(command, digests))
-        return [self._raw(known.get(each, b""), each) for each in digests]
 
     def _joined(self, raw: Sequence[bytes], digest: str) -> DailyEvidence:
         """The rows of several pieces of evidence, one behind the other."""
         try:
-            facts, arrays = unpack_joined(raw)
-            if any(each != facts[0] for each in facts):
-                raise ValueError("its bins differ from those of others")
-            return DailyEvidence(facts[0]["bins"], facts[0]["levels"], **arrays)
+            return unpacked_evidence(raw)
         except (ValueError, TypeError, KeyError) as error:
-            raise damaged(self.path, f"evidence {digest[:16]}", str(error)) from error
+            raise _damaged(self.path, f"evidence {digest[:16]}", str(error)) from error
 
     def trips(self) -> list[Row]:
         """All recordings; that none is missing is verified."""
         found = self.rows("ORDER BY layer, first_day, key")
         known = self._asked("SELECT value FROM header WHERE key = 'total'")
-        with refusing(self.path):
-            if not known or int(known[0][0], 16) != total_in(self._database):
-                raise damaged(self.path, "table of trips", "entries are missing")
+        with _refusing(self.path):
+            if not known or int(known[0][0], 16) != self._total():
+                raise _damaged(self.path, "table of trips", "entries are missing")
         return found
 
     def layers(self, trips: Sequence[Row]) -> dict[str, tuple[DailyEvidence, str]]:
         """Evidence of the trips by layer, added up, and a digest of what it was added up from."""
-        known = self.sums()
-        digests = dict(self._asked("SELECT layer, digest FROM sums"))
-        pieces = _pieces_of(trips)
+        known, pieces = self._sums(), _pieces_of(trips)
         found = {}
         for layer in sorted({*known, *pieces}):
             given = pieces.get(layer, [])
-            made_from = [digests.get(layer, ""), *sorted(each.digest for each in given)]
-            total = self._added_up(known.get(layer), given)
-            found[layer] = total, sha256("\n".join(made_from).encode())
+            start, digest = known.get(layer, (None, ""))
+            made_from = [digest, *sorted(each.digest for each in given)]
+            found[layer] = self._added_up(start, given), sha256("\n".join(made_from).encode())
         return found
 
     def _added_up(self, known: DailyEvidence | None, pieces: Sequence[_Piece]) -> DailyEvidence:
@@ -250,8 +623,11 @@ class MapFile:
             digests = [piece.digest for piece in group]
             for start in range(0, len(digests), _TOGETHER):
                 some = digests[start : start + _TOGETHER]
-                rows = self._joined(self._raws(some), some[0])
-                latest = [DailyEvidence.total([*latest, rows])]
+                every = ",".join("?" * len(some))
+                command = f"SELECT digest, data FROM evidence WHERE digest IN ({every})"
+                blobs = dict(self._asked(command, some))
+                raw = [self._raw(blobs.get(each, b""), each) for each in some]
+                latest = [DailyEvidence.total([*latest, self._joined(raw, some[0])])]
         return DailyEvidence.total([*done, *latest])
 
     def contents(self) -> dict[str, tuple[int, list[int]]]:
@@ -269,9 +645,11 @@ class MapFile:
         return {each: (trips[each], sorted(days.get(each, ()))) for each in sorted({*trips, *days})}
 
     def amount(self) -> tuple[int, int]:
-        """How many trips count, and of how many days."""
-        with refusing(self.path):
-            return amount_in(self._database, self.sums().values())
+        """How many trips count, and of how many days; those of evidence that was added up, too."""
+        ran = self.trip_days()
+        days = {day for each in self.sums().values() for day in each.days.tolist()}
+        days.update(*(range(first, last + 1) for first, last in set(ran.values())))
+        return len(ran), len(days)
 
     def trip_days(self) -> dict[str, tuple[int, int]]:
         """The trips that count, by the digest of their log: first and last day of their evidence.
@@ -282,7 +660,7 @@ class MapFile:
         rows = self._asked(f"{asked} WHERE counted")
         return {key: (first, last) for key, first, last in rows}
 
-    def estimate(self, layer: str, made_from: str) -> bytes | None:
+    def _estimate(self, layer: str, made_from: str) -> bytes | None:
         """The estimate of a layer that was kept, if it was made from this; else None."""
         asked = "SELECT data FROM estimates WHERE layer = ? AND made_from = ?"
         found = self._asked(asked, (layer, made_from))
@@ -295,7 +673,7 @@ class MapFile:
     @contextmanager
     def _writing(self) -> Iterator[sqlite3.Connection]:
         """A transaction: what is done within is there whole, or not at all."""
-        with refusing(self.path):
+        with _refusing(self.path):
             self._database.execute("BEGIN IMMEDIATE")
             try:
                 yield self._database
@@ -324,20 +702,76 @@ class MapFile:
         before = self.held(recording.key)
         if before is not None:
             return Appended(bool(before.counted), held=True)
-        row = self._insert(recording)
+        digests: dict[str, str] | None = None if recording.evidence is None else {}
+        for layer, piece in sorted((recording.evidence or {}).items()):
+            raw = packed_evidence(piece)
+            digests = {**(digests or {}), layer: sha256(raw)}
+            database.execute(
+                "INSERT OR IGNORE INTO evidence VALUES (?, ?)", (sha256(raw), zlib.compress(raw))
+            )
+        row = recording.row(digests)
+        database.execute(_INSERT, row.full)
+        changes, reasons = self._decided(row)
+        changed = [row, *(each for pair in changes for each in pair)]
+        (known,) = database.execute("SELECT value FROM header WHERE key = 'total'").fetchone()
+        total = f"{int(known, 16) ^ _number_of(each.full[-1] for each in changed):016x}"
+        database.execute("UPDATE header SET value = ? WHERE key = 'total'", (total,))
+        replaced = tuple(old.known.name for old, _ in changes if old.counted and old.key != row.key)
+        reason = reasons.get(row.key, "")
+        return Appended(not reason, reason=reason, replaced=replaced)
+
+    def _decided(self, row: Row) -> tuple[list[tuple[Row, Row]], dict[str, str]]:
+        """Decide which recordings of a row's drive count: rows that changed, before and after.
+
+        And why those do not count that do not, by key.
+        """
         together = self._of_the_drive(row)
         reasons = reasons_of(together)
-        replaced: list[str] = []
-        changed = [row]
-        for each in together:
-            counts = each.key not in reasons
-            if each.key != row.key and each.counted and not counts:
-                replaced.append(each.known.name)
-            if bool(each.counted) != counts and each.evidence is not None:
-                changed += [each, replace_row(database, each, counted=int(counts))]
-        add_to_total(database, changed)
-        reason = reasons.get(row.key, "")
-        return Appended(not reason, reason=reason, replaced=tuple(replaced))
+        return [
+            (each, self._changed(each, counted=int(each.key not in reasons)))
+            for each in together
+            if bool(each.counted) != (each.key not in reasons) and each.evidence is not None
+        ], reasons
+
+    def _of_the_drive(self, row: Row) -> list[Row]:
+        """The row and all others that share something recorded with it, or with one that does."""
+        found = {row.key: row}
+        waiting = [row]
+        while waiting:
+            one = waiting.pop()
+            identity = identity_from_text(one.identity or "")
+            if identity is None:
+                continue
+            for other in self.rows("WHERE start <= ? AND end >= ?", (one.end, one.start)):
+                theirs = None if other.key in found else identity_from_text(other.identity or "")
+                if theirs is not None and identity.shared(theirs) > 0.0:
+                    found[other.key] = other
+                    waiting.append(other)
+        return [found[key] for key in sorted(found)]
+
+    def _changed(self, row: Row, **changes: Any) -> Row:
+        """Change a row; the new one."""
+        new = row._replace(**changes)
+        self._database.execute(
+            "UPDATE trips SET evidence = ?, counted = ?, digest = ? WHERE key = ?",
+            (new.evidence, new.counted, new.full[-1], new.key),
+        )
+        return new
+
+    def _total(self) -> int:
+        """The number that stands for all rows, of their digests."""
+        digests = self._asked("SELECT digest FROM trips UNION ALL SELECT digest FROM sums")
+        return _number_of(digest for (digest,) in digests)
+
+    def _set_total(self) -> None:
+        total = f"{self._total():016x}"
+        self._database.execute("INSERT OR REPLACE INTO header VALUES ('total', ?)", (total,))
+
+    def _insert_sums(self, layer: str, evidence: DailyEvidence) -> None:
+        """Put the sums of a layer in the place of those that are there."""
+        raw = packed_evidence(evidence)
+        values = (layer, sha256(layer.encode() + raw), zlib.compress(raw))
+        self._database.execute("INSERT OR REPLACE INTO sums VALUES (?, ?, ?)", values)
 
     def remove(self, names: Iterable[str]) -> int:
         """Take all recordings of the named trips out; returns how many.
@@ -372,53 +806,45 @@ class MapFile:
                     )
             database.executemany("DELETE FROM trips WHERE key = ?", [(row.key,) for row in rows])
             gone = {row.key for row in rows}
-            near = [each for row in rows for each in self._of_the_drive(row)]
-            for each in {row.key: row for row in near if row.key not in gone}.values():
-                counts = each.key not in reasons_of(self._of_the_drive(each))
-                if bool(each.counted) != counts and each.evidence is not None:
-                    replace_row(database, each, counted=int(counts))
-            self._delete_unused(database)
-            set_total(database)
+            near = {each.key: each for row in rows for each in self._of_the_drive(row)}
+            for key, each in near.items():
+                if key not in gone:
+                    self._decided(each)
+            self._tidy(database)
         return len(rows)
 
-    def _delete_unused(self, database: sqlite3.Connection) -> None:
-        """Delete evidence that no row has."""
+    def _tidy(self, database: sqlite3.Connection) -> None:
+        """Delete evidence that no row has, and count the rows anew."""
         kept = {digest for row in self.rows() for digest in row.pieces.values()}
         every = database.execute("SELECT digest FROM evidence").fetchall()
         unused = [each for each in every if each[0] not in kept]
         database.executemany("DELETE FROM evidence WHERE digest = ?", unused)
+        self._set_total()
 
-    def _insert(self, recording: Recording) -> Row:
-        """Insert a recording and its evidence; the row."""
-        digests: dict[str, str] | None = None if recording.evidence is None else {}
-        for layer, piece in sorted((recording.evidence or {}).items()):
-            raw = packed_evidence(piece)
-            digests = {**(digests or {}), layer: sha256(raw)}
-            self._database.execute(
-                "INSERT OR IGNORE INTO evidence VALUES (?, ?)", (sha256(raw), zlib.compress(raw))
-            )
-        row = row_of(recording, digests)
-        self._database.execute(INSERT, row.full)
-        return row
+    def compact(self, before: int) -> int:
+        """Replace the evidence of trips by sums of days; returns of how many trips.
 
-    def _of_the_drive(self, row: Row) -> list[Row]:
-        """The row and all others that share something recorded with it, or with one that does."""
-        found = {row.key: row}
-        waiting = [row]
-        while waiting:
-            one = waiting.pop()
-            identity = identity_from_text(one.identity or "")
-            if identity is None:
-                continue
-            near = self.rows("WHERE start <= ? AND end >= ?", (one.end, one.start))
-            for other in near:
-                theirs = None if other.key in found else identity_from_text(other.identity or "")
-                if theirs is not None and identity.shared(theirs) > 0.0:
-                    found[other.key] = other
-                    waiting.append(other)
-        return [found[key] for key in sorted(found)]
+        Which recordings of these drives count is then decided: a fuller one that comes later does
+        not replace any.
 
-    def keep_estimates(self, estimates: Mapping[str, tuple[str, bytes]]) -> None:
+        Parameters
+        ----------
+        before : int
+            Day, counted from 1970-01-01 in UTC: of trips whose evidence is all of earlier days.
+        """
+        with self._writing() as database:
+            rows = self.rows("WHERE evidence IS NOT NULL AND ifnull(last_day, -1) < ?", (before,))
+            known, added = self.sums(), _pieces_of(rows)
+            for layer in sorted(added):
+                self._insert_sums(layer, self._added_up(known.get(layer), added[layer]))
+            for row in rows:
+                self._changed(row, evidence=None)
+            self._tidy(database)
+        with _refusing(self.path):
+            self._database.execute("VACUUM")
+        return len(rows)
+
+    def _keep_estimates(self, estimates: Mapping[str, tuple[str, bytes]]) -> None:
         """Keep estimates for later readers, by layer with what they were made from, if possible.
 
         A map that was written whole is not changed by reading it: only one that trips are added to.
@@ -428,11 +854,15 @@ class MapFile:
             self._database.execute("PRAGMA busy_timeout = 200")
             with self._writing() as database:
                 if database.execute(live).fetchone():
-                    for layer, (made_from, data) in sorted(estimates.items()):
-                        database.execute(
-                            "INSERT OR REPLACE INTO estimates VALUES (?, ?, ?)",
-                            (layer, made_from, zlib.compress(data)),
-                        )
+                    database.executemany(
+                        "INSERT OR REPLACE INTO estimates VALUES (?, ?, ?)",
+                        (
+                            (layer, made_from, zlib.compress(data))
+                            for layer, (made_from, data) in sorted(estimates.items())
+                        ),
+                    )
+
+    # --------------------------------------------------------------------------------- logs
 
     def digest_of(self, path: Path, state: os.stat_result) -> str:
         """SHA-256 of a log that has not changed since it was read; empty if that is not known."""
@@ -461,7 +891,7 @@ class MapFile:
 
     def refusal(self, digest: str) -> Refusal | None:
         """How a log with this SHA-256 was refused when it was given last; None if it was not."""
-        if not self._asked(HAS_REFUSED):
+        if not self._asked("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'refused'"):
             return None
         asked = "SELECT path, reason, tried FROM refused WHERE sha256 = ?"
         found = self._asked(asked, (digest,))
@@ -470,79 +900,358 @@ class MapFile:
     def remember_refusals(self, refusals: Iterable[Refusal]) -> None:
         """Keep that logs were refused, in place of what is known of them."""
         with self._writing() as database:
-            database.execute(REFUSED)
+            database.execute(_REFUSED)
             database.executemany("INSERT OR REPLACE INTO refused VALUES (?, ?, ?, ?)", refusals)
 
-    def compact(self, before: int) -> int:
-        """Replace the evidence of trips by sums of days; returns of how many trips.
 
-        Which recordings of these drives count is then decided: a fuller one that comes later does
-        not replace any.
-
-        Parameters
-        ----------
-        before : int
-            Day, counted from 1970-01-01 in UTC: of trips whose evidence is all of earlier days.
-        """
-        with self._writing() as database:
-            rows = self.rows("WHERE evidence IS NOT NULL AND ifnull(last_day, -1) < ?", (before,))
-            added = _pieces_of(rows)
-            for layer in sorted(added):
-                known = database.execute(
-                    "SELECT data, digest, layer FROM sums WHERE layer = ?", (layer,)
-                ).fetchone()
-                start = None if known is None else self._unpacked(*known)
-                insert_sums(database, layer, self._added_up(start, added[layer]))
-            for row in rows:
-                replace_row(database, row, evidence=None)
-            self._delete_unused(database)
-            set_total(database)
-        with refusing(self.path):
-            self._database.execute("VACUUM")
-        return len(rows)
+def begin(path: Path, empty: TrackConditionMap) -> None:
+    """Begin a file, unless another process has just done so."""
+    data = whole_file(replace(empty, layers={}, trips=()))
+    temporary = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
+    try:
+        with temporary.open("xb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        try:
+            os.link(temporary, path)
+        except FileExistsError:
+            return
+        except OSError:
+            # A file system without links.
+            if not path.exists():
+                temporary.rename(path)
+    except OSError as error:
+        raise writing_error(path, error) from error
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
-# ------------------------------------------------------------------------------- whole files
+def _number_of(digests: Iterable[str]) -> int:
+    """A number for rows, whatever their order, to which more can be added or taken away."""
+    return reduce(xor, (int(digest[:16], 16) for digest in digests), 0)
 
 
-def whole_file(track: TrackConditionMap) -> bytes:
-    """The bytes of the file of a map at hand: sums by day; the same map gives the same bytes."""
-    with new_database(track) as database:
-        used: set[str] = set()
-        for number, entry in enumerate(sorted(track.trips, key=place_of)):
-            known = dict(entry)
-            identity = identity_from_text(str(known.get("identity") or ""))
-            row = row_of(Recording(str(known.get("layer", "")), known, identity), None)
-            if row.key in used:
-                row = row._replace(key=f"{row.key} {number}")
-            used.add(row.key)
-            database.execute(INSERT, row.full)
-        for layer in sorted(track.layers):
-            insert_sums(database, layer, track.layers[layer].evidence)
-        return serialized(database)
+# -------------------------------------------------------------------------------- estimates
 
 
-def reasons_of(rows: Sequence[Row]) -> dict[str, str]:
-    """Why recordings do not count, by key: each is of a drive of which another does."""
-    same = same_drives([row.known for row in rows])
-    return {rows[each.number].key: each.sentence for each in same}
+def _packed(layer: ConditionLayer) -> bytes:
+    """The estimate of a layer, as `_layer_of` reads it."""
+    values = {each.name: getattr(layer, each.name) for each in fields(layer)}
+    del values["evidence"]
+    arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+    facts: dict[str, Any] = {name: [asdict(each) for each in values[name]] for name in _LISTED} | {
+        "model": asdict(layer.model)["parameters"]
+    }
+    return pack(facts, arrays)
 
 
-# -------------------------------------------------------------------------------- evidence
+def _layer_of(evidence: DailyEvidence, data: bytes | None) -> ConditionLayer | None:
+    """A layer with the estimate that the file keeps; None if it keeps none."""
+    if data is None:
+        return None
+    try:
+        facts, arrays = unpack(data)
+        kept: dict[str, Any] = {**arrays}
+        kept |= {
+            name: tuple(kind(**each) for each in facts[name]) for name, kind in _LISTED.items()
+        }
+        kept["model"] = ConditionModel(tuple(ModelParameter(**each) for each in facts["model"]))
+        return ConditionLayer(evidence=evidence, **kept)
+    except (ValueError, KeyError, TypeError):
+        return None
 
 
-class _Piece(NamedTuple):
-    """Evidence of a trip in one layer, and the days on which the trip gave evidence."""
-
-    first_day: int
-    last_day: int
-    digest: str
+# ----------------------------------------------------------------------------- several files
 
 
-def _pieces_of(rows: Iterable[Row]) -> dict[str, list[_Piece]]:
-    """What the rows that count have in the file, by layer."""
-    found: dict[str, list[_Piece]] = {}
-    for row in rows:
-        for layer, digest in row.pieces.items() if row.counted else ():
-            found.setdefault(layer, []).append(_Piece(*row.days, digest))
+def merge_files(paths: Sequence[str | Path], output: str | Path) -> tuple[int, int]:
+    """One file from the files of several maps of one line; trips that several hold count once.
+
+    The same recordings give the same bytes, however they are divided between the files. Which
+    recording of a drive counts is decided anew among all.
+
+    Parameters
+    ----------
+    paths : sequence of path
+        At least one.
+    output : path
+        A new file.
+
+    Returns
+    -------
+    trips, days : int
+        How many trips the new map counts, and of how many days.
+
+    Raises
+    ------
+    InputError
+        If the maps differ in line, bins or settings, have sums of one drive in common, count a
+        log in different layers, or the output exists.
+    """
+    if not paths:
+        raise InputError("no map was given", remedy="name the files to merge")
+    if Path(output).exists():
+        raise InputError(
+            "exists already",
+            file=output,
+            remedy="name a new file: processes may be adding to this one",
+        )
+    with merged(map(MapFile, paths), output) as whole:
+        found = whole.amount()
+        write_bytes(output, whole.data(in_order=True))
     return found
+
+
+def merged(files: Iterable[MapFile], output: str | Path = "map") -> MapFile:
+    """One map in memory from several open ones, which are closed; errors as `merge_files`."""
+    empty: TrackConditionMap | None = None
+    rows: dict[str, Row] = {}
+    blobs: dict[str, bytes] = {}
+    sums: dict[str, list[DailyEvidence]] = {}
+    for file in files:
+        with file, file.unchanging():
+            _check_alike(empty, file.empty, file.path)
+            empty = file.empty
+            for row in file.trips():
+                rows[row.key] = _chosen(rows.get(row.key), row, file.path)
+            blobs.update(file._asked("SELECT digest, data FROM evidence"))
+            for layer, piece in file.sums().items():
+                sums.setdefault(layer, []).append(piece)
+    assert empty is not None
+    kept = _decided([rows[key] for key in sorted(rows)])
+    used = sorted({digest for row in kept for digest in row.pieces.values()})
+    totals = {layer: DailyEvidence.total(sums[layer]) for layer in sorted(sums)}
+    return MapFile._made(empty, output, kept, ((each, blobs[each]) for each in used), totals)
+
+
+def _chosen(first: Row | None, second: Row, path: str | Path) -> Row:
+    """Which of two rows of one recording is used, whatever their order."""
+    if first is None:
+        return second
+    name = str(json.loads(second.entry).get("trip", ""))
+    if first.layer != second.layer:
+        raise InputError(
+            f"counts trip '{name}' as '{second.layer}', another of the maps as '{first.layer}'",
+            file=path,
+            remedy="build one map from the logs instead",
+        )
+    fixed = [row for row in (first, second) if row.evidence is None and row.counted]
+    if len(fixed) == 2:
+        raise InputError(
+            f"has trip '{name}' in its sums, and so has another of the maps",
+            file=path,
+            remedy="build one map from the logs instead",
+        )
+    if fixed:
+        return fixed[0]
+    kept = [row for row in (first, second) if row.evidence is not None] or [first, second]
+    return min(kept, key=lambda row: (str(row.evidence), row.entry))
+
+
+def _decided(rows: Sequence[Row]) -> list[Row]:
+    """The rows, each with whether it counts."""
+    known = [row for row in rows if row.identity]
+    several = [known[number] for number in overlapping([str(row.identity) for row in known])]
+    sums = [row for row in several if row.evidence is None and row.counted]
+    apart = same_drives([row.known._replace(held=False) for row in sums])
+    if apart:
+        raise InputError(
+            f"the sums of several maps hold one drive: {apart[0].sentence}",
+            remedy="build one map from the logs instead",
+        )
+    reasons = reasons_of(several)
+    alone = {row.key for row in rows} - {row.key for row in several}
+    found = []
+    for row in rows:
+        counts = row.key in alone or row.key not in reasons
+        changes = row.evidence is not None and bool(row.counted) != counts
+        found.append(row._replace(counted=int(counts)) if changes else row)
+    return found
+
+
+def _check_alike(first: TrackConditionMap | None, second: TrackConditionMap, path: object) -> None:
+    """Refuse to merge maps that differ in more than their trips."""
+    for name in ("line", "length", "bin_length", "settings", "levels"):
+        if first is not None and not np.array_equal(getattr(first, name), getattr(second, name)):
+            raise InputError(
+                f"track-condition maps differ in {name}:"
+                f" {getattr(first, name)} and {getattr(second, name)}",
+                file=str(path),
+                remedy="merge maps of one line that were made with the same settings",
+            )
+
+
+# ------------------------------------------------------------------------- maps at hand
+
+
+def map_from_bytes(data: bytes, *, file: str | Path = "track.map") -> TrackConditionMap:
+    """The track-condition map in the bytes of a map file; `file` is what errors call it.
+
+    Raises
+    ------
+    InputError
+        If they are not a map file, naming the place and the remedy.
+
+    Examples
+    --------
+    >>> from trainlog.formats.files import read_bytes
+    >>> map_from_bytes(read_bytes("sample_logs/CH_StGallen_Wil.map")).bins
+    1183
+    """
+    with MapFile.of_bytes(data, file) as opened:
+        return opened.read()
+
+
+def map_to_bytes(condition: TrackConditionMap) -> bytes:
+    """The bytes of a file with the map's evidence, added up by day: equal for equal maps.
+
+    Raises
+    ------
+    InputError
+        If an estimate of the map is not that of its evidence: the file could not hold it.
+
+    Examples
+    --------
+    >>> condition = read_map("sample_logs/CH_StGallen_Wil.map")
+    >>> map_to_bytes(map_from_bytes(map_to_bytes(condition))) == map_to_bytes(condition)
+    True
+    """
+    _check_estimates(condition)
+    return whole_file(condition)
+
+
+def read_map(path: str | Path) -> TrackConditionMap:
+    """Read a track-condition map; errors as `map_from_bytes`, and if the file cannot be read.
+
+    Examples
+    --------
+    >>> condition = read_map("sample_logs/CH_StGallen_Wil.map")
+    >>> condition.line, list(condition.layers)
+    ('CH_StGallen_Wil', ['dry', 'wet'])
+    """
+    with MapFile(path) as opened:
+        return opened.read()
+
+
+def write_map(condition: TrackConditionMap, path: str | Path) -> None:
+    """Write a track-condition map, whole or not at all; errors as `map_to_bytes`.
+
+    A file that is there is replaced, with what other processes add to it at that moment: trips are
+    added to a file by `analysis.update_map`.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import tempfile
+    >>> condition = read_map("sample_logs/CH_StGallen_Wil.map")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_map(condition, Path(folder) / "copy.map")
+    ...     read_map(Path(folder) / "copy.map").bins
+    1183
+    """
+    check_written(condition, TrackConditionMap)
+    write_bytes(path, map_to_bytes(condition))
+
+
+def whole_file(condition: TrackConditionMap) -> bytes:
+    """As `map_to_bytes`, of a map with any estimate."""
+    with MapFile.of_map(condition) as whole:
+        return whole.data()
+
+
+def _check_estimates(condition: TrackConditionMap) -> None:
+    """Refuse a map with an estimate that its evidence does not give."""
+    given = {n: each for n, each in condition.layers.items() if np.isfinite(each.log_mean).any()}
+    if not given:
+        return
+    from trainlog.condition import estimated
+
+    found = estimated(replace(condition, layers=given))
+    for name, layer in given.items():
+        own = found.layers[name]
+        if not (
+            np.allclose(layer.log_mean, own.log_mean, rtol=0.0, atol=1e-6)
+            and np.allclose(layer.log_std, own.log_std, rtol=1e-6, atol=1e-9)
+            and np.array_equal(layer.observed, own.observed)
+        ):
+            raise InputError(
+                f"map of line '{condition.line}': the estimate of layer '{name}' is not that of its"
+                " evidence, and a map's file holds evidence alone",
+                remedy="change the evidence or the settings, and make the estimate of them"
+                " (trainlog.condition.estimated)",
+            )
+
+
+# --------------------------------------------------------------------------------- refusals
+
+
+def _check_start(start: bytes, file: str | Path) -> None:
+    """Refuse what is no SQLite database."""
+    if not start.startswith(b"SQLite format 3\0"):
+        problem, remedy = mistaken_map(start)
+        raise InputError(problem, file=file, remedy=remedy)
+
+
+def _check_kind(database: sqlite3.Connection, file: str | Path) -> None:
+    """Refuse a database that is no map, or one of another version."""
+    (application,) = database.execute("PRAGMA application_id").fetchone()
+    (version,) = database.execute("PRAGMA user_version").fetchone()
+    if application != APPLICATION:
+        raise InputError(
+            "is an SQLite database, but holds no track-condition map",
+            file=file,
+            remedy="name a map that 'trainlog map update' made",
+        )
+    if version != VERSION:
+        raise InputError(
+            f"follows version {version} of the format of maps, this trainlog knows {VERSION}",
+            file=file,
+            remedy="update trainlog" if version > VERSION else "build the map anew from the logs",
+        )
+
+
+@contextmanager
+def _refusing(file: str | Path) -> Iterator[None]:
+    """Errors of SQLite as what a user can do about them."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        _refuse(file, error)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        # A value is not what the table says that it is.
+        raise _damaged(file, "database", str(error)) from error
+
+
+def _refuse(file: str | Path, error: sqlite3.Error) -> NoReturn:
+    words = str(error)
+    if "locked" in words or "busy" in words:
+        raise InputError(
+            f"is being written by another process for more than {PATIENCE:g} s",
+            file=file,
+            remedy="try again when it has ended",
+        ) from error
+    if "readonly" in words or "unable to open" in words:
+        raise InputError(
+            f"cannot be written: {words}",
+            file=file,
+            remedy="choose a folder you may write to; what an interrupted update left must be"
+            " undone by one who may",
+        ) from error
+    if "full" in words or "disk I/O" in words:
+        raise InputError(
+            f"cannot be written: {words}",
+            file=file,
+            remedy="free some space on the disk and try again; what was acknowledged is kept",
+        ) from error
+    raise _damaged(file, "database", words) from error
+
+
+def _damaged(file: str | Path, place: str, what: str) -> InputError:
+    """The error that states what of a file is damaged."""
+    return InputError(
+        f"is damaged: {' '.join(what.split())[:120]}",
+        file=file,
+        place=place,
+        remedy="take a copy of it, or build the map anew from the logs (trainlog map update)",
+    )

@@ -576,6 +576,11 @@ class TrackConditionMap(Presented):
         return np.asarray((np.arange(self.bins) + 0.5) * self.bin_length, dtype=np.float64)
 
     @property
+    def edges(self) -> FloatArray:
+        """Ends of the bins [m]; (bins + 1,) array. The last bin ends with the line."""
+        return np.asarray(np.minimum(np.arange(self.bins + 1) * self.bin_length, self.length))
+
+    @property
     def days(self) -> IntArray:
         """Days with evidence in any layer, increasing; see `DailyEvidence`."""
         every = [layer.evidence.days for layer in self.layers.values()]
@@ -637,7 +642,7 @@ class TrackConditionMap(Presented):
         Examples
         --------
         >>> import numpy as np
-        >>> from trainlog.formats.condition import read_map
+        >>> from trainlog.formats.mapfile import read_map
         >>> track = read_map("sample_logs/CH_StGallen_Wil.map")
         >>> seen = track.centres[track.layer("wet").observed][:2]
         >>> track.lower_bound("wet", seen).round(4).tolist()

@@ -8,7 +8,7 @@ any order and grouping to the same rows, byte for byte.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pandas import Timestamp
 
-from trainlog.arrays import FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.values import same_values
 
@@ -187,11 +187,12 @@ class DailyEvidence:
         """That of the days from `first` to `last`, both included."""
         own = (self.day >= first) & (self.day <= last)
         used = (self.used_day >= first) & (self.used_day <= last)
-        if own.all() and used.all():
-            return self
-        return DailyEvidence(
-            self.bins,
-            self.levels,
+        return self if own.all() and used.all() else self.chosen(own, used)
+
+    def chosen(self, own: BoolArray, used: BoolArray) -> DailyEvidence:
+        """Some rows of onsets, and some of adhesion used without slip."""
+        return replace(
+            self,
             **{name: getattr(self, name)[own] for name in (*_KEYS, *_SUMS)},
             **{name: getattr(self, name)[used] for name in (*_USED_KEYS, "used_trips")},
         )
