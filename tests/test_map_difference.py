@@ -239,7 +239,7 @@ def test_a_history_has_the_evidence_and_the_estimate_of_each_day(
 def test_of_many_days_a_dozen_get_an_estimate_the_last_among_them(
     whole: TrackConditionMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(map_history, "estimated", lambda _: whole)
+    monkeypatch.setattr(map_history, "layer_before", lambda *_: whole.layer("wet"))
     found = analysis.map_history(whole, 3_910.0, "wet")
     assert len(found.known) == 12
     assert found.data()["notes"] == list(found.notes)

@@ -20,8 +20,7 @@ import pandas as pd
 from analysis.adhesion.condition_map import empty_map_of
 from analysis.network.maps import edge_map_path
 from trainlog.formats.files import made_folder, write_bytes
-from trainlog.formats.mapfile import MapFile, Recording
-from trainlog.formats.packed import unpack
+from trainlog.formats.mapfile import MapFile, Recording, unpacked_evidence
 from trainlog.identity import identity_from_text
 from trainlog.progress import task
 from trainlog.railway.evidence import DailyEvidence
@@ -222,5 +221,4 @@ def evidence_of_row(data: bytes) -> DailyEvidence:
     >>> int(found.events.sum()) == int(table["onsets"][0])
     True
     """
-    facts, arrays = unpack(zlib.decompress(data))
-    return DailyEvidence(facts["bins"], facts["levels"], **arrays)
+    return unpacked_evidence([zlib.decompress(data)])
