@@ -1,7 +1,8 @@
 """Charts: each picture is described once, and drawn still here, interactive in a report.
 
 A `Chart` is a few panels over one axis; a result declares its charts, and its ``plot()`` draws them
-(`trainlog.plotted`). Colours, sizes and how a figure is written are here, too: one look for all.
+(`trainlog.presentation`). Colours, sizes and how a figure is written are here, too: one look for
+all.
 """
 
 from __future__ import annotations
@@ -24,9 +25,8 @@ from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
 from trainlog.formats.files import atomic_write
-from trainlog.plotted import Plotted
-from trainlog.railway.kilometres import km_ticks
-from trainlog.railway.line import Line, StepProfile
+from trainlog.presentation import Presented
+from trainlog.railway.line import Line, StepProfile, km_ticks
 from trainlog.units import KMH, PER_MILLE
 
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY = (
@@ -540,7 +540,7 @@ def figure_of(charts: Chart | Sequence[Chart]) -> Figure:
     return figure
 
 
-def draw(result: Plotted, path: str | Path, **options: Any) -> None:
+def draw(result: Presented, path: str | Path, **options: Any) -> None:
     """Write the picture of a result, PNG or SVG; `options` as of its `plot`."""
     write_figure(result.plot(**options), path)
 

@@ -12,8 +12,8 @@ import argparse
 from pathlib import Path
 
 from trainlog.formats.railway import write_consist
-from trainlog.railway.consist import Consist, ConsistBrake, Coupler, RollingVehicle, Vehicle
 from trainlog.railway.resistance import RunningResistance
+from trainlog.railway.train import Consist, ConsistBrake, Coupler, RollingVehicle, Vehicle
 
 # Amirhosseini et al. (2024), section 5: 350 t, 250 kN, eq. (35).
 PAPER_MASS, PAPER_EFFORT = 350e3, 250e3

@@ -30,9 +30,9 @@ from trainlog.railway import (
     Tunnel,
 )
 from trainlog.railway.condition import ConditionLayer
-from trainlog.railway.consist import Consist, ConsistBrake, Coupler, Vehicle
 from trainlog.railway.evidence import DailyEvidence
-from trainlog.railway.journey import Journey, TimingPoint
+from trainlog.railway.train import Consist, ConsistBrake, Coupler, Vehicle
+from trainlog.railway.trajectory import Journey, TimingPoint
 
 NAMES = st.text(min_size=1, max_size=12)
 SHARES = st.floats(0.0, 1.0, allow_subnormal=False)

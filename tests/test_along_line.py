@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from trainlog.along_line import (
+from trainlog.errors import InputError
+from trainlog.formats.railway import read_train
+from trainlog.formats.samples import DEFAULT_TRAIN, sample
+from trainlog.mcap import read_log
+from trainlog.railway import Configuration, Trajectory
+from trainlog.resampling import (
     TimeDistance,
     difference,
     grid_over,
@@ -16,11 +21,6 @@ from trainlog.along_line import (
     planned_time_distance,
     time_distance_of,
 )
-from trainlog.errors import InputError
-from trainlog.formats.railway import read_train
-from trainlog.formats.samples import DEFAULT_TRAIN, sample
-from trainlog.mcap import read_log
-from trainlog.railway import Configuration, Trajectory
 from trainlog.units import NANOSECONDS
 
 SAMPLE = Path(__file__).parents[1] / "sample_logs" / "stopping.mcap"

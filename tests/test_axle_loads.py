@@ -20,7 +20,7 @@ from trainlog.arrays import FloatArray
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.railway import read_train, train_from_bytes, train_to_bytes, write_train
 from trainlog.railway import Axles, Train
-from trainlog.railway.axle_loads import AxleGeometry, axle_loads, load_transfer
+from trainlog.railway.train import AxleGeometry, axle_loads, load_transfer
 from trainlog.simulation import draw_scenarios
 from trainlog.simulation.plant import Plant
 from trainlog.trip import TRAIN_ATTACHMENT

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.comparison import reading
+from analysis.comparison import driven
 from analysis.comparison.groups import compare_groups, punctuality, trip_cost
 from trainlog.errors import LogError
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
@@ -90,7 +90,7 @@ def test_a_log_in_pieces_costs_what_the_trip_costs(
     expected = trip_cost(whole)
     assert expected.stops == 1
     for rows in (7, 10**6):
-        monkeypatch.setattr(reading, "ROWS", 20 * rows)
+        monkeypatch.setattr(driven, "ROWS", 20 * rows)
         found = trip_cost(tmp_path / "trip.mcap")
         assert (found.name, found.direction) == (expected.name, expected.direction)
         last = expected.slips, expected.late, expected.notes

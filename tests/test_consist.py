@@ -12,7 +12,7 @@ from simulated_line import level_line, steps
 
 from trainlog.errors import InputError
 from trainlog.railway import CurvatureProfile, RunningResistance, Tunnel
-from trainlog.railway.consist import Consist, ConsistBrake, Coupler, Vehicle
+from trainlog.railway.train import Consist, ConsistBrake, Coupler, Vehicle
 from trainlog.simulation.consist import ConsistPlant, ConsistState, Variation
 from trainlog.units import GRAVITY
 

@@ -35,8 +35,8 @@ from trainlog.railway import (
     StepProfile,
     Trajectory,
 )
-from trainlog.railway.consist import Consist
-from trainlog.railway.journey import Journey, TimingPoint
+from trainlog.railway.train import Consist
+from trainlog.railway.trajectory import Journey, TimingPoint
 
 CONFIGURATION = Configuration("a", 1e5, 1e4, RunningResistance(1.0, 2.0, 3.0), 1e6)
 GOOD: dict[str, tuple[bytes, Callable[..., Any]]] = {

@@ -11,23 +11,25 @@ import pytest
 from trainlog.declaration import Declared, entries
 from trainlog.formats.railway import CoastDownResult, DragCurve, Identified
 from trainlog.formats.samples import sample
-from trainlog.railway.axle_loads import AxleGeometry
-from trainlog.railway.consist import Consist, ConsistBrake, Coupler, Vehicle
 from trainlog.railway.evidence import DailyEvidence
-from trainlog.railway.journey import Journey
 from trainlog.railway.line import Geometry, Line, LineReference, Survey
 from trainlog.railway.network import Edge, Network
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import (
     BRAKING_PARAMETERS,
+    AxleGeometry,
     Axles,
     Brake,
     BrakingCurves,
     Configuration,
+    Consist,
+    ConsistBrake,
+    Coupler,
     ParameterSet,
     Train,
+    Vehicle,
 )
-from trainlog.railway.trajectory import Trajectory
+from trainlog.railway.trajectory import Journey, Trajectory
 
 TEXT = (Path(__file__).parents[1] / "docs" / "formats.md").read_text("utf-8")
 SECTIONS: list[tuple[str, tuple[type, ...]]] = [

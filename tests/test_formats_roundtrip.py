@@ -58,9 +58,9 @@ from trainlog.railway import (
     Trajectory,
 )
 from trainlog.railway.condition import ConditionLayer
-from trainlog.railway.consist import Consist
-from trainlog.railway.journey import Journey, TimingPoint
 from trainlog.railway.network import Edge, Network, Node
+from trainlog.railway.train import Consist
+from trainlog.railway.trajectory import Journey, TimingPoint
 from trainlog.trip import Trip
 
 quick = settings(max_examples=40)

@@ -21,7 +21,7 @@ from trainlog.formats.imports import import_file
 from trainlog.formats.railway import read_journey, read_line, read_train
 from trainlog.formats.ttobench import JourneyLayout, TrackLayout, TrainLayout
 from trainlog.railway import BrakingCurves, Line, Station, Train
-from trainlog.railway.journey import Journey, TimingPoint
+from trainlog.railway.trajectory import Journey, TimingPoint
 
 LIBRARY = Path(__file__).parents[2] / "shared" / "data" / "ttobench"
 FILES = sorted(LIBRARY.glob("*/*.json"))

@@ -14,8 +14,7 @@ from trainlog.errors import InputError
 from trainlog.ingest import ingest, ingest_all, propose_profile, report_of
 from trainlog.ingest.placing import placed
 from trainlog.ingest.recording import Table
-from trainlog.railway.line import Line, Station
-from trainlog.railway.line_parts import StepProfile
+from trainlog.railway.line import Line, Station, StepProfile
 
 BEGIN = np.datetime64("2025-03-11T05:30:00", "ms")
 

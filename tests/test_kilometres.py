@@ -23,7 +23,7 @@ from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.mcap import read_log, write_log
 from trainlog.presentation import WordTable
 from trainlog.railway import Line, LineReference
-from trainlog.railway.kilometres import in_km, km_ticks, position_of, section_of_km
+from trainlog.railway.line import in_km, km_ticks, position_of, section_of_km
 from trainlog.trip import LINE_ATTACHMENT
 
 PLAIN = read_line(sample(DEFAULT_LINE))

@@ -28,7 +28,7 @@ from trainlog.errors import InputError
 from trainlog.railway import Line, LineReference, Station, StepProfile, TrackConditionMap
 from trainlog.railway.condition import ConditionChange, ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
-from trainlog.railway.kilometres import position_of
+from trainlog.railway.line import position_of
 
 pytestmark = pytest.mark.usefixtures("remembered_estimates")
 

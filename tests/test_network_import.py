@@ -25,8 +25,7 @@ from trainlog.formats.imports import import_file, networks_in
 from trainlog.formats.railway import read_line, read_network, write_network
 from trainlog.formats.tracks import Infrastructure
 from trainlog.railway import Line, Station, StepProfile
-from trainlog.railway.line_network import network_of_lines
-from trainlog.railway.network import Network
+from trainlog.railway.network import Network, network_of_lines
 from trainlog.units import KMH
 
 OSRD = Path(__file__).parents[1] / ".." / "shared" / "data" / "osrd"

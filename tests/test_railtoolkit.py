@@ -15,8 +15,8 @@ from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.railtoolkit import coupled, read_any, read_rolling_stock, read_running_paths
 from trainlog.formats.railway import read_train, read_trajectory
 from trainlog.railway import EffortCurve, Train
-from trainlog.railway.consist import RollingVehicle
 from trainlog.railway.motion import shortest_run
+from trainlog.railway.train import RollingVehicle
 from trainlog.units import GRAVITY
 
 DATA = Path(__file__).parents[2] / "shared" / "data"

@@ -22,7 +22,7 @@ from trainlog.railway import (
     Tunnel,
 )
 from trainlog.railway.adhesion import DRY, WET
-from trainlog.railway.consist import Consist, Coupler, Vehicle
+from trainlog.railway.train import Consist, Coupler, Vehicle
 
 LINE = Line(
     name="test",

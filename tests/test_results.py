@@ -28,6 +28,7 @@ from analysis.reports.page import Page, Section
 from analysis.trajectory.journey import JourneyPlan
 from analysis.trajectory.optimiser import Front
 from analysis.trajectory.table import PlannedRun
+from trainlog.arrays import same_values
 from trainlog.catalogue import open_catalogue
 from trainlog.cli.terminal import as_json_text
 from trainlog.declaration import Declared
@@ -35,7 +36,6 @@ from trainlog.formats.railway import write_parameters
 from trainlog.ingest import ingest_all, propose_profile
 from trainlog.presentation import Presented
 from trainlog.railway.adhesion import AdhesionPoints
-from trainlog.values import same_values
 
 pytestmark = pytest.mark.usefixtures("remembered_estimates")
 

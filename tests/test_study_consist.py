@@ -21,7 +21,7 @@ from trainlog.formats.declared import thing_from_bytes
 from trainlog.formats.railway import read_consist, write_consist, write_line
 from trainlog.formats.samples import names, sample
 from trainlog.mcap import read_log, write_log
-from trainlog.railway.consist import Consist
+from trainlog.railway.train import Consist
 from trainlog.simulation.consist import ConsistPlant
 
 SHORT = replace(

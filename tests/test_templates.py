@@ -30,7 +30,7 @@ from trainlog.formats.railway import (
 from trainlog.formats.samples import sample
 from trainlog.ingest import ingest, read_profile
 from trainlog.railway import Line, Train
-from trainlog.railway.journey import Journey
+from trainlog.railway.trajectory import Journey
 
 ROUNDING = 5e-14
 quick = settings(max_examples=30, suppress_health_check=list(HealthCheck))

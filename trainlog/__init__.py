@@ -118,7 +118,7 @@ if TYPE_CHECKING:
         PolachCurve as PolachCurve,
         polach_curve as polach_curve,
     )
-    from trainlog.railway.consist import (
+    from trainlog.railway.train import (
         Consist as Consist,
         ConsistBrake as ConsistBrake,
         Coupler as Coupler,

@@ -1,6 +1,10 @@
-"""Names of array types, and the robust scale of a series: needs NumPy only."""
+"""Names of array types, the robust scale of a series, and whether two results are equal."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,3 +38,40 @@ def robust_std(deviations: ArrayLike) -> float:
     1.4826
     """
     return MEDIAN_TO_STD * float(np.median(np.abs(deviations)))
+
+
+def same_values(first: Any, second: Any) -> bool:
+    """Whether two values are of one type and equal, number for number; NaN equals NaN.
+
+    Examples
+    --------
+    >>> same_values({"speed": np.array([1.0, np.nan])}, {"speed": np.array([1.0, np.nan])})
+    True
+    >>> same_values(np.zeros(2), np.zeros(3))
+    False
+    """
+    if first is second:
+        return True
+    if isinstance(first, float | np.floating) and isinstance(second, float | np.floating):
+        return bool(first == second or (np.isnan(first) and np.isnan(second)))
+    if isinstance(first, Mapping) and isinstance(second, Mapping):
+        return first.keys() == second.keys() and all(
+            same_values(value, second[key]) for key, value in first.items()
+        )
+    import pandas as pd  # takes a while, and the help of the commands needs none of it
+
+    if type(first) is not type(second):
+        return False
+    if isinstance(first, np.ndarray):
+        return np.array_equal(first, second, equal_nan=first.dtype.kind in "fc")
+    if isinstance(first, pd.DataFrame | pd.Series | pd.Index):
+        return bool(first.equals(second))
+    if isinstance(first, list | tuple):
+        return len(first) == len(second) and all(map(same_values, first, second))
+    if is_dataclass(first):
+        names = [each.name for each in fields(first) if each.compare]
+        return all(same_values(getattr(first, name), getattr(second, name)) for name in names)
+    by_identity: Any = object.__eq__
+    if type(first).__eq__ is by_identity and hasattr(first, "__dict__"):
+        return same_values(vars(first), vars(second))
+    return bool(first == second)

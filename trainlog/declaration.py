@@ -37,12 +37,11 @@ from typing import (
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trainlog.arrays import FloatArray, IntArray
+from trainlog.arrays import FloatArray, IntArray, same_values
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.presentation import Presented
 from trainlog.units import KMH, factor, to_si
-from trainlog.values import same_values
 
 Thing = TypeVar("Thing")
 Result = TypeVar("Result")
@@ -1375,7 +1374,7 @@ def meanings(kind: type) -> dict[str, str]:
 
     Examples
     --------
-    >>> from trainlog.railway.axle_loads import AxleGeometry
+    >>> from trainlog.railway.train import AxleGeometry
     >>> meanings(AxleGeometry)["wheelbase"]
     'Between the first and the last axle of a bogie.'
     """

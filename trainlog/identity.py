@@ -25,7 +25,7 @@ import pandas as pd
 from trainlog.arrays import IntArray, UintArray
 from trainlog.errors import InputError
 from trainlog.presentation import Presented
-from trainlog.trip import Trip
+from trainlog.trip import Trip, nanoseconds
 from trainlog.units import NANOSECONDS
 
 COLUMNS = (
@@ -152,7 +152,7 @@ def identity_of(trip: Trip) -> TripIdentity | None:
         known = np.isfinite(values)
         if not known.any():
             continue
-        time = pd.DatetimeIndex(frame.index).as_unit("ns").asi8[known]
+        time = nanoseconds(frame)[known]
         rounded = np.rint(values[known] / step).astype(np.int64)
         if np.any(np.diff(time) < 0):
             order = np.argsort(time, kind="stable")

@@ -15,19 +15,21 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
+from importlib import import_module
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
 
+from trainlog.arrays import same_values
 from trainlog.display import SPEED_UNITS, as_text, in_speed_unit, in_zone
-from trainlog.plotted import Plotted
+from trainlog.errors import InputError
 from trainlog.units import JOULES_PER_KWH, KMH
-from trainlog.values import same_values
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
     from rich.console import Console, ConsoleOptions, RenderResult
 
 Row = TypeVar("Row")
@@ -715,12 +717,19 @@ def _schema_of(value: Any) -> dict[str, Any]:
 # ------------------------------------------------------------------------------------- results
 
 
-class Presented(Plotted):
+class Presented:
     """A result that states what it shows; all its forms follow.
 
     A class gives its `title`, and some of `summary`, `facts`, `tables`, `sentence` and `notes`, and
-    names the function that makes its charts (`charts_by`).
+    names the function that makes its charts (`charts_by`): these are described in the package
+    `analysis`, which stands above the data that they show, and is imported when it is first called.
     Of a dataclass that derives from it ``repr`` and ``eq`` are off.
+
+    Attributes
+    ----------
+    charts_by : str
+        As ``"module:function"``; the function takes the result and options of its own, and returns
+        charts (`analysis.charts.Chart`). Empty where there is no picture.
 
     Examples
     --------
@@ -747,6 +756,8 @@ class Presented(Plotted):
     """
 
     __slots__ = ()
+
+    charts_by: ClassVar[str] = ""
 
     @property
     def title(self) -> str:
@@ -777,6 +788,38 @@ class Presented(Plotted):
         return ()
 
     # What follows from these.
+
+    def charts(self, **options: Any) -> Sequence[Any]:
+        """The charts of this result; further `options` as of the function `charts_by`.
+
+        Raises
+        ------
+        InputError
+            If there is no picture of such a result.
+        """
+        if not self.charts_by:
+            raise InputError(
+                f"{type(self).__name__} has no plot", remedy="print it, or use its attributes"
+            )
+        module, _, name = self.charts_by.partition(":")
+        charts: Sequence[Any] = getattr(import_module(module), name)(self, **options)
+        return charts
+
+    def plot(self, **options: Any) -> Figure:
+        """Draw this result.
+
+        Parameters
+        ----------
+        **options
+            As of the function `charts_by`.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            A notebook shows it; ``figure.savefig("picture.png")`` writes it.
+        """
+        figure: Figure = import_module("analysis.charts").figure_of(self.charts(**options))
+        return figure
 
     def __repr__(self) -> str:
         return as_text(self.title, self.summary())

@@ -1,25 +1,42 @@
-"""Bringing a trip's topics onto one clock, without inventing data.
+"""Bringing a trip's topics onto one clock, and trips onto one grid of positions.
 
 How a value between two samples is found stands in the table of topics: on the line between them,
 held since the last, or not at all. Nothing is known before the first sample of a topic, after its
 last, beside a sample that is not known, and in a gap longer than a stated time: there the result is
 NaN. What has no value between samples (texts and codes) is never resampled.
+
+A time-distance curve orders a trip by position. Recorded chainage does not grow steadily: that of a
+standing train wavers by millimetres, an odometer's is set back by metres at a balise. The curve is
+the non-decreasing one nearest to what was recorded, in the least-squares sense (isotonic
+regression). Trips lie over each other on a grid of positions, by the time at which each node is
+reached.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import timedelta
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
-from trainlog.arrays import FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError, LogError
-from trainlog.topics import Topic, column_field, topic_of_frame
-from trainlog.trip import Trip
-from trainlog.units import NANOSECONDS
+from trainlog.railway.trajectory import Trajectory
+from trainlog.topics import (
+    ESTIMATED_STATE,
+    GNSS_FIX,
+    GNSS_MOTION,
+    TRAIN_STATE,
+    Topic,
+    column_field,
+    topic_of_frame,
+)
+from trainlog.trip import Trip, nanoseconds
+from trainlog.units import EARTH_RADIUS, NANOSECONDS
 from trainlog.version import __version__
 
 Clock = pd.DatetimeIndex | pd.Timedelta | float
@@ -69,7 +86,7 @@ def interpolated(
             f"{column} of {frame.attrs['topic']} has no values between its samples",
             remedy="take the rows as they are",
         )
-    known = pd.DatetimeIndex(frame.index).as_unit("ns").asi8
+    known = nanoseconds(frame)
     wanted = time.as_unit("ns").asi8
     values = frame[column].to_numpy(dtype=np.float64)
     if len(known) == 0:
@@ -142,7 +159,7 @@ def resampled_frame(
     topic = topic_of_frame(frame.attrs)
     names = [name for name in frame.columns if column_field(topic, name).interpolation != "none"]
     # At its own times a topic is what it was, though one come twice.
-    own = np.array_equal(_nanoseconds(frame), time.as_unit("ns").asi8)
+    own = np.array_equal(nanoseconds(frame), time.as_unit("ns").asi8)
     found = pd.DataFrame(
         {
             name: frame[name].to_numpy(np.float64).copy()
@@ -253,7 +270,7 @@ def joined_pieces(
         newest = max([newest, *map(_end, piece.topics.values())])
         oldest = -1 if patience is None else newest - patience
         known = min([newest, *(max(_end(waiting[name]), oldest) for name in topics - {on})])
-        ready = int(np.searchsorted(_nanoseconds(waiting[on]), known, side="right"))
+        ready = int(np.searchsorted(nanoseconds(waiting[on]), known, side="right"))
         if ready:
             yield _joined_rows(waiting, columns, on, slice(0, ready), max_gap)
             waiting = _remaining(waiting, on, ready)
@@ -280,10 +297,10 @@ def _behind(waiting: Trip | None, piece: Trip, topics: set[str]) -> Trip:
 
 def _remaining(trip: Trip, on: str, done: int) -> Trip:
     """The rows that are still needed when the first rows of the clock are done."""
-    reached = _nanoseconds(trip[on])[done - 1]
+    reached = nanoseconds(trip[on])[done - 1]
     frames = {}
     for name, frame in trip.topics.items():
-        first = int(np.searchsorted(_nanoseconds(frame), reached, side="right")) - 1
+        first = int(np.searchsorted(nanoseconds(frame), reached, side="right")) - 1
         frames[name] = _kept(frame, slice(done if name == on else max(first, 0), None))
     return replace(trip, topics=frames)
 
@@ -295,11 +312,7 @@ def _kept(frame: pd.DataFrame, rows: slice) -> pd.DataFrame:
 
 
 def _end(frame: pd.DataFrame) -> int:
-    return int(_nanoseconds(frame)[-1]) if len(frame) else -1
-
-
-def _nanoseconds(frame: pd.DataFrame) -> IntArray:
-    return pd.DatetimeIndex(frame.index).as_unit("ns").asi8
+    return int(nanoseconds(frame)[-1]) if len(frame) else -1
 
 
 MOST_INSTANTS = 10**8
@@ -420,3 +433,353 @@ def _columns_of(frame: pd.DataFrame, name: str) -> list[str]:
 def _field_if_per_axle(topic: Topic, column: str) -> str | None:
     field = column_field(topic, column)
     return field.name if field.per_axle else None
+
+
+# ------------------------------------------------------------------ on a grid of positions
+
+Nanoseconds = IntArray
+
+POSITION_SOURCES: tuple[tuple[str, ...], ...] = (
+    (ESTIMATED_STATE.name, "position"),
+    (TRAIN_STATE.name, "position"),
+    (GNSS_MOTION.name, "speed"),
+    (GNSS_FIX.name, "latitude", "longitude"),
+)
+"""Topics, and columns of them, from which a trip's position is known, the best first."""
+
+LONGEST_GAP = 10.0
+"""Between two known positions [s]: within a longer gap it is not known when a place was passed."""
+
+GAP_DISTANCE = 20.0
+"""Moved over a gap [m]: a train that stood through it is known all the time."""
+
+
+@dataclass(frozen=True, eq=False)
+class TimeDistance:
+    """Time-distance curve of a trip or of a plan.
+
+    Attributes
+    ----------
+    start : int [ns since 1970 UTC]
+        First sample of the trip.
+    time : (n,) int array [ns since 1970 UTC]
+        When the position was recorded.
+    position : (n,) array [m]
+        Never decreasing; counted in the direction of travel.
+
+    Examples
+    --------
+    Stands 10 s at 100 m:
+
+    >>> times = np.array([0, 10, 20, 30]) * 1_000_000_000
+    >>> curve = TimeDistance(0, times, np.array([0.0, 100.0, 100.0, 200.0]))
+    >>> curve.arrival_at([50.0, 100.0, 300.0]), curve.departure_at([100.0])
+    (array([ 5., 10., nan]), array([20.]))
+    """
+
+    start: int
+    time: Nanoseconds
+    position: FloatArray
+
+    @property
+    def covered(self) -> tuple[float, float]:
+        """First and last position [m]; NaN where none is known."""
+        if self.position.size == 0:
+            return float("nan"), float("nan")
+        return float(self.position[0]), float(self.position[-1])
+
+    @property
+    def seconds(self) -> FloatArray:
+        """Time of each position since the start [s]."""
+        return np.asarray((self.time - self.start) / NANOSECONDS, dtype=np.float64)
+
+    def position_at(self, time: Nanoseconds) -> FloatArray:
+        """Chainage [m] at each instant [ns]; held before the first and after the last."""
+        if self.time.size == 0:
+            return np.zeros(time.size)
+        return np.interp(
+            (time - self.start).astype(np.float64),
+            (self.time - self.start).astype(np.float64),
+            self.position,
+        )
+
+    def arrival_at(self, position: ArrayLike) -> FloatArray:
+        """When each position [m] is reached [s since the start]; NaN where the train never was."""
+        return self._passed(position, "left")
+
+    def departure_at(self, position: ArrayLike) -> FloatArray:
+        """When each position [m] is left [s since the start]; NaN where the train never was."""
+        return self._passed(position, "right")
+
+    def in_gap(self, position: ArrayLike) -> BoolArray:
+        """Whether each position [m] was passed where none was recorded for `LONGEST_GAP`."""
+        s = np.asarray(position, dtype=np.float64)
+        long = (np.diff(self.seconds) > LONGEST_GAP) & (np.diff(self.position) > GAP_DISTANCE)
+        if not long.any():
+            return np.zeros(s.shape, dtype=np.bool_)
+        index = np.clip(np.searchsorted(self.position, s, side="left") - 1, 0, long.size - 1)
+        # At its very ends the position is a recorded one.
+        return np.asarray(long[index] & (s < self.position[index + 1]) & (s > self.position[index]))
+
+    def _passed(self, position: ArrayLike, side: Any) -> FloatArray:
+        s = np.asarray(position, dtype=np.float64)
+        if self.position.size == 0:
+            return np.full(s.shape, np.nan)
+        seconds, last = self.seconds, self.position.size - 1
+        index = np.searchsorted(self.position, s, side=side)
+        # The samples on both sides; on a recorded position the first or the last at it.
+        high = np.clip(index, 0, last)
+        low = np.clip(index - 1, 0, last)
+        step = self.position[high] - self.position[low]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = np.where(step > 0.0, (s - self.position[low]) / step, float(side == "left"))
+        passed = seconds[low] + share * (seconds[high] - seconds[low])
+        inside = (s >= self.position[0]) & (s <= self.position[-1])
+        return np.asarray(np.where(inside, passed, np.nan))
+
+
+def forward_chainage(position: ArrayLike) -> FloatArray:
+    """The non-decreasing chainage [m] nearest to a recorded one.
+
+    A line's chainage begins at 0: what lies before it is noise and is put there.
+
+    Source: isotonic regression by pooling adjacent violators (Barlow et al., 1972).
+
+    Examples
+    --------
+    >>> forward_chainage([0.0, 10.0, 9.0, 20.0])
+    array([ 0. ,  9.5,  9.5, 20. ])
+    """
+    from scipy.optimize import isotonic_regression
+
+    recorded = np.maximum(np.asarray(position, dtype=np.float64), 0.0)
+    if recorded.size == 0:
+        return recorded
+    return np.asarray(isotonic_regression(recorded).x, dtype=np.float64)
+
+
+def time_distance_of(trip: Trip) -> TimeDistance:
+    """The trip's time-distance curve, with the best position that it holds.
+
+    Estimated chainage before the train's own; without either, the distance since the first sample,
+    from the satellites' speed or else from their fixes. The curve of a trip without any of them is
+    empty.
+
+    Raises
+    ------
+    LogError
+        If the trip holds no samples.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> curve = time_distance_of(trainlog.read("sample_logs/nonstop.mcap"))
+    >>> curve.arrival_at([10_000.0]).round(1)
+    array([376.8])
+    """
+    start = int(trip.start.as_unit("ns").value)
+    found = {source: known_rows(trip, *source) for source in POSITION_SOURCES}
+    return time_distance(start, {key: rows for key, rows in found.items() if rows is not None})
+
+
+def time_distance(start: int, known: Mapping[tuple[str, ...], tuple[Any, ...]]) -> TimeDistance:
+    """The curve of a trip that began at `start` [ns], from the positions in `known`.
+
+    Parameters
+    ----------
+    start : int [ns since 1970 UTC]
+    known : mapping of tuple of str to tuple of arrays
+        By one of `POSITION_SOURCES`: time [ns] and columns of the rows in which all are known.
+
+    Examples
+    --------
+    >>> rows = np.array([0, 10]) * 1_000_000_000, np.array([0.0, 250.0])
+    >>> time_distance(0, {("/train/state", "position"): rows}).covered
+    (0.0, 250.0)
+    """
+    for source in POSITION_SOURCES[:2]:
+        if source in known:
+            time, position = known[source]
+            return TimeDistance(start, time, forward_chainage(position))
+    if POSITION_SOURCES[2] in known:
+        time, speed = known[POSITION_SOURCES[2]]
+        steps = np.diff(time) / NANOSECONDS * 0.5 * (speed[1:] + speed[:-1])
+        return TimeDistance(start, time, np.concatenate(([0.0], np.cumsum(steps))))
+    if POSITION_SOURCES[3] in known:
+        time, latitude, longitude = known[POSITION_SOURCES[3]]
+        return TimeDistance(start, time, _run(latitude, longitude))
+    return TimeDistance(start, np.empty(0, np.int64), np.empty(0))
+
+
+def planned_time_distance(trajectory: Trajectory, row: int, start: int = 0) -> TimeDistance:
+    """The time-distance curve that a trajectory plans for configuration `row`.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    row : int
+    start : int [ns since 1970 UTC]
+        Departure.
+
+    Notes
+    -----
+    Between nodes the speed squared is linear in position, so that ``t = t0 + 2 (s - s0)/(v0 + v)``.
+    Nodes far apart are parted, so that the curve between is not a line.
+    """
+    nodes = trajectory.positions
+    parts = np.maximum(1, np.ceil(np.diff(nodes) / _PLAN_STEP)).astype(np.int64)
+    cell = np.repeat(np.arange(parts.size), parts)
+    share = (np.arange(cell.size) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[cell]
+    place = nodes[cell] + share * (nodes[cell + 1] - nodes[cell])
+    speed = trajectory.speeds[row]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        after = 2.0 * (place - nodes[cell]) / (speed[cell] + trajectory.speed_at(row, place))
+    times = trajectory.times[row][cell] + np.where(share > 0.0, after, 0.0)
+    seconds = np.append(times, trajectory.times[row][-1])
+    return TimeDistance(
+        start,
+        start + np.rint(seconds * NANOSECONDS).astype(np.int64),
+        np.append(place, nodes[-1]),
+    )
+
+
+_PLAN_STEP = 10.0
+"""Longest piece of a planned curve [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class OnGrid:
+    """A trip on a grid of positions.
+
+    Attributes
+    ----------
+    position : (n,) array [m]
+        Nodes of the grid, increasing.
+    time : (n,) array [s]
+        When each node is reached, since the curve's start; NaN outside the trip and in its gaps.
+    speed : (n,) array [m/s]
+        At that time; NaN alike.
+    """
+
+    position: FloatArray
+    time: FloatArray
+    speed: FloatArray
+
+
+def grid_over(curves: list[TimeDistance], step: float = 10.0) -> FloatArray:
+    """Multiples of `step` [m] over all that any of the curves covers.
+
+    Raises
+    ------
+    InputError
+        If no curve knows a position, or the step is not positive.
+
+    Examples
+    --------
+    >>> curve = TimeDistance(0, np.array([0, 10**10]), np.array([3.0, 31.0]))
+    >>> grid_over([curve])
+    array([10., 20., 30.])
+    """
+    if not step > 0.0:
+        raise InputError(f"a grid cannot have steps of {step:g} m", remedy="give metres above 0")
+    ends = np.array([curve.covered for curve in curves if curve.position.size])
+    if ends.size == 0:
+        raise InputError("no trip knows where it was", remedy="give trips with a position")
+    first, last = np.ceil(ends[:, 0].min() / step), np.floor(ends[:, 1].max() / step)
+    return np.asarray(step * np.arange(first, last + 1.0))
+
+
+def on_grid(
+    curve: TimeDistance,
+    grid: FloatArray,
+    recorded: tuple[Nanoseconds, FloatArray] | None = None,
+) -> OnGrid:
+    """Passing time and speed of a trip at the nodes of a grid.
+
+    Parameters
+    ----------
+    curve : TimeDistance
+    grid : (n,) array [m]
+    recorded : (time [ns since 1970 UTC], speed [m/s]), optional
+        The speed is read of it; without, it is the mean over a step of the grid to either side.
+
+    Examples
+    --------
+    >>> curve = TimeDistance(0, np.array([0, 10**10]), np.array([0.0, 200.0]))
+    >>> on_grid(curve, np.array([0.0, 100.0, 200.0])).speed
+    array([20., 20., 20.])
+    """
+    time = np.where(curve.in_gap(grid), np.nan, curve.arrival_at(grid))
+    if recorded is not None and recorded[0].size:
+        instants = (recorded[0] - curve.start) / NANOSECONDS
+        speed = np.interp(time, instants, recorded[1], left=np.nan, right=np.nan)
+    elif grid.size > 1:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            speed = 1.0 / np.gradient(time, grid)
+    else:
+        speed = np.full(grid.shape, np.nan)
+    return OnGrid(grid, time, np.asarray(speed))
+
+
+STANDING_PACE = 1.0
+"""Mean speed between two nodes below which a train stood there [m/s]."""
+
+STOPS_APART = 60.0
+"""Two trains that stand within such a distance stand at the same place [m]."""
+
+
+def difference(trip: OnGrid, reference: OnGrid) -> OnGrid:
+    """How far a trip is behind a reference, and how much faster, at each node of their grid.
+
+    Time is what was lost since the first node that both reached, negative where gained; time and
+    speed are NaN outside of both.
+
+    Raises
+    ------
+    InputError
+        If they are on different grids.
+
+    Examples
+    --------
+    >>> grid = np.array([0.0, 100.0])
+    >>> fast = OnGrid(grid, np.array([0.0, 5.0]), np.array([20.0, 20.0]))
+    >>> slow = OnGrid(grid, np.array([60.0, 70.0]), np.array([10.0, 10.0]))
+    >>> difference(slow, fast).time, difference(slow, fast).speed
+    (array([0., 5.]), array([-10., -10.]))
+    """
+    if not np.array_equal(trip.position, reference.position):
+        raise InputError("trip and reference are on different grids", remedy="take one for both")
+    lost, place = trip.time - reference.time, trip.position
+    # Of a stop that both make a few metres apart one has stood already, and the other has not.
+    own, other = (
+        np.flatnonzero(np.diff(each.time) > np.diff(place) / STANDING_PACE)
+        for each in (trip, reference)
+    )
+    for begin, end in np.sort([(one, two) for one in own for two in other if one != two]):
+        if place[end] - place[begin] <= STOPS_APART:
+            ends, inner = [begin, end + 1], slice(begin + 1, end + 1)
+            lost[inner] = np.interp(place[inner], place[ends], lost[ends])
+    both = np.flatnonzero(np.isfinite(lost))
+    since = lost[both[0]] if both.size else 0.0
+    return OnGrid(trip.position, lost - since, trip.speed - reference.speed)
+
+
+def known_rows(trip: Trip, topic: str, *names: str) -> tuple[Any, ...] | None:
+    """Time and columns of the rows of `topic` in which all of `names` are known; None if none."""
+    if topic not in trip:
+        return None
+    frame = trip[topic]
+    if any(name not in frame for name in names):
+        return None
+    values = [frame[name].to_numpy(dtype=np.float64) for name in names]
+    known = np.all(np.isfinite(values), axis=0)
+    if not known.any():
+        return None
+    return nanoseconds(frame)[known], *(column[known] for column in values)
+
+
+def _run(latitude: FloatArray, longitude: FloatArray) -> FloatArray:
+    """Distance run along fixes [deg] since the first [m], on a sphere and from fix to fix."""
+    north = np.radians(np.diff(latitude))
+    east = np.radians(np.diff(longitude)) * np.cos(np.radians(latitude[:-1]))
+    return np.concatenate(([0.0], np.cumsum(EARTH_RADIUS * np.hypot(north, east))))

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from trainlog.arrays import FloatArray
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import LogError, NotRecordedError
 from trainlog.presentation import Presented, WordTable, facts_table
@@ -259,7 +259,7 @@ class Trip(Presented):
         """
         limits = position_limits(start, end)
         state = self.located()
-        time = pd.DatetimeIndex(state.index).as_unit("ns").asi8
+        time = nanoseconds(state)
         position = state["position"].to_numpy(dtype=np.float64)
         spans = spans_within(time, position, *limits)
         return self.cut(spans).with_slice(position=(start, end))
@@ -268,7 +268,7 @@ class Trip(Presented):
         """The rows of all topics in the spans of time; the provenance stays as it is."""
         cut = {}
         for name, frame in self.topics.items():
-            kept = frame[in_spans(pd.DatetimeIndex(frame.index).as_unit("ns").asi8, spans)]
+            kept = frame[in_spans(nanoseconds(frame), spans)]
             kept.attrs = frame.attrs
             cut[name] = kept
         return replace(self, topics=cut)
@@ -324,7 +324,7 @@ def _same(frame: pd.DataFrame, other: pd.DataFrame) -> bool:
 
 def _rate(frame: pd.DataFrame) -> str:
     """The usual rate of a topic, in words; nothing where there is none."""
-    step = np.diff(pd.DatetimeIndex(frame.index).as_unit("ns").asi8)
+    step = np.diff(nanoseconds(frame))
     usual = float(np.median(step)) if step.size > 1 else 0.0
     regular = usual > 0.0 and np.mean(np.abs(step - usual) < 0.1 * usual) > 0.5
     return f" at {NANOSECONDS / usual:.3g} Hz" if regular else ""
@@ -403,3 +403,15 @@ def seconds(frame: pd.DataFrame, origin: pd.Timestamp | None = None) -> FloatArr
     index = pd.DatetimeIndex(frame.index)
     start = index[0] if origin is None else origin
     return np.asarray((index - start) / pd.Timedelta(seconds=1), dtype=np.float64)
+
+
+def nanoseconds(frame: pd.DataFrame) -> IntArray:
+    """Time of each row [ns since 1970 UTC].
+
+    Examples
+    --------
+    >>> from trainlog.topics import TRAIN_STATE
+    >>> nanoseconds(frame_of(TRAIN_STATE, [0, 500_000_000], {"speed": [3.0, 4.0]})).tolist()
+    [0, 500000000]
+    """
+    return np.asarray(pd.DatetimeIndex(frame.index).as_unit("ns").asi8)

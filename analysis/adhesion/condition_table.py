@@ -23,8 +23,7 @@ from trainlog.railway.condition import (
     PassingSpot,
     TrackConditionMap,
 )
-from trainlog.railway.kilometres import in_km, near
-from trainlog.railway.line import Line, StepProfile
+from trainlog.railway.line import Line, StepProfile, in_km, near
 from trainlog.units import KMH, PER_MILLE
 
 BAND = (0.025, 0.975)

@@ -29,7 +29,7 @@ from trainlog.formats.files import atomic_write, write_bytes
 from trainlog.formats.ttobench import AdhesionSections, Metadata, write_adhesion
 from trainlog.presentation import plain_rows
 from trainlog.railway import Line, TrackConditionMap
-from trainlog.railway.kilometres import in_km
+from trainlog.railway.line import in_km
 from trainlog.version import __version__
 
 DIGITS = 7

@@ -27,8 +27,7 @@ from trainlog.errors import InputError
 from trainlog.presentation import SHARE, Column, Presented, WordTable, frame_table, new_table
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
-from trainlog.railway.kilometres import near
-from trainlog.railway.line import Line
+from trainlog.railway.line import Line, near
 
 RATE = 0.05
 """Share of the bins called changed that may be so by chance (false discovery rate)."""

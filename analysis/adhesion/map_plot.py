@@ -52,8 +52,7 @@ from trainlog.railway.condition import (
     TrackConditionMap,
     adhesion_class,
 )
-from trainlog.railway.kilometres import km_words
-from trainlog.railway.line import Line
+from trainlog.railway.line import Line, km_words
 from trainlog.spans import runs_of
 
 if TYPE_CHECKING:

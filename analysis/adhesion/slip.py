@@ -37,11 +37,9 @@ from trainlog.display import span
 from trainlog.errors import LogError
 from trainlog.formats.railway import line_of, train_of
 from trainlog.presentation import Presented, WordTable, frame_table
-from trainlog.railway.axle_loads import axle_loads
-from trainlog.railway.kilometres import in_km
-from trainlog.railway.line import Line
+from trainlog.railway.line import Line, in_km
 from trainlog.railway.passport import Passport
-from trainlog.railway.train import Train
+from trainlog.railway.train import Train, axle_loads
 from trainlog.resampling import interpolated
 from trainlog.spans import in_spans, runs_of
 from trainlog.topics import ESTIMATED_ADHESION, EVENTS, STANDSTILL

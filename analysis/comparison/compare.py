@@ -56,7 +56,7 @@ from trainlog.presentation import (
     new_table,
 )
 from trainlog.railway import Line, ParameterSet, Trajectory
-from trainlog.railway.kilometres import STATION_REACH, in_km, km_words, station_at
+from trainlog.railway.line import STATION_REACH, in_km, km_words, station_at
 from trainlog.spans import runs_of
 from trainlog.units import KMH, clock
 
@@ -1183,7 +1183,7 @@ def _renamed(trip: DrivenTrip, before: Sequence[str]) -> DrivenTrip:
 
 
 def _own(trip: DrivenTrip) -> Line:
-    return trip.line.reversed() if trip.direction == "reverse" else trip.line
+    return trip.line.travelled(trip.direction)
 
 
 def _reference(given: Given | Trajectory, line: Line, trips: Sequence[DrivenTrip]) -> DrivenTrip:

@@ -32,15 +32,6 @@ from scipy.ndimage import median_filter, uniform_filter1d
 
 from analysis.adhesion.axles import protection_onsets
 from analysis.given import Given, trip_of
-from trainlog.along_line import (
-    GAP_DISTANCE,
-    LONGEST_GAP,
-    POSITION_SOURCES,
-    TimeDistance,
-    forward_chainage,
-    nanoseconds,
-    planned_time_distance,
-)
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError
@@ -48,9 +39,17 @@ from trainlog.formats.railway import line_of, passport_of, recorded_load, train_
 from trainlog.mcap import read_log
 from trainlog.mcap.reader import stream_log
 from trainlog.railway import Line, Train, Trajectory
-from trainlog.railway.kilometres import STATION_REACH, km_words, station_at
+from trainlog.railway.line import STATION_REACH, km_words, station_at
 from trainlog.railway.passport import Quantity
-from trainlog.resampling import joined_pieces
+from trainlog.resampling import (
+    GAP_DISTANCE,
+    LONGEST_GAP,
+    POSITION_SOURCES,
+    TimeDistance,
+    forward_chainage,
+    joined_pieces,
+    planned_time_distance,
+)
 from trainlog.spans import runs_of
 from trainlog.topics import (
     ENVIRONMENT,
@@ -64,7 +63,7 @@ from trainlog.topics import (
     TRAIN_STATE,
     TRAIN_SUPPLY,
 )
-from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, seconds
+from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, nanoseconds, seconds
 from trainlog.units import NANOSECONDS
 
 SHORT_GAP = 2.0
@@ -833,7 +832,7 @@ def planned_trip(trajectory: Trajectory, line: Line, train: Train | None = None)
     """
     row = trajectory.latest
     curve = planned_time_distance(trajectory, row)
-    travelled = line.reversed() if trajectory.direction == "reverse" else line
+    travelled = line.travelled(trajectory.direction)
     configuration = trajectory.configurations[row]
     ends = [
         Stand(float(trajectory.positions[end]), 0.0, station_at(travelled, each))
@@ -879,7 +878,7 @@ def _line_as_travelled(bare: Trip, line: Line | None) -> Line:
             f"trip '{bare.name}' ran on line '{named}', not on '{line.name}'",
             remedy="leave it out, or give the line it ran on",
         )
-    return line.reversed() if bare.metadata.get("direction") == "reverse" else line
+    return line.travelled(bare.metadata.get("direction"))
 
 
 @dataclass(frozen=True, eq=False)

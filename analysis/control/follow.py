@@ -323,7 +323,7 @@ def following_scenarios(
     follows = partial(
         Follower,
         trajectory,
-        line if trajectory.direction == "forward" else line.reversed(),
+        line.travelled(trajectory.direction),
         train,
         condition=condition_map,
         layer=weather,

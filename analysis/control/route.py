@@ -23,8 +23,8 @@ from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.railway import TrackConditionMap, Trajectory
-from trainlog.railway.effort import arrays_of
 from trainlog.railway.motion import effort_at
+from trainlog.railway.resistance import arrays_of
 from trainlog.units import GRAVITY
 
 GRID = 5.0

@@ -22,7 +22,7 @@ from analysis.network.edges import Stretch, edges_of
 from trainlog.arrays import FloatArray
 from trainlog.errors import LogError
 from trainlog.formats.railway import largest_load
-from trainlog.railway.kilometres import STATION_REACH
+from trainlog.railway.line import STATION_REACH
 from trainlog.railway.motion import timetable_run
 from trainlog.units import NANOSECONDS
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,16 +14,14 @@ from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.railway import line_of, line_to_bytes
 from trainlog.railway.line import (
+    TINY,
     CurvatureProfile,
-    Geometry,
     Leg,
     Line,
     LineReference,
-    Station,
+    Profile,
     StepProfile,
-    Tunnel,
 )
-from trainlog.railway.line_parts import TINY
 from trainlog.railway.network import Network
 from trainlog.railway.weather import WEATHER_BY_EDGE, stated_condition
 from trainlog.spans import spans_within
@@ -261,14 +260,10 @@ def edge_line(line: Line, leg: Leg) -> Line:
     low, length = (0.0 if low <= TINY else low), leg.edge_length
     before, after = low > 0.0, length - high > TINY
 
-    def around(positions: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
-        """Rows of the whole edge, with zeros where it is not known."""
-        zero, at = np.zeros(int(before)), np.full(int(after), high)
-        end = np.zeros(int(after))
-        return (
-            np.concatenate((zero, low + positions, at)),
-            *(np.concatenate((zero, each, end)) for each in values),
-        )
+    def padded(known: Profile | None, first: Profile, last: Profile) -> Any:
+        """The profile of the whole edge, with others before and behind what is known."""
+        pads = [(0.0, first)] * before, [(high, last)] * after
+        return known and known.joined([*pads[0], (low, known), *pads[1]])
 
     def from_start(limits: StepProfile) -> StepProfile:
         """Limits of the whole edge, with the first and the last beyond the ends."""
@@ -276,40 +271,29 @@ def edge_line(line: Line, leg: Leg) -> Line:
         positions[0] = 0.0
         return StepProfile(positions, limits.values)
 
-    curves, course = part.curvatures, part.geometry
+    level = StepProfile(np.zeros(1), np.zeros(1))
+    straight = CurvatureProfile(np.zeros(1), np.zeros(1), np.zeros(1))
+    own, course = part.kilometres, part.geometry
+    # Kilometres go on as they begin and end.
+    ways = np.sign(own.end - own.start)
+    begins, ends = own.start[:1], own.end[-1:]
+    kilometres = (
+        LineReference(own.name, np.zeros(1), begins - ways[0] * low, begins),
+        LineReference(own.name, np.zeros(1), ends, ends + ways[-1] * (length - high)),
+    )
     return replace(
         part,
         name=leg.edge,
         length=length,
-        stations=tuple(Station(each.name, low + each.position) for each in part.stations),
-        speed_limits=from_start(part.speed_limits),
-        speed_limits_reverse=None
-        if part.speed_limits_reverse is None
-        else from_start(part.speed_limits_reverse),
-        gradients=StepProfile(*around(part.gradients.positions, part.gradients.values)),
-        curvatures=None
-        if curves is None
-        else CurvatureProfile(*around(curves.positions, curves.start, curves.end)),
-        tunnels=tuple(
-            Tunnel(low + each.position, each.length, each.cross_section) for each in part.tunnels
+        stations=tuple(
+            replace(each, position=min(low + each.position, length)) for each in part.stations
         ),
-        geometry=None
-        if course is None
-        else Geometry(low + course.positions, course.latitudes, course.longitudes, course.quality),
-        reference=_whole_reference(part, low, high, length),
+        speed_limits=from_start(part.speed_limits),
+        speed_limits_reverse=part.speed_limits_reverse and from_start(part.speed_limits_reverse),
+        gradients=padded(part.gradients, level, level),
+        curvatures=padded(part.curvatures, straight, straight),
+        tunnels=tuple(replace(each, position=low + each.position) for each in part.tunnels),
+        geometry=course and replace(course, positions=low + course.positions),
+        reference=padded(part.reference, *kilometres),
         legs=(),
     )
-
-
-def _whole_reference(part: Line, low: float, high: float, length: float) -> LineReference | None:
-    """The operator's kilometres of a whole edge, which go on as they begin and end."""
-    own = part.reference
-    if own is None:
-        return None
-    rows = list(zip((low + own.positions).tolist(), own.start, own.end, strict=True))
-    first, last = np.sign(rows[0][2] - rows[0][1]), np.sign(rows[-1][2] - rows[-1][1])
-    if low > 0.0:
-        rows.insert(0, (0.0, rows[0][1] - first * low, rows[0][1]))
-    if length - high > TINY:
-        rows.append((high, rows[-1][2], rows[-1][2] + last * (length - high)))
-    return LineReference(own.name, *(np.array(each) for each in zip(*rows, strict=True)))

@@ -23,7 +23,7 @@ from trainlog import __version__
 from trainlog.errors import InputError
 from trainlog.formats.railway import read_trajectory
 from trainlog.railway import Line
-from trainlog.railway.kilometres import in_km
+from trainlog.railway.line import in_km
 from trainlog.units import KMH, clock
 
 

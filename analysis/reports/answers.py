@@ -22,8 +22,7 @@ from trainlog.display import counted
 from trainlog.errors import NotRecordedError
 from trainlog.ingest.report import CLOCK_RULES
 from trainlog.presentation import facts_table
-from trainlog.railway.kilometres import km_words
-from trainlog.railway.line import Line
+from trainlog.railway.line import Line, km_words
 from trainlog.trip import Trip
 from trainlog.units import KMH
 

@@ -59,7 +59,7 @@ from trainlog.mcap import read_log
 from trainlog.presentation import Columns, WordTable, kwh, new_table, word_table
 from trainlog.progress import note
 from trainlog.railway import Line
-from trainlog.railway.kilometres import in_km
+from trainlog.railway.line import in_km
 from trainlog.trip import Trip
 from trainlog.units import KMH, clock
 

@@ -25,7 +25,7 @@ from analysis.charts import (
     named_places,
 )
 from trainlog.arrays import FloatArray
-from trainlog.railway.kilometres import km_ticks
+from trainlog.railway.line import km_ticks
 from trainlog.spans import runs_of
 
 FINE_TICKS = 60

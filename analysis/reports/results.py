@@ -311,7 +311,7 @@ def line_of_trajectory(trajectory: Trajectory, given: Path | None) -> Line | Non
                 file=given,
                 remedy="give the line that it was planned on",
             )
-    return lines[0].reversed() if trajectory.direction == "reverse" else lines[0]
+    return lines[0].travelled(trajectory.direction)
 
 
 def certificate_words(trajectory: Trajectory) -> list[str]:

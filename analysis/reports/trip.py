@@ -43,7 +43,7 @@ from trainlog.mcap import describe, read_log
 from trainlog.mcap.description import LogDescription
 from trainlog.presentation import Columns, WordTable, facts_table, kwh, word_table
 from trainlog.railway import Line
-from trainlog.railway.kilometres import in_km, station_at
+from trainlog.railway.line import in_km, station_at
 from trainlog.resampling import interpolated
 from trainlog.spans import runs_of
 from trainlog.topics import REFERENCE, STANDSTILL, TRAIN_CONTROLS

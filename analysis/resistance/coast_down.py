@@ -581,7 +581,7 @@ def travelled(trip: Trip, line: Line | None) -> Line:
     """
     if line is None or LINE_ATTACHMENT in trip.attachments:
         return line_of(trip)
-    return line.reversed() if trip.metadata.get("direction") == "reverse" else line
+    return line.travelled(trip.metadata.get("direction"))
 
 
 def _detected(

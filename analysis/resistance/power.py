@@ -10,7 +10,7 @@ import pandas as pd
 
 from analysis.resistance.recording import Prepared
 from trainlog.arrays import BoolArray, FloatArray, robust_std
-from trainlog.railway.effort import EffortCurve
+from trainlog.railway.resistance import EffortCurve
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.trip import Trip

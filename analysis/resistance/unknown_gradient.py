@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from analysis.given import Given
 from analysis.resistance.coast_down import Sources, check_not_empty, one_train, with_origin
@@ -228,8 +229,9 @@ def passages(motion: Motion, spans: Spans, trip: int, length: float | None) -> P
 
 def _mean_over(s: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
     """Mean over each piece's way of values known at places."""
-    area = np.concatenate(([0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(s))))
-    return np.asarray(np.diff(np.interp(edges * PIECE, s, area)) / PIECE)
+    return np.asarray(
+        np.diff(np.interp(edges * PIECE, s, cumulative_trapezoid(values, s, initial=0.0))) / PIECE
+    )
 
 
 def _turned(trip: Trip, line: Line | None) -> float | None:

@@ -29,7 +29,7 @@ from trainlog.formats.files import sha256, write_bytes
 from trainlog.formats.railway import line_of_plan
 from trainlog.presentation import Presented, WordTable, new_table
 from trainlog.railway import Line, StepProfile, Trajectory
-from trainlog.railway.kilometres import in_km, near, station_at
+from trainlog.railway.line import in_km, near, station_at
 from trainlog.topics import REFERENCE, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 from trainlog.units import KMH

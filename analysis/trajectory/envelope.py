@@ -18,8 +18,7 @@ from analysis.trajectory.discretisation import DiscreteProblem, discretise
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.arrays import BoolArray, FloatArray
 from trainlog.errors import InfeasibleError
-from trainlog.railway.effort import arrays_of
-from trainlog.railway.kilometres import km_words
+from trainlog.railway.line import km_words
 from trainlog.railway.motion import (
     Brakes,
     Motion,
@@ -29,6 +28,7 @@ from trainlog.railway.motion import (
     in_parts,
     speed_of,
 )
+from trainlog.railway.resistance import arrays_of
 from trainlog.units import KMH
 
 _LOSS = 0.1

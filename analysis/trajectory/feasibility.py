@@ -16,7 +16,7 @@ from analysis.trajectory.sqp import minimise
 from trainlog.arrays import FloatArray
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Line, TimingPoint
-from trainlog.railway.kilometres import km_words
+from trainlog.railway.line import km_words
 from trainlog.units import KMH, clock
 
 MOST_TIME = 5.0

@@ -17,7 +17,7 @@ import numpy as np
 from analysis.trajectory.phases import Phase, phases_of
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.railway import Line, StepProfile, Trajectory
-from trainlog.railway.kilometres import in_km
+from trainlog.railway.line import in_km
 from trainlog.units import KMH
 
 HELD = 2.0 / KMH

@@ -31,7 +31,7 @@ from trainlog.errors import InfeasibleError, InputError
 from trainlog.presentation import Presented, WordTable
 from trainlog.progress import task
 from trainlog.railway import Line, Trajectory
-from trainlog.railway.journey import Journey, TimingPoint
+from trainlog.railway.trajectory import Journey, TimingPoint
 from trainlog.units import JOULES_PER_KWH, clock
 
 _TURNS = 12

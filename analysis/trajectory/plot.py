@@ -27,7 +27,7 @@ from analysis.trajectory.phases import Phase, phases_of
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.formats.railway import line_of_plan
 from trainlog.railway import Line, Trajectory
-from trainlog.railway.kilometres import in_km
+from trainlog.railway.line import in_km
 from trainlog.units import JOULES_PER_KWH, KMH, clock
 
 COLOURS = {

@@ -16,7 +16,7 @@ from trainlog.arrays import FloatArray
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.railway import Configuration, Line, StepProfile, TimingPoint, TrackConditionMap, Train
-from trainlog.railway.kilometres import km_words
+from trainlog.railway.line import km_words
 from trainlog.units import GRAVITY, KMH, PER_MILLE
 
 Braking = Literal["recourse", "common"]

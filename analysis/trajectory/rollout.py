@@ -21,8 +21,8 @@ from numba import njit
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction, taper_along
 from analysis.trajectory.envelope import braking_curves
 from trainlog.arrays import FloatArray
-from trainlog.railway.effort import NO_CURVE
 from trainlog.railway.motion import advance, effort_at, in_parts, landing, speed_of, traverse
+from trainlog.railway.resistance import NO_CURVE
 
 _TRIALS = 6
 """Of how much faster than another a configuration has to be to arrive in time."""

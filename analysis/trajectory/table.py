@@ -33,7 +33,7 @@ from trainlog.presentation import (
     overspeed,
 )
 from trainlog.railway import Line, Trajectory
-from trainlog.railway.kilometres import in_km, station_at
+from trainlog.railway.line import in_km, station_at
 from trainlog.units import JOULES_PER_KWH, KMH, clock
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ from trainlog.formats.railway import read_line, train_to_bytes
 from trainlog.formats.samples import sample
 from trainlog.formats.ttobench import read_track, read_train
 from trainlog.railway import Train
-from trainlog.railway.axle_loads import AxleGeometry
+from trainlog.railway.train import AxleGeometry
 from trainlog.simulation import draw_scenarios
 from trainlog.trip import TRAIN_ATTACHMENT, Trip
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from trainlog.railway import RunningResistance
-from trainlog.railway.consist import Consist, ConsistBrake, Coupler, Vehicle
+from trainlog.railway.train import Consist, ConsistBrake, Coupler, Vehicle
 from trainlog.simulation.consist import ConsistPlant
 
 STEP = 0.01

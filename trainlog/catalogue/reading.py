@@ -22,8 +22,7 @@ from trainlog.mcap.contents import Contents, MisplacedError, checksum_holds, con
 from trainlog.mcap.reader import bare_trip, check_readable, position_span
 from trainlog.mcap.records import Source, in_file
 from trainlog.mcap.tables import frames_in
-from trainlog.railway.kilometres import in_km
-from trainlog.railway.line import Line
+from trainlog.railway.line import Line, in_km
 from trainlog.trip import LINE_ATTACHMENT, PASSPORT_ATTACHMENT, POSITION_TOPICS, Trip
 from trainlog.units import NANOSECONDS
 

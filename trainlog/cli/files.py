@@ -212,7 +212,7 @@ def new_network(
     name : NAME
         Default: the file's.
     """
-    from trainlog.railway.line_network import network_of_lines
+    from trainlog.railway.network import network_of_lines
 
     found = network_of_lines(
         name or output.name.partition(".")[0], [trainlog.read_line(each) for each in from_]

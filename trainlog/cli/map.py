@@ -225,7 +225,7 @@ def _show_place(
     from analysis.adhesion.map_history import MOST_DAYS
     from analysis.adhesion.map_state import line_of_map
     from analysis.charts import draw
-    from trainlog.railway.kilometres import position_of
+    from trainlog.railway.line import position_of
 
     track = trainlog.read_map(condition)
     known = line_of_map(track, line, condition)

@@ -223,7 +223,7 @@ def stretch(text: str | None, line: Line | None = None) -> tuple[float | None, f
     InputError
         If the text is not of that form, or the line has no such kilometre.
     """
-    from trainlog.railway.kilometres import section_of_km
+    from trainlog.railway.line import section_of_km
 
     if text is None:
         return None

@@ -31,9 +31,9 @@ from trainlog.formats.declared import built
 from trainlog.formats.files import check_written, read_bytes, write_bytes
 from trainlog.formats.tracks import Account, Limit, LimitChoice, Stretch, TrackData, curvature_of
 from trainlog.railway import Line, Station
-from trainlog.railway.effort import EffortCurve
 from trainlog.railway.forecast import AdhesionForecast
 from trainlog.railway.line import LineReference
+from trainlog.railway.resistance import EffortCurve
 from trainlog.railway.weather import LONGEST_HOLD, MILLIMETRE_PER_HOUR, Weather, check_condition
 from trainlog.spans import utc
 from trainlog.units import to_si

@@ -32,7 +32,7 @@ from trainlog.formats.declared import built
 from trainlog.formats.files import read_bytes
 from trainlog.formats.ttobench import UNPUBLISHED, assumed_axles
 from trainlog.railway import EffortCurve, Line, Station, StepProfile, Train
-from trainlog.railway.consist import RollingVehicle
+from trainlog.railway.train import RollingVehicle
 from trainlog.units import KMH, PER_MILLE
 
 TONNE = 1e3

@@ -44,13 +44,11 @@ from trainlog.formats.declared import (
 from trainlog.formats.files import read_bytes, sha256, to_bytes, write_bytes
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, file_or_sample
 from trainlog.presentation import PLAIN, Band, Column, Said, WordTable, new_table
-from trainlog.railway.consist import Consist
-from trainlog.railway.journey import Journey
 from trainlog.railway.line import Line
 from trainlog.railway.network import Network
 from trainlog.railway.passport import Passport, Quantity
-from trainlog.railway.train import ParameterSet, Train
-from trainlog.railway.trajectory import Trajectory
+from trainlog.railway.train import Consist, ParameterSet, Train
+from trainlog.railway.trajectory import Journey, Trajectory
 from trainlog.trip import LINE_ATTACHMENT, PASSPORT_ATTACHMENT, TRAIN_ATTACHMENT, Trip
 from trainlog.units import KMH
 from trainlog.version import __version__

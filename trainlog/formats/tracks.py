@@ -20,8 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.railway import CurvatureProfile, Line, LineReference, Station, StepProfile, Tunnel
-from trainlog.railway.composition import composed
-from trainlog.railway.line import Geometry
+from trainlog.railway.line import Geometry, composed
 from trainlog.railway.network import AT_END, Edge, Network, Node, NodeKind, assumed_on
 from trainlog.units import KMH
 

@@ -35,11 +35,10 @@ from trainlog.declaration import (
 from trainlog.errors import InputError
 from trainlog.formats.declared import built
 from trainlog.formats.files import read_json, to_bytes, write_bytes
-from trainlog.railway.journey import Journey, TimingPoint
-from trainlog.railway.line import CurvatureProfile, Line, Station, StepProfile, Tunnel
-from trainlog.railway.line_parts import POSITION
+from trainlog.railway.line import POSITION, CurvatureProfile, Line, Station, StepProfile, Tunnel
 from trainlog.railway.resistance import RunningResistance
 from trainlog.railway.train import Axles, BrakingCurves, Train
+from trainlog.railway.trajectory import Journey, TimingPoint
 from trainlog.units import GRAVITY
 
 LIBRARY_VERSION = "TTOBench v1.5"
@@ -585,7 +584,7 @@ def write_journey(journey: Journey, path: str | Path) -> None:
     Examples
     --------
     >>> import tempfile
-    >>> from trainlog.railway.journey import TimingPoint
+    >>> from trainlog.railway.trajectory import TimingPoint
     >>> journey = Journey("R 1", "short", (TimingPoint(0.0), TimingPoint(9e3, latest=600.0)))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_journey(journey, Path(folder) / "r1.json")

@@ -49,8 +49,7 @@ from trainlog.ingest.routes import (
 )
 from trainlog.ingest.rules import refuse_switched_off, repaired
 from trainlog.progress import note
-from trainlog.railway.kilometres import km_words
-from trainlog.railway.line import Line
+from trainlog.railway.line import Line, km_words
 from trainlog.railway.network import Network
 from trainlog.railway.train import Train, check_load
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip

@@ -25,8 +25,7 @@ from trainlog.mcap.contents import ChunkPlace, Contents, MisplacedError, content
 from trainlog.mcap.reader import attachments_of, bare_trip, metadata_of, position_span, read_log
 from trainlog.mcap.records import FORMAT_RECORD, PROVENANCE_RECORD, TRIP_RECORD, Source, in_file
 from trainlog.presentation import Presented, WordTable, facts_table, new_table
-from trainlog.railway.kilometres import in_km
-from trainlog.railway.line import Line
+from trainlog.railway.line import Line, in_km
 from trainlog.topics import EVENTS, TOPICS, TRAIN_STATE, Bounds, Field, Topic
 from trainlog.trip import LINE_ATTACHMENT, Trip
 from trainlog.units import factor

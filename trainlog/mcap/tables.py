@@ -255,7 +255,7 @@ def _place(topic: str) -> tuple[int, str]:
 def _tables(
     channels: Iterable[TopicChannel], chunks: Sequence[ChunkPlace], wanted: Wanted
 ) -> dict[str, _Table]:
-    """An empty table for each topic that has a channel, with room for its messages."""
+    """An empty table for each topic that has a channel, with space for its messages."""
     counts: Counter[int] = Counter()
     sizes: Counter[int] = Counter()
     for place in chunks:

@@ -4,10 +4,7 @@ Pure data and pure functions on arrays; no files.
 """
 
 from trainlog.railway.adhesion import CreepCurve as CreepCurve
-from trainlog.railway.axle_loads import AxleGeometry as AxleGeometry
 from trainlog.railway.condition import TrackConditionMap as TrackConditionMap
-from trainlog.railway.effort import EffortCurve as EffortCurve
-from trainlog.railway.journey import Journey as Journey, TimingPoint as TimingPoint
 from trainlog.railway.line import (
     CurvatureProfile as CurvatureProfile,
     Geometry as Geometry,
@@ -21,8 +18,12 @@ from trainlog.railway.line import (
 )
 from trainlog.railway.network import Edge as Edge, Network as Network, Node as Node, Route as Route
 from trainlog.railway.passport import Passport as Passport, Quantity as Quantity
-from trainlog.railway.resistance import RunningResistance as RunningResistance
+from trainlog.railway.resistance import (
+    EffortCurve as EffortCurve,
+    RunningResistance as RunningResistance,
+)
 from trainlog.railway.train import (
+    AxleGeometry as AxleGeometry,
     Axles as Axles,
     Brake as Brake,
     BrakingCurves as BrakingCurves,
@@ -30,4 +31,8 @@ from trainlog.railway.train import (
     ParameterSet as ParameterSet,
     Train as Train,
 )
-from trainlog.railway.trajectory import Trajectory as Trajectory
+from trainlog.railway.trajectory import (
+    Journey as Journey,
+    TimingPoint as TimingPoint,
+    Trajectory as Trajectory,
+)

@@ -96,10 +96,8 @@ class AdhesionCharacteristic(ABC):
         """Adhesion coefficient, signed like the creepage, at a train speed [m/s]."""
         slip = np.asarray(creepage, dtype=np.float64)
         reference, _ = self._reference(speed)
-        if self.variable == "creepage":
-            return np.asarray(np.sign(slip) * self.adhesion_at(np.abs(slip), reference))
-        of_speed = _at_least(speed, "creepage")
-        return np.asarray(np.sign(slip) * self.adhesion_over(np.abs(slip) * of_speed, reference))
+        unit = 1.0 if self.variable == "creepage" else _at_least(speed, "creepage")
+        return np.asarray(np.sign(slip) * self.adhesion_at(np.abs(slip) * unit, reference))
 
     def slope(self, slip_speed: ArrayLike, speed: ArrayLike | None = None) -> FloatArray:
         """Change of adhesion with slip speed [s/m] at slip speeds [m/s]; the same on both sides.

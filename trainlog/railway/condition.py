@@ -16,12 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pandas import Timestamp
 
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray, same_values
 from trainlog.display import counted, span
 from trainlog.errors import InputError
 from trainlog.presentation import Presented
 from trainlog.railway.evidence import DailyEvidence
-from trainlog.values import same_values
 
 BIN_LENGTH = 25.0
 """Length of a bin [m]."""

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pandas import Timestamp
 
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray, same_values
 from trainlog.errors import InputError
-from trainlog.values import same_values
 
 _KEYS = ("day", "bin")
 _USED_KEYS = ("used_day", "used_bin", "used_level")

@@ -6,18 +6,20 @@ gives the same line travelled the other way, `Line.section` a part of it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.declaration import (
+    INFINITY,
     POSITIVE,
+    POSITIVE_FINITE,
     Column,
     Declared,
     Named,
@@ -28,21 +30,6 @@ from trainlog.declaration import (
 )
 from trainlog.display import counted, span
 from trainlog.errors import InputError
-from trainlog.plotted import Plotted
-from trainlog.railway.line_parts import (
-    POSITION,
-    TINY,
-    CurvatureProfile as CurvatureProfile,
-    Geometry as Geometry,
-    Leg as Leg,
-    LineReference as LineReference,
-    Station as Station,
-    StepProfile as StepProfile,
-    Survey as Survey,
-    Tunnel as Tunnel,
-    route_words as route_words,
-    tunnels_between,
-)
 from trainlog.railway.resistance import (
     CURVE_FORMULAS,
     LEAST_RADIUS,
@@ -52,6 +39,535 @@ from trainlog.railway.resistance import (
     specific_curve_resistance,
 )
 from trainlog.units import GRAVITY, KMH
+
+TINY = 1e-6
+"""Pieces that are shorter [m] do not come of a cut: positions are rounded to less."""
+
+
+POSITION = Column("position", "m", "m")
+"""The first column of tables along a line."""
+
+
+def _radius(end: str) -> Column:
+    """The column of the radii at one end of each element."""
+    return Column(f"radius_at_{end}", "m", "m", INFINITY, inverse=True)
+
+
+class Profile(Declared):
+    """A function along a line: elements, in each of which it changes in a straight line or not.
+
+    Attributes
+    ----------
+    positions : (n,) array [m]
+        Where each element begins; strictly increasing, the first is 0.
+    start, end : (n,) array
+        Values at the start and at the end of each element.
+    """
+
+    __slots__ = ()
+
+    PLACE: ClassVar[str] = "values"
+    """Of the rows in the file."""
+
+    TURNED: ClassVar[float] = 1.0
+    """Factor of the values as seen from the other end of the line."""
+
+    positions: FloatArray
+    start: FloatArray
+    end: FloatArray
+
+    def problems(self) -> Iterator[InputError]:
+        """What no profile can be."""
+        yield from _disorder(self.PLACE, self.positions, self.start, self.end)
+
+    def with_rows(self, positions: FloatArray, start: FloatArray, end: FloatArray) -> Self:
+        """The profile with other elements."""
+        return replace(self, positions=positions, start=start, end=end)  # type: ignore[type-var]
+
+    def ends(self, length: float = np.inf) -> FloatArray:
+        """Where each element ends [m] on a line of `length` [m]; (n,)."""
+        return np.append(self.positions[1:], max(length, float(self.positions[-1])))
+
+    def element_at(self, position: ArrayLike) -> IntArray:
+        """Number of the element that holds each position [m]; ends are extended."""
+        return np.maximum(np.searchsorted(self.positions, position, side="right") - 1, 0)
+
+    def at(self, position: ArrayLike, length: float) -> FloatArray:
+        """The value at each position of a line of `length` [m]; ends are extended."""
+        s = np.asarray(position, dtype=np.float64)
+        index = self.element_at(s)
+        width = np.maximum(self.ends(length) - self.positions, 1e-9)
+        share = np.clip((s - self.positions[index]) / width[index], 0.0, 1.0)
+        return np.asarray(self.start[index] + share * (self.end[index] - self.start[index]))
+
+    def reversed(self, length: float, sign: float | None = None) -> Self:
+        """The profile seen from the other end of a line of `length` [m], its values times `sign`.
+
+        Without a sign they are what is the same in both directions of travel (`TURNED`).
+        """
+        factor = self.TURNED if sign is None else sign
+        ends = np.append(self.positions[1:], length)
+        return self.with_rows(
+            (length - ends)[::-1], factor * self.end[::-1], factor * self.start[::-1]
+        )
+
+    def between(self, start: float, end: float, length: float = np.inf) -> Self:
+        """The profile from `start` to `end` [m] of a line of `length` [m], counted from `start`.
+
+        Examples
+        --------
+        >>> part = StepProfile([0.0, 500.0], [20.0, 30.0]).between(400.0, 900.0)
+        >>> part.positions.tolist(), part.values.tolist()
+        ([0.0, 100.0], [20.0, 30.0])
+        """
+        ends = self.ends(length)
+        kept = (ends > start + TINY) & (self.positions < end - TINY)
+        positions, ends, first, last = (
+            each[kept] for each in (self.positions, ends, self.start, self.end)
+        )
+        cut = positions - start
+        cut[0] = 0.0
+        if self.start is not self.end:
+            width, change = np.maximum(ends - positions, 1e-9), last - first
+            last = np.where(ends <= end, last, first + (end - positions) / width * change)
+            first = first + np.maximum(start - positions, 0.0) / width * change
+        return self.with_rows(cut, first, last)
+
+    @classmethod
+    def joined(cls, parts: Sequence[tuple[float, Self]]) -> Self:
+        """Profiles that follow each other, each with the position [m] at which it begins.
+
+        Examples
+        --------
+        >>> limit = StepProfile([0.0], [20.0])
+        >>> StepProfile.joined([(0.0, limit), (500.0, limit)]).positions.tolist()
+        [0.0, 500.0]
+        """
+        return parts[0][1].with_rows(
+            np.concatenate([at + each.positions for at, each in parts]),
+            np.concatenate([each.start for _, each in parts]),
+            np.concatenate([each.end for _, each in parts]),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepProfile(Profile):
+    """A piecewise constant quantity: each value holds from its position to the next.
+
+    Attributes
+    ----------
+    positions : (n,) array [m]
+        Strictly increasing, the first is 0.
+    values : (n,) array
+
+    Examples
+    --------
+    >>> limits = StepProfile([0.0, 500.0], [20.0, 30.0])
+    >>> limits([100.0, 500.0, 900.0])
+    array([20., 30., 30.])
+    """
+
+    positions: FloatArray
+    values: FloatArray
+
+    @property
+    def start(self) -> FloatArray:  # type: ignore[override]
+        """The values: they stay as they begin."""
+        return self.values
+
+    end = start
+
+    def with_rows(self, positions: FloatArray, start: FloatArray, end: FloatArray) -> Self:  # noqa: ARG002
+        """The profile with other elements; their values are those at the start."""
+        return replace(self, positions=positions, values=start)
+
+    def __repr__(self) -> str:
+        low, high = float(self.values.min()), float(self.values.max())
+        return f"StepProfile of {counted(self.values.size, 'step')}, {low:g} to {high:g}"
+
+    def __call__(self, position: ArrayLike) -> FloatArray:
+        """Value at each position; ends are extended."""
+        return np.asarray(self.values[self.element_at(position)])
+
+    def integral(self, position: ArrayLike, at_start: float = 0.0) -> FloatArray:
+        """Integral from the line's start to each position [m], `at_start` added.
+
+        Examples
+        --------
+        >>> StepProfile([0.0, 100.0], [20.0, 30.0]).integral([50.0, 150.0]).tolist()
+        [1000.0, 3500.0]
+        """
+        s, edges, values = np.asarray(position, np.float64), self.positions, self.values
+        at_edges = at_start + np.concatenate(([0.0], np.cumsum(values[:-1] * np.diff(edges))))
+        index = self.element_at(s)
+        return np.asarray(at_edges[index] + values[index] * (s - edges[index]))
+
+    def mean(self, start: FloatArray, end: FloatArray) -> FloatArray:
+        """Mean value over each interval from `start` to `end` [m], (m,) arrays, start < end.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> profile = StepProfile(np.array([0.0, 100.0]), np.array([20.0, 30.0]))
+        >>> profile.mean(np.array([50.0]), np.array([150.0])).tolist()
+        [25.0]
+        """
+        return np.asarray((self.integral(end) - self.integral(start)) / (end - start))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurvatureProfile(Profile):
+    """Signed track curvature: circular arcs and, between them, linear transitions.
+
+    Positive curvature bends to the right in the direction of travel; seen from the other end of the
+    line it is a bend to the left.
+
+    Attributes
+    ----------
+    positions : (n,) array [m]
+        Start of each element; strictly increasing, the first is 0.
+    start, end : (n,) array [1/m]
+        Curvature at the start and at the end of each element.
+
+    Examples
+    --------
+    >>> curve = CurvatureProfile([0.0, 100.0, 200.0], [0.0, 0.0, 2e-3], [0.0, 2e-3, 2e-3])
+    >>> curve.at([50.0, 150.0, 250.0], 300.0)
+    array([0.   , 0.001, 0.002])
+    """
+
+    TURNED: ClassVar[float] = -1.0
+
+    positions: Annotated[FloatArray, POSITION]
+    start: Annotated[FloatArray, _radius("start")]
+    end: Annotated[FloatArray, _radius("end")]
+
+    @property
+    def words(self) -> str:
+        """The least radius; ``"straight"`` where there is none."""
+        least = self.least_radius
+        return f"radius {least:.0f} m at least" if np.isfinite(least) else "straight"
+
+    @property
+    def least_radius(self) -> float:
+        """Of the sharpest curve [m]; infinite where the track is straight."""
+        sharpest = float(np.max(np.abs((self.start, self.end))))
+        return 1.0 / sharpest if sharpest > 0.0 else np.inf
+
+    def __repr__(self) -> str:
+        return f"CurvatureProfile of {counted(self.start.size, 'element')}, {self.words}"
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class LineReference(Profile):
+    """How the operator of a line calls it and counts its kilometres.
+
+    Kilometres may run against the chainage, and jump where the line was rebuilt.
+
+    Attributes
+    ----------
+    name : str
+        Of the line, often a number.
+    positions : (n,) array [m]
+        Chainage at which each piece starts; strictly increasing, the first is 0.
+    start, end : (n,) array [m]
+        The operator's kilometre at the start and at the end of each piece, in metres.
+
+    Examples
+    --------
+    A line counted downwards from km 61.2, with a jump:
+
+    >>> reference = LineReference("850", [0.0, 500.0], [61_200.0, 60_500.0], [60_700.0, 60_000.0])
+    >>> reference.at([0.0, 250.0, 750.0], 1_000.0)
+    array([61200., 60950., 60250.])
+    """
+
+    PLACE: ClassVar[str] = "kilometres.values"
+
+    name: Annotated[str, Text(least=1)]
+    positions: Annotated[FloatArray, Column("position", "m", "m", table="kilometres")]
+    start: Annotated[FloatArray, Column("km_at_start", "km", "m", table="kilometres")]
+    end: Annotated[FloatArray, Column("km_at_end", "km", "m", table="kilometres")]
+
+
+def _disorder(place: str, positions: FloatArray, *columns: FloatArray) -> Iterator[InputError]:
+    """What rows along a line cannot be, which increase from position 0."""
+    if positions.ndim != 1 or any(each.shape != positions.shape for each in columns):
+        yield InputError("needs as many positions as values", place=place)
+    elif not all(np.all(np.isfinite(each)) for each in (positions, *columns)):
+        yield InputError("positions and values must be finite numbers", place=place)
+    else:
+        if positions.size == 0 or positions[0] != 0.0:
+            yield InputError(
+                "the first row is not at position 0",
+                place=place,
+                remedy="give what holds from the line's start",
+            )
+        for row in np.flatnonzero(np.diff(positions) <= 0.0):
+            yield InputError(
+                f"position {positions[row + 1]:.12g} m follows {positions[row]:.12g} m",
+                place=f"{place}[{row + 1}]",
+                remedy="positions must increase",
+            )
+
+
+Metres = Annotated[float, Quantity("m", "m")]
+
+
+@dataclass(frozen=True, slots=True)
+class Tunnel(Declared):
+    """A tunnel from `position` over `length` [m] with a `cross_section` [m²].
+
+    Examples
+    --------
+    >>> tunnel = Tunnel(position=2_000.0, length=450.0, cross_section=46.0)
+    >>> tunnel.position + tunnel.length
+    2450.0
+    """
+
+    position: Metres
+    length: Annotated[float, Quantity("m", "m", must=POSITIVE_FINITE)]
+    cross_section: Annotated[float, Quantity("m^2", "m^2", must=POSITIVE_FINITE)]
+
+    def reversed(self, length: float) -> Tunnel:
+        """The tunnel on the line of `length` [m] travelled the other way."""
+        return replace(self, position=length - self.position - self.length)
+
+    def between(self, start: float, end: float) -> Tunnel | None:
+        """The tunnel from `start` to `end` [m] of the line, counted from `start`."""
+        first, last = max(start, self.position), min(end, self.position + self.length)
+        inside = last - first > TINY
+        return replace(self, position=first - start, length=last - first) if inside else None
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """A stopping place: name and chainage [m].
+
+    Examples
+    --------
+    >>> Station("Gossau", 10_500.0)
+    Station(name='Gossau', position=10500.0)
+    """
+
+    name: str
+    position: Metres
+
+    def reversed(self, length: float) -> Station:
+        """The station on the line of `length` [m] travelled the other way."""
+        return Station(self.name, length - self.position)
+
+    def between(self, start: float, end: float) -> Station | None:
+        """The station where it lies from `start` to `end` [m] of the line, counted from `start`."""
+        inside = start - TINY <= self.position <= end + TINY
+        at = min(max(self.position - start, 0.0), end - start)
+        return Station(self.name, at) if inside else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Geometry(Declared):
+    """Where the line lies on the earth (WGS 84).
+
+    Attributes
+    ----------
+    positions : (n,) array [m]
+    latitudes, longitudes : (n,) array [deg]
+    quality : str
+        How it was obtained: ``"surveyed"``, ``"reconstructed from curvature"`` ...
+
+    Examples
+    --------
+    >>> course = Geometry([0.0, 1_000.0], [50.83, 50.82], [12.92, 12.92], "surveyed")
+    >>> latitude, longitude = course.at([500.0])
+    >>> latitude.round(3), longitude.round(3)
+    (array([50.825]), array([12.92]))
+    """
+
+    ORDER: ClassVar[tuple[str, ...]] = ("quality",)
+
+    positions: Annotated[FloatArray, Column("position", "m", "m", table="track")]
+    latitudes: Annotated[FloatArray, Column("latitude", "deg", "deg", table="track")]
+    longitudes: Annotated[FloatArray, Column("longitude", "deg", "deg", table="track")]
+    quality: str
+
+    def problems(self) -> Iterator[InputError]:
+        """What no course can be."""
+        if self.positions.shape != self.latitudes.shape or self.positions.size < 2:
+            yield InputError("needs at least two points, each with two coordinates")
+            return
+        since = self.positions - self.positions[0]
+        yield from _disorder("track.values", since, self.latitudes, self.longitudes)
+        if np.any(np.abs(self.latitudes) > 90.0) or np.any(np.abs(self.longitudes) > 180.0):
+            yield InputError(
+                "a coordinate is beyond 90° of latitude or 180° of longitude",
+                remedy="give degrees, latitude first",
+            )
+
+    def __repr__(self) -> str:
+        return (
+            f"Geometry of {counted(self.positions.size, 'point')}, {self.quality or 'no quality'},"
+            f" from {self.latitudes[0]:.5f}°, {self.longitudes[0]:.5f}°"
+            f" to {self.latitudes[-1]:.5f}°, {self.longitudes[-1]:.5f}°"
+        )
+
+    def at(self, position: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Latitude and longitude [deg] at each position."""
+        s = np.asarray(position, dtype=np.float64)
+        return (
+            np.asarray(np.interp(s, self.positions, self.latitudes)),
+            np.asarray(np.interp(s, self.positions, self.longitudes)),
+        )
+
+    def between(self, start: float, end: float) -> Geometry | None:
+        """The course from `start` to `end` [m], counted from `start`; None where it has none."""
+        first, last = max(start, self.positions[0]), min(end, self.positions[-1])
+        if last - first <= TINY:
+            return None
+        inside = self.positions[(self.positions > first + TINY) & (self.positions < last - TINY)]
+        positions = np.concatenate(([first], inside, [last]))
+        return Geometry(positions - start, *self.at(positions), self.quality)
+
+    def reversed(self, length: float) -> Geometry:
+        """The same points counted from the other end."""
+        return Geometry(
+            (length - self.positions)[::-1],
+            self.latitudes[::-1],
+            self.longitudes[::-1],
+            self.quality,
+        )
+
+    @staticmethod
+    def joined(parts: Sequence[tuple[float, Geometry]]) -> Geometry:
+        """Courses that follow each other, each with the position [m] at which its line begins.
+
+        Where two meet, the course is in the middle between their ends.
+        """
+        positions = np.concatenate([at + each.positions for at, each in parts])
+        latitudes = np.concatenate([each.latitudes for _, each in parts])
+        longitudes = np.concatenate([each.longitudes for _, each in parts])
+        same = np.flatnonzero(np.diff(positions) <= TINY)
+        for values in (latitudes, longitudes):
+            values[same] = 0.5 * (values[same] + values[same + 1])
+        kept = np.setdiff1d(np.arange(positions.size), same + 1)
+        quality = "; ".join(dict.fromkeys(each.quality for _, each in parts if each.quality))
+        return Geometry(positions[kept], latitudes[kept], longitudes[kept], quality)
+
+
+@dataclass(frozen=True, slots=True)
+class Survey(Declared):
+    """How well the gradients of a line are known.
+
+    Attributes
+    ----------
+    gradient_std : float
+        Standard deviation of their errors (rise over run).
+    correlation_length : float [m] or None
+        Over how long the same error holds; None: each gradient has one of its own.
+    """
+
+    gradient_std: Annotated[float, Quantity("permil", "1", must=POSITIVE_FINITE)]
+    correlation_length: Annotated[float | None, Quantity("m", "m", must=POSITIVE_FINITE)] = None
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """A stretch of a line that runs over an edge of a network; see `trainlog.railway.network`.
+
+    Attributes
+    ----------
+    edge : str
+    position, length : float [m]
+        Where it begins on the line, and how long it is.
+    edge_start, edge_end : float [m]
+        On the edge's own chainage; `edge_end` is less than `edge_start` where the edge is
+        travelled against it.
+    edge_length : float [m]
+        Of the whole edge.
+
+    Examples
+    --------
+    >>> leg = Leg("Wil-Gossau", 0.0, 5_000.0, 19_000.0, 14_000.0, 19_000.0)
+    >>> leg.forward, leg.on_edge([0.0, 1_000.0]).tolist()
+    (False, [19000.0, 18000.0])
+    """
+
+    edge: str
+    position: Metres
+    length: Metres
+    edge_start: Metres
+    edge_end: Metres
+    edge_length: Metres
+
+    def __post_init__(self) -> None:
+        ends = sorted((self.edge_start, self.edge_end))
+        if not (-TINY <= ends[0] < ends[1] <= self.edge_length + TINY):
+            raise InputError(
+                f"leg over '{self.edge}': from km {self.edge_start / 1e3:.3f} to km"
+                f" {self.edge_end / 1e3:.3f} is not a stretch of {self.edge_length / 1e3:.3f} km",
+                remedy="give two chainages within the edge that differ",
+            )
+        if abs(ends[1] - ends[0] - self.length) > 1e-3:
+            raise InputError(
+                f"leg over '{self.edge}': is {self.length:.3f} m on the line and"
+                f" {ends[1] - ends[0]:.3f} m on the edge",
+                remedy="both must be the same",
+            )
+
+    @property
+    def forward(self) -> bool:
+        """Whether the edge is travelled along its chainage."""
+        return self.edge_end > self.edge_start
+
+    @property
+    def end(self) -> float:
+        """Where it ends on the line [m]."""
+        return self.position + self.length
+
+    def on_edge(self, position: ArrayLike) -> FloatArray:
+        """Chainage on the edge [m] of positions on the line."""
+        along = np.asarray(position, dtype=np.float64) - self.position
+        return np.asarray(self.edge_start + (along if self.forward else -along))
+
+    def on_line(self, chainage: ArrayLike) -> FloatArray:
+        """Positions on the line [m] of chainages on the edge."""
+        along = np.asarray(chainage, dtype=np.float64) - self.edge_start
+        return np.asarray(self.position + (along if self.forward else -along))
+
+    def reversed(self, length: float) -> Leg:
+        """The leg on the line of `length` [m] travelled the other way."""
+        position = length - self.end
+        return replace(
+            self,
+            position=position if position > TINY else 0.0,
+            edge_start=self.edge_end,
+            edge_end=self.edge_start,
+        )
+
+    def between(self, start: float, end: float) -> Leg | None:
+        """What of the leg lies from `start` to `end` [m] of the line, counted from `start`."""
+        first, last = max(start, self.position), min(end, self.end)
+        if last - first <= TINY:
+            return None
+        ends = self.on_edge([first, last]).tolist()
+        return replace(
+            self, position=first - start, length=last - first, edge_start=ends[0], edge_end=ends[1]
+        )
+
+
+def route_words(legs: tuple[Leg, ...]) -> str:
+    """The edges of a route in a few words.
+
+    Examples
+    --------
+    >>> route_words((Leg("trunk", 0.0, 800.0, 0.0, 800.0, 800.0),))
+    'trunk'
+    """
+    names = [leg.edge if leg.forward else f"{leg.edge} (against its chainage)" for leg in legs]
+    more = f", ... ({len(names)} edges)" if len(names) > 4 else ""
+    return ", ".join(names[:4]) + more
+
+
+# ------------------------------------------------------------------ the line
 
 STEEPEST, STEEP_OVER, STEEPEST_POINT = 0.2, 100.0, 1.0
 """Mean gradient over so many metres [m] that no railway has, and that no point of a survey has."""
@@ -101,7 +617,7 @@ _LIMITS = (POSITION, Column("speed", "km/h", "m/s"))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Line(Declared, Plotted):
+class Line(Declared):
     """A railway line between two ends.
 
     Attributes
@@ -240,40 +756,44 @@ class Line(Declared, Plotted):
         where = f"line '{self.name}'"
         if not self.length > 0.0:
             return
-        backwards = self.limits_against
-        for limits, words in ((self.speed_limits, ""), (backwards, " of the other direction")):
-            stopped = limits.positions[limits.values <= 0.0]
-            if stopped.size:
-                yield InputError(
-                    f"{where}: speed limit{words} at km {stopped[0] / 1e3:.3f} is not positive"
-                    f"{_and_more(stopped)}",
-                    remedy="a train could never pass; give the permitted speed there",
-                )
-            if self.speed_limits_reverse is None:
-                break
+
+        def places(bad: FloatArray, problem: str, remedy: str = "") -> Iterator[InputError]:
+            """The first of some places [m], and how many more there are."""
+            if bad.size:
+                more = f" (and {bad.size - 1} more)" if bad.size > 1 else ""
+                at = f"km {bad[0] / 1e3:.3f}"
+                yield InputError(f"{where}: {problem.format(at)}{more}", remedy=remedy or None)
+
+        limits, against = self.speed_limits, self.limits_against
+        every = (
+            {"": limits} if against is limits else {"": limits, " of the other direction": against}
+        )
+        for words, each in every.items():
+            yield from places(
+                each.positions[each.values <= 0.0],
+                f"speed limit{words} at {{}} is not positive",
+                "a train could never pass; give the permitted speed there",
+            )
         edges, over = self.gradients.positions, min(STEEP_OVER, self.length)
         first = np.clip(edges, 0.0, self.length - over)
         means = np.abs(self.gradients.mean(first, first + over))
         # A gradient of just so much stays one wherever its mean is rounded.
         most = STEEPEST * (1.0 + 1e-9)
-        steep = edges[(means > most) | (np.abs(self.gradients.values) > STEEPEST_POINT)]
-        if steep.size:
-            yield InputError(
-                f"{where}: gradient at km {steep[0] / 1e3:.3f} is steeper than 200 per mille"
-                f"{_and_more(steep)}",
-                remedy="check its unit: are per mille given as '%' or '1'?",
-            )
+        yield from places(
+            edges[(means > most) | (np.abs(self.gradients.values) > STEEPEST_POINT)],
+            "gradient at {} is steeper than 200 per mille",
+            "check its unit: are per mille given as '%' or '1'?",
+        )
         for name, positions in (
-            ("speed limit", np.union1d(self.speed_limits.positions, backwards.positions)),
-            ("gradient", self.gradients.positions),
+            ("speed limit", np.union1d(limits.positions, against.positions)),
+            ("gradient", edges),
             ("station", np.array([station.position for station in self.stations])),
         ):
-            outside = positions[(positions < 0.0) | (positions > self.length)]
-            if outside.size:
-                yield InputError(
-                    f"{where}: {name} at km {outside[0] / 1e3:.3f} lies before the line's start"
-                    f" or beyond the line's end at km {self.length / 1e3:.3f}{_and_more(outside)}"
-                )
+            yield from places(
+                positions[(positions < 0.0) | (positions > self.length)],
+                f"{name} at {{}} lies before the line's start or beyond the line's end at"
+                f" km {self.length / 1e3:.3f}",
+            )
         for before, station in pairwise(self.stations):
             if station.position < before.position:
                 yield InputError(
@@ -282,16 +802,23 @@ class Line(Declared, Plotted):
                     f" '{before.name}' at km {before.position / 1e3:.3f}",
                     remedy="order the stations by position",
                 )
-        yield from self._curve_problems(where)
+        if self.curve_resistance in CURVE_FORMULAS and self.curvatures is not None:
+            size = np.maximum(np.abs(self.curvatures.start), np.abs(self.curvatures.end))
+            offset = curve_coefficients(size, self.curve_resistance)[1]
+            sharp = np.flatnonzero(LEAST_RADIUS * offset * size > 1.0)
+            for at in sharp[:1]:
+                yield from places(
+                    self.curvatures.positions[sharp],
+                    f"the curve resistance '{self.curve_resistance}' does not hold for the radius"
+                    f" of {1.0 / size[at]:.0f} m at {{}}",
+                    f"it needs {LEAST_RADIUS * offset[at]:.0f} m; correct the radius, or state"
+                    " 'proportional'",
+                )
         for tunnel in self.tunnels:
             if tunnel.position < -TINY or tunnel.position + tunnel.length > self.length + TINY:
                 yield InputError(
                     f"{where}: tunnel at km {tunnel.position / 1e3:.3f} leaves the line"
                 )
-        yield from self._leg_problems(where)
-
-    def _leg_problems(self, where: str) -> Iterator[InputError]:
-        """Legs that leave a part of the line out, or lie over each other."""
         begins = [leg.position for leg in self.legs] + [self.length] * bool(self.legs)
         ends = [0.0] * bool(self.legs) + [leg.end for leg in self.legs]
         for begin, end in zip(begins, ends, strict=True):
@@ -300,23 +827,6 @@ class Line(Declared, Plotted):
                     f"{where}: its legs leave km {min(begin, end) / 1e3:.3f} to"
                     f" {max(begin, end) / 1e3:.3f} out or cover it twice",
                     remedy="each leg must begin where the one before ends",
-                )
-
-    def _curve_problems(self, where: str) -> Iterator[InputError]:
-        """A formula that does not hold for the curves of the line."""
-        if self.curve_resistance in CURVE_FORMULAS and self.curvatures is not None:
-            size = np.maximum(np.abs(self.curvatures.start), np.abs(self.curvatures.end))
-            offset = curve_coefficients(size, self.curve_resistance)[1]
-            sharp = np.flatnonzero(LEAST_RADIUS * offset * size > 1.0)
-            if sharp.size:
-                at = sharp[0]
-                yield InputError(
-                    f"{where}: the curve resistance '{self.curve_resistance}' does not hold for the"
-                    f" radius of {1.0 / size[at]:.0f} m at"
-                    f" km {self.curvatures.positions[at] / 1e3:.3f}"
-                    f"{_and_more(self.curvatures.positions[sharp])}",
-                    remedy=f"it needs {LEAST_RADIUS * offset[at]:.0f} m; correct the radius, or"
-                    " state 'proportional'",
                 )
 
     @property
@@ -336,10 +846,9 @@ class Line(Declared, Plotted):
             f" {counted(slopes.values.size, 'piece')}",
         }
         if self.curvatures is not None:
-            sharpest = float(np.max(np.abs([self.curvatures.start, self.curvatures.end])))
+            sharp = f", {self.curvatures.words}" if self.least_radius < np.inf else ""
             rows["curves"] = (
-                f"{self.curvatures.positions.size} elements"
-                + (f", radius {1.0 / sharpest:.0f} m at least" if sharpest > 0.0 else "")
+                f"{self.curvatures.positions.size} elements{sharp}"
                 + f", resistance {self.curve_resistance}"
                 * (self.curve_resistance != "proportional")
             )
@@ -385,6 +894,12 @@ class Line(Declared, Plotted):
             yield from _implausible_gradients(values["gradients"], length)
             yield from _implausible_chainage(values, length)
 
+    @property
+    def kilometres(self) -> LineReference:
+        """The operator's kilometres, or the chainage."""
+        ends = np.zeros(1), np.zeros(1), np.full(1, self.length)
+        return self.reference or LineReference(self.name, *ends)
+
     def kilometre(self, position: ArrayLike) -> FloatArray:
         """The operator's kilometre, in metres, at each position [m]."""
         if self.reference is None:
@@ -404,6 +919,11 @@ class Line(Declared, Plotted):
     def highest_limit(self) -> float:
         """The highest speed limit [m/s] of both directions: no train may exceed it anywhere."""
         return float(max(self.speed_limits.values.max(), self.limits_against.values.max()))
+
+    @property
+    def least_radius(self) -> float:
+        """Of the sharpest curve [m]; infinite where the line is straight, or none is known."""
+        return np.inf if self.curvatures is None else self.curvatures.least_radius
 
     def gradient(self, position: ArrayLike) -> FloatArray:
         """Gradient (rise over run) at each position [m]."""
@@ -490,11 +1010,7 @@ class Line(Declared, Plotted):
 
     def altitudes(self, position: ArrayLike) -> FloatArray:
         """Altitude of the track [m] at each position [m]."""
-        edges, values = self.gradients.positions, self.gradients.values
-        at_edges = self.altitude + np.concatenate(([0.0], np.cumsum(values[:-1] * np.diff(edges))))
-        s = np.asarray(position, dtype=np.float64)
-        index = np.maximum(np.searchsorted(edges, s, side="right") - 1, 0)
-        return np.asarray(at_edges[index] + values[index] * (s - edges[index]))
+        return self.gradients.integral(position, self.altitude)
 
     @cached_property
     def breakpoints(self) -> FloatArray:
@@ -617,26 +1133,32 @@ class Line(Declared, Plotted):
         >>> line.reversed().stations[0].name
         'Wil'
         """
+
+        def turned(found: Any) -> Any:
+            if isinstance(found, tuple):
+                return tuple(each.reversed(self.length) for each in reversed(found))
+            return found and found.reversed(self.length)
+
         return replace(
             self,
-            stations=tuple(
-                Station(station.name, self.length - station.position)
-                for station in reversed(self.stations)
-            ),
-            speed_limits=self.limits_against.reversed(self.length),
-            gradients=self.gradients.reversed(self.length, sign=-1.0),
-            tunnels=tuple(
-                Tunnel(self.length - t.position - t.length, t.length, t.cross_section)
-                for t in reversed(self.tunnels)
-            ),
             altitude=float(self.altitudes(self.length)),
-            legs=tuple(leg.reversed(self.length) for leg in reversed(self.legs)),
-            speed_limits_reverse=self.speed_limits_reverse
-            and self.speed_limits.reversed(self.length),
-            curvatures=self.curvatures and self.curvatures.reversed(self.length),
-            geometry=self.geometry and self.geometry.reversed(self.length),
-            reference=self.reference and self.reference.reversed(self.length),
+            speed_limits=turned(self.limits_against),
+            speed_limits_reverse=self.speed_limits_reverse and turned(self.speed_limits),
+            gradients=self.gradients.reversed(self.length, sign=-1.0),
+            **{name: turned(getattr(self, name)) for name in (*_THINGS, *_ELEMENTS)},
         )
+
+    def travelled(self, direction: str | None) -> Line:
+        """The line as a train of a direction meets it: from its end to its start in ``"reverse"``.
+
+        Examples
+        --------
+        >>> from trainlog.formats.railway import read_line
+        >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+        >>> line.travelled("forward") is line, line.travelled("reverse").stations[0].name
+        (True, 'Wil')
+        """
+        return self.reversed() if direction == "reverse" else self
 
     def section(self, start: float, end: float) -> Line:
         """The line from `start` to `end` [m], its chainage counted from `start`.
@@ -659,32 +1181,25 @@ class Line(Declared, Plotted):
                 f"line '{self.name}': km {start / 1e3:.3f} to {end / 1e3:.3f} is no stretch of it",
                 remedy=f"it is {self.length / 1e3:.3f} km long",
             )
-        length = end - start
-        inside = (start - TINY, end + TINY)
+
+        def cut(found: Any, *line: float) -> Any:
+            if isinstance(found, tuple):
+                return tuple(filter(None, (each.between(start, end) for each in found)))
+            return found and found.between(start, end, *line)
+
         return replace(
             self,
-            length=length,
-            stations=tuple(
-                Station(each.name, min(max(each.position - start, 0.0), length))
-                for each in self.stations
-                if inside[0] <= each.position <= inside[1]
-            ),
-            speed_limits=self.speed_limits.between(start, end),
-            gradients=self.gradients.between(start, end),
-            curvatures=self.curvatures and self.curvatures.between(start, end, self.length),
-            tunnels=tuple(tunnels_between(self.tunnels, start, end)),
+            length=end - start,
             altitude=float(self.altitudes(start)),
-            geometry=self.geometry and self.geometry.between(start, end),
-            reference=self.reference and self.reference.between(start, end, self.length),
-            legs=tuple(filter(None, (leg.between(start, end) for leg in self.legs))),
-            speed_limits_reverse=self.speed_limits_reverse
-            and self.speed_limits_reverse.between(start, end),
+            **{name: cut(getattr(self, name)) for name in (*_THINGS, *_STEPS)},
+            **{name: cut(getattr(self, name), self.length) for name in _ELEMENTS},
         )
 
 
-def _and_more(places: FloatArray) -> str:
-    """How many places there are besides the first."""
-    return f" (and {places.size - 1} more)" if places.size > 1 else ""
+_THINGS = ("stations", "tunnels", "legs", "geometry")
+_STEPS = ("speed_limits", "speed_limits_reverse", "gradients")
+_ELEMENTS = ("curvatures", "reference")
+"""Fields of a line that lie along it: what stands or lies at places; steps; elements."""
 
 
 def _implausible_gradients(profile: StepProfile, length: float) -> Iterator[InputError]:
@@ -721,3 +1236,328 @@ def _implausible_chainage(values: Mapping[str, Any], length: float) -> Iterator[
             place="units.position",
             remedy="were km meant where the unit states m?",
         )
+
+
+def composed(
+    name: str,
+    placed: Sequence[tuple[float, Line]],
+    stations: Sequence[Station],
+    legs: Sequence[Leg] = (),
+) -> Line:
+    """Lines that follow each other, in this order, as one.
+
+    Limits, gradients, curves, tunnels and kilometres are those of the parts at each position. It
+    has a geometry where all parts have one; gradients are known as well as on the part where they
+    are known worst.
+
+    Parameters
+    ----------
+    name : str
+    placed : sequence of (float, Line)
+        The parts, each with the position [m] at which it begins.
+    stations : sequence of Station
+        On the whole.
+    legs : sequence of Leg
+        Of a route: the edges that the parts are.
+
+    Raises
+    ------
+    InputError
+        If parts state different formulas of the curve resistance.
+
+    Examples
+    --------
+    >>> from trainlog.formats.railway import read_line
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> parts = [(0.0, line.section(0.0, 4e3)), (4e3, line.section(4e3, line.length))]
+    >>> both = composed("again", parts, line.stations)
+    >>> both.length, bool(both.gradient(20e3) == line.gradient(20e3))
+    (29556.1, True)
+    """
+    parts = [part for _, part in placed]
+
+    def profiles(name: str, otherwise: Any) -> list[tuple[float, Any]]:
+        """A profile of each part, or what holds where it has none."""
+        return [(at, getattr(part, name) or otherwise(part)) for at, part in placed]
+
+    def known(name: str) -> list[Any]:
+        return [each for part in parts if (each := getattr(part, name)) is not None]
+
+    formulas = {part.curve_resistance: part.name for part in parts if part.curvatures is not None}
+    if len(formulas) > 1:
+        words = ", ".join(f"'{formula}' on '{edge}'" for formula, edge in formulas.items())
+        raise InputError(
+            f"route '{name}': edges state different curve resistances: {words}",
+            remedy="state the same on all edges of a network",
+        )
+    straight = CurvatureProfile(np.zeros(1), np.zeros(1), np.zeros(1))
+    first, *others = (part.braking_parameters for part in parts)
+    return Line(
+        name=name,
+        length=placed[-1][0] + parts[-1].length,
+        stations=tuple(stations),
+        speed_limits=StepProfile.joined([(at, part.speed_limits) for at, part in placed]),
+        gradients=StepProfile.joined([(at, part.gradients) for at, part in placed]),
+        curvatures=CurvatureProfile.joined(profiles("curvatures", lambda _: straight))
+        if known("curvatures")
+        else None,
+        tunnels=tuple(
+            replace(each, position=at + each.position)
+            for at, part in placed
+            for each in part.tunnels
+        ),
+        altitude=parts[0].altitude,
+        geometry=None
+        if len(known("geometry")) < len(parts)
+        else Geometry.joined([(at, part.geometry) for at, part in placed if part.geometry]),
+        source="; ".join(dict.fromkeys(part.source for part in parts if part.source)),
+        braking_parameters={
+            name: value
+            for name, value in first.items()
+            if all(other.get(name) == value for other in others)
+        },
+        survey=_joined_survey(parts),
+        assumed=tuple(dict.fromkeys(name for part in parts for name in part.assumed)),
+        reference=replace(
+            LineReference.joined(profiles("reference", lambda part: part.kilometres)),
+            name=" + ".join(dict.fromkeys(each.name for each in known("reference"))),
+        )
+        if known("reference")
+        else None,
+        curve_resistance=next(iter(formulas), "proportional"),
+        legs=tuple(legs),
+        speed_limits_reverse=StepProfile.joined([(at, part.limits_against) for at, part in placed])
+        if known("speed_limits_reverse")
+        else None,
+    )
+
+
+def _joined_survey(parts: Sequence[Line]) -> Survey | None:
+    """How well the gradients are known where they are known worst; None where one part has none.
+
+    The longest stretch over which an error holds: of a part whose gradients have each one of
+    their own, their mean length, the longer ones counting for more.
+    """
+    surveys = [part.survey for part in parts]
+    if any(survey is None for survey in surveys):
+        return None
+    known = [survey for survey in surveys if survey is not None]
+    worst = max(survey.gradient_std for survey in known)
+    if all(survey.correlation_length is None for survey in known):
+        return Survey(worst)
+    lengths = []
+    for part, survey in zip(parts, known, strict=True):
+        widths = np.diff(np.append(part.gradients.positions, part.length))
+        own = float(np.sum(widths**2) / part.length)
+        lengths.append(survey.correlation_length or own)
+    return Survey(worst, max(lengths))
+
+
+# ------------------------------------------------------------------ kilometres
+# Positions are chainage in metres everywhere else. Whatever shows a place in km or reads one goes
+# through here, so that the same place has the same number in tables, in pictures and on the command
+# line: the operator's kilometre, or the chainage of a line without.
+
+ROUNDING = 1.0
+"""How far [m] behind the ends of its pieces a line still has a kilometre: those shown are rounded
+to a metre."""
+
+AT_STATION = 100.0
+"""What is nearer to a station lies at it [m]."""
+
+STATION_REACH = 200.0
+"""A train that stands so near to a station's chainage [m] has stopped there."""
+
+STEPS = (1.0, 2.0, 5.0)
+"""Of ticks, times a power of ten."""
+
+
+def in_km(line: Line | None, position: ArrayLike) -> FloatArray:
+    """Kilometres that a person reads for positions [m] of a line; none is a negative zero.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from trainlog.formats.railway import read_line
+    >>> from trainlog.railway import LineReference
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> in_km(line, 1_000.0).item(), in_km(None, 1_000.0).item()
+    (1.0, 1.0)
+    >>> down = LineReference("850", [0.0], [61_200.0], [61_200.0 - line.length])
+    >>> in_km(replace(line, reference=down), 1_000.0).item()
+    60.2
+    >>> f"{in_km(line, -0.2).item():.3f}"
+    '0.000'
+    """
+    places = np.asarray(position, dtype=np.float64)
+    km = np.asarray((places if line is None else line.kilometre(places)) / 1e3)
+    return np.where((km <= 0.0) & (km >= -5e-4), 0.0, km)
+
+
+def km_words(line: Line | None, position: float) -> str:
+    """A place as ``km 61.400``.
+
+    Examples
+    --------
+    >>> km_words(None, 350.0)
+    'km 0.350'
+    """
+    return f"km {float(in_km(line, position)):.3f}"
+
+
+def position_of(line: Line | None, km: float) -> float:
+    """Position [m] of a kilometre as a person types it, the reverse of `in_km`.
+
+    Where the kilometres come twice, the first.
+
+    Raises
+    ------
+    InputError
+        If the line has no such kilometre.
+
+    Examples
+    --------
+    >>> position_of(None, 3.2)
+    3200.0
+    """
+    if line is None:
+        return 1e3 * km
+    if line.reference is None:
+        if not -ROUNDING <= 1e3 * km <= line.length + ROUNDING:
+            raise InputError(f"line '{line.name}' has no km {km:g}", remedy=_kilometres_of(line))
+        return min(max(1e3 * km, 0.0), line.length)
+    for first, last, start, end in _pieces(line):
+        low, high = min(start, end), max(start, end)
+        if low - ROUNDING <= 1e3 * km <= high + ROUNDING and high > low:
+            share = (min(max(1e3 * km, low), high) - start) / (end - start)
+            return first + share * (last - first)
+    raise InputError(f"line '{line.name}' has no km {km:g}", remedy=_kilometres_of(line))
+
+
+def section_of_km(
+    line: Line | None, start: float | None, end: float | None
+) -> tuple[float | None, float | None]:
+    """Positions [m] of the ends of a section that a person types in km; None where it is open.
+
+    Of a line with the operator's kilometres the ends may come in either order, for they may fall in
+    the direction of travel; an open section has the kilometres above, or below, the one given.
+
+    Raises
+    ------
+    InputError
+        If the line has no such kilometre.
+
+    Examples
+    --------
+    >>> section_of_km(None, 3.2, None)
+    (3200.0, None)
+    """
+    ends = [None if each is None else position_of(line, each) for each in (start, end)]
+    if line is None or line.reference is None:
+        return ends[0], ends[1]
+    first, last = ends
+    if first is not None and last is not None:
+        return min(first, last), max(first, last)
+    falling = line.reference.end[-1] < line.reference.start[0]
+    return (last, first) if falling else (first, last)
+
+
+def near(line: Line | None, position: ArrayLike, within: float = AT_STATION) -> list[str]:
+    """Where each position [m] lies, by the nearest station; empty without a line.
+
+    At a station is what is less than `within` [m] away from it.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> near(line, [20.0, 9_000.0])
+    ['at St.Gallen', '0.3 km before Gossau SG']
+    """
+    at = np.asarray(position, dtype=np.float64)
+    if line is None or not line.stations:
+        return [""] * at.size
+    places = np.array([each.position for each in line.stations])
+    nearest = np.argmin(np.abs(places - at[:, None]), axis=1)
+    beyond = at - places[nearest]
+    return [
+        f"at {line.stations[i].name}"
+        if abs(by) < within
+        else f"{abs(by) / 1e3:.1f} km {'after' if by > 0 else 'before'} {line.stations[i].name}"
+        for i, by in zip(nearest.tolist(), beyond.tolist(), strict=True)
+    ]
+
+
+def station_at(line: Line, position: float, reach: float = STATION_REACH) -> str:
+    """Name of the nearest station within `reach` [m] of a position; empty if there is none."""
+    places = np.array([station.position for station in line.stations])
+    nearest = int(np.argmin(np.abs(places - position)))
+    near = abs(places[nearest] - position) <= reach
+    return line.stations[nearest].name if near else ""
+
+
+def km_ticks(
+    line: Line | None, start: float, end: float, most: int = 10
+) -> tuple[FloatArray, list[str]]:
+    """Ticks of an axis over positions: where they stand [m], and their labels.
+
+    They are at round kilometres, not at round positions.
+
+    Parameters
+    ----------
+    line : Line or None
+    start, end : float [m]
+        Of the axis.
+    most : int
+        Ticks, about.
+
+    Examples
+    --------
+    >>> places, labels = km_ticks(None, 0.0, 24_500.0, 6)
+    >>> places.tolist(), labels
+    ([0.0, 5000.0, 10000.0, 15000.0, 20000.0], ['0', '5', '10', '15', '20'])
+    """
+    step = _step(abs(end - start) / 1e3 / max(most, 1))
+    digits = max(0, -int(np.floor(np.log10(step) + 1e-9)))
+    low, high = min(start, end), max(start, end)
+    places, labels = list[float](), list[str]()
+    pieces = _pieces(line) if line is not None else [(low, high, low, high)]
+    for number, (first, last, at_first, at_last) in enumerate(pieces):
+        if at_first == at_last:
+            continue
+        within = sorted((at_first / 1e3 / step, at_last / 1e3 / step))
+        numbers = step * np.arange(np.ceil(within[0] - 1e-9), np.floor(within[1] + 1e-9) + 1.0)
+        found = first + (1e3 * numbers - at_first) / (at_last - at_first) * (last - first)
+        order = np.argsort(found)
+        for place, km in zip(found[order].tolist(), numbers[order].tolist(), strict=True):
+            ends_here = place >= last - 1e-6 and number + 1 < len(pieces)
+            apart = not places or place - places[-1] > 300.0 * step
+            if low - 1e-6 <= place <= high + 1e-6 and apart and not ends_here:
+                places.append(place)
+                labels.append(f"{km + 0.0:.{digits}f}")
+    return np.array(places), labels
+
+
+def _step(least: float) -> float:
+    """The least round step that is not below."""
+    power = 10.0 ** np.floor(np.log10(max(least, 1e-3)))
+    return float(next(power * each for each in (*STEPS, 10.0) if power * each >= least * 0.999))
+
+
+def _pieces(line: Line) -> list[tuple[float, float, float, float]]:
+    """First and last position, and the kilometres there, of each piece [m]."""
+    known = line.kilometres
+    rows = (known.positions, known.ends(line.length), known.start, known.end)
+    return list(zip(*(each.tolist() for each in rows), strict=True))
+
+
+def _kilometres_of(line: Line) -> str:
+    """From where to where a line's kilometres are, and which it has not."""
+    pieces = _pieces(line)
+    words = f"its kilometres are {pieces[0][2] / 1e3:.3f} to {pieces[-1][3] / 1e3:.3f}"
+    jumps = [
+        f"{before[3] / 1e3:.3f} to {after[2] / 1e3:.3f}"
+        for before, after in pairwise(pieces)
+        if abs(before[3] - after[2]) > ROUNDING
+    ]
+    return words + (f", with a jump from {', from '.join(jumps)}" if jumps else "")

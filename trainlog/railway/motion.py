@@ -31,8 +31,8 @@ from numba import njit
 
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InfeasibleError, InputError
-from trainlog.railway.effort import NO_CURVE, EffortCurve, arrays_of
 from trainlog.railway.line import Line
+from trainlog.railway.resistance import NO_CURVE, EffortCurve, arrays_of
 from trainlog.railway.train import Train
 
 SUBSTEPS = 4
@@ -186,6 +186,19 @@ def _slope(z: float, net: float, drag1: float, drag2: float) -> float:
 
 
 @njit(cache=True)
+def _stepped(
+    z: float, first: float, last: float, drag1: float, drag2: float, h: float
+) -> tuple[float, float]:
+    """``z`` after `h` [m], the net force changing from `first` to `last`, and its first slope."""
+    mean = 0.5 * (first + last)
+    k1 = _slope(z, first, drag1, drag2)
+    k2 = _slope(z + 0.5 * h * k1, mean, drag1, drag2)
+    k3 = _slope(z + 0.5 * h * k2, mean, drag1, drag2)
+    k4 = _slope(z + h * k3, last, drag1, drag2)
+    return z + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4), k1
+
+
+@njit(cache=True)
 def advance(
     z: float, effort: float, drag0: FloatArray, drag1: float, drag2: float, step: float
 ) -> tuple[float, float]:
@@ -194,12 +207,7 @@ def advance(
     time = 0.0
     for j in range(SUBSTEPS):
         first, last = effort - drag0[j], effort - drag0[j + 1]
-        mean = 0.5 * (first + last)
-        k1 = _slope(z, first, drag1, drag2)
-        k2 = _slope(z + 0.5 * h * k1, mean, drag1, drag2)
-        k3 = _slope(z + 0.5 * h * k2, mean, drag1, drag2)
-        k4 = _slope(z + h * k3, last, drag1, drag2)
-        following = z + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        following, k1 = _stepped(z, first, last, drag1, drag2, h)
         middle = 0.5 * (z + following) + 0.125 * h * (k1 - _slope(following, last, drag1, drag2))
         v, v_middle, v_following = speed_of(z), speed_of(middle), speed_of(following)
         if v + v_following <= 0.0:
@@ -315,16 +323,9 @@ def _back(
     """``z`` one cell earlier, where braking effort and resistance slow the train down."""
     h = step / SUBSTEPS
     for j in range(SUBSTEPS, 0, -1):
-        last, first = effort + drag0[j], effort + drag0[j - 1]
-        mean = 0.5 * (last + first)
-        k1 = last + drag1 * speed_of(z) + 2.0 * drag2 * z
-        y = z + 0.5 * h * k1
-        k2 = mean + drag1 * speed_of(y) + 2.0 * drag2 * y
-        y = z + 0.5 * h * k2
-        k3 = mean + drag1 * speed_of(y) + 2.0 * drag2 * y
-        y = z + h * k3
-        k4 = first + drag1 * speed_of(y) + 2.0 * drag2 * y
-        z += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        # Backwards along the line what resists helps.
+        near, far = effort + drag0[j], effort + drag0[j - 1]
+        z, _ = _stepped(z, near, far, -drag1, -drag2, h)
     return z
 
 

@@ -30,10 +30,17 @@ from trainlog.presentation import (
     WordTable,
     new_table,
 )
-from trainlog.railway.composition import composed
-from trainlog.railway.kilometres import position_of
-from trainlog.railway.line import Leg as Leg, Line, Station, route_words
-from trainlog.railway.line_parts import TINY
+from trainlog.railway.geometry import to_plane
+from trainlog.railway.line import (
+    TINY,
+    Leg as Leg,
+    Line,
+    Station,
+    StepProfile,
+    composed,
+    position_of,
+    route_words,
+)
 from trainlog.units import KMH
 
 if TYPE_CHECKING:
@@ -161,13 +168,6 @@ def _limits(line: Line) -> Said:
     return Said(low, one if low == high else f"{one} to {high * KMH:.0f}")
 
 
-def _least_radius(line: Line) -> float:
-    if line.curvatures is None:
-        return np.nan
-    sharpest = float(max(np.abs(line.curvatures.start).max(), np.abs(line.curvatures.end).max()))
-    return 1.0 / sharpest if sharpest > 0.0 else np.nan
-
-
 def _names(edges: list[Edge]) -> str:
     return ", ".join(edge.name for edge in edges)
 
@@ -186,7 +186,7 @@ EDGES = (
         "radius",
         Shown("m", "m", 1.0, 0),
         key="least_radius",
-        of=lambda edge: _least_radius(edge.line),
+        of=lambda edge: edge.line.least_radius if edge.line.least_radius < np.inf else np.nan,
     ),
 )
 """Of the table of a network's edges."""
@@ -318,19 +318,15 @@ class Network(Declared):
 
     def _unconnected(self, where: str) -> Iterator[InputError]:
         """Parts of the network that no edge joins to the largest."""
-        part = {node.name: node.name for node in self.nodes}
-
-        def root(name: str) -> str:
-            while part[name] != name:
-                part[name] = part[part[name]]
-                name = part[name]
-            return name
-
+        part = {node.name: {node.name} for node in self.nodes}
         for edge in self.edges:
-            part[root(edge.start)] = root(edge.end)
-        groups: dict[str, list[str]] = {}
+            fewer, more = sorted((part[edge.start], part[edge.end]), key=len)
+            if fewer is not more:
+                more |= fewer
+                part |= dict.fromkeys(fewer, more)
+        groups: dict[int, list[str]] = {}
         for node in self.nodes:
-            groups.setdefault(root(node.name), []).append(node.name)
+            groups.setdefault(id(part[node.name]), []).append(node.name)
         for names in sorted(groups.values(), key=len)[:-1]:
             shown = ", ".join(f"'{name}'" for name in names[:3])
             yield InputError(
@@ -530,7 +526,7 @@ class Network(Declared):
             {(each.node, each.edge, each.position): each.station for each in self.place(name)}
             for name in names
         ]
-        found = RouteSearch(self._edges, self.turns, stages).stretches()
+        found = shortest_way(self._edges, self.turns, stages)
         if isinstance(found, int):
             raise InputError(
                 f"network '{self.name}' has no route from '{names[found]}' to '{names[found + 1]}'",
@@ -711,7 +707,7 @@ class Route(Presented):
     def line(self) -> Line:
         """The line as travelled.
 
-        Composed of stretches of its edges, see `trainlog.railway.composition`.
+        Composed of stretches of its edges, see `trainlog.railway.line`.
 
         Raises
         ------
@@ -797,21 +793,22 @@ Stretch = tuple[str, float, float]
 Point = tuple[str, str, float]
 """A node by its name, or of an edge, by its name, a chainage [m]."""
 
-_State = tuple[int, str, int, int]
-"""Towards which place, over which edge, which piece of it, in which direction (1 or -1)."""
 
+def shortest_way(
+    edges: Mapping[str, Edge],
+    turns: Mapping[str, Sequence[tuple[str, str]]],
+    stages: Sequence[Mapping[Point, bool]],
+) -> list[Stretch] | int:
+    """Stretches of edges of the shortest way through places, or the place behind which none leads.
 
-class RouteSearch:
-    """The shortest way through places, as a graph of pieces of edges that are travelled.
-
-    Edges are cut where places lie inside them; the graph has each piece once for each direction
-    and for each place that the train is on its way to.
+    Edges are cut where places lie inside them. The graph has each piece once for each direction and
+    for each place that the train is on its way to.
 
     Parameters
     ----------
     edges : dict of str to Edge
     turns : dict of str to sequence of (str, str)
-        By node, pairs of edges between which trains pass; see `trainlog.railway.network.Network`.
+        By node, pairs of edges between which trains pass; see `Network`.
     stages : sequence of dict
         Of each place in the order of travel: its points, and whether trains turn back there.
 
@@ -821,119 +818,262 @@ class RouteSearch:
     >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> first, second = line.section(0.0, 800.0), line.section(800.0, 1_300.0)
     >>> edges = {"a": Edge("a", first, "X", "Y"), "b": Edge("b", second, "Y", "Z")}
-    >>> stages = [{("Z", "", 0.0): True}, {("", "a", 300.0): True}]
-    >>> RouteSearch(edges, {}, stages).stretches()
+    >>> shortest_way(edges, {}, [{("Z", "", 0.0): True}, {("", "a", 300.0): True}])
     [('b', 500.0, 0.0), ('a', 800.0, 300.0)]
     """
+    import networkx
 
-    def __init__(
-        self,
-        edges: Mapping[str, Edge],
-        turns: Mapping[str, Sequence[tuple[str, str]]],
-        stages: Sequence[Mapping[Point, bool]],
-    ) -> None:
-        self.edges, self.turns, self.stages = edges, turns, stages
-        cuts = {name: [0.0, edge.line.length] for name, edge in edges.items()}
-        for _, name, position in {point for stage in stages for point in stage if not point[0]}:
-            cuts[name].append(position)
-        self.cuts = {name: sorted(set(found)) for name, found in cuts.items()}
-        self.departures: dict[str, list[tuple[str, int, int]]] = {}
-        for name, edge in edges.items():
-            last = len(self.cuts[name]) - 2
-            self.departures.setdefault(edge.start, []).append((name, 0, 1))
-            self.departures.setdefault(edge.end, []).append((name, last, -1))
+    inside: dict[str, set[float]] = {name: set() for name in edges}
+    for _, name, position in {point for stage in stages for point in stage if not point[0]}:
+        inside[name].add(position)
+    ends: dict[Stretch, Point] = {}
+    departing: dict[Point, list[Stretch]] = {}
+    for name, edge in edges.items():
+        points = {0.0: (edge.start, "", 0.0)} | {at: ("", name, at) for at in sorted(inside[name])}
+        points[edge.line.length] = (edge.end, "", 0.0)
+        for first, last in pairwise(points):
+            for begin, end in ((first, last), (last, first)):
+                ends[name, begin, end] = points[end]
+                departing.setdefault(points[begin], []).append((name, begin, end))
 
-    def stretches(self) -> list[Stretch] | int:
-        """Stretches of edges of the shortest way, or the place behind which there is none."""
-        import networkx
-
-        graph = self._graph()
-        try:
-            states = networkx.dijkstra_path(graph, "start", "end")[1:-1]
-        except (networkx.NetworkXNoPath, networkx.NodeNotFound):
-            reached = networkx.descendants(graph, "start") if "start" in graph else set()
-            return max((state[0] for state in reached if isinstance(state, tuple)), default=0)
-        return self._joined(states)
-
-    def _graph(self) -> DiGraph[Any]:
-        import networkx
-
-        graph: DiGraph[Any] = networkx.DiGraph()
-        last = len(self.stages) - 1
-        for key in self.stages[0]:
-            for first in self._departing(key):
-                graph.add_edge("start", (0, *first), weight=0.0)
-        for layer in range(last):
-            for name, cuts in self.cuts.items():
-                for piece in range(len(cuts) - 1):
-                    length = cuts[piece + 1] - cuts[piece]
-                    for way in (1, -1):
-                        state = (layer, name, piece, way)
-                        for following in self._following(state, last):
-                            graph.add_edge(state, following, weight=length)
-        return graph
-
-    def _following(self, state: _State, last: int) -> Iterator[_State | str]:
-        """States that can follow one."""
-        layer, name, piece, way = state
-        key = self._end(name, piece, way)
-        onward = list(self._onward(name, piece, way, key))
-        yield from ((layer, *each) for each in onward)
-        station = self.stages[layer + 1].get(key)
-        if station is None:
-            return
-        if layer + 1 == last:
-            yield "end"
-            return
-        for each in self._departing(key) if station else onward:
-            yield (layer + 1, *each)
-
-    def _end(self, name: str, piece: int, way: int) -> Point:
-        """The place at which a piece ends."""
-        at = piece + (way > 0)
-        edge = self.edges[name]
-        if at == 0:
-            return edge.start, "", 0.0
-        if at == len(self.cuts[name]) - 1:
-            return edge.end, "", 0.0
-        return "", name, self.cuts[name][at]
-
-    def _departing(self, key: Point) -> list[tuple[str, int, int]]:
-        """Pieces over which a train can leave a place, whichever way it came."""
-        node, name, position = key
-        if node:
-            return self.departures.get(node, [])
-        at = self.cuts[name].index(position)
-        return [(name, at, 1), (name, at - 1, -1)]
-
-    def _onward(
-        self, name: str, piece: int, way: int, key: Point
-    ) -> Iterator[tuple[str, int, int]]:
+    def onward(piece: Stretch) -> Iterator[Stretch]:
         """Pieces onto which a train passes without turning back."""
-        node = key[0]
-        if not node:
-            yield name, piece + way, way
-            return
-        allowed = self.turns.get(node)
-        for other in self.departures.get(node, []):
-            if other == (name, piece, -way):
-                continue
+        name, begin, end = piece
+        allowed = turns.get(ends[piece][0])
+        for other in departing[ends[piece]]:
             pair = (name, other[0])
-            if allowed is None or pair in allowed or pair[::-1] in allowed:
+            free = allowed is None or pair in allowed or pair[::-1] in allowed
+            if free and other != (name, end, begin):
                 yield other
 
-    def _joined(self, states: Sequence[_State]) -> list[Stretch]:
-        """Stretches of pieces; those that continue each other are one."""
-        stretches: list[Stretch] = []
-        for _, name, piece, way in states:
-            ends = self.cuts[name][piece : piece + 2][::way]
-            if stretches and stretches[-1][0] == name and _continues(stretches[-1], ends):
-                stretches[-1] = (name, stretches[-1][1], ends[1])
-            else:
-                stretches.append((name, ends[0], ends[1]))
-        return stretches
+    graph: DiGraph[Any] = networkx.DiGraph()
+    for point in stages[0]:
+        graph.add_weighted_edges_from(
+            ("start", (0, first), 0.0) for first in departing.get(point, [])
+        )
+    for stage, places in enumerate(stages[1:]):
+        for piece, point in ends.items():
+            following: list[Any] = [(stage, each) for each in onward(piece)]
+            if point in places and stage == len(stages) - 2:
+                following.append("end")
+            elif point in places:
+                leaving = departing[point] if places[point] else onward(piece)
+                following += [(stage + 1, each) for each in leaving]
+            length = abs(piece[2] - piece[1])
+            graph.add_weighted_edges_from(((stage, piece), each, length) for each in following)
+    try:
+        way = networkx.dijkstra_path(graph, "start", "end")[1:-1]
+    except (networkx.NetworkXNoPath, networkx.NodeNotFound):
+        reached = networkx.descendants(graph, "start") if "start" in graph else set()
+        return max((state[0] for state in reached if isinstance(state, tuple)), default=0)
+    stretches: list[Stretch] = []
+    for _, (name, begin, end) in way:
+        before = stretches[-1] if stretches else ("", 0.0, 0.0)
+        # A piece that goes on where the one before ends, in the same direction, is one with it.
+        if before[0::2] == (name, begin) and (before[2] > before[1]) == (end > begin):
+            begin = stretches.pop()[1]
+        stretches.append((name, begin, end))
+    return stretches
 
 
-def _continues(before: Stretch, ends: Sequence[float]) -> bool:
-    """Whether a piece goes on where the one before ends, in the same direction."""
-    return before[2] == ends[0] and (before[2] > before[1]) == (ends[1] > ends[0])
+# ------------------------------------------------------------------ networks of lines
+
+SAME_STATION = 2_000.0
+"""How far apart [m] two lines may have a station of one name."""
+
+SAME_TRACK = 0.001
+"""By how much of their length two lines between the same stations may differ, to be one track."""
+
+
+@dataclass(frozen=True)
+class NetworkOfLines:
+    """A network made of lines.
+
+    Attributes
+    ----------
+    network : Network
+    notes : tuple of str
+        What was joined, cut or left out, in words.
+    """
+
+    network: Network
+    notes: tuple[str, ...]
+
+
+def network_of_lines(name: str, lines: Sequence[Line]) -> NetworkOfLines:
+    """Join lines to a network at the stations that they share.
+
+    Nodes are the ends of the lines, and stations that several of them serve; there lines are cut,
+    and trains can pass from any edge to any other. Where two lines run over the same track, which
+    is as long and as steep on both, it is one edge, that of the line that comes first. Where a
+    later one runs the other way, its speed limits become the edge's `speed_limits_reverse`, unless
+    the first states these itself, or the later one does not know its own.
+
+    Parameters
+    ----------
+    name : str
+    lines : sequence of Line
+
+    Raises
+    ------
+    InputError
+        If a station lies at two places, a line is a route itself, or the lines are not connected.
+
+    Examples
+    --------
+    >>> from trainlog.formats.railway import read_line
+    >>> from trainlog.railway import Station
+    >>> line = read_line("sample_logs/CH_StGallen_Wil.line.json")
+    >>> line = replace(line, geometry=None)
+    >>> branch = replace(
+    ...     line.section(0.0, 5_000.0),
+    ...     name="branch",
+    ...     stations=(Station(line.stations[1].name, 0.0), Station("Branch", 5_000.0)),
+    ... )
+    >>> found = network_of_lines("both", [line, branch])
+    >>> [(edge.name, edge.start, edge.end) for edge in found.network.edges][-1]
+    ('branch', 'Gossau SG', 'Branch')
+    """
+    if not lines:
+        raise InputError(f"network '{name}': there are no lines", remedy="give at least one")
+    for line in lines:
+        if line.legs:
+            raise InputError(
+                f"line '{line.name}' is a route itself", remedy="give the lines of its edges"
+            )
+    lines = _with_own_names(lines)
+    _check_places(lines)
+    shared = _shared(lines)
+    edges, notes = list[Edge](), list[str]()
+    for line in lines:
+        parts = list(_parts(line, shared))
+        if len(parts) > 1:
+            notes.append(f"'{line.name}' is cut into {len(parts)} edges at stations it shares")
+        for part in parts:
+            same = next((each for each in edges if _same_track(each, part)), None)
+            if same is None:
+                edges.append(part)
+                continue
+            kept, note = _with_limits_of(same, part)
+            edges[edges.index(same)] = kept
+            notes.append(f"'{part.name}' is the track of '{same.name}', which stays{note}")
+    names = dict.fromkeys(end for edge in edges for end in (edge.start, edge.end))
+    nodes = tuple(_node(each, edges, shared) for each in names)
+    source = "; ".join(dict.fromkeys(line.source for line in lines if line.source))
+    return NetworkOfLines(Network(name, nodes, tuple(edges), source=source), tuple(notes))
+
+
+def _with_own_names(lines: Sequence[Line]) -> list[Line]:
+    """The lines, with a number behind a name that comes again."""
+    counts, found = Counter[str](), list[Line]()
+    for line in lines:
+        counts[line.name] += 1
+        number = counts[line.name]
+        found.append(line if number == 1 else replace(line, name=f"{line.name} ({number})"))
+    return found
+
+
+def _check_places(lines: Sequence[Line]) -> None:
+    """Refuse stations of one name that lie apart on lines with coordinates."""
+    known: dict[str, tuple[str, tuple[float, float]]] = {}
+    for line in lines:
+        for station in line.stations:
+            if line.geometry is None:
+                continue
+            latitude, longitude = line.geometry.at([station.position])
+            here = (float(latitude[0]), float(longitude[0]))
+            other, there = known.setdefault(station.name, (line.name, here))
+            apart = float(np.abs(to_plane(*here, there)))
+            if other != line.name and apart > SAME_STATION:
+                raise InputError(
+                    f"station '{station.name}' of line '{line.name}' lies {apart / 1e3:.1f} km from"
+                    f" that of line '{other}'",
+                    remedy="rename one of them if they are two stations",
+                )
+
+
+def _shared(lines: Sequence[Line]) -> set[str]:
+    """Names of stations at the ends of lines, and of those that several lines serve."""
+    served = Counter(name for line in lines for name in {each.name for each in line.stations})
+    found = {name for name, count in served.items() if count > 1}
+    for line in lines:
+        for station in line.stations:
+            if station.position <= AT_END or station.position >= line.length - AT_END:
+                found.add(station.name)
+    return found
+
+
+def _parts(line: Line, shared: set[str]) -> Iterator[Edge]:
+    """The line between its shared stations."""
+    cuts = [(each.position, each.name) for each in line.stations if each.name in shared]
+    if not cuts or cuts[0][0] > AT_END:
+        cuts.insert(0, (0.0, f"{line.name} start"))
+    if cuts[-1][0] < line.length - AT_END:
+        cuts.append((line.length, f"{line.name} end"))
+    cuts[0], cuts[-1] = (0.0, cuts[0][1]), (line.length, cuts[-1][1])
+    pieces = [(start, end) for start, end in pairwise(cuts) if end[0] - start[0] > AT_END]
+    taken = Counter[str]()
+    for start, end in pieces:
+        whole = len(pieces) == 1
+        name = line.name if whole else f"{line.name} {start[1]} - {end[1]}"
+        taken[name] += 1
+        own = name if taken[name] == 1 else f"{name} ({taken[name]})"
+        part = line if whole else line.section(start[0], end[0])
+        yield Edge(own, replace(part, name=own), start[1], end[1])
+
+
+def _same_track(edge: Edge, other: Edge) -> bool:
+    """Whether two edges between the same nodes are as long and as steep."""
+    if {edge.start, edge.end} != {other.start, other.end}:
+        return False
+    line, against = edge.line, other.line
+    if edge.start != other.start:
+        against = against.reversed()
+    if abs(line.length - against.length) > SAME_TRACK * line.length:
+        return False
+    # In the middle of pieces of 50 m; profiles may be cut differently.
+    s = np.arange(25.0, line.length, 50.0)
+    apart = np.abs(line.altitudes(s) - line.altitude - (against.altitudes(s) - against.altitude))
+    return bool(np.max(apart, initial=0.0) < 1.0)
+
+
+def _with_limits_of(edge: Edge, other: Edge) -> tuple[Edge, str]:
+    """The edge with the other direction's limits of the same track, and what is said of them."""
+    line, turned = edge.line, other.line
+    if edge.start == other.start:
+        same = _alike(line.speed_limits, _scaled(turned.speed_limits, turned, line), line.length)
+        return edge, "" if same else "; its speed limits, which differ, are not used"
+    turned = turned.reversed()
+    against = _scaled(turned.limits_against, turned, line)
+    if "speed_limits" in turned.assumed or _alike(line.limits_against, against, line.length):
+        return edge, ""
+    if line.speed_limits_reverse is not None:
+        return edge, " with its own speed limits of the other direction, which differ"
+    kept = replace(edge, line=replace(line, speed_limits_reverse=against))
+    return kept, " and takes over its speed limits for the other direction"
+
+
+def _scaled(limits: StepProfile, own: Line, other: Line) -> StepProfile:
+    """A line's limits by the chainage of another over the same track."""
+    return StepProfile(limits.positions * (other.length / own.length), limits.values)
+
+
+def _alike(limits: StepProfile, others: StepProfile, length: float) -> bool:
+    """Whether limits differ nowhere over more than the lines' lengths may."""
+    edges = np.unique(np.concatenate((limits.positions, others.positions, [length])))
+    middle = 0.5 * (edges[:-1] + edges[1:])
+    apart = ~np.isclose(limits(middle), others(middle), rtol=1e-3, atol=0.0)
+    return bool(np.max(np.diff(edges)[apart], initial=0.0) <= max(1.0, SAME_TRACK * length))
+
+
+def _node(name: str, edges: Sequence[Edge], stations: set[str]) -> Node:
+    kind = "station" if name in stations else "junction"
+    for edge in edges:
+        course = edge.line.geometry
+        for end, at in ((edge.start, 0.0), (edge.end, edge.line.length)):
+            if course is None or end != name:
+                continue
+            if course.positions[0] - AT_END <= at <= course.positions[-1] + AT_END:
+                latitude, longitude = course.at([at])
+                return Node(name, kind, float(latitude[0]), float(longitude[0]))  # type: ignore[arg-type]
+    return Node(name, kind)  # type: ignore[arg-type]

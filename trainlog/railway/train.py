@@ -1,11 +1,14 @@
-"""A train as its file describes it, and the configurations that it was observed in on trips."""
+"""A train as its file describes it, the configurations it was observed in, and its vehicles."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from operator import attrgetter
-from typing import Annotated, Any, ClassVar, Literal
+from functools import reduce
+from itertools import groupby
+from operator import add, attrgetter
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,8 +17,10 @@ from trainlog import presentation
 from trainlog.arrays import FloatArray
 from trainlog.declaration import (
     CONFUSED,
+    FINITE,
     NOT_NEGATIVE,
     POSITIVE,
+    POSITIVE_FINITE,
     POSITIVE_SHARE,
     SHARE,
     Column,
@@ -24,6 +29,7 @@ from trainlog.declaration import (
     Ends,
     Json,
     Many,
+    Must,
     Named,
     Part,
     Quantity,
@@ -35,10 +41,8 @@ from trainlog.declaration import (
 from trainlog.display import span
 from trainlog.errors import InputError
 from trainlog.presentation import FORCE, MASS, POWER, WordTable, new_table
-from trainlog.railway.axle_loads import AxleGeometry, load_transfer
-from trainlog.railway.effort import EffortCurve
 from trainlog.railway.line import Line
-from trainlog.railway.resistance import RunningResistance
+from trainlog.railway.resistance import EffortCurve, RunningResistance
 from trainlog.units import GRAVITY, KMH
 
 MassModel = Literal["mass_point", "homogeneous_strip"]
@@ -76,6 +80,175 @@ _RESISTANCE_OVER_WEIGHT = Quantity(
 
 _DELAY = Quantity("s", "s", (0, 120, "brakes answer after"), must=NOT_NEGATIVE, stated="required")
 """Dead time and lag of a friction brake."""
+
+
+LEAST_LOAD = 0.05
+"""Share of its static load that an axle keeps at least: a wheel does not lift off."""
+
+
+TWO_OR_MORE = Must("is less than 2", "a bogie has two axles at least", low=2.0)
+ONE_OR_TWO = Must("is not 1 or 2", "a vehicle has one or two powered bogies", low=1.0, high=2.0)
+
+
+def _length(low: float, high: float, whose: str, must: Must = NOT_NEGATIVE) -> Quantity:
+    """A length [m] with its plausible range."""
+    return Quantity("m", "m", (low, high, whose), must=must)
+
+
+@dataclass(frozen=True, slots=True)
+class AxleGeometry(Declared):
+    """Where the powered axles of a train stand, and how high the forces act on their vehicles.
+
+    The axles are counted from the front in the direction of travel. A vehicle of one powered bogie
+    has it at the outer end of the train: leading in the first half of them, trailing in the second.
+
+    Attributes
+    ----------
+    wheelbase : float [m]
+        Between the first and the last axle of a bogie.
+    pivot_distance : float [m]
+        Between the two bogies of a vehicle.
+    link_height : float [m]
+        Of the link that pulls the body, above the rail; low links transfer less load.
+    coupler_height, centre_height : float [m]
+        Of the couplers, and of the vehicle's centre of gravity.
+    axles_per_bogie : int
+    powered_bogies : int
+        Of each powered vehicle, 1 or 2.
+
+    Raises
+    ------
+    InputError
+        If a length is not positive, or the counts cannot be.
+
+    Examples
+    --------
+    >>> AxleGeometry(2.7, 9.0, 0.6, 1.0, 1.6).axles_per_bogie
+    2
+    """
+
+    wheelbase: Annotated[float, _length(1, 6, "bogies have", POSITIVE)]
+    pivot_distance: Annotated[float, _length(3, 25, "vehicles have", POSITIVE)]
+    link_height: Annotated[float, _length(0.05, 2, "bodies are pulled at")]
+    coupler_height: Annotated[float, _length(0.3, 2, "couplers are at")]
+    centre_height: Annotated[float, _length(0.5, 3, "vehicles have their mass at")]
+    axles_per_bogie: Annotated[int, Whole(must=TWO_OR_MORE, stated="written")] = 2
+    powered_bogies: Annotated[int, Whole(must=ONE_OR_TWO, stated="written")] = 2
+
+    def vehicles(self, axles: int) -> int:
+        """Number of powered vehicles that `axles` powered axles make.
+
+        Raises
+        ------
+        InputError
+            If they do not fill whole vehicles.
+
+        Examples
+        --------
+        >>> AxleGeometry(2.7, 9.0, 0.6, 1.0, 1.6).vehicles(8)
+        2
+        """
+        each = self.axles_per_bogie * self.powered_bogies
+        if axles % each:
+            raise InputError(
+                f"{axles} powered axles are not whole vehicles of {self.powered_bogies} powered"
+                f" bogies with {self.axles_per_bogie} axles",
+                remedy="correct count, axles_per_bogie or powered_bogies",
+            )
+        return axles // each
+
+
+def load_transfer(geometry: AxleGeometry, axles: int, adhesive_mass: float) -> FloatArray:
+    """Change of the axle loads for each newton at an axle, and for the specific force.
+
+    A vehicle is pulled at the rails and held back at its couplers and its centre of gravity,
+    higher up. The moment lifts its leading axles and presses on its trailing ones. Bogie by bogie,
+    the force on its axles acts on the body at the height of the link between them, which tilts the
+    bogie; and the body tilts by what its couplers and its own inertia and weight downhill make of
+    the rest. The loads follow from the equilibrium of moments of bogies and body, as in textbooks
+    of running dynamics (Wende, D. (2003), Fahrdynamik des Schienenverkehrs; Steimel, A. (2014),
+    Electric traction)::
+
+        bogie of force F_B:   dQ_i = -h_z F_B x_i / sum x_j²
+        body of force F:      dQ   = -+((h_K - h_z) F + (h_S - h_K) m_v (a + g sin alpha)) / L
+
+    a bogie and an end, positive at the trailing one. ``x_i`` is an axle's distance ahead of the
+    bogie's middle, ``L`` the distance of the pivots, ``h_z``, ``h_K``, ``h_S`` the heights of
+    link, coupler and centre of gravity, ``m_v`` the vehicle's mass. ``a + g sin alpha`` is what an
+    accelerometer along the track shows: on a gradient that a train climbs steadily, all of it is
+    the gradient.
+
+    Parameters
+    ----------
+    geometry : AxleGeometry
+    axles : int
+        Powered axles of the train.
+    adhesive_mass : float [kg]
+        That rests on all of them, loaded.
+
+    Returns
+    -------
+    (axles, axles + 1) array [1], [kg]
+        Row i: how the load of axle i [N] changes with the forces between rail and axles [N],
+        positive in traction, and, in the last column, with ``a + g sin alpha`` [m/s²].
+
+    Raises
+    ------
+    InputError
+        If the axles do not fill whole vehicles.
+
+    Examples
+    --------
+    A locomotive of four axles that pulls with 60 kN at each: the leading axle loses most.
+
+    >>> transfer = load_transfer(AxleGeometry(2.7, 9.0, 0.6, 1.0, 1.6), 4, 84e3)
+    >>> (transfer[:, :4] @ np.full(4, 60e3) / 1e3).round(1).tolist()
+    [-32.0, 21.3, -21.3, 32.0]
+    """
+    g, vehicles = geometry, geometry.vehicles(axles)
+    m, bogies = g.axles_per_bogie, g.powered_bogies
+    mass = adhesive_mass / vehicles * (2 / bogies)
+    ahead = np.linspace(0.5, -0.5, m) * g.wheelbase
+    tilt = -np.outer(ahead / np.sum(ahead**2), np.full(m, g.link_height))
+    transfer = np.zeros((axles, axles + 1))
+    for vehicle in range(vehicles):
+        body = slice(vehicle * m * bogies, (vehicle + 1) * m * bogies)
+        for bogie in range(bogies):
+            rows = slice(body.start + bogie * m, body.start + (bogie + 1) * m)
+            leads = bogie == 0 if bogies == 2 else vehicle < vehicles / 2
+            share = (-1.0 if leads else 1.0) / (g.pivot_distance * m)
+            transfer[rows, body] += share * (g.coupler_height - g.link_height)
+            transfer[rows, -1] = share * (g.centre_height - g.coupler_height) * mass
+            transfer[rows, rows] += tilt
+    return transfer
+
+
+def axle_loads(
+    transfer: FloatArray, static: ArrayLike, forces: ArrayLike, specific_force: ArrayLike
+) -> FloatArray:
+    """Loads of the axles [N], at least `LEAST_LOAD` of the static ones.
+
+    Parameters
+    ----------
+    transfer : (axles, axles + 1) array
+        Of `load_transfer`.
+    static : float or (axles,) array [N]
+        Loads of the train at rest on the level.
+    forces : (..., axles) array [N]
+        Between rail and axles, positive in traction.
+    specific_force : (...) array [m/s²]
+        Acceleration and what the gradient takes: ``a + g sin alpha``.
+
+    Examples
+    --------
+    >>> transfer = load_transfer(AxleGeometry(2.7, 9.0, 0.6, 1.0, 1.6), 4, 84e3)
+    >>> loads = axle_loads(transfer, 206e3, np.full(4, 60e3), 0.3)
+    >>> (loads / 1e3).round(1).tolist(), round(float(loads.sum()) / 1e3)
+    ([173.2, 226.5, 185.5, 238.8], 824)
+    """
+    pull, force = np.asarray(forces, dtype=np.float64), np.asarray(specific_force)
+    changed = np.asarray(static) + pull @ transfer[:, :-1].T + force[..., None] * transfer[:, -1]
+    return np.asarray(np.maximum(changed, LEAST_LOAD * np.asarray(static)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -510,7 +683,7 @@ class Train(Declared):
         return GRAVITY * self.axles.adhesive_mass * (1.0 + load / self.mass)
 
     def load_transfer(self, load: float = 0.0) -> FloatArray | None:
-        """`trainlog.railway.axle_loads.load_transfer` with `load` [kg]; None: not known."""
+        """`load_transfer` with `load` [kg]; None: not known."""
         axles = self.axles
         if axles.geometry is None:
             return None
@@ -797,3 +970,411 @@ class ParameterSet(Declared):
         if self.common is not None:
             rows["together"] = str(self.common)
         return rows
+
+
+# ------------------------------------------------------------------ vehicles
+# A `Consist` has every vehicle as a particle with its own forces. A `RollingVehicle` is given in
+# per mille of its weight: running resistance after Strahl (wagons) and Sauthoff (coaches), and that
+# of the traction unit, as in Wende, D. (2003), Fahrdynamik des Schienenverkehrs, pp. 151-153. All
+# are quadratic in speed, so that each is a `RunningResistance` with coefficients in newtons.
+
+VehicleType = Literal["traction unit", "multiple unit", "passenger", "freight"]
+
+REFERENCE_SPEED = 100.0 / KMH
+"""Speed at which the air resistance is given [m/s]."""
+
+HEAD_WIND = 15.0 / KMH
+"""Wind that is added to the speed in the air resistance of coaches and traction units [m/s]."""
+
+
+_NONLINEAR = Quantity("1/m^2", "1/m^2", must=FINITE, stated="required")
+
+
+@dataclass(frozen=True, slots=True)
+class Coupler(Declared):
+    """A nonlinear spring and damper between two vehicles; Amirhosseini et al. (2024), eqs. (2)-(4).
+
+    Attributes
+    ----------
+    stiffness : float [N/m]
+        k0, of the linear part.
+    nonlinearity : float [1/m²]
+        epsilon: positive hardens with the stretch, negative softens.
+    damping : float [N/(m/s)]
+        b.
+    slack : float [m]
+        Free travel from the middle to either side before the spring takes up force.
+    buffing_stiffness, buffing_nonlinearity : float or None
+        Of the spring that is pushed together, as side buffers are, where it is another than the one
+        that is pulled apart.
+
+    Examples
+    --------
+    >>> coupler = Coupler(stiffness=1e6, slack=0.01)
+    >>> coupler.force([-0.02, 0.005, 0.02])
+    array([-10000.,      0.,  10000.])
+    """
+
+    stiffness: Annotated[float, Quantity("MN/m", "N/m", must=POSITIVE_FINITE)]
+    nonlinearity: Annotated[float, _NONLINEAR] = 0.0
+    damping: Annotated[
+        float, Quantity("kN*s/m", "N/(m/s)", must=NOT_NEGATIVE, stated="required")
+    ] = 0.0
+    slack: Annotated[float, Quantity("mm", "m", must=NOT_NEGATIVE, stated="required")] = 0.0
+    buffing_stiffness: Annotated[float | None, Quantity("MN/m", "N/m", must=POSITIVE_FINITE)] = None
+    buffing_nonlinearity: Annotated[float | None, Quantity("1/m^2", "1/m^2", must=FINITE)] = None
+
+    @property
+    def draft(self) -> tuple[float, float]:
+        """Stiffness [N/m] and nonlinearity [1/m²] of the spring that is pulled apart."""
+        return self.stiffness, self.nonlinearity
+
+    @property
+    def buff(self) -> tuple[float, float]:
+        """Stiffness [N/m] and nonlinearity [1/m²] of the spring that is pushed together."""
+        stiffness, nonlinearity = self.buffing_stiffness, self.buffing_nonlinearity
+        return (
+            self.stiffness if stiffness is None else stiffness,
+            self.nonlinearity if nonlinearity is None else nonlinearity,
+        )
+
+    @property
+    def largest_stretch(self) -> tuple[float, float]:
+        """Stretch [m], apart and together, up to which the force grows; infinite unless it softens.
+
+        A softening spring ``k0 (1 + eps x²) x`` weakens beyond ``1 / sqrt(3 |eps|)``.
+        """
+        apart, together = (
+            self.slack + 1.0 / float(np.sqrt(-3.0 * nonlinearity)) if nonlinearity < 0.0 else np.inf
+            for _, nonlinearity in (self.draft, self.buff)
+        )
+        return apart, together
+
+    def force(self, stretch: ArrayLike) -> FloatArray:
+        """Spring force [N] at each stretch [m], positive when pulled apart."""
+        beyond, stiffness, nonlinearity = self._spring(stretch)
+        return np.asarray(stiffness * (1.0 + nonlinearity * beyond**2) * beyond)
+
+    def energy(self, stretch: ArrayLike) -> FloatArray:
+        """Energy stored in the spring [J] at each stretch [m]."""
+        beyond, stiffness, nonlinearity = self._spring(stretch)
+        return np.asarray(0.5 * stiffness * beyond**2 * (1.0 + 0.5 * nonlinearity * beyond**2))
+
+    def _spring(self, stretch: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Stretch beyond the slack, with its sign, and the spring that takes it up."""
+        x = np.asarray(stretch, dtype=np.float64)
+        beyond = np.sign(x) * np.maximum(np.abs(x) - self.slack, 0.0)
+        (k, eps), (k_buff, eps_buff) = self.draft, self.buff
+        return beyond, np.where(x < 0.0, k_buff, k), np.where(x < 0.0, eps_buff, eps)
+
+
+@dataclass(frozen=True, slots=True)
+class Vehicle(Declared):
+    """A locomotive, a wagon or a coach.
+
+    Attributes
+    ----------
+    name : str
+    mass : float [kg]
+        As loaded, without the rotating part.
+    length : float [m]
+        Over couplers.
+    resistance : RunningResistance
+        On straight, level, open track.
+    rotating_mass : float [kg]
+        Inertia of its wheels and motors, as a mass at the wheel rim.
+    max_tractive_effort : float [N]
+    max_traction_power : float [W]
+        At the wheel rims.
+    max_braking_effort : float [N]
+
+    Examples
+    --------
+    >>> from trainlog.railway import RunningResistance
+    >>> resistance = RunningResistance(900.0, 0.0, 4.0)
+    >>> wagon = Vehicle("wagon", 80_000.0, 14.0, resistance, rotating_mass=2_000.0)
+    >>> wagon.inertia
+    82000.0
+    """
+
+    ORDER: ClassVar[tuple[str, ...]] = ("name", "mass", "rotating_mass")
+
+    name: Annotated[str, Text(least=1)]
+    mass: Annotated[float, Quantity("t", "kg", must=POSITIVE_FINITE)]
+    length: Annotated[float, Quantity("m", "m", must=POSITIVE_FINITE)]
+    resistance: Annotated[RunningResistance, Part(key="running_resistance")]
+    rotating_mass: Annotated[float, Quantity("t", "kg", must=NOT_NEGATIVE, stated="required")] = 0.0
+    max_tractive_effort: Annotated[float, Quantity("kN", "N", must=NOT_NEGATIVE)] = 0.0
+    max_traction_power: Annotated[float, Quantity("kW", "W", must=POSITIVE)] = np.inf
+    max_braking_effort: Annotated[float, Quantity("kN", "N", must=NOT_NEGATIVE)] = 0.0
+
+    def __str__(self) -> str:
+        return self.name
+
+    @property
+    def inertia(self) -> float:
+        """Mass with the rotating part [kg]."""
+        return self.mass + self.rotating_mass
+
+
+@dataclass(frozen=True, slots=True)
+class ConsistBrake(Brake):
+    """Dead time and lag [s] of every vehicle's brake, and how its demand reaches the vehicle.
+
+    Attributes
+    ----------
+    propagation : float [m/s]
+        How fast the demand travels from the front along the train pipe; infinite where it is
+        electric.
+
+    Examples
+    --------
+    >>> ConsistBrake(dead_time=1.0, lag=0.8, propagation=280.0).propagation
+    280.0
+    """
+
+    propagation: Annotated[float, Quantity("m/s", "m/s", must=POSITIVE)] = np.inf
+
+
+Thing = TypeVar("Thing", Vehicle, Coupler)
+
+LENGTH = presentation.Quantity("m", "m")
+STIFFNESS = presentation.Quantity("N_m", "MN/m", 1e-6)
+DAMPING = presentation.Quantity("N_s_m", "kN s/m", 1e-3)
+SLACK = presentation.Quantity("m", "mm", 1e3)
+
+
+def _runs(things: Iterable[Thing]) -> list[tuple[str, Thing]]:
+    """Each thing that differs from the one before, with the numbers of its equals."""
+    found, first = [], 1
+    for thing, group in groupby(things):
+        last = first + len(list(group)) - 1
+        found.append((f"{first}" if first == last else f"{first} to {last}", thing))
+        first = last + 1
+    return found
+
+
+VEHICLES = (
+    presentation.Column("number", of=lambda row: row[0]),
+    presentation.Column("vehicle", of=lambda row: row[1].name),
+    presentation.Column("mass", MASS, of=lambda row: row[1].mass),
+    presentation.Column("length", LENGTH, of=lambda row: row[1].length),
+    presentation.Column("traction", FORCE, of=lambda row: row[1].max_tractive_effort or None),
+    presentation.Column(
+        "power",
+        POWER,
+        of=lambda row: row[1].max_traction_power if row[1].max_tractive_effort else None,
+    ),
+    presentation.Column("braking", FORCE, of=lambda row: row[1].max_braking_effort or None),
+)
+"""Of the table of vehicles, by their numbers."""
+
+COUPLERS = (
+    presentation.Column("number", of=lambda row: row[0]),
+    presentation.Column("draft", STIFFNESS, of=lambda row: row[1].draft[0]),
+    presentation.Column("1/m²", key="draft_progressive_per_m2", of=lambda row: row[1].draft[1]),
+    presentation.Column("buff", STIFFNESS, of=lambda row: row[1].buff[0]),
+    presentation.Column("1/m²", key="buff_progressive_per_m2", of=lambda row: row[1].buff[1]),
+    presentation.Column("damping", DAMPING, of=lambda row: row[1].damping),
+    presentation.Column("slack", SLACK, of=lambda row: row[1].slack),
+)
+"""Of the table of couplers."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Consist(Declared):
+    """Vehicles from the front to the rear, and the couplers between them.
+
+    Attributes
+    ----------
+    name : str
+    vehicles : tuple of Vehicle
+    couplers : tuple of Coupler
+        One fewer than vehicles.
+    brake : ConsistBrake
+        Amirhosseini et al. (2024), eq. (1).
+    source : str
+    assumed : tuple of str
+        Fields that the source does not give: they hold assumptions.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> consist = trainlog.read_consist("sample_logs/freight_24_wagons.consist.json")
+    >>> len(consist.vehicles) - len(consist.couplers)
+    1
+    >>> consist.as_one().mass == consist.mass
+    True
+    """
+
+    FORMAT: ClassVar[str] = "trainlog/consist"
+    ORDER: ClassVar[tuple[str, ...]] = ("name", "source", "assumed", "brake")
+
+    name: Annotated[str, Text(least=1)]
+    vehicles: Annotated[tuple[Vehicle, ...], Many(least=1, runs=True)]
+    couplers: Annotated[tuple[Coupler, ...], Many(stated="required", runs=True)] = ()
+    brake: Annotated[ConsistBrake, Part(stated="required")] = ConsistBrake()
+    source: Annotated[str, Text(stated="written")] = ""
+    assumed: tuple[str, ...] = ()
+
+    def problems(self) -> Iterator[InputError]:
+        """What no consist can be, besides fields beyond their bounds."""
+        if not self.vehicles:
+            yield InputError(f"consist '{self.name}': needs at least one vehicle")
+        elif len(self.couplers) != len(self.vehicles) - 1:
+            yield InputError(
+                f"consist '{self.name}': {len(self.vehicles)} vehicles need"
+                f" {len(self.vehicles) - 1} couplers, given are {len(self.couplers)}"
+            )
+
+    def summary(self) -> dict[str, str]:
+        """Vehicles, and what they have together."""
+        counts = Counter(vehicle.name for vehicle in self.vehicles)
+        vehicles = ", ".join(f"{count} x {name}" for name, count in counts.items())
+        rotating = sum(vehicle.rotating_mass for vehicle in self.vehicles)
+        brake, at = self.brake, self.resistance(np.array([50.0, 100.0]) / KMH) / 1e3
+        return {
+            "vehicles": f"{vehicles}; {self.length:.1f} m over couplers",
+            "mass": f"{self.mass / 1e3:.1f} t, rotating part {rotating / 1e3:.1f} t",
+            "efforts": f"{self.max_tractive_effort / 1e3:.0f} kN tractive,"
+            f" {self.max_braking_effort / 1e3:.0f} kN braking",
+            "brake": f"dead time {brake.dead_time:g} s at the front and"
+            f" {self.dead_times.max():.3g} s at the rear, lag {brake.lag:g} s",
+            "resistance": f"{at[0]:.1f} kN at 50 km/h, {at[1]:.1f} kN at 100 km/h",
+        }
+
+    def tables(self) -> list[WordTable]:
+        """What it is, its vehicles and its couplers; equal ones together."""
+        vehicles = new_table("Vehicles", *VEHICLES, name="vehicles").add_rows(_runs(self.vehicles))
+        couplers = new_table("Couplers", *COUPLERS, name="couplers").add_rows(_runs(self.couplers))
+        return [*super().tables(), vehicles, couplers]
+
+    @property
+    def notes(self) -> list[str]:
+        """Source, and what is assumed."""
+        source = [f"source: {self.source}"] if self.source else []
+        return [*source, *(f"assumed: {each}" for each in self.assumed)]
+
+    @property
+    def mass(self) -> float:
+        """Of all vehicles, without the rotating part [kg]."""
+        return sum(vehicle.mass for vehicle in self.vehicles)
+
+    @property
+    def length(self) -> float:
+        """Over couplers [m]."""
+        return sum(vehicle.length for vehicle in self.vehicles)
+
+    @property
+    def middles(self) -> FloatArray:
+        """Distance of each vehicle's middle behind the front of the consist [m], at rest."""
+        lengths = np.array([vehicle.length for vehicle in self.vehicles])
+        return np.asarray(np.cumsum(lengths) - 0.5 * lengths)
+
+    @property
+    def dead_times(self) -> FloatArray:
+        """Of each vehicle's brake [s]: its own, and what the demand takes from the front to it."""
+        return np.asarray(self.brake.dead_time + self.middles / self.brake.propagation)
+
+    def as_one(self) -> Consist:
+        """The single-particle model (10): one vehicle with all masses, resistances and efforts.
+
+        Its brake answers after the mean dead time, weighted by the braking efforts.
+        """
+        pulling = [vehicle for vehicle in self.vehicles if vehicle.max_tractive_effort > 0.0]
+        weights = np.array([vehicle.max_braking_effort for vehicle in self.vehicles])
+        weights = weights if weights.any() else np.ones(weights.size)
+        vehicle = Vehicle(
+            self.name,
+            mass=self.mass,
+            length=self.length,
+            resistance=self.resistance,
+            rotating_mass=sum(vehicle.rotating_mass for vehicle in self.vehicles),
+            max_tractive_effort=self.max_tractive_effort,
+            max_traction_power=sum(each.max_traction_power for each in pulling) or np.inf,
+            max_braking_effort=self.max_braking_effort,
+        )
+        late = float(np.average(self.dead_times, weights=weights))
+        brake = ConsistBrake(late, self.brake.lag)
+        return Consist(f"{self.name}, as one", (vehicle,), brake=brake, source=self.source)
+
+    @property
+    def max_tractive_effort(self) -> float:
+        """Of all vehicles together [N]."""
+        return sum(vehicle.max_tractive_effort for vehicle in self.vehicles)
+
+    @property
+    def max_braking_effort(self) -> float:
+        """Of all vehicles together [N]."""
+        return sum(vehicle.max_braking_effort for vehicle in self.vehicles)
+
+    @property
+    def resistance(self) -> RunningResistance:
+        """Of all vehicles together."""
+        return reduce(add, (vehicle.resistance for vehicle in self.vehicles))
+
+
+@dataclass(frozen=True)
+class RollingVehicle:
+    """A vehicle of the rolling stock.
+
+    Attributes
+    ----------
+    name, kind : str
+    length : float [m]
+    mass, load : float [kg]
+        Empty mass, and the heaviest load.
+    adhesive_mass : float [kg]
+        On the powered axles, empty.
+    inertia_factor : float
+        Mass with the rotating part over mass.
+    basic_resistance, rolling_resistance, air_resistance : float
+        Over weight; of a traction unit the first is of its powered, the second of its carrying
+        axles, of a coach the second grows with speed. The air's is at 100 km/h.
+    max_speed : float [m/s]
+    effort : EffortCurve or None
+    deceleration : float or None [m/s²]
+        Of service braking.
+    """
+
+    name: str
+    kind: VehicleType
+    length: float
+    mass: float
+    load: float = 0.0
+    adhesive_mass: float = 0.0
+    inertia_factor: float = 1.06
+    basic_resistance: float = 0.0
+    rolling_resistance: float = 0.0
+    air_resistance: float = 0.0
+    max_speed: float = np.inf
+    effort: EffortCurve | None = None
+    deceleration: float | None = None
+
+    @property
+    def powered(self) -> bool:
+        """Whether it pulls."""
+        return self.kind in ("traction unit", "multiple unit")
+
+    def resistance(self, load: float) -> RunningResistance:
+        """Running resistance with `load` [kg] on board; Wende (2003), pp. 151 and 153."""
+        if self.powered:
+            weight = GRAVITY * self.mass  # published for the unit as it is, whatever it carries
+            carrying = self.mass - self.adhesive_mass
+            basic = GRAVITY * (
+                self.basic_resistance * self.adhesive_mass + self.rolling_resistance * carrying
+            )
+            return RunningResistance(basic, 0.0, 0.0) + _air(self.air_resistance * weight)
+        weight = GRAVITY * (self.mass + load)
+        basic = self.basic_resistance * weight
+        if self.kind == "freight":  # Strahl: without wind
+            air = self.air_resistance * weight / REFERENCE_SPEED**2
+            return RunningResistance(basic, 0.0, air)
+        rolling = self.rolling_resistance * weight / REFERENCE_SPEED  # Sauthoff
+        return RunningResistance(basic, rolling, 0.0) + _air(self.air_resistance * weight)
+
+
+def _air(force: float) -> RunningResistance:
+    """Air resistance that is `force` [N] at the reference speed, with the head wind."""
+    quadratic = force / REFERENCE_SPEED**2
+    return RunningResistance(quadratic * HEAD_WIND**2, 2.0 * quadratic * HEAD_WIND, quadratic)

@@ -6,7 +6,7 @@ metres it shows ``#10 123`` at km 10.123. Every entity of a trip is put on
 all three, so that no view goes blank when the timeline is changed.
 
 A timeline runs one way: what holds until the next sample (a limit, a driving phase) would else
-hold over the wrong stretch. The position timeline is that of `trainlog.along_line.TimeDistance`,
+hold over the wrong stretch. The position timeline is that of `trainlog.resampling.TimeDistance`,
 which never decreases.
 """
 
@@ -19,17 +19,16 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from trainlog.along_line import (
+from trainlog.arrays import FloatArray
+from trainlog.resampling import (
     POSITION_SOURCES as POSITION_SOURCES,
     Nanoseconds as Nanoseconds,
     TimeDistance,
     known_rows as known_rows,
-    nanoseconds as nanoseconds,
     time_distance,
     time_distance_of,
 )
-from trainlog.arrays import FloatArray
-from trainlog.trip import Trip
+from trainlog.trip import Trip, nanoseconds as nanoseconds
 
 TIME, ELAPSED, POSITION = "time", "elapsed", "position_m"
 """Names of the timelines."""
@@ -75,12 +74,12 @@ class Clock(TimeDistance):
 
 
 def clock_of(trip: Trip) -> Clock:
-    """The trip's clock; see `trainlog.along_line.time_distance_of`."""
+    """The trip's clock; see `trainlog.resampling.time_distance_of`."""
     return _clock(time_distance_of(trip))
 
 
 def clock_from(start: int, known: Mapping[tuple[str, ...], tuple[Any, ...]]) -> Clock:
-    """The clock of a trip that began at `start`; see `trainlog.along_line.time_distance`."""
+    """The clock of a trip that began at `start`; see `trainlog.resampling.time_distance`."""
     return _clock(time_distance(start, known))
 
 

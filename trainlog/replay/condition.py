@@ -19,7 +19,7 @@ from trainlog.railway.condition import (
     PassingSpot,
     adhesion_class,
 )
-from trainlog.railway.kilometres import km_words
+from trainlog.railway.line import km_words
 from trainlog.replay.chart import Chart
 from trainlog.replay.clock import Clock, Instants, Nanoseconds
 from trainlog.replay.curves import COLOURS, Colour

@@ -24,7 +24,6 @@ import numpy as np
 import pandas as pd
 import rerun as rr
 
-from trainlog.along_line import POSITION_SOURCES, known_rows, time_distance
 from trainlog.errors import InputError
 from trainlog.formats.railway import line_of
 from trainlog.mcap.recorder import Recording
@@ -45,6 +44,7 @@ from trainlog.replay.viewer import (
     viewer_command,
     web_viewer,
 )
+from trainlog.resampling import POSITION_SOURCES, known_rows, time_distance
 from trainlog.topics import GNSS_FIX, TRAIN_CONTROLS, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, Trip
 

@@ -16,14 +16,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trainlog.along_line import (
-    OnGrid,
-    TimeDistance,
-    difference,
-    grid_over,
-    known_rows,
-    planned_time_distance,
-)
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.mcap.records import threads_of
@@ -32,6 +24,14 @@ from trainlog.replay.clock import Clock, Instants, Nanoseconds
 from trainlog.replay.curves import Colour
 from trainlog.replay.samples import Samples, changes, send_curve
 from trainlog.replay.survey import GRID_STEP, Pieces, Survey, survey
+from trainlog.resampling import (
+    OnGrid,
+    TimeDistance,
+    difference,
+    grid_over,
+    known_rows,
+    planned_time_distance,
+)
 from trainlog.topics import ENVIRONMENT, ESTIMATED_STATE, GNSS_FIX, GNSS_MOTION, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, Trip
 from trainlog.units import KMH, NANOSECONDS

@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 import rerun as rr
 
-from trainlog.along_line import POSITION_SOURCES, known_rows
 from trainlog.errors import InputError
 from trainlog.formats.files import atomic_write
 from trainlog.formats.railway import line_to_bytes
@@ -27,6 +26,7 @@ from trainlog.replay.drawing import Drawing, draw_line_of, draw_trajectory
 from trainlog.replay.layout import Contents, blueprint, check_view
 from trainlog.replay.overlay import group_of, references, thinned_trips
 from trainlog.replay.survey import Pieces, Survey, neighboured, pieces_of, survey
+from trainlog.resampling import POSITION_SOURCES, known_rows
 from trainlog.trip import LINE_ATTACHMENT, Trip
 from trainlog.units import EARTH_RADIUS
 
@@ -246,7 +246,7 @@ def check_on_line(piece: Trip, line: Line) -> None:
             remedy=remedy,
         )
     fixes = known_rows(piece, *POSITION_SOURCES[3])
-    own = line.reversed() if piece.metadata.get("direction") == "reverse" else line
+    own = line.travelled(piece.metadata.get("direction"))
     if fixes is None or own.geometry is None:
         return
     latitude, longitude = own.geometry.at(np.interp(fixes[0], time, position))

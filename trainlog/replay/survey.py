@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trainlog.along_line import OnGrid, grid_over, on_grid
 from trainlog.arrays import FloatArray
 from trainlog.formats.railway import line_of
 from trainlog.railway import Line
@@ -31,6 +30,7 @@ from trainlog.replay.clock import (
 from trainlog.replay.curves import curves_of
 from trainlog.replay.samples import largest_pulls, shown_values, with_slip
 from trainlog.replay.track import SPEEDS
+from trainlog.resampling import OnGrid, grid_over, on_grid
 from trainlog.topics import GNSS_FIX, TRAIN_CONTROLS, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, Trip
 

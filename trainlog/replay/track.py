@@ -15,8 +15,7 @@ import rerun as rr
 
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.railway import Line
-from trainlog.railway.kilometres import in_km
-from trainlog.railway.line import StepProfile
+from trainlog.railway.line import StepProfile, in_km
 from trainlog.replay.clock import Clock, Instants, Nanoseconds, nanoseconds
 from trainlog.replay.curves import COLOURS, Colour
 from trainlog.replay.samples import (

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.railway import Line
-from trainlog.railway.consist import Consist
 from trainlog.railway.resistance import tunnel_force_per_weight
+from trainlog.railway.train import Consist
 from trainlog.simulation import particles
 from trainlog.simulation.particles import WORKS
 

@@ -30,8 +30,8 @@ from numba import njit
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from trainlog.arrays import FloatArray, IntArray
-from trainlog.railway.axle_loads import LEAST_LOAD
 from trainlog.railway.resistance import specific_curve_resistance
+from trainlog.railway.train import LEAST_LOAD
 from trainlog.units import GRAVITY
 
 POSITION, SPEED, FRICTION, WHEELS = 0, 1, 2, 3
@@ -601,7 +601,7 @@ def advance(
     weights : (n,) array [N]
         Static loads, each times the adhesion of its axle.
     transfer : (n, n + 1) or (0, 1) array
-        Of `trainlog.railway.axle_loads.load_transfer`; without rows the loads stay.
+        Of `trainlog.railway.train.load_transfer`; without rows the loads stay.
     memory : (3, n) array
         Of the slip protection of each axle (see `protect`), changed in place.
     delay : (k,) array [N]

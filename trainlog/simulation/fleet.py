@@ -478,15 +478,13 @@ def along(
     reverse_sign : float
         By which values are multiplied on edges travelled against their chainage.
     """
-    positions, values = [], []
+    parts = []
     for leg in line.legs:
         first, last = sorted((leg.edge_start, leg.edge_end))
         part = profile(leg.edge).between(first, last)
-        if not leg.forward:
-            part = part.reversed(last - first, reverse_sign)
-        positions.append(leg.position + part.positions)
-        values.append(part.values)
-    return StepProfile(np.concatenate(positions), np.concatenate(values))
+        part = part if leg.forward else part.reversed(last - first, reverse_sign)
+        parts.append((leg.position, part))
+    return StepProfile.joined(parts)
 
 
 def draw_fleet(

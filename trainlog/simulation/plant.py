@@ -20,7 +20,7 @@ from trainlog.railway.adhesion import (
     AdhesionCharacteristic,
     creep_coefficients,
 )
-from trainlog.railway.effort import EffortCurve, arrays_of
+from trainlog.railway.resistance import EffortCurve, arrays_of
 from trainlog.simulation import dynamics
 from trainlog.simulation.dynamics import (
     CURVE,

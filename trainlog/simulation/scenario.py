@@ -167,7 +167,7 @@ class Scenario:
     @property
     def travelled(self) -> Line:
         """The line in the direction of travel."""
-        return self.line if self.direction == "forward" else self.line.reversed()
+        return self.line.travelled(self.direction)
 
     @property
     def rail(self) -> StepProfile:
@@ -184,7 +184,7 @@ class Scenario:
         positions = np.union1d(self.line.gradients.positions, self.survey_error.positions)
         gradients = self.line.gradients(positions) + self.survey_error(positions)
         true = replace(self.line, gradients=StepProfile(positions, gradients))
-        return true if self.direction == "forward" else true.reversed()
+        return true.travelled(self.direction)
 
     def plant(self) -> Plant:
         """The train on its line."""
@@ -465,7 +465,7 @@ def _drawn(
 ) -> Scenario:
     """Trip `number` of a series, in a rail condition."""
     direction = "forward" if number % 2 == 0 else "reverse"
-    travelled = line if direction == "forward" else line.reversed()
+    travelled = line.travelled(direction)
     scale = 1.0 + np.clip(0.07 * generator.standard_normal(3), -0.15, 0.15)
     nominal = train.resistance
     load = np.round(generator.uniform(0.0, train.max_load or LARGEST_LOAD), -2)

@@ -22,7 +22,7 @@ from trainlog.errors import InputError
 from trainlog.formats.railway import read_consist
 from trainlog.formats.samples import sample
 from trainlog.railway import Line, RunningResistance, Station, StepProfile
-from trainlog.railway.consist import Consist
+from trainlog.railway.train import Consist
 from trainlog.simulation.consist import ConsistPlant, Variation
 from trainlog.units import GRAVITY
 

@@ -14,7 +14,7 @@ import numpy as np
 from trainlog.arrays import FloatArray
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Line, Station, StepProfile
-from trainlog.railway.consist import Consist
+from trainlog.railway.train import Consist
 from trainlog.simulation.consist import ConsistPlant, ConsistState
 from trainlog.units import KMH
 
