@@ -41,6 +41,7 @@ from trainlog.cli.terminal import (
     print_problems,
     say,
     state,
+    tell,
     wrote,
 )
 from trainlog.display import counted
@@ -402,7 +403,7 @@ def _show(file: Path, every: bool) -> bool:
         current().content.setdefault("logs", []).append(found.described().data())
     else:
         for part in found.parts(every=every):
-            console.print(part, soft_wrap=isinstance(part, str))
+            tell(part) if isinstance(part, str) else console.print(part)
     return found.damaged
 
 

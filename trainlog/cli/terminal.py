@@ -215,6 +215,12 @@ def say(*sentences: object) -> None:
         console.print(each, soft_wrap=True)
 
 
+def tell(words: str) -> None:
+    """Print words to be read: their lines end between words where a width is known."""
+    known = console.is_terminal or os.environ.get("COLUMNS")
+    console.print(words, soft_wrap=not known)
+
+
 def as_json_text(document: Any) -> str:
     """A document as JSON: null for a number that is not finite, paths and days as text."""
     return json.dumps(plain(document), ensure_ascii=False, allow_nan=False, indent=1)
