@@ -16,6 +16,7 @@ from refusals import refused
 from analysis import charts
 from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.reports import trip as report
+from analysis.reports.page import Page
 from trainlog.cli.options import part_of
 from trainlog.errors import InputError
 from trainlog.formats.railway import line_to_bytes, read_line, write_line
@@ -126,9 +127,10 @@ def test_a_report_names_a_place_by_the_same_kilometre(
     folder, _, expected = counted
     found = list[SlipAnalysis]()
     monkeypatch.setattr(report, "slip", lambda trip: found.append(slip(trip)) or found[-1])
+    sections = report.trip_sections(folder / "trip.mcap")
     tables = {
         section.title: [part for part in section.parts if isinstance(part, WordTable)]
-        for section in report.trip_sections(folder / "trip.mcap")
+        for section in sections
     }
     (stops,) = tables["Stops and stations"]
     names, kilometres = ([each[column] for each in stops.words] for column in (0, 1))
@@ -139,6 +141,7 @@ def test_a_report_names_a_place_by_the_same_kilometre(
     places = [expected(each) for each in found[0].events["position"]]
     assert listed
     assert all(min(abs(each - place) for place in places) < 0.001 for each in listed)
+    Page("trip", "", sections).to_html(interactive=False)
     (labelled,) = ticks(figures[0])
     assert len(labelled) > 4
     for place, label in labelled:
