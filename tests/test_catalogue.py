@@ -376,7 +376,7 @@ def test_every_command_that_takes_logs_takes_trips_of_a_catalogue() -> None:
     for words, command in commands():
         names = {each.name for each in command.params}
         options = {option for each in command.params for option in each.opts}
-        if {"chosen_trips", "catalogue"} <= names:
+        if {"trips", "catalogue"} <= names:
             assert "--trips" in options, words
         elif named & names and words not in without:
             takes = next(each for each in command.params if each.name in named)

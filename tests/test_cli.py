@@ -451,7 +451,7 @@ def test_help_breaks_where_the_terminal_ends_and_gives_an_example(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setattr("typer.rich_utils.MAX_WIDTH", 200)
-    for verb in ("fit", "simulate drive", "map update", "map show", "demo", "new"):
+    for verb in ("fit efforts", "simulate drive", "map update", "map show", "demo", "new line"):
         _, shown, _ = run(monkeypatch, capsys, *verb.split(), "--help")
         prose = [line.strip() for line in shown.splitlines()[3:] if not line.startswith(("╭", "│"))]
         example = f"Example: trainlog {verb} "

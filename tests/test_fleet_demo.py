@@ -10,12 +10,14 @@ from rich.console import Console
 from test_cli_help import commands as every_command
 
 from trainlog.cli import demo, main as cli
+from trainlog.cli.commands import DEFAULT
 
 
 def test_its_commands_are_public_and_two_trains_have_faults() -> None:
     known = dict(every_command())
     for words in demo.fleet_commands(Path("out")):
-        name = " ".join(words[:2]) if " ".join(words[:2]) in known else words[0]
+        two = " ".join(words[:2])
+        name = two if two in known else f"{words[0]} {DEFAULT.get(words[0], '')}".strip()
         command = known[name]
         context = typer.Context(command, info_name=name)
         options = {each for one in command.get_params(context) for each in one.opts}

@@ -34,6 +34,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
+from analysis.comparison.causes import CAUSES, GAINED
 from analysis.comparison.driven import UNKNOWN_TIME, DrivenTrip, Stand, driven_trip, planned_trip
 from analysis.comparison.energy import ForceModel, Normalised, normalised_energy
 from analysis.given import Given, each_given
@@ -703,38 +704,6 @@ def _stretch(first: int, last: int, mine: _Cells, other: _Cells, *, back: bool) 
             break
     risen = np.flatnonzero(speed[last : end + 1] >= top - REVERSAL)
     return slice(begin, last + int(risen[0]) + 1)
-
-
-CAUSES = {
-    "start": "later start",
-    "dwell": "longer dwell",
-    "stop": "stop that the reference does not make",
-    "held": "held: braked to a stand or a crawl off a station",
-    "limit": "lower speed limit",
-    "slip": "slip: limited by adhesion",
-    "full effort": "slower at full effort: load, power or wind",
-    "slower": "slower than needed",
-    "faster": "faster",
-    "recording": "position missing or corrected",
-}
-"""Each cause in words."""
-
-GAINED = {
-    "start": "earlier start",
-    "dwell": "shorter dwell",
-    "stop": "the reference stops here",
-    "held": "the reference was held",
-    "limit": "the reference had a lower limit",
-    "slip": "the reference slipped",
-    "full effort": "the reference was slower at full effort",
-    "slower": "slower than needed",
-    "faster": "faster",
-    "recording": "position missing or corrected",
-}
-"""The same where time was gained."""
-
-LOST = tuple(cause for cause in CAUSES if cause not in ("start", "dwell", "stop"))
-"""Causes of lost time against the shortest run that makes the same stops."""
 
 
 NEARLY_ALL = 0.98

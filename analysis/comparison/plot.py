@@ -20,7 +20,8 @@ from analysis.charts import (
     Rule,
 )
 from analysis.comparison.calculated import Calculation
-from analysis.comparison.compare import CAUSES, ComparedDirection, ComparedTrip, Comparison
+from analysis.comparison.causes import CAUSES
+from analysis.comparison.compare import ComparedDirection, ComparedTrip, Comparison
 from trainlog.units import JOULES_PER_KWH, KMH
 
 TRIP_COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from analysis.comparison.causes import LOST
 from analysis.comparison.compare import (
-    LOST,
     STOPPING_REACH,
     CommonRange,
     Sections,

@@ -14,7 +14,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from trainlog.cli.terminal import console as terminal, current, say
+from trainlog.cli.terminal import console as terminal, current
 from trainlog.errors import InputError
 from trainlog.units import COUNT
 
@@ -181,11 +181,11 @@ def run_demo(
         passed = f"{number} of {len(steps)}, {perf_counter() - begin:.0f} s"
         console.rule(Text(passed, style="dim"), align="left")
         shown = Text(f"$ trainlog {shlex.join(step)}", style="bold")
-        say(shown)
+        console.print(shown, soft_wrap=True)
         current().place = f"step {number} of {len(steps)} of the demo"
         if status := run(step):
             raise typer.Exit(status)
     console.rule(Text(f"done in {perf_counter() - begin:.0f} s", style="dim"), align="left")
     console.print(f"Everything is in {output}. Next, try:")
     for command in then.strip().splitlines():
-        say(f"  trainlog {command.replace('OUT', str(output))}")
+        console.print(f"  trainlog {command.replace('OUT', str(output))}", soft_wrap=True)

@@ -40,8 +40,8 @@ from trainlog.cli.terminal import (
     print_error,
     print_problems,
     say,
+    say_wrapped,
     state,
-    tell,
     wrote,
 )
 from trainlog.display import counted
@@ -403,7 +403,7 @@ def _show(file: Path, every: bool) -> bool:
         current().content.setdefault("logs", []).append(found.described().data())
     else:
         for part in found.parts(every=every):
-            tell(part) if isinstance(part, str) else console.print(part)
+            say_wrapped(part) if isinstance(part, str) else console.print(part)
     return found.damaged
 
 

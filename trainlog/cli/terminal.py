@@ -215,7 +215,7 @@ def say(*sentences: object) -> None:
         console.print(each, soft_wrap=True)
 
 
-def tell(words: str) -> None:
+def say_wrapped(words: str) -> None:
     """Print words to be read: their lines end between words where a width is known."""
     known = console.is_terminal or os.environ.get("COLUMNS")
     console.print(words, soft_wrap=not known)

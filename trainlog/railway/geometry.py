@@ -6,10 +6,10 @@ Points of the plane are complex numbers, east + i north [m]: to turn and to scal
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from trainlog.arrays import ComplexArray, FloatArray, IntArray
 from trainlog.errors import InputError
@@ -345,7 +345,7 @@ def nearest_on(track: Track, points: ComplexArray) -> tuple[FloatArray, FloatArr
     known = np.flatnonzero(np.isfinite(points))
     if known.size:
         point = points[known]
-        _, corner = cKDTree(_pairs(track.points)).query(_pairs(point))
+        _, corner = _tree(track.points).query(_pairs(point))
         last = track.points.size - 2
         sides = [_on_segment(track, point, np.clip(corner + side, 0, last)) for side in (-1, 0)]
         closer = sides[1][1] < sides[0][1]
@@ -369,7 +369,7 @@ def candidates(track: Track, points: ComplexArray, reach: FloatArray) -> Candida
     Candidates
         Of points with more than one, those at the same bend once.
     """
-    tree = cKDTree(_pairs(track.points))
+    tree = _tree(track.points)
     corners = tree.query_ball_point(_pairs(points), reach + SPACING, return_sorted=True)
     sizes = np.array([len(found) for found in corners], dtype=np.int64)
     corner = np.fromiter((c for found in corners for c in found), np.int64, int(sizes.sum()))
@@ -427,6 +427,13 @@ def _on_segment(
     share = np.clip((np.conj(chord) * ahead).real / np.abs(chord) ** 2, 0.0, 1.0)
     stretch = track.positions[segment + 1] - track.positions[segment]
     return track.positions[segment] + share * stretch, np.abs(ahead - share * chord)
+
+
+def _tree(points: ComplexArray) -> Any:
+    """A tree of the points; SciPy is loaded where one is asked for."""
+    from scipy.spatial import cKDTree
+
+    return cKDTree(_pairs(points))
 
 
 def _pairs(points: ComplexArray) -> FloatArray:
