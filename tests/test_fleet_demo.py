@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-import typer
 from rich.console import Console
-from test_cli_help import commands as every_command
+from test_cli_help import commands as every_command, context_of
 
 from trainlog.cli import demo, main as cli
 from trainlog.cli.commands import DEFAULT
@@ -19,8 +18,9 @@ def test_its_commands_are_public_and_two_trains_have_faults() -> None:
         two = " ".join(words[:2])
         name = two if two in known else f"{words[0]} {DEFAULT.get(words[0], '')}".strip()
         command = known[name]
-        context = typer.Context(command, info_name=name)
-        options = {each for one in command.get_params(context) for each in one.opts}
+        options = {
+            each for one in command.get_params(context_of(name, command)) for each in one.opts
+        }
         assert {word for word in words if word.startswith("--")} <= options, words
     words = demo.fleet_commands(Path("out"))[0]
     faults = {word.partition(",")[0] for word in words if word.startswith("train=")}

@@ -51,6 +51,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("score")
     copy_samples(made)
     write_map(month(), made / "month.map")
+    (made / "stated.csv").write_text(FORECAST)
     known = read_map(next(made.glob("CH_StGallen_Wil.map*")))
     layers = {}
     for name, layer in known.layers.items():
@@ -246,7 +247,7 @@ def test_the_weather_file_gives_the_rail_condition_of_logs_that_state_none(
         (("month.map", "--rolling", "--weather", "stopping.mcap"), "leave out --weather"),
         (("month.map",), "nothing to compare the forecast with"),
         (("month.map", "stopping.mcap", "--rolling"), "scores a map on its own days"),
-        (("forecast.csv", "--rolling"), "scores a map on its own days"),
+        (("stated.csv", "--rolling"), "scores a map on its own days"),
         (("month.map", "--rolling", "--layer", "dry"), "no layer 'dry'"),
         (("month.map", "stopping.mcap"), "no trip|ran on line"),
     ],
