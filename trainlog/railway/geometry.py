@@ -304,25 +304,14 @@ class Candidates:
     distance: FloatArray
 
 
-def track_of(
-    geometry: Geometry,
-    origin: tuple[float, float] | None = None,
-    within: tuple[float, float] = (-np.inf, np.inf),
-) -> Track:
+def track_of(geometry: Geometry) -> Track:
     """The track of a geometry, long stretches divided.
 
-    Parameters
-    ----------
-    geometry : Geometry
-    origin : (latitude, longitude) [deg], optional
-        Where the plane touches the earth. Default: in the middle of the points.
-    within : (float, float) [m]
-        Positions that belong to the track.
+    The plane touches the earth in the middle of the points.
     """
     even = np.arange(geometry.positions[0], geometry.positions[-1], SPACING)
     positions = np.unique(np.concatenate([geometry.positions, even]))
-    positions = positions[(positions >= within[0]) & (positions <= within[1])]
-    origin = origin or (float(geometry.latitudes.mean()), float(geometry.longitudes.mean()))
+    origin = (float(geometry.latitudes.mean()), float(geometry.longitudes.mean()))
     points = to_plane(*geometry.at(positions), origin)
     moving = np.concatenate(([True], np.abs(np.diff(points)) > 0.0))
     return Track(positions[moving], points[moving], origin)
