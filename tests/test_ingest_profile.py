@@ -110,7 +110,15 @@ def test_the_samples_profile_is_valid() -> None:
         (HEAD + "[trip]\nload = 3", "trip.load"),
         (
             HEAD + "[trip]\nweather = 'wett'",
-            "trip: rail condition 'wett' is not known; did you mean 'wet'",
+            "trip.weather: rail condition 'wett' is not known; did you mean 'wet'",
+        ),
+        *(
+            (HEAD + stated, f"{place}: rail condition 'trocken' is not known; known: dry, wet")
+            for place, stated in {
+                "trip.weather": "[trip]\nweather = 'trocken'",
+                "metadata": "[metadata]\nweather = 'trocken'",
+                "trip.columns.weather.words": "[trip.columns.weather]\ncolumn='W'\nwords={a='trocken'}",
+            }.items()
         ),
         (
             HEAD + "[trip]\nload = {value=3, unit='t'}\nmass = {value=3, unit='t'}",
@@ -317,6 +325,12 @@ def test_events_come_from_text_columns(tmp_path: Path) -> None:
     assert events["message"].tolist() == ["door 0", "door 5", "door 10", "door 15"]
     assert events["level"].tolist() == [2] * 4
     assert set(events["name"]) == {"d"}
+
+
+def test_a_new_rail_condition_is_given_as_new_wherever_a_profile_states_it(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.csv", clean_run(20, 1.0).rows())
+    for sections in ({"trip": {"weather": "new:grease"}}, {"metadata": {"weather": "new:grease"}}):
+        assert ingest(path, profile=plain_profile(**sections)).metadata["weather"] == "grease"
 
 
 def test_mass_becomes_load_and_position_gets_its_start(tmp_path: Path) -> None:

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.ingest.motion import POSITION, STANDING, speed_of
-from trainlog.ingest.profile import Profile, TripColumns
+from trainlog.ingest.profile import Profile, TripColumns, problem_of
 from trainlog.ingest.recording import NO_TIME, Finding, Recording, Table, base_name
+from trainlog.railway.weather import given_condition
 from trainlog.topics import RECORDED
 from trainlog.units import DAY, NANOSECONDS, to_si
 
@@ -274,7 +275,13 @@ def _with_facts(
     if weather is not None and weather.column in part.about:
         stated = sorted({word for word in part.about[weather.column] if word})
         meant = {weather.words.get(word, word.lower()) for word in stated}
-        if len(meant) == 1:
+        problems = {
+            word: problem_of(given_condition, word) for word in meant - {*weather.words.values()}
+        }
+        if unknown := [word for word in stated if problems.get(word.lower())]:
+            what = f"weather '{weather.column}': {problems[unknown[0].lower()]}"
+            not_used[f"{what}; state what {unknown[0]} means under its words"] = 1
+        elif len(meant) == 1:
             facts["weather"] = meant.pop()
         elif meant:
             shown = ", ".join(stated[:3])

@@ -27,7 +27,7 @@ from trainlog.formats.files import read_bytes
 from trainlog.ingest.recording import base_name, field_of
 from trainlog.presentation import facts_table
 from trainlog.railway.train import Train
-from trainlog.railway.weather import check_condition
+from trainlog.railway.weather import given_condition
 from trainlog.topics import RECORDED, TOPICS, Bounds, Field as Item, Topic, recorded_topic
 from trainlog.units import factor, si_unit, to_si
 
@@ -545,17 +545,18 @@ class WeatherColumn(Strict):
     ----------
     column : str
     words : dict of str to str
-        The condition, such as ``"dry"``, that each of the file's words means; others are taken as
-        they are.
+        The condition, such as ``"dry"``, that each of the file's words means; others must be known
+        conditions, or are not used.
     """
 
     column: str
     words: dict[str, str] = Field(default_factory=dict)
 
-    @pydantic.model_validator(mode="after")
-    def _known(self) -> Self:
-        refuse(problem_of(check_condition, word) for word in self.words.values())
-        return self
+    @pydantic.field_validator("words")
+    @classmethod
+    def _known(cls, words: dict[str, str]) -> dict[str, str]:
+        refuse(problem_of(given_condition, word) for word in words.values())
+        return {word: given_condition(meant) for word, meant in words.items()}
 
 
 class TripColumns(Strict):
@@ -594,6 +595,11 @@ class TripColumns(Strict):
         return tuple(dict.fromkeys(name for name in found if name))
 
 
+def _condition(word: str) -> str:
+    refuse([problem_of(given_condition, word)])
+    return given_condition(word)
+
+
 class TripOptions(Strict):
     """What holds for the whole trip ([trip]).
 
@@ -603,7 +609,8 @@ class TripOptions(Strict):
     direction : {"forward", "reverse"}, optional
         Along the line as its file gives it.
     weather : str, optional
-        The rail's condition, such as ``"dry"``, ``"wet"`` or ``"leaves"``.
+        The rail's condition, such as ``"dry"``, ``"wet"`` or ``"leaves"``; ``"new:grease"`` for one
+        that is not known yet.
     load, mass : Quantity, optional
         Load, or mass of the loaded train without the rotating part (needs the train).
     start_position : Quantity or "stations", optional
@@ -624,6 +631,11 @@ class TripOptions(Strict):
     start_position: Quantity | Literal["stations"] | None = None
     columns: TripColumns = TripColumns()
 
+    @pydantic.field_validator("weather")
+    @classmethod
+    def _known(cls, weather: str | None) -> str | None:
+        return None if weather is None else _condition(weather)
+
     @pydantic.model_validator(mode="after")
     def _units(self) -> Self:
         problems: list[str | None] = []
@@ -631,8 +643,6 @@ class TripOptions(Strict):
             quantity: Quantity | Literal["stations"] | None = getattr(self, name)
             if isinstance(quantity, Quantity):
                 problems.append(problem_of(check_unit, name, quantity.unit, unit))
-        if self.weather is not None:
-            problems.append(problem_of(check_condition, self.weather))
         if self.load is not None and self.mass is not None:
             problems.append("give load or mass, not both")
         refuse(problems)
@@ -767,6 +777,12 @@ class Profile(Strict):
     metadata: dict[str, str] = Field(default_factory=dict)
     limits: Limits = Limits()
     repair: Repair = Repair()
+
+    @pydantic.field_validator("metadata")
+    @classmethod
+    def _known(cls, metadata: dict[str, str]) -> dict[str, str]:
+        stated = metadata.get("weather")
+        return metadata if stated is None else {**metadata, "weather": _condition(stated)}
 
     @pydantic.model_validator(mode="after")
     def _columns_fit(self) -> Self:
