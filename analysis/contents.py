@@ -80,13 +80,16 @@ class Contents:
             return _map_tables(self.path)[: 1 + every]
         return [f"{self.path}: {self.kind}", self.text]
 
-    def _passport(self) -> list[str]:
+    def _passport(self) -> list[WordTable]:
         from trainlog.formats.railway import passport_of
         from trainlog.mcap import read_log
         from trainlog.trip import PASSPORT_ATTACHMENT
 
-        attached = PASSPORT_ATTACHMENT in (each.name for each in self.value.attachments)
-        return [repr(passport_of(read_log(self.path, [])))] if attached else []
+        if PASSPORT_ATTACHMENT not in (each.name for each in self.value.attachments):
+            return []
+        found = passport_of(read_log(self.path, []))
+        assert found is not None
+        return [facts_table(found.title, found.summary(), "passport")]
 
 
 @dataclass(frozen=True)

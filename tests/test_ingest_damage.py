@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ from hypothesis import given, settings, strategies as st
 from ingest_logs import SECOND, Run, clean_run, plain_profile, ublox, write
 
 from trainlog.errors import InputError
+from trainlog.formats.railway import read_train
+from trainlog.formats.samples import DEFAULT_TRAIN, sample
 from trainlog.ingest import ingest, repairs_of, report_of
 from trainlog.ingest.rules import quantum
 from trainlog.trip import Trip
@@ -188,6 +191,36 @@ def test_wrong_signs_of_effort_and_lever_are_refused(
     else:
         with pytest.raises(InputError, match=r"slows down whenever /train/controls\..* check sign"):
             ingest(path, profile=profile)
+
+
+@FILES
+@given(
+    st.integers(0, 10_000), st.sampled_from(["N", "kN", "MN"]), st.sampled_from([0.0, 60e3, 600e3])
+)
+def test_efforts_that_are_not_in_the_declared_unit_are_stated(
+    tmp_path: Path, seed: int, unit: str, mass: float
+) -> None:
+    """They are written in kN; 1000 times less or more moves no such train, whether it is known."""
+    table = driven(600, seed)
+    stamps = pd.DatetimeIndex(clean_run(600, 1.0).time, tz="UTC").strftime("%Y-%m-%dT%H:%M:%SZ")
+    rows = [f"{t},{v:.3f},{f:.2f}" for t, v, f in zip(stamps, table["v"], table["F"], strict=True)]
+    columns: dict[str, Any] = {"/train/state.speed": {"column": "v", "unit": "m/s"}} | {
+        f"/train/controls.{name}_effort": {"column": "F", "unit": unit, "part": part}
+        for name, part in (("tractive", "positive"), ("dynamic_braking", "negative"))
+    }
+    path = write(tmp_path / "run.csv", rows, "t,v,F")
+    train = replace(read_train(sample(DEFAULT_TRAIN)), mass=mass) if mass else None
+    if unit == "MN":
+        with pytest.raises(InputError, match=r"values are impossible.*check the unit"):
+            ingest(path, profile=plain_profile(columns=columns), train=train)
+        return
+    report = report_of(ingest(path, profile=plain_profile(columns=columns), train=train))
+    wrong = {each.column: each.note for each in report.findings if each.rule == "unit_suspected"}
+    kinds = ("tractive", "dynamic_braking") if mass else ("tractive",)
+    assert list(wrong) == [f"/train/controls.{k}_effort" for k in kinds if unit == "N"]
+    assert all(
+        note.endswith("declare unit kN for its column in the profile") for note in wrong.values()
+    )
 
 
 @FILES

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from refusals import refused
 
 import trainlog
 from analysis import passport
+from analysis.resistance import fit_trip
 from analysis.resistance.passport import (
     estimated_passport,
     ratio_of_speeds,
@@ -51,8 +53,23 @@ def test_late_efforts_with_a_wrong_gain_are_found(stopping: Trip) -> None:
     assert defect.effort_delay.value - clean.effort_delay.value == pytest.approx(0.33, abs=0.03)
     assert defect.effort_gain.value / clean.effort_gain.value == pytest.approx(1.1, abs=0.01)
     assert any("0.33 s late" in each or "0.34 s late" in each for each in defect.findings)
-    assert any(each.startswith("recorded efforts are 1.1") for each in defect.findings)
+    stated = f"recorded efforts are {defect.effort_gain.value:.3f} times the true ones"
+    assert any(each.startswith(stated) for each in defect.findings)
     assert defect.mass.value == pytest.approx(clean.mass.value)
+
+
+def test_a_stated_load_that_the_motion_contradicts_is_stated_by_the_fit() -> None:
+    trip = trainlog.read("sample_logs/nonstop.mcap")
+    true = float(trip.metadata["load"])
+    for error in (-15e3, 0.0, 15e3):
+        stated = replace(trip, metadata={**trip.metadata, "load": f"{true + error:.0f}"})
+        notes = [each for each in fit_trip(stated).notes if "stated load" in each]
+        assert len(notes) == (error != 0.0)
+        if notes:
+            assert f"the stated load of {(true + error) / 1e3:.1f} t" in notes[0]
+            found = re.search(r"a load of ([\d.]+) t would explain", notes[0])
+            assert found
+            assert float(found[1]) == pytest.approx(true / 1e3, abs=2.0)
 
 
 @pytest.mark.parametrize(

@@ -572,7 +572,8 @@ def test_efforts_that_cannot_be_those_of_the_train_are_refused_in_a_line() -> No
     effort = made["/train/controls"]["tractive_effort"]
     cases = {
         "tractive effort is 0 throughout": 0.0 * effort,
-        "recorded efforts are 0.001 times what the motion needs": 1e-3 * effort,
+        "declare unit kN for its column": 1e-3 * effort,
+        "declare unit N for its column": 1e3 * effort,
         "recorded efforts are 0.2[0-9] times what the motion needs": 0.25 * effort,
     }
     for message, wrong in cases.items():

@@ -18,7 +18,7 @@ from analysis.resistance.curve import (
     powers,
 )
 from analysis.resistance.noise import Expected
-from analysis.resistance.passport import passport, with_calibrated_efforts
+from analysis.resistance.passport import gain_words, passport, with_calibrated_efforts
 from analysis.resistance.power import power_limit
 from analysis.resistance.recording import (
     Reason,
@@ -36,6 +36,7 @@ from trainlog.errors import InputError
 from trainlog.formats.files import sha256
 from trainlog.formats.railway import line_of, train_of
 from trainlog.identity import identity_of, text_of
+from trainlog.ingest.motion import suspect_efforts
 from trainlog.presentation import (
     MASS,
     NUMBER,
@@ -326,6 +327,7 @@ def effort_passport(trip: Trip, known: Passport | None = None) -> Passport:
     TripRefusedError
         If no load and no ordinary error of a converter explains the motion under the efforts.
     """
+    check_efforts(trip)
     known = passport(trip) if known is None else known
     gain = known.effort_gain.value
     if known.effort_over_mass.known and abs(gain - 1.0) > LARGEST_GAIN_ERROR:
@@ -337,6 +339,22 @@ def effort_passport(trip: Trip, known: Passport | None = None) -> Passport:
             " in the train's file",
         )
     return known
+
+
+def check_efforts(trip: Trip) -> None:
+    """Refuse efforts that are of another unit by the motion.
+
+    Raises
+    ------
+    TripRefusedError
+    """
+    for found in suspect_efforts(trip, train_of(trip)):
+        raise TripRefusedError(
+            "contradiction",
+            f"trip '{trip.name}': {found.note}",
+            place=f"field {found.column}",
+            remedy="ingest the recording again with it",
+        )
 
 
 def origin_of(trip: Trip) -> pd.Timestamp:
@@ -455,7 +473,7 @@ def fit_evidence(
             ),
         ),
         passport=known,
-        notes=(SLIP_UNSEEN,) if evidence.slip_unseen else (),
+        notes=tuple(filter(None, (SLIP_UNSEEN * evidence.slip_unseen, gain_words(known)))),
     )
 
 

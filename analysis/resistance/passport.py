@@ -54,6 +54,7 @@ from trainlog.formats.railway import (
     train_of,
     with_passport,
 )
+from trainlog.ingest.motion import suspect_efforts
 from trainlog.railway.adhesion import DRY, WET, CreepCurve, creep_coefficients
 from trainlog.railway.line import Line
 from trainlog.railway.passport import Passport, Quantity, Source
@@ -145,6 +146,9 @@ COASTING = 0.15
 RATIO_STRETCH = 200
 """Samples over which a wheel's speed may err together, as it creeps."""
 
+LEAST_GAIN = 0.02
+"""A gain that differs from 1 by no more than this is not stated."""
+
 DOUBTFUL_RATIO = 0.05
 """Axle efforts that differ from the total by more than this are stated."""
 
@@ -194,8 +198,8 @@ def passport(trip: Given, fleet: Iterable[Passport] = ()) -> Passport:
 
 def estimated_passport(trip: Trip, fleet: Iterable[Passport] = ()) -> Passport:
     """The passport that a trip's samples and metadata give, whatever is stored; see `passport`."""
-    findings: list[str] = []
     train = train_of(trip) if TRAIN_ATTACHMENT in trip.attachments else None
+    findings = [f"{each.column}: {each.note}" for each in suspect_efforts(trip, train)]
     line = line_of(trip) if LINE_ATTACHMENT in trip.attachments else None
     prior = _prior(trip, train, tuple(fleet))
     noise = _speed_noise(trip)
@@ -813,6 +817,21 @@ def _axle_effort_ratio(trip: Trip, train: Train | None) -> Quantity:
     return Quantity(float(np.median(ratio)), spread, "estimated")
 
 
+def gain_words(found: Passport) -> str:
+    """Efforts that differ from what the motion needs, and the load that would explain them."""
+    gain, load = found.effort_gain, found.load
+    if gain.source != "estimated" or abs(gain.value - 1.0) <= max(2.0 * gain.std, LEAST_GAIN):
+        return ""
+    words = f"recorded efforts are {gain.value:.3f} times the true ones"
+    if load.source != "recorded" or not found.mass.known:
+        return words
+    other = load.value + (gain.value - 1.0) * found.mass.value
+    likely = f"; a load of {other / 1e3:.1f} t would explain them" if other >= 0.0 else ""
+    return (
+        f"{words} if the stated load of {load.value / 1e3:.1f} t is right{likely}: check the load"
+    )
+
+
 def _findings(found: Passport, prior: _Prior) -> list[str]:
     """What a reader should know, in sentences."""
     sentences = []
@@ -827,8 +846,8 @@ def _findings(found: Passport, prior: _Prior) -> list[str]:
             f"recorded efforts are {gain.value:.2f} times what the motion needs: check their unit,"
             " whether they are of the whole train, and the train's mass"
         )
-    elif gain.source == "estimated" and abs(gain.value - 1.0) > max(2.0 * gain.std, 0.02):
-        sentences.append(f"recorded efforts are {gain.value:.2f} times the true ones")
+    elif words := gain_words(found):
+        sentences.append(words)
     if ratio.known and abs(ratio.value - 1.0) > max(DOUBTFUL_RATIO, 3.0 * ratio.std):
         sentences.append(f"axle efforts are {ratio.value:.2f} times the total effort")
     if not ratio.known and "axles of" in ratio.reason:

@@ -2,19 +2,25 @@
 
 Every rule that asks whether a column goes with the motion asks it here: the names of the columns,
 from which speed on a train stands or moves, the integral of a speed, the fixes in a plane, which
-values repeat, the ratio of two columns and how far they usually depart from it.
+values repeat, the ratio of two columns and how far they usually depart from it, which mass an
+effort moves.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from estimators.receiver import integral, pairs_at, series_of
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
-from trainlog.ingest.recording import METRES_PER_DEGREE, Table
+from trainlog.declaration import form_for
+from trainlog.ingest.recording import METRES_PER_DEGREE, Finding, Table
+from trainlog.railway.train import Train
 from trainlog.spans import runs_of
+from trainlog.trip import Trip, seconds
 from trainlog.units import NANOSECONDS
 
 POSITION, SPEED, GNSS_SPEED = "/train/state.position", "/train/state.speed", "/gnss/motion.speed"
@@ -45,6 +51,13 @@ CHORD = 20.0
 
 ENOUGH = 10
 """Samples from which on their median, and how they spread, are known."""
+
+STRONG, CLEAR = 0.5, 0.1
+"""Share of the largest effort, and acceleration [m/s²], from which on an effort shows the mass that
+it moves: gradients change it by a factor of three at most."""
+
+WRONG_UNIT = 1000.0**0.5
+"""A mass off by more than this is nearer to one of N taken for kN than to the right one."""
 
 FIX_STD, SPEED_STD = 5.0, 0.5
 """Standard deviation of a fix in each direction [m], and of a satellite speed [m/s], where the
@@ -119,6 +132,75 @@ def agreement(one: FloatArray, other: FloatArray, moving: BoolArray) -> Agreemen
         return None
     ratio = float(np.median(one[both] / other[both]))
     return Agreement(ratio, robust_std(one[both] - ratio * other[both]))
+
+
+def moved_mass(time: FloatArray, speed: FloatArray, effort: FloatArray, sign: int = 1) -> float:
+    """Mass that an effort moves by itself, the median of where it is strong; NaN if unknown.
+
+    Parameters
+    ----------
+    time, speed, effort : (n,) array [s], [m/s], [N]
+    sign : {1, -1}
+        -1 of an effort that brakes.
+
+    Returns
+    -------
+    float [kg]
+
+    Examples
+    --------
+    >>> time = np.arange(0.0, 40.0)
+    >>> float(round(moved_mass(time, 0.5 * time, np.full(40, 75e3))))
+    150000
+    """
+    known = np.isfinite(speed)
+    if np.count_nonzero(known) < ENOUGH or not np.any(effort > 0.0):
+        return np.nan
+    after, before = (np.interp(time + by, time[known], speed[known]) for by in (2.5, -2.5))
+    gained = sign * (after - before) / 5.0
+    shows = (effort >= STRONG * np.nanmax(effort)) & (np.abs(speed) > MOVING) & (gained > CLEAR)
+    if np.count_nonzero(shows) < ENOUGH:
+        return np.nan
+    return float(np.median(effort[shows] / gained[shows]))
+
+
+def suspect_efforts(trip: Trip, train: Train | None = None) -> Iterator[Finding]:
+    """Efforts that cannot explain the motion by a factor that a wrong unit has.
+
+    Parameters
+    ----------
+    trip : Trip
+        Without ``/train/state`` or ``/train/controls`` nothing is found.
+    train : Train, optional
+        Without it any mass that a train can have explains them.
+    """
+    if not {"/train/state", "/train/controls"} <= trip.topics.keys():
+        return
+    state, controls = trip["/train/state"], trip["/train/controls"]
+    time = seconds(controls, pd.DatetimeIndex(state.index)[0])
+    speed = np.interp(time, seconds(state), state["speed"].to_numpy(np.float64))
+    form = form_for(Train, "mass")
+    # A brake alone may be a small part of what brakes: only the train's own mass judges it.
+    for name in EFFORTS if train is not None else EFFORTS[:1]:
+        effort = controls[name.rpartition(".")[2]].to_numpy(np.float64)
+        mass = moved_mass(time, speed, effort, 1 if name == EFFORTS[0] else -1)
+        if not mass > 0.0:
+            continue
+        if train is not None:
+            factor = mass / train.mass
+            wrong = not 1.0 / WRONG_UNIT <= factor <= WRONG_UNIT
+            expected = f"the train's file has {form.words(train.mass)}"
+        else:
+            problem = next(form.implausible(mass, ""), None)
+            wrong, factor = problem is not None, mass / form.usual
+            expected = "" if problem is None else problem.problem.partition(": ")[2]
+        if wrong:
+            unit = "kN" if factor < 1.0 else "N"
+            note = (
+                f"up to {np.nanmax(effort) / 1e3:.3g} kN would move {mass / 1e3:.3g} t as fast,"
+                f" {expected}: declare unit {unit} for its column in the profile"
+            )
+            yield Finding("unit_suspected", 1, (), name, note)
 
 
 def scale_of(seconds: FloatArray, points: ComplexArray, speed: FloatArray) -> float:

@@ -22,7 +22,7 @@ from trainlog.ingest.chainage import (
     estimated_state,
     position_offset,
 )
-from trainlog.ingest.motion import GNSS_SPEED, POSITION, SPEED
+from trainlog.ingest.motion import GNSS_SPEED, POSITION, SPEED, suspect_efforts
 from trainlog.ingest.parts import parts_of
 from trainlog.ingest.placing import OVERRUN, placed
 from trainlog.ingest.profile import (
@@ -566,6 +566,8 @@ def _trip(
             findings += found
         if any(new is not old for new, old in zip(tables, before, strict=True)):
             trip = Trip(_topics(recording, profile, tables), {})
+    if profile.repair.unit_suspected:
+        findings += suspect_efforts(trip, train)
     if estimate.frame is not None:
         trip = trip.with_topic(estimate.frame)
     trip.metadata.update(metadata_of(recording, profile, line, train, heading))

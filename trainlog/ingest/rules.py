@@ -36,7 +36,7 @@ from trainlog.ingest.recording import NO_TIME, Finding, Raw, Table, base_name, f
 from trainlog.ingest.report import changes
 
 MAX_OUT_OF_LIMITS = 0.5
-"""Share of a column's values out of limits beyond which its unit is doubted."""
+"""Share of a column's values other than 0 out of limits beyond which its unit is doubted."""
 
 
 def blank_without_fix(table: Table, limits: Limits) -> Result:  # noqa: ARG001
@@ -68,7 +68,9 @@ def blank_out_of_limits(table: Table, limits: Limits) -> Result:
     for name, values in table.signals.items():
         bounds = limits.of(name)
         out = (values < bounds.low) | (values > bounds.high)
-        count, present = np.count_nonzero(out), np.count_nonzero(np.isfinite(values))
+        # An effort, or a speed, is 0 in any unit.
+        judged = np.isfinite(values) & (values != 0.0)
+        count, present = np.count_nonzero(out), np.count_nonzero(judged)
         if not count:
             continue
         if count > MAX_OUT_OF_LIMITS * present:
