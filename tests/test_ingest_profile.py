@@ -117,7 +117,8 @@ def test_the_samples_profile_is_valid() -> None:
             for place, stated in {
                 "trip.weather": "[trip]\nweather = 'trocken'",
                 "metadata": "[metadata]\nweather = 'trocken'",
-                "trip.columns.weather.words": "[trip.columns.weather]\ncolumn='W'\nwords={a='trocken'}",
+                "trip.columns.weather.words": "[trip.columns.weather]\ncolumn='W'\n"
+                "words={a='trocken'}",
             }.items()
         ),
         (
