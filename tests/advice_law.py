@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from analysis.trajectory.advice import AdviceRow
+from analysis.trajectory.advice import AdviceRow, advised_speeds
 from analysis.trajectory.instructions import HELD
 from trainlog.railway import Trajectory
 from trainlog.spans import runs_of
@@ -20,6 +20,33 @@ UNSAID = 6.0 / KMH
 IDLE = 45.0
 """Longest that a plan may coast within a row that holds a speed [s]: two rows more cost as much as
 half a minute of it, and the speeds that they would state some more."""
+
+
+APPLIED, LEFT = 1.0 / KMH, 2.5 / KMH
+"""What a brake application takes off a speed that is to be named, and what of it may lie in rows
+beside, where another configuration drives [m/s]."""
+
+
+def unnamed_brakes(plan: Trajectory, changes: list[AdviceRow], ends: list[float]) -> list[str]:
+    """Brake applications of any configuration that no row names, nor a speed to hold."""
+    found, places = list[str](), plan.positions
+    named = np.zeros(places.size - 1, dtype=bool)
+    for row, end in zip(changes, ends, strict=True):
+        if "brake" in row.words or row.words.startswith("hold"):
+            named |= (plan.positions[:-1] >= row.position - 1e-6) & (
+                plan.positions[1:] <= end + 1e-6
+            )
+    for number, letters in enumerate(plan.certificate["phases"]):
+        lost = plan.braking_effort[number] / plan.configurations[number].inertia
+        lost = lost * np.diff(plan.times[number])
+        for start, past in runs_of(np.isin(list(letters), ["H", "B"])):
+            whole = lost[start:past].sum()
+            left = whole - lost[start:past][named[start:past]].sum()
+            own = number == plan.latest
+            if whole > APPLIED and left > (APPLIED if own else LEFT):
+                at = f"{places[start]:.0f} m"
+                found.append(f"{KMH * left:.1f} km/h by braking at {at} are not named")
+    return found
 
 
 def breaches(plan: Trajectory, rows: list[AdviceRow]) -> list[str]:
@@ -47,9 +74,9 @@ def breaches(plan: Trajectory, rows: list[AdviceRow]) -> list[str]:
         if words.startswith("hold") and np.abs(speeds - speed).max() > HELD + ROUNDING:
             found.append(f"{words}: {KMH * speeds.min():.0f} to {KMH * speeds.max():.0f} km/h")
         if words.startswith("hold"):
-            idle = runs_of(coasts & cells)
+            spans = runs_of(coasts & cells)
             lasts = max(
-                (plan.times[own, past] - plan.times[own, at] for at, past in idle), default=0
+                (plan.times[own, past] - plan.times[own, at] for at, past in spans), default=0
             )
             if lasts > IDLE:
                 found.append(f"{words}: nobody drives for {lasts:.0f} s")
@@ -72,12 +99,19 @@ def breaches(plan: Trajectory, rows: list[AdviceRow]) -> list[str]:
             found.append(f"{words}: ends at {KMH * last:.0f} km/h")
         if abs(begin - row.speed) > 1e-6 or abs(last - row.until) > 1e-6:
             found.append(f"{words}: other speeds at its ends")
+    found += unnamed_brakes(plan, changes, ends)
+    for row, speed in zip(rows, advised_speeds(rows), strict=True):
+        if row.permitted is not None and speed > row.permitted + 1e-6:
+            found.append(
+                f"{row.words}: {KMH * speed:.1f} km/h where {KMH * row.permitted:.1f} are due"
+            )
+    idle = coasts & ~brakes
     for before, after in pairwise(changes):
         if before.until != after.speed:
             found.append(f"{after.words} begins at another speed than the row before ends at")
         beside = int(np.searchsorted(places, after.position - 1e-6))
         for row, cell, other in ((before, beside - 1, after), (after, beside, before)):
-            if row.words.startswith("hold") and other.words.startswith("coast") and coasts[cell]:
+            if row.words.startswith("hold") and other.words.startswith("coast") and idle[cell]:
                 found.append(f"{row.words}: nobody drives beside {other.words}")
         if before.words.split(";")[0] == after.words.split(";")[0]:
             found.append(f"{after.words}: twice")

@@ -84,7 +84,7 @@ def test_at_one_speed_the_advice_is_to_hold_it() -> None:
     assert words_of(_with_phases("TPHPCPCB", speeds)) == [
         "full traction to 100 km/h",
         "hold 100 km/h",
-        "coast to km 2.100: speed falls to 60 km/h; at most 60 km/h at km 2.100",
+        "coast to km 2.100: speed falls to 60 km/h",
         "brake to a stand",
     ]
     # A dip between two equal speeds is coasting all the same.
@@ -101,7 +101,7 @@ def test_a_speed_held_within_a_longer_phase_is_advice_until_the_brake() -> None:
         "hold 100 km/h",
         "brake gently to 80 km/h by km 2.100",
         "hold 80 km/h",
-        "coast to km 3.000: speed falls to 60 km/h; at most 60 km/h at km 3.000",
+        "coast to km 3.000: speed falls to 60 km/h",
         "brake to a stand",
     ]
     # Partial traction at a falling speed is no speed to hold.
@@ -136,10 +136,10 @@ def test_braking_is_advised_only_where_a_configuration_brakes() -> None:
     found = [each.words() for each in instructions(plan, limits)]
     assert found == [
         "full traction to 100 km/h",
-        "coast to km 0.600: speed falls to 92 km/h; at most 100 km/h",
+        "coast to km 0.600: speed falls to 92 km/h; at most 100 km/h at km 0.600",
         "brake, if faster, to 90 km/h by km 0.900",
-        "coast to km 1.500: speed falls to 70 km/h; at most 90 km/h, 85 km/h from km 1.200,"
-        " 75 km/h at km 1.500",
+        "coast to km 1.500: speed falls to 70 km/h; at most 85 km/h from km 1.200, 75 km/h at km"
+        " 1.500",
         "brake to a stand",
     ]
 
@@ -160,13 +160,16 @@ def test_a_speed_is_held_only_where_the_plan_drives_or_brakes() -> None:
     limits = StepProfile(np.array([0.0, 600.0]), np.array([120.0, 110.0]) / 3.6)
     rows = journey_advice([plan]).rows
     assert not breaches(plan, rows)
-    # The speed where it ends is the speed not to exceed up to there: it is stated once.
-    assert [each.words() for each in instructions(plan, limits)][:3] == [
+    assert [each.words() for each in instructions(plan, limits)][:4] == [
         "full traction to 104 km/h",
-        "coast to km 1.800: speed rises to 110 km/h; at most 110 km/h",
+        "coast to km 0.900: speed rises to 110 km/h",
+        "brake, if faster, to 110 km/h by km 1.800",
         "hold 110 km/h",
     ]
-    held = [replace(row, words="hold 110 km/h") if "coast" in row.words else row for row in rows]
+    held = [
+        replace(row, words="hold 110 km/h") if re.match("coast|brake, if", row.words) else row
+        for row in rows
+    ]
     assert any("nobody drives" in each for each in breaches(plan, held))
 
 
@@ -216,6 +219,11 @@ def test_advice_as_a_table(hilly: Trajectory, tmp_path: Path) -> None:
     assert [row["advice"] for row in rows] == [row.words for row in found.rows]
     assert rows[1]["advice"].startswith("full traction")
     assert float(rows[-1]["speed_kmh"]) == 0.0
+    printed = [cells[3] for cells in driver_table(found).rows]
+    assert printed[1:-1] == [row["speed_kmh"] for row in rows[2:-1]]
+    assert [f"{3.6 * each['speed_m_s']:.0f}" for each in found.facts()["advice"]] == [
+        row["speed_kmh"] for row in rows
+    ]
 
 
 def test_a_trip_with_the_advice_beside_it_can_be_kept_and_replayed(

@@ -176,13 +176,13 @@ class JourneyAdvice(Presented):
                 "time_s": row.time,
                 "clock": self.time(row.time),
                 "timetable_s": row.timetable,
-                "speed_m_s": row.speed,
+                "speed_m_s": speed,
                 "permitted_m_s": row.permitted,
                 "advice": row.words,
                 "target_m_s": None if row.instruction is None else row.instruction.target,
                 "to_km": None if row.instruction is None else row.to_km,
             }
-            for row in self.rows
+            for row, speed in zip(self.rows, advised_speeds(self.rows), strict=True)
         ]
         return {"line": self.line, "train": self.train, "departure_s": self.start, "advice": rows}
 
@@ -370,7 +370,7 @@ def _row(
 def write_journey_advice(found: JourneyAdvice, path: str | Path) -> None:
     """Write the advice as CSV, whole or not at all."""
 
-    def fields(row: AdviceRow) -> dict[str, str]:
+    def fields(row: AdviceRow, speed: float) -> dict[str, str]:
         own = {
             "event": row.event,
             "km": f"{row.km:.3f}",
@@ -379,7 +379,7 @@ def write_journey_advice(found: JourneyAdvice, path: str | Path) -> None:
             "time": found.time(row.time),
             "seconds": f"{row.time:.1f}",
             "timetable": found.time(row.timetable),
-            "speed_kmh": f"{KMH * row.speed:.1f}",
+            "speed_kmh": f"{KMH * speed:.0f}",
             "permitted_kmh": "" if row.permitted is None else f"{KMH * row.permitted:.1f}",
             "advice": row.words,
         }
@@ -392,7 +392,8 @@ def write_journey_advice(found: JourneyAdvice, path: str | Path) -> None:
             "highest_kmh": f"{KMH * row.instruction.highest:.1f}",
         }
 
-    table = pd.DataFrame([fields(row) for row in found.rows])
+    speeds = advised_speeds(found.rows)
+    table = pd.DataFrame([fields(*each) for each in zip(found.rows, speeds, strict=True)])
     write_bytes(path, table.to_csv(index=False, lineterminator="\n").encode())
 
 
@@ -419,23 +420,37 @@ def stations_table(found: JourneyAdvice) -> WordTable:
     return table
 
 
+def advised_speeds(rows: Sequence[AdviceRow]) -> list[float]:
+    """Speed at the place of each row, as the words of the row before have it [m/s].
+
+    Examples
+    --------
+    >>> advised_speeds([])
+    []
+    """
+    found, asked = list[float](), None
+    for row in rows:
+        speed = row.speed
+        if row.event == "departs":
+            asked = None
+        elif row.instruction is not None and asked is not None:
+            speed = asked.stated_until
+        elif asked is not None and asked.hold:
+            speed = asked.target
+        asked = row.instruction or asked
+        found.append(speed)
+    return found
+
+
 def driver_table(found: JourneyAdvice) -> WordTable:
     """The journey as a driver reads it: kilometre, place, time, what to do."""
     table = new_table("", "km", "where", "time", "speed\n[km/h]", "limit\n[km/h]", "advice")
     begins: AdviceRow | None = None
-    asked: Instruction | None = None
-    for row in found.rows:
+    for row, shown in zip(found.rows, advised_speeds(found.rows), strict=True):
         if row.event == "departs":
-            begins, asked = row, None
+            begins = row
             continue
-        place, words, shown = row.station or row.place, row.words, row.speed
-        # Speeds that follow one another are stated alike: those in words are rounded down.
-        if row.instruction is not None and asked is not None:
-            shown = asked.stated_until
-        elif asked is not None and asked.hold:
-            shown = asked.target
-        asked = row.instruction or asked
-        speed = f"{KMH * shown:.0f}"
+        place, words, speed = row.station or row.place, row.words, f"{KMH * shown:.0f}"
         if begins is not None and row.position <= begins.position + JOINS:
             place, words, speed = begins.station or begins.place, f"departs: {words}", ""
         begins = None

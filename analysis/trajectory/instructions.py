@@ -15,9 +15,10 @@ from itertools import pairwise
 import numpy as np
 
 from analysis.trajectory.phases import Phase, phases_of
-from trainlog.arrays import FloatArray, IntArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.railway import Line, StepProfile, Trajectory
 from trainlog.railway.line import in_km
+from trainlog.spans import runs_of
 from trainlog.units import KMH
 
 HELD = 2.0 / KMH
@@ -228,21 +229,32 @@ class _Plan:
 
     def __init__(self, trajectory: Trajectory, limits: StepProfile | None, row: int) -> None:
         self.trajectory, self.limits = trajectory, limits
-        if limits is not None:
-            # Of the train's own top speed the plan shows how far it was used.
-            top = np.minimum(limits.values, trajectory.speeds.max())
-            self.limits = StepProfile(limits.positions, top)
         self.places, self.times = trajectory.positions, trajectory.times[row]
         self.speeds, self.highest = trajectory.speeds[row], trajectory.speeds.max(axis=0)
         every = np.array([phases_of(trajectory, each) for each in range(len(trajectory.speeds))])
         self.phases = every[row]
         self.brakes = np.any(every >= Phase.PARTIAL_BRAKING, axis=0)
+        top = float(trajectory.speeds.max())
+        fast = np.minimum(trajectory.speeds[:, 1:], trajectory.speeds[:, :-1]) > top - NOTICED
+        held = (every == Phase.CRUISING) | (every == Phase.PARTIAL_BRAKING)
+        if limits is not None and np.any(fast & held):
+            # A speed that is held below the limits is the train's own top speed.
+            self.limits = StepProfile(limits.positions, np.minimum(limits.values, top))
         inertia = np.array([each.inertia for each in trajectory.configurations])[:, None]
         braking = trajectory.braking_effort / inertia
         self.net = np.abs(trajectory.tractive_effort / inertia[row] - braking[row])
         self.braking = braking.max(axis=0)
+        self.applied = self._applied(every, braking * np.diff(trajectory.times, axis=1))
         faster = KMH * np.array([self.speeds.min(), self.speeds.max()])
         self.whole = np.arange(max(np.floor(faster[0]) - 1.0, 1.0), faster[1] + 2.0) / KMH
+
+    def _applied(self, phases: IntArray, lost: FloatArray) -> BoolArray:
+        """Cells of brake applications that take more off a speed than is noticed, (q, n) each."""
+        found = np.zeros(lost.shape[1], dtype=np.bool_)
+        for each, slowed in zip(phases >= Phase.PARTIAL_BRAKING, lost, strict=True):
+            for start, past in runs_of(each):
+                found[start:past] |= slowed[start:past].sum() > NOTICED
+        return found & (self.phases > Phase.CRUISING)
 
     def chosen(self) -> IntArray:
         """Label of each cell: a place in `_PHASES`, then one for each speed to hold."""
@@ -294,7 +306,11 @@ class _Plan:
         rows = [
             np.where(full, 0.0, np.where(drives, _FULL * seconds, np.inf)),
             np.where(full, 10.0 * _PARTIAL, np.where(drives, _PARTIAL, np.inf)) * seconds,
-            np.where(drives, change + _UNSAID * seconds, np.where(own, change, others)),
+            np.where(
+                self.applied,
+                np.inf,
+                np.where(drives, change + _UNSAID * seconds, np.where(own, change, others)),
+            ),
             np.where(self.brakes, np.where(hard, 0.0, _GENTLE * seconds) + rise, np.inf),
         ]
         beside = np.abs(self.speeds - self.whole[:, None])
@@ -303,6 +319,9 @@ class _Plan:
         possible = (worst <= HELD) & (self.whole[:, None] <= self._most() + _WHOLE / KMH)
         # Where the plan coasts, a driver who holds a speed would drive.
         idle = np.where(phases == Phase.COASTING, others + _IDLE * seconds, 0.0)
+        # What a brake takes off a speed that is held is worth a row from what is noticed on.
+        fall = np.maximum(self.speeds[:-1] - self.speeds[1:], 0.0)
+        idle += np.where(self.applied, _CHANGE / NOTICED * fall, 0.0)
         return np.vstack([*rows, np.where(possible, _DRIFT * mean * seconds + idle, np.inf)])
 
     def _most(self) -> FloatArray:
@@ -396,7 +415,8 @@ class _Plan:
         drives = row.phase <= Phase.CRUISING
         edges = np.zeros(0) if self.limits is None else self.limits.positions
         inside = edges[(edges > row.position + 1e-3) & (edges < row.end - 1e-3)].tolist()
-        before = np.inf
+        # A speed that falls does not reach the limit under which the row begins.
+        before = 0.0 if row.phase is Phase.COASTING else np.inf
         for first, last in pairwise([row.position, *inside, row.end]):
             if self.limits is None:
                 break
@@ -418,7 +438,10 @@ class _Plan:
                 np.inf if self.limits is None else float(self._limit(np.array([row.end]), past)[0])
             )
             brakes = after is not None and after.phase > Phase.COASTING
-            if brakes or row.fastest > min(row.until, soon - 2.0 * NOTICED) + NOTICED:
+            if (
+                row.fastest
+                > (row.until if brakes else min(row.until, soon - 2.0 * NOTICED)) + NOTICED
+            ):
                 yield Cap(
                     rounded_down(row.fastest if brakes else min(row.fastest, soon)),
                     row.end,
