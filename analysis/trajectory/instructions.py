@@ -254,7 +254,7 @@ class _Plan:
         for each, slowed in zip(phases >= Phase.PARTIAL_BRAKING, lost, strict=True):
             for start, past in runs_of(each):
                 found[start:past] |= slowed[start:past].sum() > NOTICED
-        return found & (self.phases > Phase.CRUISING)
+        return np.asarray(found & (self.phases > Phase.CRUISING))
 
     def chosen(self) -> IntArray:
         """Label of each cell: a place in `_PHASES`, then one for each speed to hold."""
