@@ -1,1 +1,1 @@
-"""How good forecasts of adhesion were: docs/adhesion-forecast-verification.md defines all of it."""
+"""How good forecasts of adhesion were: docs/track-condition-map.md defines all of it."""

@@ -12,7 +12,7 @@ that came, by
 
 All are scored on the same passages: where every one of them is known. ``of the map`` rows count
 what the map alone leaves unknown. The trips, the rail with its spots and the weather are those of
-`benchmarks/map/trips.py`; the definitions are in docs/adhesion-forecast-verification.md.
+`benchmarks/map/trips.py`; the definitions are in docs/track-condition-map.md.
 """
 
 from __future__ import annotations

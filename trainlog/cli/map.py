@@ -433,7 +433,7 @@ def map_score(
     over the place alone, reliability, Brier score of slip, slips foreseen against false alarms,
     coverage; bands by a bootstrap over days. Of a network, all edges together, and each. Where the
     forecast is unknown it is counted as unknown. What each figure means:
-    docs/adhesion-forecast-verification.md. Exit status 1 if a log could not be used.
+    docs/track-condition-map.md. Exit status 1 if a log could not be used.
 
     Example: trainlog map score results/wil.map results/later-trips --picture results/score.png
 

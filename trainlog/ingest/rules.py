@@ -1,4 +1,4 @@
-"""The rules of repair, in the order in which they are applied; docs/ingest.md has the table.
+"""The rules of repair, in the order in which they are applied; docs/ingest-rules.md has the table.
 
 Those on rows and their time are in `trainlog.ingest.clock`; those on values are here.
 """
