@@ -144,6 +144,17 @@ def test_a_trip_states_what_the_command_line_states(trip_page: str) -> None:
     assert "10:06:58" in rows[0]
 
 
+def test_fields_without_a_value_are_listed_apart(tmp_path: Path) -> None:
+    trip = read_log(sample("nonstop.mcap"))
+    names = ["tractive_effort_demand", "lever"]
+    controls = trip["/train/controls"].assign(**dict.fromkeys(names, np.nan))
+    controls.attrs = trip["/train/controls"].attrs
+    write_log(trip.with_topic(controls), tmp_path / "a.mcap")
+    page = tmp_path / "a.html"
+    write_report(tmp_path / "a.mcap", page)
+    assert "not recorded: lever, tractive_effort_demand" in page.read_text("utf-8")
+
+
 def test_calls_at_stations_agree_with_the_events_of_the_log() -> None:
     trip = read_log(sample("stopping.mcap"))
     calls = station_calls(Motion.of(trip), line_of(trip))
@@ -519,7 +530,9 @@ def test_the_report_of_a_folder_begins_with_answers_and_ends_with_its_files(tmp_
     page = write_report(tmp_path, tmp_path.parent / "page.html")
     (answers,) = page.sections[0].parts
     said = dict(answers.rows)
-    assert said["what was driven"].startswith("recorded: 2 trips")
+    assert said["what was driven"].startswith(
+        "recorded: 1 trip, 0.3 h; 1 recording more of these drives"
+    )
     assert said["is the recording good"] == "2 good"
     assert "trajectory: " in said["what did it cost"]
     files, made_of = page.sections[-1].parts[:2]

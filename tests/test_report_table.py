@@ -15,10 +15,12 @@ from rich.console import Console
 from analysis.adhesion.condition_map import adhesion_map
 from analysis.adhesion.slip import slip
 from analysis.comparison.groups import compare_groups
+from analysis.reports.build import write_report
 from analysis.reports.summary import report
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.logs import fit
 from analysis.truth import curve_error, map_error, true_adhesion
+from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.formats.mapfile import read_map, write_map
 from trainlog.formats.railway import write_coast_down, write_parameters
@@ -169,6 +171,26 @@ def test_no_truth_is_one_error() -> None:
         lambda: true_adhesion(track, "wet", []),
     ):
         refused(InputError, "truth is given", judged)
+
+
+@pytest.mark.parametrize(("copies", "folder"), [(0, "october"), (1, "trips"), (3, "driven-again")])
+def test_a_drive_counts_once_and_its_copies_beside_it(
+    tmp_path: Path, copies: int, folder: str
+) -> None:
+    """In whatever folder it is asked for."""
+    place = tmp_path / folder
+    place.mkdir()
+    for name in ("nonstop", "stopping"):
+        shutil.copy(sample(f"{name}.mcap"), place / f"{name}.mcap")
+    trip = read_log(sample("stopping.mcap"))
+    for number in range(copies):
+        write_log(trip.between(None, "2024-10-07T08:15"), place / f"copy-{number}.mcap")
+    words = report(place).rows[0][1]
+    more = f"; {counted(copies, 'recording')} more of these drives" if copies else ""
+    assert words == f"2 trips, 0.7 h{more}"
+    write_report(place, tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text("utf-8")
+    assert page.count("the same drive as") == copies
 
 
 def test_trips_in_any_folder_are_summed_up(tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ from analysis.reports.results import (
     study_sections,
     trajectory_sections,
 )
-from analysis.reports.summary import report
+from analysis.reports.summary import copies_in, report
 from analysis.reports.trip import Motion, Zone, recorded_trip, trip_sections
 from trainlog import __version__
 from trainlog.display import counted
@@ -399,6 +399,8 @@ def _trips(
     if table.rows:
         words = f"One of them in full: trainlog report {group}/{logs[0].name} -o trip.html"
         shown += [table, words]
+    if shown:
+        shown += [f"{each.sentence}." for each in copies_in(logs)]
     title = "Trips" if group == "trips" else f"Trips: {group}"
     return Section(title, shown, whole_page=True) if shown else None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from analysis.comparison.groups import compare_groups, punctuality
 from analysis.trajectory.table import section_name
 from analysis.truth import SimulatedLogs, Truth, curve_error, map_error
 from trainlog.display import counted, lateness, span
-from trainlog.errors import InputError, LogError
+from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.formats.files import beginning, stated_format
 from trainlog.formats.mapfile import MapFile, read_map
 from trainlog.formats.railway import (
@@ -24,7 +25,9 @@ from trainlog.formats.railway import (
     read_parameters,
     read_trajectory,
 )
+from trainlog.identity import Known, SameDrive, same_drives
 from trainlog.mcap.convert import span_of
+from trainlog.mcap.reader import identity_of_log
 from trainlog.presentation import (
     Columns,
     Presented,
@@ -137,17 +140,32 @@ def report(folder: str | Path) -> Report:
 def _logs_in(folder: Path) -> list[Path]:
     """Logs of recorded trips: those in ``trips``, without them in the folder and in those in it."""
     usual = sorted((folder / "trips").glob("*.mcap"))
-    every = [*sorted(folder.glob("*.mcap")), *sorted(folder.glob("*/*.mcap"))]
-    return usual or [path for path in every if not path.parent.name.startswith("driven")]
+    inner = [log for log in folder.glob("*/*.mcap") if not log.parent.name.startswith("driven")]
+    return usual or [*sorted(folder.glob("*.mcap")), *sorted(inner)]
+
+
+def copies_in(logs: Sequence[Path]) -> list[SameDrive]:
+    """The logs of drives of which others of the logs are; see `trainlog.identity.same_drives`."""
+    known = list[Known]()
+    for log in logs:
+        identity = None
+        with suppress(TrainlogError):
+            identity = identity_of_log(log)
+        known.append(Known(log.stem, identity, (str(log),)))
+    return same_drives(known)
 
 
 def _recorded(logs: Sequence[Path]) -> tuple[str, str, str] | None:
     if not logs:
         return None
-    spans = [span for span in map(span_of, logs) if span is not None]
+    copies = {each.number for each in copies_in(logs)}
+    drives = [log for number, log in enumerate(logs) if number not in copies]
+    spans = [span for span in map(span_of, drives) if span is not None]
     hours = sum((end - start).total_seconds() for start, end in spans) / 3600.0
     places = dict.fromkeys(str(log.parent) for log in logs)
-    return "recorded", f"{counted(len(logs), 'trip')}, {hours:.1f} h", ", ".join(places)
+    more = f"; {counted(len(copies), 'recording')} more of these drives" if copies else ""
+    words = f"{counted(len(drives), 'trip')}, {hours:.1f} h{more}"
+    return "recorded", words, ", ".join(places)
 
 
 def _of_format(folder: Path, kind: str, usual: str = "") -> list[Path]:

@@ -40,7 +40,7 @@ from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.railway import line_of, passport_of
 from trainlog.ingest.report import report_of
 from trainlog.mcap import describe, read_log
-from trainlog.mcap.description import LogDescription
+from trainlog.mcap.description import LogDescription, recorded_fields
 from trainlog.presentation import Columns, WordTable, facts_table, kwh, word_table
 from trainlog.railway import Line
 from trainlog.railway.line import in_km, station_at
@@ -274,7 +274,9 @@ def trip_sections(log: Path, zone: Zone = Zone()) -> list[Section]:
                 *([Warned(damage)] if damage else []),
                 _facts(trip, motion, zone),
                 *_quality(trip),
-                *replace(description, path=Path(log.name)).shown(),
+                *replace(
+                    description, path=Path(log.name), recorded=recorded_fields(description)
+                ).shown(),
             ],
             folded=True,
         ),
