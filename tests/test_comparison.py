@@ -172,12 +172,28 @@ def test_two_halves_lose_what_the_whole_loses() -> None:
 
 
 def test_directions_are_kept_apart_and_each_has_a_reference() -> None:
-    back = altered(nonstop(), lambda frame: frame, direction="reverse", trip="back")
-    found = compare([stopping(), nonstop(), back])
+    back, again = (
+        altered(each, lambda frame: frame, direction="reverse", trip=name)
+        for each, name in ((nonstop(), "back"), (stopping(), "again"))
+    )
+    found = compare([stopping(), nonstop(), back, again])
     assert [each.direction for each in found.directions] == ["forward", "reverse"]
     assert found.directions[1].reference.name == "back"
     assert found.directions[1].sections.ends[0] == "Wil"
     assert found.trip("back").lost is None
+
+
+@pytest.mark.parametrize("forward", [1, 2])
+def test_a_trip_is_not_compared_with_itself_beside_others(forward: int) -> None:
+    back = altered(nonstop(), lambda frame: frame, direction="reverse", trip="back")
+    trips = [back, *(stopping(), nonstop())[:forward]]
+    if forward == 1:
+        refused(InputError, "ran in opposite directions: .* give another trip", compare, trips)
+        return
+    found = compare(trips)
+    assert [each.direction for each in found.directions] == ["forward"]
+    assert "trip 'back' is the only one that ran reverse" in found.left_out[0]
+    assert len(compare(back).directions) == 1
 
 
 def test_a_gap_in_the_recording_is_stated_and_loses_no_time() -> None:
@@ -197,6 +213,30 @@ def test_a_gap_in_the_recording_is_stated_and_loses_no_time() -> None:
     assert found.table["traction"].isna().tolist() == [True, False, False, False]
     own = compare(stopping()).trip("trip-03").table["traction"]
     np.testing.assert_allclose(found.table["traction"][1:], own[1:], rtol=1e-3)
+
+
+@pytest.mark.parametrize(("first", "last"), [(1500, 1600), (1500, 1700), (1000, 3000)])
+def test_energy_is_stated_where_it_is_recorded_with_the_share_that_is_missing(
+    first: int, last: int
+) -> None:
+    controls = stopping()["/train/controls"].copy()
+    controls.iloc[first:last, controls.columns.get_loc("tractive_effort")] = np.nan
+    controls.attrs = stopping()["/train/controls"].attrs
+    holed = altered(stopping().with_topic(controls), lambda frame: frame, trip="holed")
+    found = compare([holed, nonstop()], nonstop())
+    each, whole = found.trip("holed"), driven_trip(stopping())
+    ends = (controls.index[[first, last]].as_unit("ns").asi8 - whole.departure) / 1e9
+    moving = np.interp(ends, whole.time, whole.running)
+    energy, share = each.recorded_energy("traction")
+    assert share == pytest.approx(np.ptp(moving) / whole.running[-1], abs=0.02)
+    assert 0.0 < energy < whole.sums["traction"][-1]
+    assert any(
+        f"{share:.1%} missing" in str(cell) for cell in found.directions[0].trips_table().rows[0]
+    )
+    # The picture has a break there.
+    work = each.trip.drawn_work
+    assert np.isnan(work).any()
+    assert not np.isnan(whole.drawn_work).any()
 
 
 def test_unknown_efforts_leave_the_energy_unknown_where_they_are_missing() -> None:
@@ -397,6 +437,9 @@ def test_a_trajectory_is_a_reference_whose_times_and_work_are_its_own() -> None:
     assert direction.reference.planned
     reference = direction.reference
     assert reference.duration == pytest.approx(duration, abs=0.1)
+    rows = direction.trips_table().rows
+    assert [row[0] for row in rows] == ["trip-03", "trip-01", "trajectory"]
+    assert rows[-1][6].value == pytest.approx(reference.sums["traction"][-1], rel=1e-6)
     assert reference.sums["traction"][-1] == pytest.approx(100e3 * 300 + 12e3 * 13_876.0, rel=5e-3)
     for name in ("trip-03", "trip-01"):
         lost = found.trip(name).lost

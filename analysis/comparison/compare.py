@@ -37,6 +37,7 @@ import pandas as pd
 from analysis.comparison.causes import CAUSES, GAINED
 from analysis.comparison.driven import UNKNOWN_TIME, DrivenTrip, Stand, driven_trip, planned_trip
 from analysis.comparison.energy import ForceModel, Normalised, normalised_energy
+from analysis.comparison.groups import line_energy
 from analysis.given import Given, each_given
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted, span
@@ -54,6 +55,7 @@ from trainlog.presentation import (
     Quantity,
     Said,
     WordTable,
+    kwh,
     new_table,
 )
 from trainlog.railway import Line, ParameterSet, Trajectory
@@ -238,7 +240,7 @@ def _energies(trip: DrivenTrip, between: object) -> dict[str, FloatArray]:
     if "supply" in sums:
         gaps = between(sums["unknown_supply"]) > UNKNOWN_TIME
         found["line"] = np.where(gaps, np.nan, between(sums["supply"]))
-    elif trip.train is not None and "traction" in sums:
+    elif trip.train is not None and "traction" in sums and not trip.planned:
         fed_back = found["dynamic_braking"] if "dynamic_braking" in sums else 0.0
         found["line"] = (
             found["traction"] / trip.train.efficiency_traction
@@ -753,6 +755,7 @@ class ComparedTrip:
     def facts(self) -> dict[str, Any]:
         """The trip as a whole, in SI units."""
         common, energy = self.common or (None, None), self.energy
+        traction, missing = self.recorded_energy("traction")
         return {
             "trip": self.name,
             "first": self.trip.covered[0],
@@ -763,6 +766,8 @@ class ComparedTrip:
             "first_in_common": common[0],
             "last_in_common": common[1],
             "lost": None if self.lost is None else self.lost.total,
+            "traction": traction,
+            "share_without_efforts": missing,
             "normalised_traction": None if energy is None else energy.value,
             "normalised_traction_std": None if energy is None else energy.std,
         }
@@ -770,6 +775,26 @@ class ComparedTrip:
     def sum(self, column: str) -> float:
         """Sum of a column of the table; NaN where a section has none."""
         return float(self.table[column].sum(skipna=False))
+
+    def recorded_energy(self, column: str) -> tuple[float | None, float | None]:
+        """Energy ``traction`` or ``line`` [J] where it is recorded, and what share is missing.
+
+        The share is of the running time; None where none is recorded.
+        """
+        sums = self.trip.sums
+        supply = column == "line" and "supply" in sums
+        name = "unknown_supply" if supply else "unknown_effort"
+        if name not in sums or self.table[column].dropna().empty:
+            return None, None
+        missing = float(np.ptp(sums[name]) / self.trip.running[-1])
+        whole = self.sum(column)
+        if math.isfinite(whole):
+            return whole, missing
+        if supply or column == "traction":
+            return float(sums["supply" if supply else "traction"][-1]), missing
+        assert self.trip.train is not None
+        dynamic = sums.get("dynamic_braking", np.zeros(1))[-1]
+        return line_energy(self.trip.train, float(sums["traction"][-1]), float(dynamic)), missing
 
     def section_words(self, name: str) -> str:
         """What the trip took in a section, in words."""
@@ -798,6 +823,14 @@ class ComparedTrip:
 
 def _normalised(each: ComparedTrip) -> Band | str:
     return "" if each.energy is None else Band(each.energy.value, each.energy.std)
+
+
+def _energy(each: ComparedTrip, column: str) -> Said:
+    value, missing = each.recorded_energy(column)
+    if value is None or missing is None:
+        return Said(None, "")
+    part = "" if math.isfinite(each.sum(column)) else f", {missing:.1%} missing"
+    return Said(value, f"{kwh(value)}{part}")
 
 
 def _excess(each: ComparedTrip) -> Said:
@@ -886,6 +919,10 @@ class ComparedDirection:
     def trips_table(self) -> WordTable:
         """Each trip as a whole: part of the line, times, energy, time lost by cause."""
         planned = "the trajectory" if self.reference.planned else f"'{self.reference.name}'"
+        rows = list(self.trips)
+        if self.reference.planned:
+            table = section_table(self.reference, self.sections)
+            rows.append(ComparedTrip(self.reference, table, None, self.reference.covered))
         return new_table(
             f"{self.name}: trips; time lost against {planned}",
             Column("trip", of="name"),
@@ -896,12 +933,12 @@ class ComparedDirection:
                 "lost", of=lambda each: "" if each.lost is None else f"{each.lost.total:+.1f} s"
             ),
             Column("most of it", of=self._causes),
-            Column("wheels", ENERGY, of=lambda each: each.sum("traction")),
-            Column("line", ENERGY, of=lambda each: each.sum("line")),
+            Column("wheels", ENERGY, each=True, of=lambda each: _energy(each, "traction")),
+            Column("line", ENERGY, each=True, of=lambda each: _energy(each, "line")),
             Column("wheels at reference's\nload and time", ENERGY, of=_normalised),
             name="trips",
-            frame=self._data(pd.DataFrame([each.facts for each in self.trips])),
-        ).add_rows(self.trips)
+            frame=self._data(pd.DataFrame([each.facts for each in rows])),
+        ).add_rows(rows)
 
     def _causes(self, each: ComparedTrip) -> str:
         if each.lost is None or each.common is None:
@@ -1109,7 +1146,8 @@ def compare(
         if each.line.name != line.name
     ]
     stated = None if reference is None else _reference(reference, line, of_line)
-    directions = []
+    directions, alone = list[ComparedDirection](), list[str]()
+    both = len({each.direction for each in of_line}) > 1
     for direction in ("forward", "reverse"):
         same = [each for each in of_line if each.direction == direction]
         if not same:
@@ -1119,8 +1157,19 @@ def compare(
             # A reference that is not among the trips is shown beside them.
             same = same if any(_same(each, stated) for each in same) else [stated, *same]
             chosen = next((each for each in same if _same(each, stated)), stated)
+        if both and same == [chosen]:
+            alone.append(
+                f"trip '{chosen.name}' is the only one that ran {direction}: there is nothing to"
+                " compare it with"
+            )
+            continue
         directions.append(_direction(direction, same, chosen, model, by_time_of_day))
-    return Comparison(tuple(directions), tuple(left_out))
+    if not directions:
+        raise InputError(
+            f"the trips ran in opposite directions: {alone[0]}",
+            remedy="give another trip of its direction, or a reference",
+        )
+    return Comparison(tuple(directions), (*left_out, *alone))
 
 
 def _driven(

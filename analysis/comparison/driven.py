@@ -731,6 +731,12 @@ class DrivenTrip:
         return np.where(unknown, np.nan, self.speed)
 
     @property
+    def drawn_work(self) -> FloatArray:
+        """Tractive work [J] with breaks (NaN) where no efforts are recorded."""
+        unknown = self.sums["unknown_effort"]
+        return np.where(np.diff(unknown, prepend=unknown[0]) > 0.0, np.nan, self.sums["traction"])
+
+    @property
     def duration(self) -> float:
         """From departure to arrival, dwell included [s]."""
         return float(self.time[-1])

@@ -57,8 +57,8 @@ def comparison_charts(found: ComparedDirection) -> list[Chart]:
         if each.lost is not None
     ]
     work = [
-        Curve("", each.trip.position / 1e3, each.trip.sums["traction"] / JOULES_PER_KWH,
-              _colour(row), width=1.3)
+        Curve("", each.trip.position / 1e3, each.trip.drawn_work / JOULES_PER_KWH, _colour(row),
+              width=1.3)
         for row, each in enumerate(shown)
         if each.trip.sums.get("traction") is not None
     ]  # fmt: skip
