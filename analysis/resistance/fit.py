@@ -76,7 +76,7 @@ SLIP_UNSEEN = (
     "slip is not masked: not all axle speeds are recorded, and fewer than two samples a second do"
     " not show it in the efforts; where wheels slip the curve is 2 to 8 % too low at 20 km/h"
 )
-"""Of a trip; docs/fleet-trains.md."""
+"""Of a trip; docs/fleet.md."""
 
 
 @dataclass(frozen=True, eq=False)
