@@ -23,6 +23,7 @@ from analysis.resistance.coast_down import coast_down
 from analysis.resistance.combination import SAME_DRIVE, each_drive_once
 from analysis.resistance.fit import fit_trip
 from analysis.resistance.logs import fit
+from trainlog.cli.map import map_update
 from trainlog.errors import InputError
 from trainlog.formats.files import sha256_of
 from trainlog.formats.mapfile import map_from_bytes, map_to_bytes
@@ -103,6 +104,17 @@ def overwritten(folder: Path) -> Path:
 VERSIONS = (reloaded, estimated, first_half, second_half, converted, recovered, overwritten)
 EQUAL = ("reloaded", "estimated", "converted")
 """Versions that hold all that was recorded."""
+
+
+@pytest.mark.parametrize("digits", [0, 1])
+def test_a_rounded_copy_is_another_drive_as_the_help_states(digits: int) -> None:
+    state = WHOLE["/train/state"].round({"speed": digits})
+    state.attrs = WHOLE["/train/state"].attrs
+    copies = [WHOLE, WHOLE.with_topic(state)]
+    known = [Known(f"{number}", identity_of(each)) for number, each in enumerate(copies)]
+    assert same_drives(known) == []
+    words = " ".join((map_update.__doc__ or "").split())
+    assert "values rounded to fewer digits, or with other times, counts as another drive" in words
 
 
 @pytest.fixture(scope="module")

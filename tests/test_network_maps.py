@@ -100,6 +100,10 @@ def test_a_trip_on_a_route_counts_on_its_edges_as_it_does_on_its_line(
     assert lasts.sum() == route.by_bin("events")[bins:].sum() > 0
     np.testing.assert_allclose(east.by_bin("weighted_log"), route.by_bin("weighted_log")[:bins])
     assert found.maps["west/old"].trips[0]["trip"] == "day-0@west/old"
+    # The weather that the log recorded is kept as on a line.
+    for track in (trainlog.read_map(tmp_path / "route.map"), *found.maps.values()):
+        kept = [trip["weather"] for trip in track.trips]
+        assert [each["temperature_source"] for each in kept] == ["log"] * 3
 
 
 def test_the_map_along_a_route_has_places_and_directions_right(maps: Path) -> None:

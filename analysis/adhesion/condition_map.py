@@ -313,7 +313,6 @@ def adhesion_map(
     """
     from analysis.adhesion.evidence import (
         COVARIATE_TOPICS,
-        condition_of,
         evidence,
         evidence_of_log,
         own_line,
@@ -333,7 +332,6 @@ def adhesion_map(
         try:
             if track is None:
                 track = empty_map(own_line(trip))
-            condition_of(trip, track, layer, weather)
             digest = "" if path is None else sha256_of(path)
             recorded = identity_of(trip) if path is None else identity_of_log(path)
             with MapFile.of_map(replace(track, layers={})) as ledger:

@@ -121,8 +121,9 @@ def evidence(
         If the rail condition is not known, or slip cannot be analysed
         (`analysis.adhesion.slip.slip`).
     """
+    found = slip(trip)  # what the recording lacks goes before a condition that is not stated
     condition = condition_of(trip, track, layer, weather)
-    return with_details([slip(trip)], trip, track, condition, weather, sha256=sha256,
+    return with_details([found], trip, track, condition, weather, sha256=sha256,
                         recorded=identity_of(trip))  # fmt: skip
 
 
@@ -139,7 +140,12 @@ def evidence_of_log(
     Parameters and errors are those of `evidence`, for a log.
     """
     trip = read_log(path, topics=COVARIATE_TOPICS)
-    condition = condition_of(trip, track, layer, weather)
+    try:
+        condition = condition_of(trip, track, layer, weather)
+    except LogError:
+        # What the recording lacks goes before a condition that is not stated.
+        next(slips_of_log(path), None)
+        raise
     identified: list[TripIdentity | None] = []
 
     def known(stretch: Trip) -> None:

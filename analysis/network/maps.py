@@ -465,12 +465,12 @@ class LogOnEdges:
     """A log that is added to the maps of its edges; it is analysed once at most."""
 
     def __init__(self, path: Path, network: Network | None) -> None:
-        from analysis.adhesion.evidence import own_line
+        from analysis.adhesion.evidence import COVARIATE_TOPICS, own_line
         from analysis.network.edges import edges_of
         from trainlog.mcap import read_log
 
         self.path = path
-        self.trip = read_log(path, topics=[])
+        self.trip = read_log(path, topics=COVARIATE_TOPICS)
         self.line = own_line(self.trip)
         self.edges = edges_of(self.line)
         for edge in self.edges if network is not None else ():
@@ -505,8 +505,9 @@ class LogOnEdges:
         from trainlog.mcap.reader import identity_of_log
 
         of_line = replace(track, line=self.line.name, length=self.line.length)
-        condition = condition_of(self.trip, of_line, layer, weather, edge=edge.name)
+        # What the recording lacks goes before a rail condition that is not stated.
         parts = [on_edge(piece, edge) for piece in self.pieces]
+        condition = condition_of(self.trip, of_line, layer, weather, edge=edge.name)
         parts = [part for part in parts if part.time.size]
         if not parts:
             raise LogError(

@@ -62,9 +62,10 @@ def map_update(
 ) -> None:
     """Add the evidence of trips to the track-condition map: slip events and adhesion in use.
 
-    A drive that the map already holds is not counted again, whatever file it comes in; a fuller
-    recording of it counts in place of a poorer one. Each trip is on the disk when its line appears,
-    and several processes may add to one map.
+    A drive that the map already holds is not counted again, whatever file its recorded values come
+    in; a fuller recording of it counts in place of a poorer one. A copy with values rounded to
+    fewer digits, or with other times, counts as another drive: keep such copies out. Each trip is
+    on the disk when its line appears, and several processes may add to one map.
 
     Exit status 1 if some logs could not be used, or are held under another rail condition than the
     one given; 2 if none could be used. A log that cannot be used is reported once: the map
