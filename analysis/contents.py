@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -18,6 +19,8 @@ from trainlog.formats.railway import read_network, route_of_path
 from trainlog.presentation import WordTable, facts_table, new_table
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from trainlog.mcap.description import LogDescription
 
 MCAP = b"\x89MCAP"
@@ -155,9 +158,33 @@ def contents_of(path: str | Path) -> Contents:
     refuse_workbook(head[:LOOKED_AT], path)
     what = mistaken_json(head[:LOOKED_AT])
     if what is not None and what not in RECORDED:
-        remedy = "show what it was made of; 'trainlog replay' opens replays, archives are unpacked"
+        remedy = "show what it was made of; 'rerun FILE' opens replays, archives are unpacked"
         raise InputError(f"is {what}", file=path, remedy=remedy)
+    if re.match(rb"\s*<(!doctype )?html", head, re.IGNORECASE):
+        remedy = "open it in a browser; show the results that 'trainlog report' made it of"
+        raise InputError("is a web page, such as a report", file=path, remedy=remedy)
+    from trainlog.formats.imports import project_of
+
+    if (project := project_of(path, head)) is not None:
+        words = f"make files of it that trainlog takes: trainlog import {path} -o FOLDER"
+        return Contents(path, project.removeprefix("a "), None, (words,))
+    if head.startswith(b"PAR1"):
+        from trainlog.formats.summaries import holds_summaries, read_summaries
+
+        if holds_summaries(path):
+            return _of_summaries(path, read_summaries(path))
     return _recorded(path)
+
+
+def _of_summaries(path: Path, found: pd.DataFrame) -> Contents:
+    """What a file of summaries of a fit holds."""
+    trains = ", ".join(dict.fromkeys(filter(None, found["train"])))
+    refused = int((found["refused"] != "").sum())
+    words = (
+        f"{counted(len(found), 'trip')} of {trains or 'no known train'}, {refused} refused",
+        f"fit more trips with them: trainlog fit efforts {path} LOGS -o NAME.json",
+    )
+    return Contents(path, "summaries of a fit", None, words)
 
 
 def _map_summary(path: Path) -> str:

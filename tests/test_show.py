@@ -11,9 +11,11 @@ from refusals import refused
 
 import trainlog
 from analysis.contents import contents_of, folder_contents
+from analysis.resistance.logs import fit
 from trainlog.cli.main import run
 from trainlog.errors import TrainlogError
 from trainlog.formats.samples import sample
+from trainlog.formats.summaries import write_summaries
 from trainlog.mcap import write_log
 from trainlog.mcap.convert import convert
 
@@ -85,8 +87,57 @@ WRONG = {
     ),
     "unknown": (b"\x00\x01\x02\x03" * 50, "is of no format that trainlog knows; it begins with"),
     "replay": (b"RRF2" + bytes(100), "is a recording of the Rerun viewer; show what"),
+    "report": (b"<!DOCTYPE html>\n<html>", "is a web page, such as a report; open it in a browser"),
     "newer": (b'{"format": "trainlog/line", "version": 99}', "newer than this trainlog"),
 }
+
+
+SHARED = Path(__file__).parents[2] / "shared" / "data"
+
+OTHERS = {
+    "osrd/rolling_stocks/**/*.json": "rolling stock of OSRD (JSON)",
+    "osrd/infras/**/*.json": "infrastructure of OSRD (JSON)",
+    "ttobench/tracks/*.json": "track of TTOBench (JSON)",
+    "ttobench/trains/*.json": "train of TTOBench (JSON)",
+    "ttobench/journeys/*.json": "journey of TTOBench (JSON)",
+    "railtoolkit_schema/test/**/*.yaml": "file of railtoolkit (YAML)",
+}
+
+
+@pytest.mark.parametrize("pattern", OTHERS)
+def test_a_file_of_another_project_is_named_with_the_command_that_takes_it(pattern: str) -> None:
+    if not SHARED.is_dir():
+        pytest.skip("public data are not here")
+    for path in sorted(SHARED.glob(pattern))[:3]:
+        found = contents_of(path)
+        assert found.kind == OTHERS[pattern]
+        assert f"trainlog import {path} -o" in found.text
+
+
+def test_summaries_of_a_fit_are_named_with_the_command_that_takes_them(tmp_path: Path) -> None:
+    path = tmp_path / "fit.parquet"
+    write_summaries(fit(sample("nonstop.mcap")).summaries, path)
+    found = contents_of(path)
+    assert found.kind == "summaries of a fit"
+    assert found.summary == "1 trip of CH_Stadler_FLIRT_TPF, 0 refused"
+    assert f"trainlog fit efforts {path} LOGS" in found.text
+
+
+def test_show_and_replay_name_what_opens_a_recording_of_the_viewer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "x.rrd"
+    path.write_bytes(b"RRF2" + bytes(100))
+    for name in ("show", "replay"):
+        status, _, complaint = command.run(monkeypatch, capsys, name, path)
+        assert (status, "'rerun FILE' opens" in complaint) == (2, True)
+
+
+def test_the_word_sample_shows_the_samples(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, shown, _ = command.run(monkeypatch, capsys, "show", "sample")
+    assert (status, "nonstop.mcap" in shown) == (0, True)
 
 
 @pytest.mark.parametrize("case", WRONG)

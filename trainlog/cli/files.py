@@ -323,7 +323,7 @@ def show(
     ----------
     files : FILES
         Anything that trainlog makes or reads: logs, lines, trains, maps, parameter sets,
-        trajectories, profiles, recorders' files; folders of them.
+        trajectories, profiles, recorders' files; folders of them; or 'sample', all samples.
     check
         Read logs to the last byte, of any program; verify every checksum and account for what is
         lost.
@@ -339,6 +339,12 @@ def show(
         return
     if len(files) > 1 and (picture is not None or open_):
         raise InputError("one file is shown as a picture", remedy="name a single file")
+    from trainlog.formats import samples
+
+    files = [
+        samples.folder() if str(file) == samples.SAMPLE and not file.exists() else file
+        for file in files
+    ]
     damaged = refused = 0
     for file in files:
         try:

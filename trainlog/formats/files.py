@@ -580,7 +580,11 @@ _BEGINNINGS = (
         "'trainlog convert FOLDER.parquet -o trip.mcap' makes a log of a converted one, "
         "'trainlog ingest' of a recording; summaries of a fit are for 'trainlog fit'",
     ),
-    (b"RRF", "a recording of the Rerun viewer", "give the logs that it shows"),
+    (
+        b"RRF",
+        "a recording of the Rerun viewer",
+        "'rerun FILE' opens it; 'trainlog replay' takes the logs that it shows",
+    ),
     (b"#ROSBAG", "a bag of ROS 1", _BAG),
     (b"SQLite format 3", "an SQLite database, as bags of ROS 2 are", _BAG),
     (b"MDF ", "an MDF file", _INGEST),

@@ -174,6 +174,33 @@ def import_file(
     return written
 
 
+def project_of(path: str | Path, start: bytes) -> str | None:
+    """What file of another project it is, in words; None of a file that `import_file` refuses.
+
+    Parameters
+    ----------
+    path : str or Path
+    start : bytes
+        How the file begins.
+    """
+    words = start.removeprefix(b"\xef\xbb\xbf").lstrip()
+    if railtoolkit.SCHEMA.encode() in start and words[:1] != b"{":
+        return "a file of railtoolkit (YAML)"
+    if words[:1] == b"<":
+        return "infrastructure of railML (XML)" if b"railml" in words[:2000].lower() else None
+    if words[:1] != b"{":
+        return None
+    try:
+        content = parse_json(read_bytes(path), file=path)
+        if osrd.is_infrastructure(content):
+            return "infrastructure of OSRD (JSON)"
+        if osrd.is_rolling_stock(content):
+            return "rolling stock of OSRD (JSON)"
+        return f"a {ttobench.detect(path)} of TTOBench (JSON)"
+    except InputError:
+        return None
+
+
 def import_formation(
     paths: Sequence[str | Path],
     formation: str,

@@ -200,6 +200,15 @@ def write_summaries(summaries: pd.DataFrame, path: str | Path) -> None:
         )
 
 
+def holds_summaries(path: str | Path) -> bool:
+    """Whether a Parquet file holds summaries of fits."""
+    try:
+        metadata = pq.read_schema(os.fspath(path)).metadata or {}
+    except (pa.ArrowException, OSError):
+        return False
+    return metadata.get(b"format") == FORMAT.encode()
+
+
 def read_summaries(path: str | Path) -> pd.DataFrame:
     """Read summaries.
 
