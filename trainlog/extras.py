@@ -19,6 +19,7 @@ EXTRAS = {
     "cvxpy": "plan",
     "daqp": "plan",
     "distributed": "dask",
+    "dpkt": "recorders",
     "duckdb": "fleet",
     "mpi4py": "mpi",
     "networkx": "fleet",

@@ -34,8 +34,9 @@ from trainlog.ingest.pipeline import (
 from trainlog.ingest.profile import Limits, Profile, Repair, own_topics, parse_profile
 from trainlog.ingest.recording import NO_TIME, Recording as Recorded, Table, base_name, frames
 from trainlog.ingest.sources import Source
-from trainlog.ingest.stream import Decoded, Decoder, Framer, Malformed
+from trainlog.ingest.stream import Decoded, Decoder, Framer, Malformed, as_it_came
 from trainlog.ingest.tabular import open_text
+from trainlog.ingest.telegrams import TelegramFramer
 from trainlog.mcap.recorder import Recording, record
 from trainlog.topics import EVENTS, TOPICS, Topic
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT
@@ -365,7 +366,9 @@ class LiveIngest:
         sequence: str = "sequence",
     ) -> None:
         self._recording = recording
-        self._framer = Framer()
+        telegram = profile.telegram if profile is not None else None
+        self._framer = Framer() if telegram is None else TelegramFramer(telegram.length)
+        self._lines = telegram is None
         self._decoder = Decoder(profile, header, sequence)
         self._repair = profile.repair if profile is not None else Repair()
         self._limits = limits or (profile.limits if profile is not None else Limits())
@@ -444,7 +447,7 @@ class LiveIngest:
         Parameters
         ----------
         arrival : int [ns UTC], optional
-            Time of JSON samples that state none. Default: they are not recorded.
+            Time of JSON samples and telegrams that state none. Default: they are not recorded.
         """
         waiting, self._waiting = self._waiting, []
         if waiting:
@@ -482,7 +485,7 @@ class LiveIngest:
                 self.take(block, whole=source.whole)
                 if raw is not None:
                     raw.write(block)
-                    if source.whole and not block.endswith(b"\n"):
+                    if source.whole and self._lines and not block.endswith(b"\n"):
                         raw.write(b"\n")
             self.flush(clock.time_ns())
             each()
@@ -498,7 +501,7 @@ class LiveIngest:
         self.flush(arrival)
         if rest:
             self.lines += 1
-            self._refuse(Malformed(self.lines, rest.decode("utf-8", "replace"), "cut off"))
+            self._refuse(Malformed(self.lines, as_it_came(rest), "cut off"))
         self._add(self._decoder.end(), arrival)
         for kind, sequence in self._sequences.items():
             self._write(kind, sequence, sequence.end())
@@ -578,7 +581,7 @@ class LiveIngest:
             self._constants = decoded.constants
         for kind, table in decoded.tables.items():
             undated = table.time == NO_TIME
-            if kind.startswith("json") and arrival is not None and undated.any():
+            if kind.startswith(("json", "telegram")) and arrival is not None and undated.any():
                 table = table.at(np.where(undated, arrival, table.time))
             sequence = self._sequences.setdefault(kind, Sequence(self._limits, self._repair))
             self._write(kind, sequence, sequence.take(table))

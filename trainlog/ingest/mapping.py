@@ -355,6 +355,11 @@ def read_time(table: pa.Table, options: TimeOptions, decimal: str, file: Path) -
         time = _localised(from_parts(parts), options.timezone, file)
     elif options.format in ("epoch", "elapsed"):
         time = _from_count(columns[0], options, decimal, file)
+        if options.fraction is not None:
+            beyond = numbers(columns[1], decimal)[0] * options.fraction
+            known = (time != NO_TIME) & (beyond >= 0.0) & (beyond < 1.0)
+            rest = np.round(np.where(known, beyond, 0.0) * NANOSECONDS).astype(np.int64)
+            time = np.where(known, time + rest, NO_TIME)
     elif pa.types.is_timestamp(columns[0].type):
         time = _from_typed(columns[0], options.timezone, file)
     else:

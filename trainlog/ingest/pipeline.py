@@ -704,7 +704,7 @@ def metadata_of(
     messages = profile.columns.get("/events.message")
     if messages is not None and messages.slip_protection:
         stated["slip_protection"] = "events"
-    return {**recording.metadata, **profile.metadata, **stated}
+    return {**recording.metadata, **profile.stated, **stated}
 
 
 def _agreed(what: str, stated: str | None, given: str | None) -> str | None:

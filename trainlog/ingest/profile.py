@@ -143,6 +143,8 @@ class Column(Strict):
     notation : {"number", "degrees_minutes"}
         How the raw number is written; ``"degrees_minutes"``: as NMEA writes angles, 4728.513 for
         47 degrees and 28.513 minutes.
+    unproven : bool
+        Whether nothing proves the unit that is stated: trips list such fields.
     slip_protection : list of str
         Of ``"/events.message"``: words by which the recorder reports that slip protection acts, in
         any case; events that hold one are named ``"slip protection"``.
@@ -161,6 +163,7 @@ class Column(Strict):
     meaning: str = ""
     between: Literal["linear", "previous"] = "linear"
     notation: Literal["number", "degrees_minutes"] = "number"
+    unproven: bool = False
     slip_protection: tuple[str, ...] = ()
 
     def field(self, name: str) -> Item:
@@ -241,6 +244,133 @@ class LineOptions(Strict):
     kinds: dict[str, Payload]
 
 
+ARRIVAL = "arrival"
+"""Column of telegrams with the time at which a datagram arrived [ns since 1970 UTC]."""
+
+NUMBER_TYPES = (
+    "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64",
+)  # fmt: skip
+"""Types of the numbers in telegrams."""
+
+ByteOrder = Literal["little", "big"]
+
+
+class TelegramField(Strict):
+    """A number, or several of one type behind each other, in a telegram.
+
+    Its unit, scale and sign are those of the column ([columns]) that uses it.
+
+    Attributes
+    ----------
+    offset : int
+        Where it begins [bytes].
+    type : str
+        One of `NUMBER_TYPES`.
+    count : int
+        How many there are; several are the columns ``"NAME.1"``, ``"NAME.2"`` ...
+    byte_order : {"little", "big"}, optional
+        In place of the telegram's.
+    bit : int, optional
+        The lowest bit that is used, counted from 0; default: the whole number.
+    bits : int
+        How many bits are used from there.
+    words : dict of str to str
+        The word that each number stands for; for another number there is no value.
+    missing : list of float
+        Numbers that mean "no value".
+    """
+
+    offset: int = Field(ge=0)
+    type: str
+    count: int = Field(default=1, gt=0)
+    byte_order: ByteOrder | None = None
+    bit: int | None = Field(default=None, ge=0)
+    bits: int = Field(default=1, gt=0)
+    words: dict[str, str] = Field(default_factory=dict)
+    missing: tuple[float, ...] = ()
+
+    @pydantic.model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.type not in NUMBER_TYPES:
+            raise ValueError(
+                f"type '{self.type}' is not known; {suggestion(self.type, NUMBER_TYPES)}"
+            )
+        if self.bit is not None:
+            if self.type.startswith("float"):
+                raise ValueError("bit is for whole numbers; give a type such as uint16")
+            if self.bit + self.bits > 8 * self.dtype("little").itemsize:
+                raise ValueError(f"type {self.type} has no bit {self.bit + self.bits - 1}")
+        return self
+
+    def dtype(self, byte_order: ByteOrder) -> np.dtype[Any]:
+        """The type of its numbers, in a telegram of that byte order."""
+        return np.dtype(self.type).newbyteorder(self.byte_order or byte_order)
+
+
+class TelegramOptions(Strict):
+    """Records of a fixed layout ([telegram], format ``"telegrams"``).
+
+    Attributes
+    ----------
+    length : int
+        Of a telegram [bytes].
+    byte_order : {"little", "big"}
+    mark : str
+        What each telegram begins with, in hexadecimal digits: by it a file in which octets are
+        missing is read on.
+    port : int, optional
+        UDP port of a capture whose datagrams are used; default: of all ports.
+    where : dict of str to float
+        Numbers that fields must have: telegrams of other kinds are counted and left out.
+    fields : dict of str to TelegramField
+    """
+
+    length: int = Field(gt=0, le=65_535)
+    byte_order: ByteOrder = "little"
+    mark: str = ""
+    port: int | None = Field(default=None, gt=0, le=65_535)
+    where: dict[str, float] = Field(default_factory=dict)
+    fields: dict[str, TelegramField]
+
+    @property
+    def mark_bytes(self) -> bytes:
+        """The mark as octets."""
+        return bytes.fromhex(self.mark)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns that the fields make, in the order of the profile."""
+        return tuple(
+            name if field.count == 1 else f"{name}.{place}"
+            for name, field in self.fields.items()
+            for place in range(1, field.count + 1)
+        )
+
+    def field_called(self, column: str) -> tuple[TelegramField, int]:
+        """The field of a column, and its place among those of the field, from 0."""
+        if column in self.fields:
+            return self.fields[column], 0
+        name, _, place = column.rpartition(".")
+        return self.fields[name], int(place) - 1
+
+    @pydantic.model_validator(mode="after")
+    def _consistent(self) -> Self:
+        problems: list[str | None] = [
+            f"field '{name}' ends at byte {end}; the telegram has {self.length}"
+            for name, field in self.fields.items()
+            if (end := field.offset + field.count * field.dtype("little").itemsize) > self.length
+        ]
+        problems += [
+            f"where: no field '{name}'; {suggestion(name, self.fields)}"
+            for name in self.where
+            if name not in self.fields
+        ]
+        if problem_of(bytes.fromhex, self.mark) is not None:
+            problems.append(f"mark '{self.mark}' must be hexadecimal digits; for example 'a55a'")
+        refuse(problems)
+        return self
+
+
 def column_item(name: str, column: Column) -> Item:
     """The field that a column fills; ValueError if there is none."""
     if not name.startswith(RECORDED):
@@ -293,13 +423,24 @@ def _check_column(name: str, column: Column, needs_unit: bool) -> None:
 
 
 def column_problems(
-    columns: dict[str, Column], format: str | None, lines: LineOptions | None = None
+    columns: dict[str, Column],
+    format: str | None,
+    lines: LineOptions | None = None,
+    telegram: TelegramOptions | None = None,
 ) -> list[str]:
     """What is wrong with each of the columns."""
     needs_unit = format not in WITH_UNITS
     found = [problem_of(_check_column, name, one, needs_unit) for name, one in columns.items()]
     if lines is not None:
         found.append(problem_of(_check_lines, lines, columns))
+    if telegram is not None:
+        known = (*telegram.columns, ARRIVAL)
+        found += [
+            f"columns.\"{name}\": no field '{source}' of the telegram; {suggestion(source, known)}"
+            for name, column in columns.items()
+            for source in column.names
+            if source not in known
+        ]
     return [problem for problem in found if problem is not None]
 
 
@@ -420,6 +561,9 @@ class TimeOptions(Strict):
         such as ``1:02:03.456``), ``"parts"``, or a pattern such as ``"%d.%m.%Y %H:%M:%S.%f"``.
     unit : {"s", "ms", "us", "ns"}
         Of ``"epoch"`` and ``"elapsed"``.
+    fraction : float, optional
+        Of ``"epoch"`` in two columns, whole seconds and what is beyond them: how many seconds one
+        of the second column is, such as 0.01.
     timezone : str
         Of times that name no offset: ``"UTC"``, ``"Europe/Zurich"``, ``"+02:00"``.
     assumed_timezone : str
@@ -436,6 +580,7 @@ class TimeOptions(Strict):
     columns: tuple[str, ...] = ()
     format: str = "iso"
     unit: Literal["s", "ms", "us", "ns"] = "s"
+    fraction: float | None = Field(default=None, gt=0.0, le=1.0)
     timezone: str = "UTC"
     assumed_timezone: str | None = None
     start: datetime.datetime | Literal["messages"] | None = None
@@ -455,7 +600,10 @@ class TimeOptions(Strict):
             == "parts"
             and len(self.names) != 6,
             f"format '{self.format}' needs one column": self.format in ("epoch", "elapsed")
-            and len(self.names) > 1,
+            and len(self.names) > 1
+            and self.fraction is None,
+            "fraction is for format 'epoch' with two columns": self.fraction is not None
+            and (self.format != "epoch" or len(self.names) != 2),
             "format 'elapsed' and start = ... go together": (self.format == "elapsed")
             != (self.start is not None),
             f"format '{self.format}' is none of 'iso', 'epoch', 'elapsed', 'parts' and no"
@@ -773,6 +921,7 @@ class Profile(Strict):
     columns: dict[str, Column] = Field(default_factory=dict)
     lines: LineOptions | None = None
     rides: RideOptions | None = None
+    telegram: TelegramOptions | None = None
     trip: TripOptions = TripOptions()
     metadata: dict[str, str] = Field(default_factory=dict)
     limits: Limits = Limits()
@@ -786,7 +935,17 @@ class Profile(Strict):
 
     @pydantic.model_validator(mode="after")
     def _columns_fit(self) -> Self:
-        refuse(column_problems(self.columns, self.file.format, self.lines))
+        problems = column_problems(self.columns, self.file.format, self.lines, self.telegram)
+        if (self.telegram is None) == (self.file.format == "telegrams"):
+            problems.append('[telegram] and format = "telegrams" under [file] go together')
+        if self.telegram is not None and self.time is not None:
+            known = (*self.telegram.columns, ARRIVAL)
+            problems += [
+                f"time: no field '{name}' of the telegram; {suggestion(name, known)}"
+                for name in self.time.names
+                if name not in known
+            ]
+        refuse(problems)
         return self
 
     def __repr__(self) -> str:
@@ -824,6 +983,12 @@ class Profile(Strict):
         if self.time is not None and self.time.assumed_timezone == zone:
             return f"{zone} assumed: the file does not state a zone"
         return None
+
+    @property
+    def stated(self) -> dict[str, str]:
+        """The metadata of trips that it states, and the fields whose unit nothing proves."""
+        unproven = [f"{name} [{each.unit}]" for name, each in self.columns.items() if each.unproven]
+        return self.metadata | ({"unproven_units": ", ".join(unproven)} if unproven else {})
 
     def recognises(self, head: bytes) -> bool:
         """Whether a file that begins with `head` is of this layout, by its [detect]."""

@@ -30,6 +30,7 @@ from trainlog.ingest.recording import Recording
 from trainlog.ingest.rides import read_rides
 from trainlog.ingest.tabular import is_delimited, is_parquet, read_delimited, read_parquet
 from trainlog.ingest.tagged import read_tagged
+from trainlog.ingest.telegrams import is_capture, read_telegrams
 from trainlog.mcap.contents import converted_line_ends
 
 GROUP = "trainlog.ingest"
@@ -88,6 +89,7 @@ GENERAL = (
     Format("mdf", read_mdf, is_mdf),
     Format("tagged", read_tagged),
     Format("rides", read_rides),
+    Format("telegrams", read_telegrams, is_capture),
     # Last: any text may be a CSV.
     Format("csv", read_delimited, is_delimited),
 )
@@ -120,7 +122,7 @@ def format_by_profile(name: str, profile: Profile) -> Format:
             remedy=suggestion(chosen, general, "formats"),
         )
     reader = general[chosen]
-    known = dict(profile.metadata)
+    known = dict(profile.stated)
     if profile.clock is not None:
         known["clock"] = profile.clock
 

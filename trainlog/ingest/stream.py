@@ -1,8 +1,9 @@
 """Lines and messages of a recorder as they come, decoded by the readers of recorded files.
 
 A stream may hold JSON objects, rows of a table that a profile describes, NMEA sentences and UBX
-messages, mixed. What arrives is cut into lines and messages (`Framer`), and what has gathered is
-decoded at once (`Decoder`), with the units and time formats of `trainlog.ingest.mapping`.
+messages, mixed; or telegrams of a layout that a profile describes. What arrives is cut into lines
+and messages (`Framer`), and what has gathered is decoded at once (`Decoder`), with the units and
+time formats of `trainlog.ingest.mapping`.
 """
 
 from __future__ import annotations
@@ -21,12 +22,14 @@ import pandas as pd
 import pyarrow as pa
 
 from trainlog.arrays import FloatArray
+from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.ingest.mapping import recording_of, wanted_columns
 from trainlog.ingest.nmea import Epochs
-from trainlog.ingest.profile import WORDS, Profile, suggestion
+from trainlog.ingest.profile import ARRIVAL, WORDS, Profile, TelegramOptions, suggestion
 from trainlog.ingest.recording import NO_TIME, Cells, Finding, Messages, Recording, Table, field_of
 from trainlog.ingest.tagged import NAV_PVT, NAV_PVT_HEAD, fixes_of_pvt
+from trainlog.ingest.telegrams import chosen, columns_of
 from trainlog.topics import TOPICS
 from trainlog.units import DAY, NANOSECONDS
 
@@ -155,9 +158,13 @@ class Decoded:
 
     def refuse(self, row: int, data: bytes, reason: str) -> None:
         """Take note of a line that cannot be used."""
-        readable = data.decode("utf-8", "replace")
-        text = readable if readable.isprintable() else data.hex(" ")
-        self.malformed.append(Malformed(row, text, reason))
+        self.malformed.append(Malformed(row, as_it_came(data), reason))
+
+
+def as_it_came(data: bytes) -> str:
+    """Octets as text; those that are no text in hexadecimal digits."""
+    readable = data.decode("utf-8", "replace")
+    return readable if readable.isprintable() else data.hex(" ")
 
 
 class Decoder:
@@ -203,6 +210,9 @@ class Decoder:
     def decode(self, frames: Iterable[Numbered]) -> Decoded:
         """What the next lines and messages hold; an NMEA epoch once the next one has begun."""
         decoded = Decoded()
+        if self._profile is not None and self._profile.telegram is not None:
+            self._telegrams(list(frames), self._profile, self._profile.telegram, decoded)
+            return decoded
         kinds: dict[str, list[Numbered]] = {}
         for row, data in frames:
             kinds.setdefault(_kind(data), []).append((row, data))
@@ -223,6 +233,38 @@ class Decoder:
         if self._sentences is not None:
             self._sentences.end(decoded)
         return decoded
+
+    def _telegrams(
+        self, frames: list[Numbered], profile: Profile, options: TelegramOptions, decoded: Decoded
+    ) -> None:
+        kept = []
+        for row, data in frames:
+            if len(data) == options.length and data.startswith(options.mark_bytes):
+                kept.append((row, data))
+            else:
+                size = counted(len(data), "byte")
+                decoded.refuse(row, data, f"no telegram of the profile's layout: {size}")
+        octets = np.frombuffer(b"".join(data for _, data in kept), np.uint8)
+        octets = octets.reshape(-1, options.length)
+        wanted = chosen(octets, options)
+        decoded.others += Counter({"telegrams of other kinds": int(np.count_nonzero(~wanted))})
+        octets = octets[wanted]
+        if not len(octets):
+            return
+        if self._sequence in options.columns:
+            numbers = columns_of(octets, [self._sequence], options)[self._sequence]
+            self._count(numbers.to_pylist(), decoded)
+        rows = np.array([row for row, _ in kept], dtype=np.int64)[wanted]
+        table = columns_of(
+            octets, wanted_columns(profile, (*options.columns, ARRIVAL), _STREAM), options
+        )
+        try:
+            found = recording_of(Cells(table, rows, rows.size), profile, _STREAM)
+        except InputError as error:
+            for row, data in kept:
+                decoded.refuse(row, data, error.problem)
+            return
+        self._add("telegram", found, decoded)
 
     # ------------------------------------------------------------------------- rows of a table
 
