@@ -535,6 +535,8 @@ def test_the_report_of_a_folder_begins_with_answers_and_ends_with_its_files(tmp_
     )
     assert said["is the recording good"] == "2 good"
     assert "trajectory: " in said["what did it cost"]
+    assert "kWh a trip of traction at the wheel rims" in said["what did it cost"]
+    assert said["where is it slippery"].startswith("slip protection acted on 2 of 2 trips")
     files, made_of = page.sections[-1].parts[:2]
     assert [row[0] for row in files.rows] == ["plan.json", "trips/a.mcap", "trips/b.mcap"]
     assert ["trips/a.mcap", "simulate"] in [list(row[:2]) for row in made_of.rows]

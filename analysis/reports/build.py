@@ -6,7 +6,7 @@ import json
 import re
 import shlex
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
@@ -26,7 +26,7 @@ from analysis.charts import (
     worded,
 )
 from analysis.comparison.groups import TripCost, compare_groups, trip_cost
-from analysis.reports.answers import VERDICTS, summary_section, verdict_counts
+from analysis.reports.answers import VERDICTS, Verdict, summary_section, verdict_counts
 from analysis.reports.charts import WITHOUT_BOKEH
 from analysis.reports.page import Commands, Page, Part, Section, Warned
 from analysis.reports.results import (
@@ -233,7 +233,7 @@ def _folder_page(folder: Path, options: ReportOptions) -> Page:
         return Page(f"Study: {folder.name}", "", [*sections, _origin(files, options, folder)])
     found = _Folder.of(folder)
     sections, problems, used = list[Section](), dict[str, str](), list[Path]()
-    levels = dict[str, int]()
+    driven = list[_Driven]()
     for kind, path in found.results:
         name = _name(path, folder)
         try:
@@ -246,7 +246,7 @@ def _folder_page(folder: Path, options: ReportOptions) -> Page:
         sections.append(Section(f"{_TITLES[kind]}: {name}", parts, whole_page=True))
     detailed = sum(map(len, found.logs.values())) <= MOST_DETAILED
     for group, logs in found.logs.items():
-        section = _trips(group, logs, folder, options, (problems, levels), detailed=detailed)
+        section = _trips(group, logs, folder, options, (problems, driven), detailed=detailed)
         if section is not None:
             used += [log for log in logs if _name(log, folder) not in problems]
             sections.append(section)
@@ -263,7 +263,7 @@ def _folder_page(folder: Path, options: ReportOptions) -> Page:
             remedy="logs (.mcap), parameter sets, maps, trajectories, coast-downs and studies are"
             " shown, in the folder and in those in it",
         )
-    summary = _folder_summary(folder, levels)
+    summary = _folder_summary(folder, driven)
     first = replace(summary, parts=[*_bad(problems), *summary.parts, *_saved(found)])
     every = [first, *sections, _origin(used, options, folder)]
     stated = tuple(f"{name}: {words}" for name, words in problems.items())
@@ -336,7 +336,28 @@ ANSWERS = {
 """Of which question of the first page each result of `report` answers one; others are the cost."""
 
 
-def _folder_summary(folder: Path, levels: Mapping[str, int]) -> Section:
+@dataclass(frozen=True)
+class _Driven:
+    """A trip of a folder: its name there, what it took if that is known, and its verdict."""
+
+    name: str
+    trip: str
+    begins: str
+    cost: TripCost | None
+    verdict: Verdict
+
+    def cell(self, of: Callable[[TripCost], str]) -> str:
+        """What is stated of its cost."""
+        return "not known" if self.cost is None else of(self.cost)
+
+
+def _named(words: Sequence[str]) -> list[str]:
+    """As many as are named, and how many more there are."""
+    more = len(words) - _MOST_NAMED
+    return [*words[:_MOST_NAMED], *[f"and {more} more"] * (more > 0)]
+
+
+def _folder_summary(folder: Path, trips: Sequence[_Driven]) -> Section:
     """The first page of a folder: its results, and the verdicts on its recordings, by name."""
     note("summary")
     said: dict[str, list[str]] = {"driven": [], "slippery": [], "cost": []}
@@ -344,10 +365,36 @@ def _folder_summary(folder: Path, levels: Mapping[str, int]) -> Section:
     with suppress(TrainlogError):
         for subject, words, _ in report(folder).rows:
             said[ANSWERS.get(subject, "cost")].append(f"{subject}: {words}")
-    bad = [name for name, level in levels.items() if level == len(VERDICTS) - 1]
-    more = f" and {len(bad) - _MOST_NAMED} more" if len(bad) > _MOST_NAMED else ""
-    steps = [f"record anew, or do not use: {', '.join(bad[:_MOST_NAMED])}{more}"] * bool(bad)
-    recording = verdict_counts(levels.values())
+    # What was driven after a trajectory is compared with the rest below.
+    costs = [
+        each.cost for each in trips if each.cost is not None and not each.name.startswith("driven")
+    ]
+    recording = [verdict_counts(each.verdict.level for each in trips)]
+    worst = sorted((each for each in trips if each.verdict.level), key=lambda e: -e.verdict.level)
+    recording += _named([f"{each.name}: {each.verdict}" for each in worst])
+    bad = [each.name for each in trips if each.verdict.level == len(VERDICTS) - 1]
+    steps = [f"record anew, or do not use: {', '.join(_named(bad))}"] * bool(bad)
+    if trips and not (said["slippery"] or said["cost"]):
+        steps += [f"fit the running resistance of all: trainlog fit {folder} -o parameters.json"]
+        steps += [f"add their slip to a map: trainlog map update {folder} --map LINE.map"]
+    slipping = [each for each in costs if each.slips]
+    if slipping:
+        most = max(slipping, key=lambda each: each.slips or 0)
+        said["slippery"].append(
+            f"slip protection acted on {len(slipping)} of {counted(len(costs), 'trip')}, most often"
+            f" on {most.name}: {counted(most.slips or 0, 'time')}"
+        )
+    for words, energies in (
+        ("of traction at the wheel rims", [each.traction for each in costs]),
+        ("from the line", [each.line for each in costs]),
+    ):
+        known = [each for each in energies if each == each]
+        if known:
+            unknown = f"; not known of {len(energies) - len(known)}" * (len(known) < len(energies))
+            said["cost"].append(
+                f"{kwh(min(known))} to {kwh(max(known))} a trip {words}, {kwh(sum(known))} in all"
+                f"{unknown}"
+            )
     return summary_section(said["driven"], recording, said["slippery"], said["cost"], steps)
 
 
@@ -367,20 +414,16 @@ def _trips(
     logs: Sequence[Path],
     folder: Path,
     options: ReportOptions,
-    found: tuple[dict[str, str], dict[str, int]],
+    found: tuple[dict[str, str], list[_Driven]],
     *,
     detailed: bool,
 ) -> Section | None:
     """The logs of a folder: each by itself, or of many a table and one chart.
 
-    By name, problems and levels of verdicts are added to those that are `found`.
+    Problems by name, and the trips, are added to those that are `found`.
     """
-    problems, levels = found
-    shown = list[Part]()
-    table = new_table(
-        "", "trip", f"from ({options.zone.name})", "running time", "distance", "stops", "traction",
-        "from the line", "slip protection", "off the trajectory",
-    )  # fmt: skip
+    problems, every = found
+    shown, trips = list[Part](), list[_Driven]()
     curves, lines = list[Curve](), dict[str, Line]()
     for log in logs:
         note(_name(log, folder))
@@ -388,44 +431,58 @@ def _trips(
             _, trip, judged = recorded_trip(log)
             if detailed:
                 shown.append(Section(f"Trip: {log.stem}", _collected(log, "trip", options)))
-            elif curve := _add_trip(table, trip, options.zone, lines):
+            elif curve := _speed_curve(trip, lines):
                 curves.append(curve)
         except TrainlogError as error:
             problems[_name(log, folder)] = _reason(error, log)
             continue
-        levels[_name(log, folder)] = judged.level
+        try:
+            cost: TripCost | None = trip_cost(trip)
+        except TrainlogError:
+            cost = None
+        begins = options.zone.date(trip.start)
+        trips.append(_Driven(_name(log, folder), trip.name, begins, cost, judged))
+    every += trips
     if curves:
         shown.append(_overlaid(group, curves[:MOST_DRAWN], lines))
-    if table.rows:
+    if trips and not detailed:
         words = f"One of them in full: trainlog report {group}/{logs[0].name} -o trip.html"
-        shown += [table, words]
+        shown += [_trips_table(trips, options.zone), words]
     if shown:
         shown += [f"{each.sentence}." for each in copies_in(logs)]
     title = "Trips" if group == "trips" else f"Trips: {group}"
     return Section(title, shown, whole_page=True) if shown else None
 
 
-def _add_trip(table: WordTable, trip: Trip, zone: Zone, lines: dict[str, Line]) -> Curve | None:
-    """A row of a trip, and its speed over km."""
+def _trips_table(trips: Sequence[_Driven], zone: Zone) -> WordTable:
+    """A row of each trip; columns in which nothing stands are left out."""
+    of: Columns[_Driven] = {
+        "trip": lambda each: each.trip,
+        f"from ({zone.name})": lambda each: each.begins,
+        "running time": lambda each: each.cell(lambda cost: clock(cost.running_time)),
+        "distance": lambda each: each.cell(lambda cost: f"{cost.distance / 1e3:.1f} km"),
+        "stops": lambda each: each.cell(lambda cost: str(cost.stops)),
+        "traction": lambda each: each.cell(lambda cost: kwh(cost.traction)),
+        "from the line": lambda each: each.cell(lambda cost: kwh(cost.line)),
+        "slip protection": lambda each: each.cell(
+            lambda cost: "not recorded" if cost.slips is None else str(cost.slips)
+        ),
+        "off the trajectory": lambda each: each.cell(
+            lambda cost: "" if cost.late is None else f"{cost.late:+.1f} s"
+        ),
+        "recording": lambda each: VERDICTS[each.verdict.level],
+    }
+    late = any(each.cost is not None and each.cost.late is not None for each in trips)
+    return word_table("", trips, {k: v for k, v in of.items() if late or k != "off the trajectory"})
+
+
+def _speed_curve(trip: Trip, lines: dict[str, Line]) -> Curve | None:
+    """The speed of a trip over km; its line is added to `lines`."""
     motion = Motion.of(trip)
-    try:
-        cost: TripCost | None = trip_cost(trip)
-    except TrainlogError:
-        cost = None
-    begins = zone.date(motion.time[0]) if motion.time.size else ""
     line: Line | None = None
     with suppress(TrainlogError):
         line = line_of(trip)
         lines.setdefault(f"{line.name} {trip.metadata.get('direction', 'forward')}", line)
-    if cost is None:
-        table.add_row(trip.name, begins, *["not known"] * 7)
-    else:
-        late = "" if cost.late is None else f"{cost.late:+.1f} s"
-        slips = "not recorded" if cost.slips is None else str(cost.slips)
-        table.add_row(
-            trip.name, begins, clock(cost.running_time), f"{cost.distance / 1e3:.1f} km",
-            str(cost.stops), kwh(cost.traction), kwh(cost.line), slips, late,
-        )  # fmt: skip
     if not motion.position.size:
         return None
     rows = rows_to_draw(motion.speed, most=300)
