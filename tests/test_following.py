@@ -637,9 +637,10 @@ def test_one_function_drives_the_trips_of_the_command() -> None:
     driven_as = tuple(trip.metadata["configuration"] for trip in trips)
     assert driven_as == trajectory.chosen("hardest")
     assert all(abs(trip["/reference"]["lateness"].iloc[-1]) < 1.5 for trip in trips)
-    words = following_line(trips[0])
+    words = following_line(trips[0], trajectory)
     assert re.fullmatch(
-        r"slip protection acted \d+ times?; \d reversals? from .* beyond 20 kN, \d in the plan",
+        r"running time [\d:]+ min from departure to arrival, [\d:]+ min planned;"
+        r" slip protection acted \d+ times?; \d reversals? from .* beyond 20 kN, \d in the plan",
         words,
     )
     with pytest.raises(InputError, match="no configuration 'none'"):

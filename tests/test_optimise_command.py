@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,12 @@ import pandas as pd
 import pytest
 from refusals import refused
 
+from analysis.comparison.driven import driven_trip
 from analysis.reports.summary import report
 from analysis.trajectory.adhesion import adhesion_demand, adhesion_words
 from analysis.trajectory.problem import TrajectoryProblem
 from trainlog.cli import main as cli
+from trainlog.cli.options import sections_in
 from trainlog.errors import InputError
 from trainlog.formats.mapfile import read_map
 from trainlog.formats.railway import (
@@ -26,9 +29,10 @@ from trainlog.formats.railway import (
     write_line,
 )
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+from trainlog.mcap import read_log
 from trainlog.railway import Configuration, Trajectory
 from trainlog.railway.train import POWER_OF_FILE
-from trainlog.units import KMH
+from trainlog.units import KMH, clock
 
 pytestmark = pytest.mark.usefixtures("remembered_estimates", "unpainted", "unrenewed")
 
@@ -381,6 +385,36 @@ def test_a_plan_without_a_map_states_the_adhesion_that_it_asks_for(
     driven = ["--train", "sample", "-o", str(tmp_path / "driven")]
     assert cli.run(["simulate", "follow", str(plan), *driven]) == 0
     assert "slippery spots are not known" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize("stops", ["Gossau SG,Flawil", "Gossau SG,Flawil,Uzwil"])
+def test_the_plan_of_a_journey_is_followed_section_by_section(
+    stops: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = tmp_path / ("plan.json" if stops.count(",") == 1 else "plan")
+    words = [*SAMPLES, "--stops", stops, "--set", "cells=40", "-o", str(plan)]
+    assert cli.run(["plan", *words]) == 0
+    files = sections_in([plan])
+    capsys.readouterr()
+    driven = ["--train", "sample", "-o", str(tmp_path / "driven")]
+    assert cli.run(["simulate", "follow", str(plan), *driven]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    trips = sorted((read_log(log) for log in (tmp_path / "driven").glob("*.mcap")),
+                   key=lambda trip: trip.start)  # fmt: skip
+    assert len(trips) == len(files) == stops.count(",")
+    for trip, file in zip(trips, files, strict=True):
+        section = read_trajectory(file)
+        position = trip["/train/state"]["position"]
+        ends = position.iloc[0], position.iloc[-1]
+        assert ends == pytest.approx(section.positions[[0, -1]], abs=15.0)
+        # One running time, that of the plan: without what is recorded at both stands.
+        took = driven_trip(trip).duration
+        assert took == pytest.approx(section.running_time, rel=0.05)
+        assert took < trip.duration
+        assert f"{clock(trip.duration)} recorded" in shown
+        planned = f"{clock(section.running_time)} planned"
+        assert f"running time {clock(took)} from departure to arrival, {planned}" in shown
+    assert all(b.start - a.start > pd.Timedelta("100s") for a, b in pairwise(trips))
 
 
 @pytest.mark.parametrize(

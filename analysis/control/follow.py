@@ -9,14 +9,17 @@ arrives last, which all can keep, and it arrives with that.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
 from analysis.adhesion.axles import protection_onsets
+from analysis.comparison.driven import driven_trip
 from analysis.control import prediction as prediction
 from analysis.control.observer import Observer
 from analysis.control.odometry import MARGIN, Odometry
@@ -39,6 +42,7 @@ from trainlog.simulation import Scenario, simulate, trajectory_scenarios
 from trainlog.simulation.drivers import AT_REST, DEPARTURE, PERIOD, Demand, Observation
 from trainlog.simulation.plant import HOLDING
 from trainlog.trip import Trip
+from trainlog.units import NANOSECONDS, clock
 
 STOPPING_TOLERANCE = 0.3
 """A train that stands no more than this short of its stop has arrived [m]."""
@@ -338,6 +342,33 @@ def following_scenarios(
     )
 
 
+def section_scenarios(
+    sections: Mapping[str, Trajectory], line: Line, train: Train, **options: Any
+) -> dict[str, list[Scenario]]:
+    """Scenarios of each section of a journey by its name, as `following_scenarios`.
+
+    Each section departs when the plan of the journey has it. Names of trips end in that of the
+    section where there are several.
+
+    Raises
+    ------
+    InputError
+        As `following_scenarios`.
+    """
+    found = {}
+    for name, section in sections.items():
+        departure = float(section.provenance.get("journey", {}).get("departure", 0.0))
+        found[name] = [
+            replace(
+                each,
+                name=f"{each.name}-{name}" if len(sections) > 1 else each.name,
+                start=each.start + round(NANOSECONDS * departure),
+            )
+            for each in following_scenarios(section, line, train, **options)
+        ]
+    return found
+
+
 def follow(
     trajectory: Trajectory,
     line: Line,
@@ -429,10 +460,11 @@ def effort_reversals(tractive: ArrayLike, braking: ArrayLike) -> int:
     return int(np.count_nonzero(np.diff(signs)))
 
 
-def following_line(trip: Trip) -> str:
-    """How steadily a trip follows, in words: its slip protection and its reversals of effort.
+def following_line(trip: Trip, trajectory: Trajectory) -> str:
+    """How a trip follows, in words: its running time, slip protection and reversals of effort.
 
-    Efforts count while the train moves.
+    The running time is that from departure to arrival, as a plan has it, without what is recorded
+    before and after. Efforts count while the train moves.
     """
     moving = trip["/train/state"]["speed"].to_numpy() > 0.0
     counts = []
@@ -445,8 +477,10 @@ def following_line(trip: Trip) -> str:
     driven, planned = counts
     onsets = protection_onsets(trip)
     acted = "is not recorded" if onsets is None else f"acted {counted(len(onsets), 'time')}"
+    took, planned_time = driven_trip(trip).duration, float(trajectory.running_time)
     return (
-        f"slip protection {acted}; {counted(driven, 'reversal')} from traction to braking or back"
+        f"running time {clock(took)} from departure to arrival, {clock(planned_time)} planned;"
+        f" slip protection {acted}; {counted(driven, 'reversal')} from traction to braking or back"
         f" beyond {REVERSAL / 1e3:g} kN, {planned} in the plan"
     )
 

@@ -35,6 +35,7 @@ from trainlog.cli.options import (
     line_and_train,
     map_of_run,
     refuse_rivals,
+    sections_in,
 )
 from trainlog.cli.terminal import about, console, print_error, say, state, wrote
 from trainlog.errors import InfeasibleError, InputError
@@ -107,7 +108,7 @@ def follow(
     Parameters
     ----------
     trajectory : TRAJECTORY
-        Trajectory file to follow.
+        Trajectory file to follow, or the folder of a journey's sections: one trip per section.
     line : FILE
         Line file; default: the line that the trajectory holds.
     configurations : NAMES
@@ -123,15 +124,18 @@ def follow(
         is given right after its last evidence, else what lasts. Only evidence of days before counts
         (UTC).
     """
+    from functools import partial
+
     from analysis.charts import draw_charts
-    from analysis.control.follow import following_line, following_scenarios
+    from analysis.control.follow import following_line, section_scenarios
     from analysis.control.plot import following_charts
     from analysis.control.route import counted_on
     from trainlog.formats.railway import line_of_plan
 
     if map_ is None:
         refuse_rivals("there is no --map to be read", {"--risk": risk, "--at": at}, "or give a map")
-    planned = trainlog.read_trajectory(trajectory)
+    sections = {each.stem: trainlog.read_trajectory(each) for each in sections_in([trajectory])}
+    planned = next(iter(sections.values()))
     kept = line_of_plan(planned)
     if kept is not None and planned.direction == "reverse":
         kept = kept.reversed()
@@ -139,14 +143,17 @@ def follow(
     the_map, time = (None, None) if map_ is None else map_of_run(map_, at, the_line)
     words = counted_on(the_map, weather, risk, time)
     say(f"  {words}")
-    scenarios = following_scenarios(
-        planned, the_line, the_train,
+    scenarios = section_scenarios(
+        sections, the_line, the_train,
         configurations=configurations, weather=weather, late=late,
         condition_map=the_map, seed=seed, risk=risk, time=time,
     )  # fmt: skip
-    trips = _drive(scenarios, output, characteristic, traction, the_map, following_line)
-    draw_charts(following_charts(trips), output / "following.png")
-    wrote(output / "following.png")
+    for name, section in sections.items():
+        stated = partial(following_line, trajectory=section)
+        trips = _drive(scenarios[name], output, characteristic, traction, the_map, stated)
+        picture = output / (f"following-{name}.png" if len(sections) > 1 else "following.png")
+        draw_charts(following_charts(trips), picture)
+        wrote(picture)
 
 
 @simulate_app.command()

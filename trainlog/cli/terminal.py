@@ -22,6 +22,7 @@ from rich.console import Console
 
 from trainlog.display import in_speed_unit, in_zone
 from trainlog.errors import MOST_LISTED, TrainlogError
+from trainlog.units import clock
 
 if TYPE_CHECKING:
     from trainlog.mcap import Account
@@ -257,7 +258,9 @@ def about(known: Mapping[str, str], duration: float | None) -> str:
     """One line on a trip: its metadata, and how long it was [s]."""
     parts = []
     if duration is not None:
-        parts = [f"{duration / 60.0:.1f} min" if duration >= 60.0 else f"{duration:.1f} s"]
+        parts = [
+            f"{clock(duration)} recorded" if duration >= 60.0 else f"{duration:.1f} s recorded"
+        ]
     parts += [known.get("direction", "")]
     parts += [f"{known['weather']} rail"] if known.get("weather") else []
     parts += [f"load {float(known['load']) / 1e3:.1f} t"] if known.get("load") else []
