@@ -609,7 +609,9 @@ def _draw_chart(figure: Figure | SubFigure, chart: Chart, share: float, known: s
         scale.tick_params(labelsize=8, colors=GREY)
         scale.spines["top"].set_color(GREY)
     if chart.equal:
-        last.set_aspect("equal", adjustable="datalim")
+        # Where the data's limits are fixed, it is the frame that is adjusted.
+        fixed = chart.span is not None or chart.panels[-1].limits is not None
+        last.set_aspect("equal", adjustable="box" if fixed else "datalim")
     _name_places(places[0], chart)
     figure.align_ylabels(places)
 

@@ -369,6 +369,15 @@ def test_places_that_are_not_known_are_refused_with_those_that_are_like_them() -
         named.route("West", "East_station")
 
 
+@pytest.mark.parametrize("change", [str.upper, str.lower, "  {} ".format, str.title])
+def test_a_place_is_found_whatever_its_capitals_and_spaces(change: Callable[[str], str]) -> None:
+    network = y_network()
+    names = [network.edges[0].start, network.edges[0].end]
+    found = network.route(*map(change, names))
+    assert found.places == tuple(names)
+    assert found.line == network.route(*names).line
+
+
 def test_mistakes_in_a_file_name_the_edge(tmp_path: Path) -> None:
     path = tmp_path / "y.network.json"
     text = thing_to_bytes(y_network()).decode()
@@ -459,7 +468,9 @@ def test_a_trip_on_a_route_is_trips_on_its_edges(tmp_path: Path) -> None:
             Edge("west", WHOLE.section(0.0, 10_000.0), "East", "Mid"))))  # fmt: skip
 
 
-def test_a_picture_of_a_network_with_and_without_coordinates(tmp_path: Path) -> None:
+def test_a_picture_of_a_network_with_and_without_coordinates(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     bounds = np.linspace(0.0, 3_000.0, 31)
     shown = {"trunk": (bounds, np.linspace(0.1, 0.3, 30))}
     (chart,) = y_network().charts(shown=shown, places=[("trunk", 500.0)])
@@ -472,6 +483,7 @@ def test_a_picture_of_a_network_with_and_without_coordinates(tmp_path: Path) -> 
         Edge("850", WHOLE, "St. Gallen", "Wil"),))  # fmt: skip
     figure = one.plot()
     assert figure.axes[0].get_xlabel() == "east [km]"
+    assert not caplog.records
 
 
 def test_trains_obey_the_limits_of_their_direction(

@@ -387,6 +387,19 @@ def test_a_plan_without_a_map_states_the_adhesion_that_it_asks_for(
     assert "slippery spots are not known" in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.parametrize("cells", [20, 50, 500])
+def test_a_grid_of_more_cells_than_asked_for_is_stated(
+    cells: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = tmp_path / "plan.json"
+    words = ["plan", *SAMPLES, "--stops", "st.gallen,gossau  SG", "--set", f"cells={cells}"]
+    assert cli.run([*words, "-o", str(plan), "--json"]) == 0
+    (notes,) = [json.loads(capsys.readouterr().out)["notes"]]
+    found = read_trajectory(plan).positions.size - 1
+    stated = f"The grid has {found} cells, more than the {cells} asked for"
+    assert any(note.startswith(stated) for note in notes) == (found > 1.5 * cells)
+
+
 @pytest.mark.parametrize("stops", ["Gossau SG,Flawil", "Gossau SG,Flawil,Uzwil"])
 def test_the_plan_of_a_journey_is_followed_section_by_section(
     stops: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

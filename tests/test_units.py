@@ -3,6 +3,7 @@
 import re
 
 import pytest
+from hypothesis import given, strategies as st
 from refusals import refused
 
 from trainlog.errors import InputError
@@ -19,6 +20,7 @@ from trainlog.units import (
     Measure,
     _registry,
     _spelled,
+    clock,
     factor,
     si_unit,
     to_si,
@@ -122,3 +124,17 @@ def test_what_is_no_value_is_answered_with_how_it_is_written(
 )
 def test_bounds_are_stated_in_the_usual_unit(measure: Measure, written: str, words: str) -> None:
     refused(InputError, words, measure.read, written)
+
+
+@given(
+    st.integers(0, 9),
+    st.integers(0, 59),
+    st.integers(0, 59),
+    st.sampled_from(
+        ["{h} h {m} min {s} s", "{h}h{m}min{s}s", "{h}h {m}min {s}s", "{h}:{m:02}:{s:02}"]
+    ),
+)
+def test_a_time_is_read_in_hours_minutes_and_seconds(h: int, m: int, s: int, form: str) -> None:
+    assert TIME.read(form.format(h=h, m=m, s=s), "t") == 3600.0 * h + 60.0 * m + s
+    assert TIME.read(f"{m} min {s} s", "t") == 60.0 * m + s
+    assert TIME.read(clock(60.0 * m + s), "t") == 60.0 * m + s

@@ -30,6 +30,23 @@ def similar(name: str, known: Iterable[str], most: int = 3) -> list[str]:
     return [folded[each] for each in dict.fromkeys([*parts, *close])][:most]
 
 
+def meant(name: str, known: Iterable[str]) -> str:
+    """The known name that a name is but for capitals and spaces; the name itself if none is.
+
+    Examples
+    --------
+    >>> meant(" st.  gallen", ["St. Gallen", "Wil"]), meant("Will", ["Wil"])
+    ('St. Gallen', 'Will')
+    """
+    every = [str(each) for each in known]
+    alike = [each for each in every if _plain(each) == _plain(name)]
+    return alike[0] if name not in every and len(alike) == 1 else name
+
+
+def _plain(name: str) -> str:
+    return " ".join(name.split()).casefold()
+
+
 class TrainlogError(Exception):
     """Bad input, stated in one line.
 

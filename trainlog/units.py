@@ -221,6 +221,9 @@ _NUMBER = re.compile(
 _CLOCK = re.compile(r"(?:(?P<h>\d+):(?=\d+:))?(?P<min>\d+):(?P<s>[0-5]\d(?:\.\d+)?)(?: (?:min|h))?")
 """As `clock` writes durations."""
 
+_SPOKEN = re.compile(r"(?:(?P<h>\d+) ?h ?)?(?:(?P<min>\d+) ?min ?)?(?:(?P<s>\d+(?:\.\d+)?) ?s)?")
+"""Durations in several units: ``17 min 30 s``."""
+
 
 @dataclass(frozen=True, slots=True)
 class Measure:
@@ -304,9 +307,11 @@ class Measure:
 
     def _parsed(self, text: str) -> float | None:
         text = text.replace("\N{MINUS SIGN}", "-")
-        time = _CLOCK.fullmatch(text) if self.unit == "s" else None
+        time = None
+        if self.unit == "s" and text:
+            time = _CLOCK.fullmatch(text) or _SPOKEN.fullmatch(text)
         if time is not None:
-            hours, minutes, seconds = time["h"] or 0, time["min"], time["s"]
+            hours, minutes, seconds = (time[name] or 0 for name in ("h", "min", "s"))
             return 3600.0 * float(hours) + 60.0 * float(minutes) + float(seconds)
         found = _NUMBER.fullmatch(text)
         if found is None or not (found["unit"] or self.usual):
@@ -347,7 +352,7 @@ _WRITTEN = {"kmh": "km/h", "kph": "km/h"}
 _GIVEN = frozenset((*_COMMON, "1", "min", "h", "mph", "‰"))
 """Units that values may be given in."""
 
-TIME = Measure("time", "s", "s", "90, 90s, 15min or 17:30")
+TIME = Measure("time", "s", "s", "90, 90s, 15min, 17min 30s or 17:30")
 HOURS = Measure("time", "h", "h", "24, 24h or 90min")
 SPEED = Measure("speed", "m/s", "km/h", "80, 80km/h or 22m/s")
 SHARE = Measure("share", "1", "1", "0.07 or 7%")

@@ -51,6 +51,10 @@ OPTIMAL = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 """Statuses of IPOPT with which it finds its answer to be optimal."""
 
 
+MORE_CELLS = 1.5
+"""More than so many times the cells asked for are stated."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class PlannedRun(Presented):
     """A planned run from stop to stop: certificates of its sections, and the driver's advice.
@@ -109,6 +113,13 @@ class PlannedRun(Presented):
         ):
             assumed = ", ".join(name.replace("_", " ") for name in names)
             found += [f"Assumed of the {what}: {assumed}."] if assumed else []
+        for each in self.sections:
+            asked, cells = each.provenance["settings"]["cells"], each.positions.size - 1
+            if cells > MORE_CELLS * asked:
+                found.append(
+                    f"The grid has {cells} cells, more than the {asked} asked for: at least one per"
+                    " step of limits and gradients."
+                )
         return list(dict.fromkeys(found))
 
 

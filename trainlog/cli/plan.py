@@ -24,7 +24,7 @@ from trainlog.cli.options import (
     stretch,
 )
 from trainlog.cli.terminal import console, show, wrote
-from trainlog.errors import InputError, similar
+from trainlog.errors import InputError, meant, similar
 from trainlog.progress import task
 from trainlog.units import COUNT, MASS, NUMBER, PERCENT, SHARE, SPEED, TIME, Measure, keyed
 
@@ -309,7 +309,7 @@ def _journey_of(stops: str, line: Line, running_time: float | None) -> trainlog.
         journey = trainlog.read_journey(stops)
     else:
         places, points = {each.name: each.position for each in line.stations}, []
-        for name in map(str.strip, stops.split(",")):
+        for name in (meant(each.strip(), places) for each in stops.split(",")):
             if name not in places:
                 near = similar(name, places, 1)
                 known = f"there are {', '.join(places) or 'none'}"

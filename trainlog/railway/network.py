@@ -18,7 +18,7 @@ import numpy as np
 
 from trainlog.declaration import Declared, Must, Quantity, Table, Text
 from trainlog.display import counted, span
-from trainlog.errors import InputError, similar
+from trainlog.errors import InputError, meant, similar
 from trainlog.extras import require
 from trainlog.presentation import (
     POSITION,
@@ -481,7 +481,7 @@ class Network(Declared):
         InputError
             If the network has no such place.
         """
-        name = name.strip()
+        name = meant(name.strip(), self.places)
         if name in self.places:
             return self.places[name]
         edge, at, km = name.rpartition("@")
@@ -521,7 +521,7 @@ class Network(Declared):
                 f"a route of network '{self.name}' needs two places", remedy="name start and end"
             )
         require("networkx")
-        names = tuple(place.strip() for place in places)
+        names = tuple(meant(place.strip(), self.places) for place in places)
         stages = [
             {(each.node, each.edge, each.position): each.station for each in self.place(name)}
             for name in names
