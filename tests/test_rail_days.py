@@ -321,3 +321,12 @@ class TestCommand:
         result = CliRunner().invoke(app, command)
         assert result.exit_code != 0
         assert message in str(result.exception)
+
+
+def test_a_rail_without_stations_or_spots_is_drawn(line: Line) -> None:
+    """An edge of a network may be a hundred metres of track between two switches."""
+    short = replace(line.section(12_000.0, 12_100.0), stations=())
+    drawn = [Rail.draw(short, days=2, start="2026-06-15", seed=seed) for seed in range(5)]
+    assert min(len(each.spots) for each in drawn) == 0
+    assert all((each.spots["start"] <= 100.0).all() for each in drawn)
+    assert {tuple(each.spots.columns) for each in drawn} == {tuple(drawn[0].spots.columns)}

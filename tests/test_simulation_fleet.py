@@ -13,6 +13,7 @@ from refusals import refused
 
 import trainlog
 from trainlog.errors import InputError
+from trainlog.formats.imports import networks_in
 from trainlog.formats.railway import line_of, train_of
 from trainlog.railway import Network
 from trainlog.railway.geometry import plane_curve, to_plane
@@ -347,3 +348,21 @@ def test_a_fault_that_takes_effect_in_no_trip_is_refused() -> None:
     fault = Fault.of("train=flirt-01,dragging-brake=2kN,from=2027-10-02")
     with pytest.raises(InputError, match="takes effect in no trip"):
         draw_fleet(network, trains=3, days=2, trips=12, faults=[fault], start="2026-10-01")
+
+
+OSRD = Path(__file__).parents[1] / ".." / "shared" / "data" / "osrd" / "infras"
+
+
+@pytest.mark.skipif(not OSRD.is_dir(), reason="needs ../shared/data/osrd")
+@pytest.mark.parametrize("name", ["tiny_infra", "overlapping_routes", "small_infra"])
+def test_a_fleet_runs_on_imported_networks(name: str) -> None:
+    """Edges without stations, stations of several tracks, ways in one direction alone."""
+    found = networks_in(OSRD / f"{name}.json")
+    assert found is not None
+    (network,) = found.networks
+    drawn = draw_fleet(network, trains=3, days=1, trips=2, seed=3)
+    for route in {route for roster in drawn.rosters for route in roster.routes}:
+        assert network.route(*route).length > 0.0
+    assert all((drawn.rail(edge.name).spots["length"] > 0.0).all() for edge in network.edges)
+    trip = _simulated(drawn, 0)
+    assert trip["/truth"]["position"].iloc[-1] > 1_000.0

@@ -141,7 +141,10 @@ def import_(
                     console.print(f"  assumed: {'; '.join(each.assumed)}")
 
 
-new_app = typer.Typer(help="Begin a line, network, train, journey or profile, or copy the samples.")
+new_app = typer.Typer(
+    add_completion=False,
+    help="Begin a line, network, train, journey or profile, or copy the samples.",
+)
 
 
 @new_app.command("line")

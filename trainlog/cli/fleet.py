@@ -45,7 +45,9 @@ if TYPE_CHECKING:
     from analysis.fleet.update import Problem
     from trainlog.catalogue import Catalogue, FileOutcome
 
-fleet_app = typer.Typer(help="The catalogue of a fleet, and what is computed of its trips.")
+fleet_app = typer.Typer(
+    add_completion=False, help="The catalogue of a fleet, and what is computed of its trips."
+)
 
 
 @fleet_app.command("add")

@@ -29,7 +29,9 @@ if TYPE_CHECKING:
     from trainlog.presentation import Presented
 
 
-fit_app = typer.Typer(help="Fit running resistance to trips, or adhesion to measured points.")
+fit_app = typer.Typer(
+    add_completion=False, help="Fit running resistance to trips, or adhesion to measured points."
+)
 
 COVER = replace(PERCENT.between(0.5, 0.9999), examples="95 or 95%")
 

@@ -32,7 +32,9 @@ if TYPE_CHECKING:
     from trainlog.railway import ParameterSet, Train
 
 
-compare_app = typer.Typer(help="Compare trips: by position, in groups, or with what is calculated.")
+compare_app = typer.Typer(
+    add_completion=False, help="Compare trips: by position, in groups, or with what is calculated."
+)
 
 WIND = replace(SPEED.between(0.0), usual="m/s", examples="5, 5m/s or 18km/h")
 

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from analysis.adhesion.condition_map import LogOutcome, MapUpdate
     from analysis.verification.scoring import Score
 
-map_app = typer.Typer(help="The track-condition map: maximum adhesion.")
+map_app = typer.Typer(add_completion=False, help="The track-condition map: maximum adhesion.")
 
 
 @map_app.command("update")

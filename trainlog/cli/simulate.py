@@ -48,7 +48,9 @@ if TYPE_CHECKING:
     from trainlog.trip import Trip
 
 Traction = Literal["own", "cooperative", "readhesion"]
-simulate_app = typer.Typer(help="Simulate drivers, trips along a trajectory, days, a fleet.")
+simulate_app = typer.Typer(
+    add_completion=False, help="Simulate drivers, trips along a trajectory, days, a fleet."
+)
 
 
 @simulate_app.command()

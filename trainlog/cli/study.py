@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from analysis.studies.report import StudyReport
 
 study_app = typer.Typer(
-    help="Run a published system beside its paper, or the dynamics inside a train."
+    add_completion=False,
+    help="Run a published system beside its paper, or the dynamics inside a train.",
 )
 
 

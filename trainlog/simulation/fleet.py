@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -73,7 +74,7 @@ WIND, HEIGHT = 1.3, -6.5e-3
 
 
 class Roster(NamedTuple):
-    """Routes that a train runs one after the other, over and over: each begins where one ended."""
+    """Routes that a train runs one after the other, over and over; and back, if there is a way."""
 
     routes: tuple[tuple[str, str], ...]
 
@@ -553,23 +554,33 @@ def draw_fleet(
 def _rosters(network: Network, seed: int) -> tuple[Roster, ...]:
     """Hubs with their destinations, until every edge that can be reached is run over."""
     generator = np.random.default_rng([seed, 42])
-    names = [
-        name for name, points in network.places.items() if len(points) == 1 and points[0].station
-    ]
+    stations = {
+        name: len(points)
+        for name, points in network.places.items()
+        if any(point.station for point in points)
+    }
+    single = [name for name, tracks in stations.items() if tracks == 1]
+    names = single if len(single) > 1 else list(stations)
     pairs = [(a, b) for a in range(len(names)) for b in range(a + 1, len(names))]
     chosen = generator.permutation(len(pairs))[:MOST_PAIRS]
     known: list[tuple[str, str, float, frozenset[str]]] = []
+    joined: set[tuple[str, str]] = set()
     for a, b in (pairs[number] for number in sorted(chosen)):
-        try:
-            there, back = (network.route(names[x], names[y]) for x, y in ((a, b), (b, a)))
-        except InputError:
-            continue
-        edges = frozenset(leg.edge for leg in (*there.legs, *back.legs))
-        if len({leg.edge for leg in there.legs}) == len(there.legs):
-            known.append((names[a], names[b], max(there.length, back.length), edges))
+        found = []
+        for start, end in ((names[a], names[b]), (names[b], names[a])):
+            with suppress(InputError):
+                route = network.route(start, end)
+                # Some interlockings have routes in one direction alone.
+                if len({leg.edge for leg in route.legs}) == len(route.legs):
+                    found.append(route)
+                    joined.add((start, end))
+        if found:
+            edges = frozenset(leg.edge for route in found for leg in route.legs)
+            known.append((names[a], names[b], max(route.length for route in found), edges))
     if not known:
         raise InputError(
-            f"network '{network.name}' has no two stations that a route joins in both directions"
+            f"network '{network.name}' has no two stations that a route joins",
+            remedy="'trainlog show' of the network lists its stations and directions",
         )
     fitting = [each for each in known if SHORTEST <= each[2] <= LONGEST]
     if not fitting:
@@ -598,8 +609,8 @@ def _rosters(network: Network, seed: int) -> tuple[Roster, ...]:
         hubs.remove(hub)
         for _, edges in partners:
             missing -= edges
-        routes = [route for name, _ in partners for route in ((hub, name), (name, hub))]
-        rosters.append(Roster(tuple(routes)))
+        both = [route for name, _ in partners for route in ((hub, name), (name, hub))]
+        rosters.append(Roster(tuple(route for route in both if route in joined)))
     return tuple(rosters)
 
 

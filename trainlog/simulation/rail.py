@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from trainlog.arrays import BoolArray, FloatArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import as_text, counted
 from trainlog.errors import InputError
 from trainlog.railway import Line, StepProfile
@@ -519,6 +519,13 @@ def _lasting(line: Line, trees: BoolArray, seed: int) -> dict[str, FloatArray]:
     return found
 
 
+def _drawn(weights: FloatArray, count: int, generator: np.random.Generator) -> IntArray:
+    """So many places of an array, each as likely as its weight."""
+    if not count:
+        return np.zeros(0, dtype=np.int64)
+    return generator.choice(weights.size, count, p=weights / weights.sum())
+
+
 def _spots(
     line: Line,
     weather: DrawnWeather,
@@ -530,7 +537,7 @@ def _spots(
     hours = weather.table.starts.size
     centres = _centres(trees.size)
     stations = np.array([station.position for station in line.stations])
-    near = np.min(np.abs(centres[:, None] - stations), axis=1) < 700.0
+    near = np.min(np.abs(centres[:, None] - stations), axis=1, initial=np.inf) < 700.0
     frosty = np.array(weather.table.conditions) == "frost"
     when = {
         "leaves": weather.falling,
@@ -556,10 +563,8 @@ def _spots(
         )
         expected = kind.rate / 24.0 * STEP / 1e3 * over_time.sum() * over_line.sum()
         count = int(generator.poisson(expected * max(most, 1.0)))
-        if not count:
-            continue
-        hour = generator.choice(hours, count, p=over_time / over_time.sum())
-        cell = generator.choice(trees.size, count, p=over_line / over_line.sum())
+        hour = _drawn(over_time, count, generator)
+        cell = _drawn(over_line, count, generator)
         life = kind.life[0] * np.exp(kind.life[1] * generator.standard_normal(count))
         frames.append(
             pd.DataFrame(
