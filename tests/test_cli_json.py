@@ -184,13 +184,11 @@ def merged(one: Schema, other: Schema) -> Schema:
 
 def with_contents(page: str, schemas: dict[str, Schema]) -> str:
     """The page of the command line with the list of what each command prints."""
-    rows = ["| command | its own keys; of a list, those of its entries |", "|---|---|"]
+    rows = []
     for name, schema in sorted(schemas.items()):
-        keys = []
-        for key, part in schema["properties"].items():
-            entries = ", ".join(f"`{each}`" for each in part.get("items", {}).get("properties", {}))
-            keys += [f"`{key}`" + (f" ({entries})" if entries else "")] if key not in COMMON else []
-        rows.append(f"| `{name}` | {'; '.join(keys) or 'none'} |")
+        keys = [f"`{key}`" for key in schema["properties"] if key not in COMMON]
+        if keys:
+            rows.append(f"- `{name}`: {', '.join(keys)}")
     begin, end = "<!-- contents -->", "<!-- end of contents -->"
     before, after = page.partition(begin)[0], page.partition(end)[2]
     return f"{before}{begin}\n\n{chr(10).join(rows)}\n\n{end}{after}"
@@ -245,6 +243,11 @@ def test_every_command_prints_one_object_of_its_documented_form(
         PAGE.write_text(with_contents(PAGE.read_text("utf-8"), found), encoding="utf-8")
         text = json.dumps(dict(sorted(found.items())), indent=1, ensure_ascii=False)
         SCHEMAS.write_text(text + "\n", encoding="utf-8")
+
+
+def test_the_page_lists_the_keys_of_the_schemas() -> None:
+    page = PAGE.read_text("utf-8")
+    assert page == with_contents(page, json.loads(SCHEMAS.read_text("utf-8")))
 
 
 PURE = {

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -48,28 +49,48 @@ def own_options(name: str, command: Any) -> list[Any]:
     ]
 
 
+SHARED = 3
+"""Commands with the same option in the same words from which on it is stated once, above them."""
+
+
+def parameters(name: str, command: Any) -> list[tuple[str, str]]:
+    """Arguments and own options of a command as they are written, and what they are."""
+    context = context_of(name, command)
+    arguments = [each for each in command.get_params(context) if each.param_type_name == "argument"]
+    rows = [
+        (each.display_name_raw + "..." * (each.nargs != 1), f"{each.help}{required}")
+        for each in arguments
+        for required in [" [required]" * each.required]
+    ]
+    rows += [each.get_help_record(context) for each in own_options(name, command)]
+    return [(_plain(what), _plain(words)) for what, words in rows]
+
+
 def listed() -> str:
-    """Each command with what it does, its arguments and its own options."""
-    parts = []
+    """Options that several commands share; then each command with what it does and its own."""
+    every = {name: parameters(name, command) for name, command in commands()}
+    counts = Counter(row for rows in every.values() for row in set(rows))
+    shared: dict[str, tuple[str, str]] = {}
+    for row, count in counts.most_common():
+        if count >= SHARED:
+            shared.setdefault(row[0], row)
+    parts = ["### Of several commands", "\n".join(map(_line, shared.values()))]
     for name, command in commands():
-        context = context_of(name, command)
         first = (command.help or "").partition("\n")[0]
-        arguments = [
-            each for each in command.get_params(context) if each.param_type_name == "argument"
-        ]
-        rows = [
-            (each.display_name_raw + "..." * (each.nargs != 1), f"{each.help}{required}")
-            for each in arguments
-            for required in [" [required]" * each.required]
-        ]
-        rows += [each.get_help_record(context) for each in own_options(name, command)]
-        table = [f"| `{_cell(what)}` | {_cell(' '.join(words.split()))} |" for what, words in rows]
-        parts.append("\n".join([f"### {name}", "", first, "", "| | |", "|---|---|", *table]))
-    return "\n\n".join(parts)
+        lines = [_line(row) for row in every[name] if shared.get(row[0]) != row]
+        names = [f"`{row[0]}`" for row in every[name] if shared.get(row[0]) == row]
+        if names:
+            lines.append(f"- as above: {', '.join(names)}")
+        parts += [f"### {name}", first, "\n".join(lines)]
+    return "\n\n".join(part for part in parts if part)
 
 
-def _cell(text: str) -> str:
-    return re.sub(r"\[/?bold\]", "", text).replace("|", r"\|")
+def _line(row: tuple[str, str]) -> str:
+    return f"- `{row[0]}`: {row[1]}"
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"\[/?bold\]", "", " ".join(text.split()))
 
 
 def with_options(page: str) -> str:
