@@ -254,7 +254,7 @@ PURE = {
     *("status", "version", "segments", "windows", "half_band", "r0", "over_weight", "messages"),
     *("chunks", "messages_lost", "losses_beyond", "start", "end", "rows_read", "rows_kept", "gap"),
     *("maximum", "maximum_std", "points", "optimal_slip", "probability", "share_of_power", "bins"),
-    *("share_of_adhesion", "over_weight_std", "speed", "optimal_band"),
+    *("share_without_efforts", "share_of_adhesion", "over_weight_std", "speed", "optimal_band"),
     *("coasting", "covered", "slips", "factor", "factor_std", "false_alarms", "judged_trips"),
     *("explained", "gaps", "axles", "trips", "kept", "gone"),
     *("trips", "repairs", "samples", "count", "same", "back", "removed"),
