@@ -69,7 +69,7 @@ def parameters(name: str, command: Any) -> list[tuple[str, str]]:
 def listed() -> str:
     """Options that several commands share; then each command with what it does and its own."""
     every = {name: parameters(name, command) for name, command in commands()}
-    counts = Counter(row for rows in every.values() for row in set(rows))
+    counts = Counter(row for rows in every.values() for row in dict.fromkeys(rows))
     shared: dict[str, tuple[str, str]] = {}
     for row, count in counts.most_common():
         if count >= SHARED:
