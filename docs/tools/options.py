@@ -49,7 +49,7 @@ def own_options(name: str, command: Any) -> list[Any]:
     ]
 
 
-SHARED = 3
+SHARED = 2
 """Commands with the same option in the same words from which on it is stated once, above them."""
 
 
