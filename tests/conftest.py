@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import gc
 import os
-import pickle
 import random
 import secrets
 import shutil
 import tempfile
 import warnings
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from trainlog.threads import limit_threads
 
-if TYPE_CHECKING:
-    from trainlog.railway import ConditionLayer, TrackConditionMap
+try:
+    import fcntl
+except ImportError:  # as on Windows: no worker waits for another
+    fcntl = None  # type: ignore[assignment]
 
 limit_threads()
 
@@ -51,9 +52,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def compile_once() -> None:
     """Let one worker compile a kernel; the others wait for it and read what it has kept."""
-    try:
-        import fcntl
-    except ImportError:  # each compiles for itself, as on Windows
+    if fcntl is None:  # each compiles for itself
         return
     from numba.core.compiler_lock import global_compiler_lock
     from numba.core.dispatcher import Dispatcher
@@ -121,30 +120,52 @@ def own_settings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def estimates() -> dict[bytes, ConditionLayer]:
-    """Estimates of layers of maps that were made, by their evidence and settings."""
-    return {}
+def of_all_workers(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that all workers of a run share; each has its own where files are not locked."""
+    own = tmp_path_factory.getbasetemp()
+    one_of_several = "PYTEST_XDIST_WORKER" in os.environ and fcntl is not None
+    folder = (own.parent if one_of_several else own) / "of-all-workers"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def made_once(of_all_workers: Path) -> Callable[[str, Callable[[Path], object]], Path]:
+    """Makes a folder of a name in one worker; the others wait for it. No test changes it."""
+
+    def made(name: str, make: Callable[[Path], object]) -> Path:
+        folder = of_all_workers / name
+        with locked(of_all_workers / f"{name}.lock"):
+            if not folder.exists():
+                part = Path(tempfile.mkdtemp(dir=of_all_workers))
+                make(part)
+                part.rename(folder)
+        return folder
+
+    return made
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Others who lock the path wait."""
+    with path.open("wb") as lock:
+        if fcntl is not None:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 @pytest.fixture(scope="module")
-def remembered_estimates(estimates: dict[bytes, ConditionLayer]) -> Iterator[None]:
-    """A layer's estimate is made once of the same evidence and settings, however often it is read.
+def remembered(of_all_workers: Path) -> Iterator[None]:
+    """What is costly is made once of the same arguments, however often it is asked for.
 
-    For tests of what is made of maps, which read the sample map again and again.
+    For tests of what is made of it: of commands, pages and files.
     """
-    from trainlog import condition
+    from remembered import COSTLY, Remembered, place_of
 
-    made = condition._estimated
-
-    def known(track: TrackConditionMap, name: str) -> ConditionLayer:
-        given = replace(track, layers={}, trips=()), name, track.layers[name].evidence
-        key = pickle.dumps(given)
-        if key not in estimates:
-            estimates[key] = made(track, name)
-        return estimates[key]
-
+    results = Remembered(of_all_workers)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(condition, "_estimated", known)
+        for dotted in COSTLY:
+            patch.setattr(*place_of(dotted), results.of(dotted))
         yield
 
 

@@ -21,7 +21,7 @@ from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.ingest.batch import no_recording
 from trainlog.presentation import new_table
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates", "unpainted")
+pytestmark = pytest.mark.usefixtures("remembered", "unpainted")
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from command import run
 from trainlog.cli.commands import STATUSES
 from trainlog.formats.samples import copy_samples
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates", "unpainted_page", "unrenewed")
+pytestmark = pytest.mark.usefixtures("remembered", "unpainted_page", "unrenewed")
 
 CHECKOUT = Path(__file__).parents[1]
 SCHEMAS = CHECKOUT / "docs" / "command-line.schemas.json"

@@ -26,7 +26,7 @@ from trainlog.formats.mapfile import read_map
 from trainlog.formats.railway import line_of, read_parameters, read_trajectory
 from trainlog.mcap import describe
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates")
+pytestmark = pytest.mark.usefixtures("remembered")
 
 NONSTOP = "trip-01"
 """Configuration of a trip without a stop, to which the driven one is compared."""

@@ -7,8 +7,10 @@ import re
 import sys
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from matplotlib.figure import Figure
 from refusals import refused
 
 from trainlog.cli import main as cli
@@ -18,7 +20,7 @@ from trainlog.formats.samples import copy_samples
 from trainlog.mcap import records
 from trainlog.topics import TOPICS
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates")
+pytestmark = pytest.mark.usefixtures("remembered")
 
 CHECKOUT = Path(__file__).parents[1]
 DOCS = CHECKOUT / "docs"
@@ -31,6 +33,7 @@ PAGES = sorted([CHECKOUT / "README.md", *DOCS.rglob("*.md")])
 LONG = ("gallery.md", "planner.md")
 """Pages whose code takes tens of seconds."""
 TUTORIAL = DOCS / "tutorials" / "developer.md"
+PAINTED = Figure.savefig
 LINK = re.compile(r"\]\(([^)#\s]+)")
 
 
@@ -43,8 +46,19 @@ def with_code() -> list[object]:
     ]
 
 
+@pytest.mark.usefixtures("unpainted_page")
 @pytest.mark.parametrize("page", with_code())
 def test_code_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the pictures that a page writes, those that it shows are painted, too."""
+    shown, unpainted = LINK.findall(page.read_text("utf-8")), Figure.savefig
+
+    def written(figure: Figure, path: str | Path, **given: Any) -> None:
+        # Commands write under another name first, as ".map-0a1b2c3d.png".
+        name = re.sub(r"^\.(.*)-[^-]*$", r"\1", Path(path).stem)
+        known = any(name == Path(each).stem for each in shown)
+        (PAINTED if known else unpainted)(figure, Path(path), **given)
+
+    monkeypatch.setattr(Figure, "savefig", written)
     copy_samples(tmp_path / "sample_logs")
     monkeypatch.chdir(tmp_path)
     text = page.read_text("utf-8")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import linecache
 from pathlib import Path
 
 import pytest
 
 from trainlog.formats.samples import copy_samples
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates", "unpainted_page")
+pytestmark = pytest.mark.usefixtures("remembered", "unpainted_page")
 
 CHECKOUT = Path(__file__).parents[1]
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
@@ -37,6 +38,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", modules())
 def test_examples_run(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
+    # doctest looks with each example whether any file changed that a traceback may show.
+    monkeypatch.setattr(linecache, "checkcache", lambda _=None: None)
     failed, tried = doctest.testmod(importlib.import_module(name), optionflags=FLAGS)
     assert failed == 0
     assert tried > 0, f"{name} has examples that doctest does not find"

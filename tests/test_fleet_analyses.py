@@ -26,7 +26,7 @@ from trainlog.formats.mapfile import packed_evidence
 from trainlog.mcap.reader import rows_of_log
 from trainlog.trip import Trip
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates")
+pytestmark = pytest.mark.usefixtures("remembered")
 
 LOGS = ("sample_logs/nonstop.mcap", "sample_logs/stopping.mcap")
 DOCS = Path(__file__).parents[1] / "docs"

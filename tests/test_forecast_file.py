@@ -16,7 +16,7 @@ from trainlog.formats.mapfile import read_map
 from trainlog.formats.samples import sample
 from trainlog.railway.condition import TrackConditionMap
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates")
+pytestmark = pytest.mark.usefixtures("remembered")
 
 HEADER = "line,layer,from [km],to [km],valid from,valid to,issued,quantile 0.05,quantile 0.5"
 ROW = "CH_StGallen_Wil,wet,1,2,2026-11-22T00:00Z,2026-11-23T00:00Z,2026-11-21T18:00Z,0.08,0.12"

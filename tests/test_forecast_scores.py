@@ -38,7 +38,7 @@ from trainlog.errors import InputError
 from trainlog.railway.condition import AdhesionEstimate
 from trainlog.railway.evidence import DailyEvidence
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates")
+pytestmark = pytest.mark.usefixtures("remembered")
 
 BINS = 200
 TRACK = empty_map(level_line(25.0 * BINS))

@@ -45,7 +45,7 @@ from trainlog.railway import TrackConditionMap
 from trainlog.topics import TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates", "unpainted")
+pytestmark = pytest.mark.usefixtures("remembered", "unpainted")
 
 AALTO = Path(__file__).parents[2] / "shared" / "data" / "aalto"
 LOG = sample("nonstop.mcap")

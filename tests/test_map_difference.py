@@ -30,7 +30,7 @@ from trainlog.railway.condition import ConditionChange, ConditionLayer
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.railway.line import position_of
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates")
+pytestmark = pytest.mark.usefixtures("remembered")
 
 DAY = 20_600
 CHANGED = slice(150, 162)

@@ -40,7 +40,7 @@ WHOLE = read_line(sample("CH_StGallen_Wil.line.json"))
 CUT = 10_000.0
 """A whole number of bins, so that edges have the bins of the whole line."""
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates")
+pytestmark = pytest.mark.usefixtures("remembered")
 
 
 def network() -> Network:

@@ -34,7 +34,7 @@ from trainlog.railway import Configuration, Trajectory
 from trainlog.railway.train import POWER_OF_FILE
 from trainlog.units import KMH, clock
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates", "unpainted", "unrenewed")
+pytestmark = pytest.mark.usefixtures("remembered", "unpainted", "unrenewed")
 
 SAMPLES = ("--line", "sample", "--train", "sample")
 MAP = ("--map", sample("CH_StGallen_Wil.map"))

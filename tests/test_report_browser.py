@@ -52,9 +52,9 @@ TOOLTIP = """() => {
 
 
 @pytest.fixture(scope="module")
-def page_file(tmp_path_factory: pytest.TempPathFactory, remembered_estimates: None) -> Path:
+def page_file(tmp_path_factory: pytest.TempPathFactory, remembered: None) -> Path:
     """The report on a folder with results of every kind, and a file that is none."""
-    del remembered_estimates
+    del remembered
     folder = make_folder(tmp_path_factory.mktemp("browser") / "results")
     write_report(folder, folder.parent / "report.html")
     return folder.parent / "report.html"

@@ -37,7 +37,7 @@ from trainlog.mcap import read_log, write_log
 from trainlog.presentation import kwh
 from trainlog.trip import Trip
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates")
+pytestmark = pytest.mark.usefixtures("remembered")
 
 
 class _Outline(HTMLParser):

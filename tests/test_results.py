@@ -37,7 +37,7 @@ from trainlog.ingest import ingest_all, propose_profile
 from trainlog.presentation import Presented
 from trainlog.railway.adhesion import AdhesionPoints
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates")
+pytestmark = pytest.mark.usefixtures("remembered")
 
 LOG = trainlog.sample("nonstop.mcap")
 

@@ -24,7 +24,7 @@ from trainlog.mcap import read_log, write_log
 from trainlog.railway.condition import ConditionLayer, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates", "unpainted")
+pytestmark = pytest.mark.usefixtures("remembered", "unpainted")
 
 FORECAST = """line,layer,from [km],to [km],valid from,valid to,issued,quantile 0.05,quantile 0.5
 CH_StGallen_Wil,,0,15,2024-10-07,2024-10-08,2024-10-06T18:00Z,0.08,0.2

@@ -19,7 +19,7 @@ from trainlog.formats.summaries import write_summaries
 from trainlog.mcap import write_log
 from trainlog.mcap.convert import convert
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates")
+pytestmark = pytest.mark.usefixtures("remembered")
 
 KINDS = {
     "nonstop.mcap": "log",

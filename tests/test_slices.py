@@ -19,7 +19,7 @@ from trainlog.spans import in_spans, spans_of_pieces, spans_within
 from trainlog.topics import ESTIMATED_STATE, EVENTS, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates")
+pytestmark = pytest.mark.usefixtures("remembered")
 
 SECOND = 10**9
 instants = st.integers(0, 5 * 10**18)

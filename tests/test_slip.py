@@ -31,7 +31,7 @@ from trainlog.spans import runs_of
 from trainlog.topics import TOPICS, TRAIN_AXLES, TRAIN_CONTROLS, TRAIN_STATE
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT, Trip, column_field, frame_of
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates")
+pytestmark = pytest.mark.usefixtures("remembered")
 
 
 @pytest.fixture(scope="module")

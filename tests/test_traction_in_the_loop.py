@@ -32,7 +32,7 @@ from trainlog.railway import StepProfile, Train
 from trainlog.railway.adhesion import AdhesionCharacteristic, creep_coefficients, polach_curve
 from trainlog.simulation import DriveReading, Plant, TractionLoop, draw_scenarios, simulate
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates")
+pytestmark = pytest.mark.usefixtures("remembered")
 
 LINE = read_line("sample_logs/CH_StGallen_Wil.line.json")
 TRAIN = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")

@@ -40,7 +40,7 @@ from trainlog.railway.evidence import DailyEvidence
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates")
+pytestmark = pytest.mark.usefixtures("remembered")
 
 LINE = level_line(2_000.0)
 BINS, BIN = 80, 25.0

@@ -16,7 +16,7 @@ from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.railway import TrackConditionMap
 from trainlog.simulation import draw_scenarios, simulate
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates")
+pytestmark = pytest.mark.usefixtures("remembered")
 
 
 @cache

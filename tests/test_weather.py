@@ -23,7 +23,7 @@ from trainlog.railway.weather import Weather, sun_elevation
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
 
-pytestmark = pytest.mark.usefixtures("remembered_estimates")
+pytestmark = pytest.mark.usefixtures("remembered")
 
 HOUR = 3600 * 10**9
 

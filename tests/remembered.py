@@ -1,0 +1,67 @@
+"""Results of costly functions, made once of the same arguments by all workers of a run."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import os
+import pickle
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+COSTLY = (
+    "trainlog.condition._estimated",
+    "estimators.creep_curve._smoothed",
+    "analysis.resistance.passport._delay_and_ratio",
+    "analysis.trajectory.optimiser._optimised",
+)
+"""Functions whose results depend on their arguments and the constants of their modules alone."""
+
+
+def place_of(dotted: str) -> tuple[Any, str]:
+    """The module of a function, and its name there."""
+    module, _, name = dotted.rpartition(".")
+    return importlib.import_module(module), name
+
+
+class Remembered:
+    """Results by what they were made of, kept in a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def of(self, dotted: str) -> Callable[..., Any]:
+        """The function, each result of which is made once; what it refuses is refused anew."""
+        module, name = place_of(dotted)
+        made = getattr(module, name)
+
+        def known(*given: Any) -> Any:
+            kept = self.folder / f"{name}-{_digest(module, given)}"
+            try:
+                return pickle.loads(kept.read_bytes())
+            except FileNotFoundError:
+                found = made(*given)
+            part = kept.with_name(f"{kept.name}.{os.getpid()}")
+            part.write_bytes(pickle.dumps(found))
+            part.replace(kept)
+            return found
+
+        return known
+
+
+def _digest(module: Any, given: tuple[Any, ...]) -> str:
+    """Of the arguments, and of numbers of the module, which a test may change."""
+    from trainlog.railway import TrackConditionMap
+
+    first, *others = given
+    if isinstance(first, TrackConditionMap):  # of the evidence of the layer that is named
+        evidence = first.layers[others[0]].evidence
+        first, others = replace(first, layers={}, trips=()), [*others, evidence]
+    numbers = {
+        name: value
+        for name, value in vars(module).items()
+        if name.isupper() and isinstance(value, int | float)
+    }
+    return hashlib.sha256(pickle.dumps((first, others, numbers))).hexdigest()
