@@ -36,7 +36,7 @@ def answered(problem: TrajectoryProblem, cells: int = 200) -> Trajectory:
 @pytest.mark.parametrize("number", [1002, 1004, 1005, 1008])
 def test_random_problems_are_answered_and_the_answers_hold(number: int) -> None:
     problem = random_problem(number)
-    found = answered(problem, 500)
+    found = answered(problem)
     exact = least_time(problem, problem.configurations[0])
     assert found.certificate["least_time"][0] == pytest.approx(exact, rel=2e-4)
 
