@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +101,12 @@ def in_time(trip: Trip, pair: tuple[float | None, float | None]) -> tuple[Any, A
     return first, last
 
 
+@cache
+def whole_of(path: Path) -> Trip:
+    """A log's trip, which no test changes."""
+    return read_log(path)
+
+
 @settings(max_examples=40)
 @given(
     seed=st.integers(0, 5),
@@ -114,7 +121,7 @@ def test_a_span_of_time_is_the_slice_of_the_whole(
     threads: int,
     logs: Callable[[int], Path],
 ) -> None:
-    whole = read_log(logs(seed))
+    whole = whole_of(logs(seed))
     span = in_time(whole, pair)
     part = read_log(logs(seed), chosen, time=span, threads=threads)
     expected = whole.between(*span)
@@ -130,7 +137,7 @@ def test_a_stretch_of_the_line_is_the_slice_of_the_whole(
     indexed: bool,
     logs: Callable[[int], Path],
 ) -> None:
-    whole = read_log(logs(seed))
+    whole = whole_of(logs(seed))
     known = whole[TRAIN_STATE.name]["position"].dropna()
     least, greatest = known.min(), known.max()
     stretch = tuple(
@@ -144,7 +151,7 @@ def test_a_stretch_of_the_line_is_the_slice_of_the_whole(
 
 
 def test_a_stretch_within_a_span_of_time(logs: Callable[[int], Path]) -> None:
-    whole = read_log(logs(1))
+    whole = whole_of(logs(1))
     span = in_time(whole, (0.2, 0.7))
     part = read_log(logs(1), [TRAIN_AXLES.name], time=span, position=(280.0, None))
     expected = whole.within(280.0, None).between(*span)
@@ -330,7 +337,7 @@ def test_damage_is_reported_behind_the_last_piece(
 
 def test_damage_outside_of_the_part_is_not_met(logs: Callable[[int], Path], tmp_path: Path) -> None:
     path, _ = flipped(logs(2), 5, tmp_path)
-    whole = read_log(logs(2))
+    whole = whole_of(logs(2))
     span = (whole.start, whole.start + pd.Timedelta("1 s"))
     assert_same(whole.between(*span), read_log(path, time=span))
 
