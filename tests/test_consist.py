@@ -41,7 +41,7 @@ def residual(plant: ConsistPlant, state: ConsistState, before: float) -> float:
     return abs(plant.energy(state) - before - gained) / sum(abs(v) for v in works.values())
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(
     count=st.integers(1, 10),
     nonlinearity=st.sampled_from([-20.0, 0.0, 200.0]),

@@ -107,7 +107,7 @@ CELLS = st.fixed_dictionaries(
 
 
 @given(st.lists(CELLS, min_size=1, max_size=20), st.integers(0, 2**62))
-@settings(max_examples=40)
+@settings(max_examples=25)
 def test_whatever_a_cell_holds_comes_back_from_csv(rows: list[dict[str, Any]], start: int) -> None:
     time = start + np.arange(len(rows))
     words = {name: [row[name] for row in rows] for name in ("level", "message")}
