@@ -134,12 +134,13 @@ def made_once(of_all_workers: Path) -> Callable[[str, Callable[[Path], object]],
     """Makes a folder of a name in one worker; the others wait for it. No test changes it."""
 
     def made(name: str, make: Callable[[Path], object]) -> Path:
-        folder = of_all_workers / name
+        folder, finished = (of_all_workers / f"{name}{end}" for end in ("", ".finished"))
         with locked(of_all_workers / f"{name}.lock"):
-            if not folder.exists():
-                part = Path(tempfile.mkdtemp(dir=of_all_workers))
-                make(part)
-                part.rename(folder)
+            if not finished.exists():
+                shutil.rmtree(folder, ignore_errors=True)
+                folder.mkdir()
+                make(folder)
+                finished.touch()
         return folder
 
     return made
@@ -175,13 +176,9 @@ def unpainted() -> Iterator[None]:
 
     For tests of commands that draw besides; pictures are painted in the tests of pictures.
     """
-    from matplotlib.figure import Figure
+    from painting import without_painting
 
-    def written(_: Figure, path: Path, format: str = "png", **__: object) -> None:
-        path.write_bytes(b"<svg></svg>" if format == "svg" else b"\x89PNG\r\n\x1a\n")
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Figure, "savefig", written)
+    with without_painting():
         yield
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from mcap_protobuf.decoder import DecoderFactory
+from painting import without_painting
 from rerun.chunk import McapReader
 from rich.console import Console
 
@@ -36,16 +39,23 @@ DRIVEN = {NONSTOP: 1, "all": 12}
 
 
 @pytest.fixture(scope="module", params=[NONSTOP, pytest.param("all", marks=pytest.mark.long)])
-def results(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of the demo's commands; of "all" configurations one drives it, unless long."""
-    output = tmp_path_factory.mktemp("demo") / "results"
+def results(request: pytest.FixtureRequest, made_once: Callable[..., Path]) -> Path:
+    """Results of the demo's commands; of "all" configurations one drives it, unless long.
+
+    Unless long, its pictures are not painted, as they are in the tests of pictures.
+    """
 
     def run(step: list[str]) -> int:
         return cli.run([request.param if word == "all" else word for word in step])
 
-    with (output.parent / "reported.txt").open("w", encoding="utf-8") as reported:
-        demo.run_demo(output, Console(file=reported, width=110), run)
-    return output
+    def make(folder: Path) -> None:
+        with (
+            (folder / "reported.txt").open("w", encoding="utf-8") as reported,
+            nullcontext() if request.param == "all" else without_painting(),
+        ):
+            demo.run_demo(folder / "results", Console(file=reported, width=110), run)
+
+    return made_once(f"demo-{request.param}", make) / "results"
 
 
 def logs(results: Path) -> list[Path]:
