@@ -25,6 +25,7 @@ from trainlog.catalogue.database import metadata
 from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.files import logs_of
+from trainlog.formats.samples import sample
 from trainlog.mcap import DamageWarning, account_of
 from trainlog.mcap.contents import contents_of
 from trainlog.mcap.records import Source
@@ -510,3 +511,27 @@ def test_statements_of_one_reading_see_one_state(
         assert connection.execute(count).scalar_one() == before == 1
     with catalogue.reading() as connection:
         assert connection.execute(count).scalar_one() == len(catalogue) > before
+
+
+def test_a_log_that_another_trip_replaced_leaves_the_catalogue(tmp_path: Path) -> None:
+    """Whatever stands under the name now; and it counts again where its content is found."""
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    log = folder / "trip.mcap"
+    shutil.copy(sample("nonstop.mcap"), log)
+    with open_catalogue(tmp_path / "catalogue") as catalogue:
+        catalogue.add(folder)
+        shutil.copy(sample("stopping.mcap"), log)
+        assert catalogue.add(folder).counts["version"] == 1
+        assert len(catalogue) == 1
+        (name,) = catalogue.query(columns=["name"])["name"]
+        assert name == trainlog.read(log).name
+        catalogue.refresh()
+        assert len(catalogue) == 1
+        shutil.copy(sample("nonstop.mcap"), folder / "kept.mcap")
+        catalogue.add(folder)
+        assert len(catalogue) == 2
+        # What cannot be read takes no trip away.
+        log.write_bytes(b"no log")
+        assert catalogue.add(folder).counts["refused"] == 1
+        assert len(catalogue) == 2

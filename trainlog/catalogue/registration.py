@@ -331,14 +331,14 @@ def settle(connection: sa.Connection, touched: set[int]) -> None:
 
     The rule is that of `trainlog.identity.same_drives`: the fullest. Of recordings that are equally
     full one whose file is present counts, then that of the most messages, then one that is not
-    damaged. What stood before under the name of another recording of the same drive is an older
-    version of it and does not count.
+    damaged. What stood before under the name of another log is an older version and does not count,
+    whatever that log holds.
     """
     if not touched:
         return
     drives = _drives(connection, touched)
     placed = _files_by_trip(connection, sorted(drives))
-    older = _older_versions(drives, placed)
+    older = _older_versions(connection, placed)
     rows = [drives[number] for number in sorted(drives) if number not in older]
     states = {number: {row["state"] for row in placed.get(number, ())} for number in drives}
     known = [
@@ -455,47 +455,29 @@ def _files_by_trip(
 
 
 def _older_versions(
-    drives: Mapping[int, _Row], placed: Mapping[int, Sequence[Mapping[str, Any]]]
+    connection: sa.Connection, placed: Mapping[int, Sequence[Mapping[str, Any]]]
 ) -> dict[int, int]:
-    """Trips whose files were all overwritten by others of the same drive, each with a later one."""
-    drive_of = _drive_numbers(drives)
-    now = {
-        row["path"]: number
-        for number, rows in placed.items()
-        for row in rows
-        if row["state"] in ("present", "vanished")
+    """Trips whose files were all overwritten by logs of trips, each with one that stands there."""
+    states = {number: {row["state"] for row in rows} for number, rows in placed.items()}
+    lost = [
+        number
+        for number, found in states.items()
+        if "replaced" in found and not found & {"present", "vanished"}
+    ]
+    paths = {row["path"] for number in lost for row in placed[number]}
+    now: dict[str, int] = {}
+    for part in parts(sorted(paths)):
+        asked = sa.select(files.c.path, files.c.trip).where(
+            files.c.path.in_(part),
+            files.c.state.in_(("present", "vanished")),
+            files.c.trip.is_not(None),
+        )
+        now |= {row.path: row.trip for row in connection.execute(asked)}
+    later = {
+        number: [now[row["path"]] for row in placed[number] if row["path"] in now]
+        for number in lost
     }
-    found = {}
-    for number, rows in placed.items():
-        states = {row["state"] for row in rows}
-        if "replaced" not in states or states & {"present", "vanished"}:
-            continue
-        later = [now[row["path"]] for row in rows if row["path"] in now]
-        later = [other for other in later if drive_of[other] == drive_of[number]]
-        if later:
-            found[number] = min(later)
-    return found
-
-
-def _drive_numbers(drives: Mapping[int, _Row]) -> dict[int, int]:
-    """The least number of a trip that shares a minute with each, directly or over others."""
-    first: dict[int, int] = {}
-    group = {number: number for number in drives}
-
-    def root(number: int) -> int:
-        while group[number] != number:
-            number = group[number]
-        return number
-
-    for number in sorted(drives):
-        row = drives[number]
-        marks = [("block", each) for each in _blocks(row).tolist()]
-        marks += [("source", row["source"])] if row["source"] else []
-        for mark in marks:
-            other = first.setdefault(mark, number)  # type: ignore[arg-type]
-            a, b = root(other), root(number)
-            group[max(a, b)] = min(a, b)
-    return {number: root(number) for number in drives}
+    return {number: min(others) for number, others in later.items() if others}
 
 
 BATCH = 200
