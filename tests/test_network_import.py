@@ -21,7 +21,7 @@ import trainlog
 from analysis.network.export import export_network
 from trainlog.errors import InputError
 from trainlog.formats.declared import thing_to_bytes
-from trainlog.formats.imports import import_file, networks_in
+from trainlog.formats.imports import ImportOptions, import_file, networks_in
 from trainlog.formats.railway import read_line, read_network, write_network
 from trainlog.formats.tracks import Infrastructure
 from trainlog.railway import Line, Station, StepProfile
@@ -194,6 +194,24 @@ def test_a_route_has_the_gradients_curves_and_limits_of_the_file_at_random_point
             bent += reading.curvature(track, at) != 0.0
             slow += limit < 60.0
     assert min(steep, bent, slow) > 10
+
+
+@needs_osrd
+def test_track_without_gradients_is_level_as_a_fact_where_that_is_stated(tmp_path: Path) -> None:
+    source = OSRD / "infras" / "overlapping_routes.json"
+    for name in ("assumed", "known"):
+        (tmp_path / name).mkdir()
+    (assumed,) = import_file(source, tmp_path / "assumed")
+    (known,) = import_file(source, tmp_path / "known", ImportOptions(gradients_known=True))
+    (words,) = [each for each in assumed.assumed if each.startswith("level where")]
+    assert known.assumed == [each for each in assumed.assumed if each != words]
+    before, after = read_network(assumed.path), read_network(known.path)
+    assert "gradients" in before.assumed
+    assert "gradients" not in after.assumed
+    route = (
+        after.route(*list(after.places)[:2]).line if len(after.places) > 1 else after.edges[0].line
+    )
+    assert not route.gradient(np.linspace(0.0, route.length, 50)).any()
 
 
 @needs_osrd

@@ -435,7 +435,7 @@ def check_recorded(trip: Trip, *, part: bool = False) -> None:
             "not recorded",
             f"trip '{trip.name}': the gradients of line '{line_of(trip).name}' are not known",
             remedy="build the line from rides whose receivers give altitudes, or state its"
-            " gradients",
+            " gradients; a level line is imported with --gradients-known",
         )
 
 

@@ -69,6 +69,7 @@ def import_(
     curve_resistance: Literal["proportional", "roeckl", "roeckl_small_radius"] | None = None,
     category: str | None = None,
     limit: Annotated[float | None, SPEED.between(1.0 / KMH, 600.0 / KMH)] = None,
+    gradients_known: bool = False,
 ) -> None:
     """Turn lines, trains, journeys and networks of other programs into trainlog's files.
 
@@ -113,6 +114,9 @@ def import_(
         lowest of all categories.
     limit : SPEED
         Of a network: speed limit where the file states none; default: its lowest.
+    gradients_known
+        Of a line or network: it is level where the file states no gradient. Without, that is an
+        assumption, and running resistance is not fitted on such track.
     """
     from trainlog.formats.csv_tables import read_effort_curve
     from trainlog.formats.files import output_folder
@@ -124,8 +128,7 @@ def import_(
     )
     options = ImportOptions(
         electrification, traction, braking, mass_model, acceleration_limits, curve_resistance,
-        loaded, category,
-        limit,
+        loaded, category, limit, gradients_known,
     )  # fmt: skip
     if formation is None and name is not None:
         raise InputError("--name is that of a formation", remedy="give --formation, too")

@@ -13,7 +13,7 @@ from trainlog.formats import osrd, railtoolkit, ttobench
 from trainlog.formats.declared import built, thing_from_bytes, write_thing
 from trainlog.formats.files import parse_json, read_bytes
 from trainlog.formats.railml import read_railml
-from trainlog.formats.tracks import Infrastructure, LimitChoice
+from trainlog.formats.tracks import LEVEL, Infrastructure, LimitChoice
 from trainlog.railway import EffortCurve, Journey, Line, Train
 from trainlog.railway.network import Network
 from trainlog.railway.resistance import CurveFormula
@@ -60,6 +60,9 @@ class ImportOptions:
         Of trains, whose speed limits infrastructure gets; see `networks_in`.
     limit : float or None [m/s]
         Of infrastructure, where its file states no speed limit; see `networks_in`.
+    gradients_known : bool
+        Whether track is level where the file of a line or network states no gradient: a fact then,
+        and no assumption, which identification refuses.
     """
 
     electrification: str | None = None
@@ -71,6 +74,7 @@ class ImportOptions:
     loaded: float | None = None
     category: str | None = None
     limit: float | None = None
+    gradients_known: bool = False
 
     @property
     def of_train(self) -> dict[str, Any]:
@@ -99,8 +103,18 @@ class ImportOptions:
             chosen = {n: each for n, each in self.of_train.items() if not n.endswith("curve")}
             return replace(with_curves(thing, self.traction_curve, self.braking_curve), **chosen)
         if isinstance(thing, Line) and self.curve_resistance is not None:
-            return replace(thing, curve_resistance=self.curve_resistance)
+            thing = replace(thing, curve_resistance=self.curve_resistance)
+        if self.gradients_known and isinstance(thing, Line):
+            return _level(thing)
+        if self.gradients_known and isinstance(thing, Network):
+            edges = [replace(edge, line=_level(edge.line)) for edge in thing.edges]
+            return replace(thing, edges=tuple(edges))
         return thing
+
+
+def _level(line: Line) -> Line:
+    """The line, whose gradients are known: level where its source states none."""
+    return replace(line, assumed=tuple(name for name in line.assumed if name != "gradients"))
 
 
 def with_curves(
@@ -170,7 +184,8 @@ def import_file(
         kind = type(thing).__name__.lower()
         target = Path(folder) / f"{stem if len(found) == 1 else name}.{kind}.json"
         built(lambda thing=thing, target=target: _write(thing, target), path)  # type: ignore[misc]
-        written.append(Imported(target, dropped, assumed))
+        known = [each for each in assumed if each.startswith(LEVEL) and options.gradients_known]
+        written.append(Imported(target, dropped, [each for each in assumed if each not in known]))
     return written
 
 

@@ -236,6 +236,10 @@ class Account:
         return Infrastructure(networks, left_out, self.assumed_words(networks))
 
 
+LEVEL = "level where no gradients are stated"
+"""What is assumed of track without gradients, unless it is known to be so."""
+
+
 @dataclass
 class TrackData:
     """What a file states of a track, by position [m] from its beginning.
@@ -278,9 +282,7 @@ class TrackData:
         missing = self._missing(at, unknown)
         if not self.gradients or (missing > 1.0 and not self.level_between):
             assumed.append("gradients")
-            account.assume(
-                "gradients", "level where no gradients are stated", missing or self.length
-            )
+            account.assume("gradients", LEVEL, missing or self.length)
         gradients = _steps(at, np.where(np.isnan(values), 0.0, values))
         limits, against, unknown_limits = self._limits(account, choice)
         if unknown_limits:
