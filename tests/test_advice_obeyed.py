@@ -69,7 +69,7 @@ def _cases() -> Iterator[Any]:
 @pytest.mark.parametrize(("name", "train", "reserve"), list(_cases()))
 def test_no_row_leads_over_a_limit(name: str, train: str, reserve: float, tmp_path: Path) -> None:
     line, driver = _line(name), TRAINS[train]
-    plan = optimised(line, driver, _configurations(driver), reserve=reserve, cells=150)
+    plan = optimised(line, driver, _configurations(driver), reserve=reserve, cells=100)
     write_journey_advice(journey_advice([plan], line), tmp_path / "advice.csv")
     rows = rows_of(tmp_path / "advice.csv")
     limits = limits_of(plan, line)
