@@ -89,7 +89,7 @@ replay part.mcap rest.mcap -o parts.rrd
 report part.mcap -o part.html
 report sample_logs
 record --from file lines.jsonl --idle 0.1 -o live.mcap
-new line --from sample_logs -o built.line.json
+new line --from sample_logs/nonstop.mcap -o built.line.json
 docs --list
 docs adhesion --path
 demo -o demonstrated
