@@ -24,7 +24,6 @@ pytestmark = pytest.mark.usefixtures("remembered", "unpainted_page", "unrenewed"
 
 CHECKOUT = Path(__file__).parents[1]
 SCHEMAS = CHECKOUT / "docs" / "command-line.schemas.json"
-PAGE = CHECKOUT / "docs" / "command-line.md"
 
 COMMANDS = """
 new samples -o sample_logs
@@ -182,18 +181,6 @@ def merged(one: Schema, other: Schema) -> Schema:
     return found
 
 
-def with_contents(page: str, schemas: dict[str, Schema]) -> str:
-    """The page of the command line with the list of what each command prints."""
-    rows = []
-    for name, schema in sorted(schemas.items()):
-        keys = [f"`{key}`" for key in schema["properties"] if key not in COMMON]
-        if keys:
-            rows.append(f"- `{name}`: {', '.join(keys)}")
-    begin, end = "<!-- contents -->", "<!-- end of contents -->"
-    before, after = page.partition(begin)[0], page.partition(end)[2]
-    return f"{before}{begin}\n\n{chr(10).join(rows)}\n\n{end}{after}"
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A folder with the samples, a damaged log, and points of an adhesion characteristic."""
@@ -240,14 +227,8 @@ def test_every_command_prints_one_object_of_its_documented_form(
             for step in document.get("steps", []):
                 jsonschema.validate(step, known[step["command"]])
     if renew:
-        PAGE.write_text(with_contents(PAGE.read_text("utf-8"), found), encoding="utf-8")
         text = json.dumps(dict(sorted(found.items())), indent=1, ensure_ascii=False)
         SCHEMAS.write_text(text + "\n", encoding="utf-8")
-
-
-def test_the_page_lists_the_keys_of_the_schemas() -> None:
-    page = PAGE.read_text("utf-8")
-    assert page == with_contents(page, json.loads(SCHEMAS.read_text("utf-8")))
 
 
 PURE = {
@@ -289,11 +270,6 @@ def test_the_schemas_state_what_all_commands_have_and_numbers_name_their_unit() 
         if not name.startswith("map "):
             wrong = [key for key in numbers_of(schema) if key not in PURE and not UNITS.search(key)]
             assert not [key for key in wrong if key], name
-
-
-def test_the_page_lists_what_each_command_prints() -> None:
-    page = PAGE.read_text("utf-8")
-    assert page == with_contents(page, json.loads(SCHEMAS.read_text("utf-8")))
 
 
 def test_an_error_with_json_is_on_standard_error_alone(

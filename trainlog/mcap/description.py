@@ -534,17 +534,19 @@ def _section(topic: Topic) -> str:
         "",
         f"{topic.meaning} Message `{topic.message}`.",
         "",
-        "| field | unit | meaning | between samples |",
-        "|---|---|---|---|",
+        "| field | unit | meaning |",
+        "|---|---|---|",
     ]
     limited = any(item.bounds != Bounds() for item in topic.fields)
     if limited:
         rows[-2] += " limits |"
         rows[-1] += "---|"
     for item in topic.fields:
-        name = f"`{item.name}`, one for each {item.each}" if item.each else f"`{item.name}`"
+        name = f"`{item.name}`, per {item.each}" if item.each else f"`{item.name}`"
+        if item.interpolation != "linear":
+            name += f" ({item.interpolation})"
         meaning = item.meaning.replace("|", "\\|")
-        row = f"| {name} | {item.unit or '–'} | {meaning} | {item.interpolation} |"
+        row = f"| {name} | {item.unit or '–'} | {meaning} |"
         rows.append(f"{row} {_limits(item)} |" if limited else row)
     return "\n".join(rows) + "\n"
 
