@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import copy
 import importlib
 import inspect
@@ -80,3 +81,24 @@ def test_a_refused_trip_is_refused_across_processes() -> None:
     again = pickle.loads(pickle.dumps(met))
     assert (again.reason, str(again)) == (met.reason, str(met)) != ("", "")
     assert again.reason == "too short"
+
+
+def without_remedy() -> list[str]:
+    """Places where the product raises an `InputError` that states no remedy."""
+    return [
+        f"{path.relative_to(CHECKOUT)}:{node.lineno}"
+        for package in ("trainlog", "analysis")
+        for path in sorted((CHECKOUT / package).rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Name)
+        and node.func.id in ("InputError", "LogError")
+        and not any(each.arg in ("remedy", None) for each in node.keywords)
+    ]
+
+
+def test_input_errors_state_a_remedy() -> None:
+    """Those of a form state in the problem what a value must be; those of studies are few."""
+    forms = [each for each in without_remedy() if "/studies/" not in each]
+    assert len(forms) <= 7, forms
+    assert len(without_remedy()) <= 18

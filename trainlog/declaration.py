@@ -1299,7 +1299,10 @@ def hold_arrays(thing: Any) -> None:
         try:
             values: Any = np.ascontiguousarray(getattr(thing, name), dtype=kind)
         except (TypeError, ValueError):
-            raise InputError(f"{type(thing).__name__}: {name} must be numbers") from None
+            raise InputError(
+                f"{type(thing).__name__}: {name} must be numbers",
+                remedy="replace what is not a number",
+            ) from None
         object.__setattr__(thing, name, values)
 
 

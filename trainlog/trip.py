@@ -310,7 +310,10 @@ class Trip(Presented):
     def _filled(self) -> list[pd.DataFrame]:
         frames = [frame for frame in self.topics.values() if len(frame)]
         if not frames:
-            raise LogError(f"trip '{self.name}' holds no samples")
+            raise LogError(
+                f"trip '{self.name}' holds no samples",
+                remedy="record it again, or choose a longer span of time",
+            )
         return frames
 
 

@@ -169,7 +169,10 @@ def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
     """
     frame = trip[TRAIN_AXLES.name]
     if len(frame) < 2:
-        raise LogError(f"trip '{trip.name}': /train/axles holds {len(frame)} samples")
+        raise LogError(
+            f"trip '{trip.name}': /train/axles holds {len(frame)} samples",
+            remedy="record the axles over the whole trip",
+        )
     numbers, speeds, notes = _speeds(trip, frame, train)
     time, clock = seconds(frame), pd.DatetimeIndex(frame.index)
     sampling = float(np.median(np.diff(time)))

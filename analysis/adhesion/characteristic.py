@@ -216,7 +216,10 @@ def _fitted(
     """The fit of points, or the reason why there is none."""
     if speed is not None:
         if not 0.0 < speed < MOST_SPEED:
-            raise InputError(f"train speed {speed:g} m/s is not between 0 and {MOST_SPEED:g} m/s")
+            raise InputError(
+                f"train speed {speed:g} m/s is not between 0 and {MOST_SPEED:g} m/s",
+                remedy="give the speed in m/s, not in km/h",
+            )
         if given.speeds is not None:
             raise InputError(
                 "the points state their train speeds, and one is given (--speed)",
@@ -254,7 +257,10 @@ def _check_points(points: AdhesionPoints) -> None:
             remedy="give five at least",
         )
     if not np.max(points.adhesions) > 0.0:
-        raise InputError("points of adhesion: none is positive")
+        raise InputError(
+            "points of adhesion: none is positive",
+            remedy="give points with slip and adhesion above 0",
+        )
 
 
 @dataclass(frozen=True, eq=False)

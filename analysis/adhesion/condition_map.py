@@ -116,7 +116,10 @@ def empty_map_of(
                 remedy=f"settings: {', '.join(SETTINGS)}",
             )
         if not (value > 0.0 and np.isfinite(value)):
-            raise InputError(f"track-condition map: {name} must be positive, got {value}")
+            raise InputError(
+                f"track-condition map: {name} must be positive, got {value}",
+                remedy="give a value above 0",
+            )
     return TrackConditionMap(
         line=line,
         length=length,

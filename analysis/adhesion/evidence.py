@@ -266,7 +266,10 @@ def evidence_of_parts(
             sums.setdefault(condition, _Sums(track)).add(seen)
     left_out = sums.pop("", None)
     if not clocks:
-        raise NotRecordedError("no speed of a powered axle is recorded in it")
+        raise NotRecordedError(
+            "no speed of a powered axle is recorded in it",
+            remedy="record wheel speeds, or name their columns in the profile",
+        )
     start, end = _span(clocks)
     if not sums:
         first, last = (f"{pd.Timestamp(each):%Y-%m-%d %H:%M}" for each in (start, end))

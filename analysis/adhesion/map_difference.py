@@ -221,7 +221,10 @@ def map_difference(
     """
     for name, value in (("rate", rate), ("least", least)):
         if not 0.0 < value < 1.0:
-            raise InputError(f"map difference: {name} must be between 0 and 1, got {value:g}")
+            raise InputError(
+                f"map difference: {name} must be between 0 and 1, got {value:g}",
+                remedy="write 0.05 for 5 %",
+            )
     if line is not None:
         check_course(first, line)
     if second is None:

@@ -222,7 +222,9 @@ def map_history(
     if line is not None:
         check_course(track, line)
     if days < 1:
-        raise InputError(f"map history: days must be 1 or more, got {days}")
+        raise InputError(
+            f"map history: days must be 1 or more, got {days}", remedy="give 1 or more days"
+        )
     chosen = track.layer(layer)
     row = int(track.bin_of(position))
     start = row * track.bin_length

@@ -125,6 +125,7 @@ def trip_cost(trip: Recorded) -> TripCost:
         raise LogError(
             f"trip '{bare.name}' has no recorded efforts: its energy is not known",
             place="topic /train/controls",
+            remedy="record efforts, or name their columns in the profile",
         )
     running = float(driven.running[-1] - driven.running[0])
     traction, dynamic = (

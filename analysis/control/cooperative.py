@@ -103,11 +103,15 @@ class Tuning:
             value = getattr(self, name)
             free = name in ("deadline", "lag", "exact")
             if not ((value > 0.0 or (free and value == 0.0)) and np.isfinite(value)):
-                raise InputError(f"cooperative control: {name} {value} is not positive")
+                raise InputError(
+                    f"cooperative control: {name} {value} is not positive",
+                    remedy="give a value above 0",
+                )
         if self.control_horizon > self.horizon:
             raise InputError(
                 f"cooperative control: {self.control_horizon} steps of control are more than the"
-                f" {self.horizon} that are predicted"
+                f" {self.horizon} that are predicted",
+                remedy="control over fewer steps, or predict more",
             )
 
 
@@ -361,23 +365,33 @@ class CooperativeController:
             )
         a, b, c = np.moveaxis(curves, -1, 0)
         if not np.all((a > 0.0) & (b > a) & (c > 0.0) & np.isfinite(b + c)):
-            raise InputError("cooperative control: creep curves need 0 < a < b and c > 0")
+            raise InputError(
+                "cooperative control: creep curves need 0 < a < b and c > 0",
+                remedy="correct the curves' parameters",
+            )
         limit = self.locomotive.torque_limit
         caps = np.full(n, limit) if limits is None else np.asarray(limits, dtype=np.float64)
         if caps.shape != (n,) or not np.all((caps >= 0.0) & (caps <= limit)):
             raise InputError(
                 f"cooperative control: limits of the motors {caps} are not {n} torques"
-                f" from 0 to {limit:g} N m"
+                f" from 0 to {limit:g} N m",
+                remedy="give one limit per motor, in N m",
             )
         most = self.locomotive.total_torque if total is None else float(total)
         if not most >= 0.0:
-            raise InputError(f"cooperative control: total torque {most} N m is negative")
+            raise InputError(
+                f"cooperative control: total torque {most} N m is negative",
+                remedy="give 0 N m or more",
+            )
         curves = np.ascontiguousarray(np.broadcast_to(curves, (horizon, n, 3)))
         slips = peak_slips(curves)
         if reference is not None:
             given = np.asarray(reference, dtype=np.float64)
             if given.shape != (n,) or not np.all(np.isfinite(given)):
-                raise InputError(f"cooperative control: reference slip speeds {given} of {n} axles")
+                raise InputError(
+                    f"cooperative control: reference slip speeds {given} of {n} axles",
+                    remedy="give one per axle",
+                )
             slips = np.tile(given, (horizon, 1))
         return Demand(curves, slips, caps, most)
 
@@ -516,11 +530,15 @@ class CooperativeController:
         if wheels.shape != (self.locomotive.axles,):
             raise InputError(
                 f"cooperative control: wheel speeds of shape {wheels.shape} for"
-                f" {self.locomotive.axles} axles"
+                f" {self.locomotive.axles} axles",
+                remedy="give one wheel speed per axle",
             )
         state = np.concatenate([[speed], wheels])
         if not np.all(np.isfinite(state)):
-            raise InputError(f"cooperative control: speeds {state} are not all numbers")
+            raise InputError(
+                f"cooperative control: speeds {state} are not all numbers",
+                remedy="replace values that are missing",
+            )
         return state
 
 

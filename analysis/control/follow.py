@@ -86,7 +86,10 @@ class Tuning:
     def __post_init__(self) -> None:
         for name in ("horizon", "step", "every"):
             if not getattr(self, name) > 0.0:
-                raise InputError(f"following: {name} {getattr(self, name)} is not positive")
+                raise InputError(
+                    f"following: {name} {getattr(self, name)} is not positive",
+                    remedy="give a value above 0",
+                )
 
 
 class Follower:

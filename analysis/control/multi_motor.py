@@ -56,11 +56,13 @@ class MultiMotorLocomotive:
         ):  # fmt: skip
             if not (getattr(self, name) > 0.0 and np.isfinite(getattr(self, name))):
                 raise InputError(
-                    f"locomotive '{self.name}': {name} {getattr(self, name)} is not positive"
+                    f"locomotive '{self.name}': {name} {getattr(self, name)} is not positive",
+                    remedy="give a value above 0",
                 )
         if not self.axle_loads or not all(load > 0.0 for load in self.axle_loads):
             raise InputError(
-                f"locomotive '{self.name}': needs driven axles, each with a positive load"
+                f"locomotive '{self.name}': needs driven axles, each with a positive load",
+                remedy="give the load of each driven axle in N",
             )
 
     @property

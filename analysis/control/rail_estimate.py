@@ -124,7 +124,10 @@ class RailEstimator:
         wheel_speed_std: float,
     ) -> None:
         if not speed_std >= 0.0:
-            raise InputError(f"rail estimator: noise of the speed {speed_std} m/s is negative")
+            raise InputError(
+                f"rail estimator: noise of the speed {speed_std} m/s is negative",
+                remedy="give 0 m/s or more",
+            )
         self._locomotive, self._period = locomotive, tuning.period
         load = float(locomotive.loads.mean())
         self._observer = AdhesionObserver(
@@ -269,7 +272,10 @@ def map_prior(log_mean: ArrayLike, log_std: ArrayLike) -> FloatArray:
     mean = np.atleast_1d(np.asarray(log_mean, dtype=np.float64))
     std = np.atleast_1d(np.asarray(log_std, dtype=np.float64))
     if not (np.all(np.isfinite(mean)) and np.all(std >= 0.0)):
-        raise InputError("rail estimator: the map gives no number for a maximum adhesion")
+        raise InputError(
+            "rail estimator: the map gives no number for a maximum adhesion",
+            remedy="update the map with trips on this line",
+        )
     spread = np.hypot(np.where(np.isfinite(std), std, 10.0), MAP_SPREAD)[:, None]
     found = np.exp(-0.5 * ((np.log(MAXIMA) - mean[:, None]) / spread) ** 2) + 1e-300
     found /= found.sum(axis=1, keepdims=True)

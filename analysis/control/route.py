@@ -86,7 +86,10 @@ class Margin:
     def __post_init__(self) -> None:
         for name in ("position", "speed"):
             if not getattr(self, name) >= 0.0:
-                raise InputError(f"following: margin of {name} {getattr(self, name)} is negative")
+                raise InputError(
+                    f"following: margin of {name} {getattr(self, name)} is negative",
+                    remedy="give 0 or more",
+                )
 
 
 class TrainLimits(NamedTuple):

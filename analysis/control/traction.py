@@ -352,7 +352,10 @@ class ReadhesionTuning:
     def __post_init__(self) -> None:
         for name in self.__slots__:
             if not (getattr(self, name) > 0.0 and np.isfinite(getattr(self, name))):
-                raise InputError(f"re-adhesion: {name} {getattr(self, name)} is not positive")
+                raise InputError(
+                    f"re-adhesion: {name} {getattr(self, name)} is not positive",
+                    remedy="give a value above 0",
+                )
 
 
 class ReadhesionControl:

@@ -511,7 +511,8 @@ class LogOnEdges:
         parts = [part for part in parts if part.time.size]
         if not parts:
             raise LogError(
-                f"trip '{self.trip.name}' was not recorded on edge '{edge.name}' of its route"
+                f"trip '{self.trip.name}' was not recorded on edge '{edge.name}' of its route",
+                remedy="give trips that were recorded on it",
             )
         return with_details(parts, self.trip, track, condition, weather, sha256=digest,
                             recorded=identity_of_log(self.path))  # fmt: skip

@@ -489,7 +489,10 @@ def with_advice(trip: Trip, trajectory: Trajectory, row: int | None = None) -> T
             remedy="give the trajectory of that line and direction",
         )
     if REFERENCE.name in trip:
-        raise InputError(f"trip '{name}' carries a reference already: it followed a trajectory")
+        raise InputError(
+            f"trip '{name}' carries a reference already: it followed a trajectory",
+            remedy="give the trip of a driver, without a reference",
+        )
     chosen = trajectory.latest if row is None else row
     state = trip[TRAIN_STATE.name]
     position = state["position"].to_numpy(dtype=np.float64)

@@ -216,7 +216,10 @@ def time_explained(
     try:
         time = relaxation.least_time()
     except NoSolutionError:
-        return InfeasibleError(f"no common run of {names}: the relaxation is {status}")
+        return InfeasibleError(
+            f"no common run of {names}: the relaxation is {status}",
+            remedy="allow more time, or plan for fewer configurations",
+        )
     if time <= running_time:
         return unsettled(problem, running_time, f"the relaxation is {status}")
     return InfeasibleError(

@@ -537,7 +537,10 @@ def _check(line: Line, journey: Journey, dwell: float) -> None:
             remedy="give the line of the journey, in its direction of travel",
         )
     if not (dwell >= 0.0 and np.isfinite(dwell)):
-        raise InputError(f"journey: the dwell time must be 0 or more and finite, not {dwell} s")
+        raise InputError(
+            f"journey: the dwell time must be 0 or more and finite, not {dwell} s",
+            remedy="write it as 30s",
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -195,10 +195,14 @@ class TrajectoryProblem:
         if not 0.0 <= self.start < self.end <= line.length:
             raise InputError(
                 f"{where}: from km {self.start / 1e3:.3f} to km {self.end / 1e3:.3f} is no section"
-                f" of a line of {line.length / 1e3:.3f} km"
+                f" of a line of {line.length / 1e3:.3f} km",
+                remedy="give a start and an end on the line, in the order of travel",
             )
         if not (0.0 <= self.initial_speed < np.inf and 0.0 <= self.final_speed < np.inf):
-            raise InputError(f"{where}: initial and final speed must be finite and not negative")
+            raise InputError(
+                f"{where}: initial and final speed must be finite and not negative",
+                remedy="give 0 or more",
+            )
         if self.braking not in get_args(Braking) or self.objective not in get_args(Objective):
             raise InputError(
                 f"{where}: no such braking '{self.braking}' or objective '{self.objective}'",
@@ -221,7 +225,8 @@ class TrajectoryProblem:
         if self.initial_speed > limit:
             raise InputError(
                 f"{where}: the initial speed {KMH * self.initial_speed:.1f} km/h is above the"
-                f" {KMH * limit:.1f} km/h permitted at {self._km(self.start)}"
+                f" {KMH * limit:.1f} km/h permitted at {self._km(self.start)}",
+                remedy="lower the initial speed, or start elsewhere",
             )
         if self.condition_map is not None and self.condition_map.line != line.name:
             raise InputError(

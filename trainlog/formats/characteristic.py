@@ -135,7 +135,10 @@ class CharacteristicFile(Declared):
             CreepCurve: f"exponentials_over_{over}",
         }
         if type(characteristic) not in names:
-            raise InputError(f"a {type(characteristic).__name__} cannot be written as a file")
+            raise InputError(
+                f"a {type(characteristic).__name__} cannot be written as a file",
+                remedy="give an adhesion characteristic or a creep curve",
+            )
         given: dict[str, Any] = {names[type(characteristic)]: characteristic}
         return CharacteristicFile(**given, provenance=provenance)
 

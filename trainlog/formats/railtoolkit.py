@@ -83,7 +83,9 @@ class _Row(Part):
         """The section."""
         if isinstance(found, list):
             if len(found) != 3:
-                raise InputError("needs position, speed and resistance")
+                raise InputError(
+                    "needs position, speed and resistance", remedy="give three values per section"
+                )
             found = dict(zip(("position", "speed", "resistance"), found, strict=True))
         return super().read(found, kind)
 

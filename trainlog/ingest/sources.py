@@ -82,7 +82,11 @@ class Source(ABC):
         blocks = [self._blocks.popleft() for _ in range(len(self._blocks))]
         self._size -= sum(map(len, blocks))
         if not blocks and self._problem:
-            raise InputError(f"cannot be read any more: {self._problem}", file=self.name)
+            raise InputError(
+                f"cannot be read any more: {self._problem}",
+                file=self.name,
+                remedy="ingest it again where the file can be read",
+            )
         return blocks
 
     @abstractmethod

@@ -202,7 +202,10 @@ class CreepCurve(AdhesionCharacteristic):
 
     def __post_init__(self) -> None:
         if not (0.0 < self.a < self.b and self.c == self.d and self.c > 0.0):
-            raise InputError("creep curve: needs 0 < a < b and c = d > 0")
+            raise InputError(
+                "creep curve: needs 0 < a < b and c = d > 0",
+                remedy="correct the curve's parameters",
+            )
         _check_variable(self.variable)
 
     def adhesion_over(self, slip: FloatArray, speed: FloatArray) -> FloatArray:  # noqa: ARG002
@@ -271,13 +274,20 @@ class PolachCurve(AdhesionCharacteristic):
 
     def __post_init__(self) -> None:
         if not 0.0 < self.slip_factor <= self.adhesion_factor <= 1.0:
-            raise InputError("Polach's curve: needs 0 < slip factor <= adhesion factor <= 1")
+            raise InputError(
+                "Polach's curve: needs 0 < slip factor <= adhesion factor <= 1",
+                remedy="correct the curve's factors",
+            )
         if not (0.0 < self.friction < 1.5 and 0.0 < self.friction_ratio <= 1.0):
             raise InputError(
-                "Polach's curve: needs a friction between 0 and 1.5 and 0 < friction ratio <= 1"
+                "Polach's curve: needs a friction between 0 and 1.5 and 0 < friction ratio <= 1",
+                remedy="correct the curve's friction",
             )
         if not (self.friction_decay >= 0.0 and 0.0 < self.stiffness < np.inf):
-            raise InputError("Polach's curve: needs a friction decay >= 0 and a stiffness > 0")
+            raise InputError(
+                "Polach's curve: needs a friction decay >= 0 and a stiffness > 0",
+                remedy="correct the curve's decay and stiffness",
+            )
 
     def adhesion_over(self, slip: FloatArray, speed: FloatArray) -> FloatArray:
         """Adhesion at creepages that are not negative."""
@@ -366,7 +376,8 @@ class AdhesionTable(AdhesionCharacteristic):
         x, y = self.slips, self.adhesions
         if x.ndim != 1 or x.shape != y.shape or x.size < 3:
             raise InputError(
-                "adhesion characteristic: needs three pairs of slip and adhesion or more"
+                "adhesion characteristic: needs three pairs of slip and adhesion or more",
+                remedy="give more pairs",
             )
         if not (np.all(np.isfinite(x)) and x[0] > 0.0 and np.all(np.diff(x) > 0.0)):
             raise InputError(
@@ -374,7 +385,10 @@ class AdhesionTable(AdhesionCharacteristic):
                 remedy="order the points by slip; no slip without adhesion is understood",
             )
         if not np.all((y > 0.0) & (y < GREATEST_ADHESION)):
-            raise InputError("adhesion characteristic: an adhesion is not between 0 and 1.5")
+            raise InputError(
+                "adhesion characteristic: an adhesion is not between 0 and 1.5",
+                remedy="give adhesion as a share of the load, such as 0.2",
+            )
 
     __eq__ = Declared.__eq__
     __hash__ = Declared.__hash__
@@ -429,16 +443,25 @@ class AdhesionPoints:
             object.__setattr__(self, "speeds", np.asarray(self.speeds, dtype=np.float64))
             arrays.append(self.speeds)
         if self.slips.ndim != 1 or any(each.shape != self.slips.shape for each in arrays):
-            raise InputError("points of adhesion: need pairs of slip and adhesion")
+            raise InputError(
+                "points of adhesion: need pairs of slip and adhesion",
+                remedy="give one adhesion per slip",
+            )
         if not all(np.all(np.isfinite(each)) for each in arrays):
-            raise InputError("points of adhesion: a value is not a finite number")
+            raise InputError(
+                "points of adhesion: a value is not a finite number",
+                remedy="remove pairs that are not numbers",
+            )
         if not np.all(self.slips > 0.0):
             raise InputError(
                 "points of adhesion: a slip is not positive",
                 remedy="give the sizes of slip and adhesion, for braking, too",
             )
         if self.speeds is not None and not np.all(self.speeds > 0.0):
-            raise InputError("points of adhesion: a train speed is not positive")
+            raise InputError(
+                "points of adhesion: a train speed is not positive",
+                remedy="give speeds above 0 m/s",
+            )
         if not np.all(np.abs(self.adhesions) < GREATEST_ADHESION):
             raise InputError(
                 f"points of adhesion: an adhesion is not below {GREATEST_ADHESION:g}",
@@ -516,7 +539,10 @@ def creep_coefficients(maximum: ArrayLike) -> FloatArray:
     peak = np.asarray(maximum, dtype=np.float64)
     if not np.all((peak > 0.0) & (peak < 1.0)):
         bad = peak[~((peak > 0.0) & (peak < 1.0))]
-        raise InputError(f"maximum adhesion {bad.flat[0]} is not between 0 and 1")
+        raise InputError(
+            f"maximum adhesion {bad.flat[0]} is not between 0 and 1",
+            remedy="give values such as 0.2",
+        )
     dryness = np.clip((peak - WET.peak) / (DRY.peak - WET.peak), 0.0, 1.0)
     a = WET.a + dryness * (DRY.a - WET.a)
     b = WET.b + dryness * (DRY.b - WET.b)

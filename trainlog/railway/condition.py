@@ -131,7 +131,10 @@ class AdhesionEstimate:
             If the share is not between 0 and 1.
         """
         if not 0.0 < share < 1.0:
-            raise InputError(f"a quantile's share must be between 0 and 1, not {share:g}")
+            raise InputError(
+                f"a quantile's share must be between 0 and 1, not {share:g}",
+                remedy="write 0.05 for 5 %",
+            )
         from scipy.special import ndtri
 
         if self.log_levels is None or self.probability is None:

@@ -119,7 +119,10 @@ def place(line: Line, anchors: tuple[Anchor, ...], tolerance: float = 0.5) -> Pl
         If the line has no curvatures, or there are fewer than two anchors.
     """
     if line.curvatures is None or len(anchors) < 2:
-        raise InputError(f"line '{line.name}': placing it needs curvatures and two anchors")
+        raise InputError(
+            f"line '{line.name}': placing it needs curvatures and two anchors",
+            remedy="give the line curvatures and two anchors with coordinates",
+        )
     positions, points = plane_curve(line.curvatures, line.length)
     latitudes = np.array([anchor.latitude for anchor in anchors])
     longitudes = np.array([anchor.longitude for anchor in anchors])

@@ -293,9 +293,15 @@ class LineReference(Profile):
 def _disorder(place: str, positions: FloatArray, *columns: FloatArray) -> Iterator[InputError]:
     """What rows along a line cannot be, which increase from position 0."""
     if positions.ndim != 1 or any(each.shape != positions.shape for each in columns):
-        yield InputError("needs as many positions as values", place=place)
+        yield InputError(
+            "needs as many positions as values", place=place, remedy="give one value per position"
+        )
     elif not all(np.all(np.isfinite(each)) for each in (positions, *columns)):
-        yield InputError("positions and values must be finite numbers", place=place)
+        yield InputError(
+            "positions and values must be finite numbers",
+            place=place,
+            remedy="replace what is not a number",
+        )
     else:
         if positions.size == 0 or positions[0] != 0.0:
             yield InputError(
@@ -393,7 +399,10 @@ class Geometry(Declared):
     def problems(self) -> Iterator[InputError]:
         """What no course can be."""
         if self.positions.shape != self.latitudes.shape or self.positions.size < 2:
-            yield InputError("needs at least two points, each with two coordinates")
+            yield InputError(
+                "needs at least two points, each with two coordinates",
+                remedy="give pairs of latitude and longitude",
+            )
             return
         since = self.positions - self.positions[0]
         yield from _disorder("track.values", since, self.latitudes, self.longitudes)
@@ -817,7 +826,8 @@ class Line(Declared):
         for tunnel in self.tunnels:
             if tunnel.position < -TINY or tunnel.position + tunnel.length > self.length + TINY:
                 yield InputError(
-                    f"{where}: tunnel at km {tunnel.position / 1e3:.3f} leaves the line"
+                    f"{where}: tunnel at km {tunnel.position / 1e3:.3f} leaves the line",
+                    remedy="correct the tunnel's kilometres",
                 )
         begins = [leg.position for leg in self.legs] + [self.length] * bool(self.legs)
         ends = [0.0] * bool(self.legs) + [leg.end for leg in self.legs]

@@ -69,7 +69,10 @@ class RunningResistance:
 
     def __post_init__(self) -> None:
         if not all(np.isfinite((self.r0, self.r1, self.r2))):
-            raise InputError("running resistance: coefficients must be finite numbers")
+            raise InputError(
+                "running resistance: coefficients must be finite numbers",
+                remedy="replace what is not a number",
+            )
 
     @property
     def coefficients(self) -> FloatArray:

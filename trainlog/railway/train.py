@@ -1220,11 +1220,15 @@ class Consist(Declared):
     def problems(self) -> Iterator[InputError]:
         """What no consist can be, besides fields beyond their bounds."""
         if not self.vehicles:
-            yield InputError(f"consist '{self.name}': needs at least one vehicle")
+            yield InputError(
+                f"consist '{self.name}': needs at least one vehicle",
+                remedy="list its vehicles from the front to the rear",
+            )
         elif len(self.couplers) != len(self.vehicles) - 1:
             yield InputError(
                 f"consist '{self.name}': {len(self.vehicles)} vehicles need"
-                f" {len(self.vehicles) - 1} couplers, given are {len(self.couplers)}"
+                f" {len(self.vehicles) - 1} couplers, given are {len(self.couplers)}",
+                remedy="give one coupler between two vehicles",
             )
 
     def summary(self) -> dict[str, str]:

@@ -125,11 +125,17 @@ class Journey(Declared):
         """What no journey can be, one by one."""
         where = f"journey '{self.name}'"
         if len(self.points) < 2:
-            yield InputError(f"{where}: needs at least a departure and an arrival")
+            yield InputError(
+                f"{where}: needs at least a departure and an arrival",
+                remedy="give two timing points or more",
+            )
             return
         if self.points[0].position < 0.0:
             place = self.points[0].position / 1e3
-            yield InputError(f"{where}: begins before the line, at km {place:.3f}")
+            yield InputError(
+                f"{where}: begins before the line, at km {place:.3f}",
+                remedy="give positions on the line",
+            )
         for before, point in pairwise(self.points):
             if point.position < before.position:
                 yield InputError(
@@ -144,9 +150,11 @@ class Journey(Declared):
             ):
                 at = f"{where}: {what} window at km {point.position / 1e3:.3f}"
                 if any(bound is not None and bound < 0.0 for bound in (lower, upper)):
-                    yield InputError(f"{at} has a negative bound")
+                    yield InputError(
+                        f"{at} has a negative bound", remedy="give times since the departure"
+                    )
                 elif lower is not None and upper is not None and lower > upper:
-                    yield InputError(f"{at} ends before it begins")
+                    yield InputError(f"{at} ends before it begins", remedy="exchange its bounds")
 
 
 _ROUNDING = 1e-6
@@ -251,7 +259,8 @@ class Trajectory(Declared):
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
                 yield InputError(
-                    f"trajectory: {name} has shape {getattr(self, name).shape}, needs {shape}"
+                    f"trajectory: {name} has shape {getattr(self, name).shape}, needs {shape}",
+                    remedy="give one value per position",
                 )
                 return
         falling = np.flatnonzero(np.diff(self.positions) <= 0.0)

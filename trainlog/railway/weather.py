@@ -220,9 +220,14 @@ class Weather:
     def __post_init__(self) -> None:
         hold_arrays(self)
         if len({len(getattr(self, name)) for name in self.__dataclass_fields__}) != 1:
-            raise InputError("weather: its columns differ in length")
+            raise InputError(
+                "weather: its columns differ in length", remedy="give one value per row"
+            )
         if np.any(self.ends <= self.starts) or np.any(self.starts[1:] < self.ends[:-1]):
-            raise InputError("weather: rows must be ordered by time and must not overlap")
+            raise InputError(
+                "weather: rows must be ordered by time and must not overlap",
+                remedy="sort the rows; each ends before the next begins",
+            )
 
     def row_at(self, time: ArrayLike) -> IntArray:
         """Index of the row that holds at each time [ns since 1970 UTC]; -1 where none does."""

@@ -230,7 +230,9 @@ class ConsistPlant:
         '1.51 m/s'
         """
         if steps < 0:
-            raise InputError(f"{steps} steps: their number must not be negative")
+            raise InputError(
+                f"{steps} steps: their number must not be negative", remedy="give 0 steps or more"
+            )
         pull = self._shared(tractive_efforts, particles.PULL, "tractive")
         demand = self._shared(braking_efforts, particles.BRAKE, "braking")
         state.cursor = particles.advance(
@@ -291,7 +293,8 @@ class ConsistPlant:
         if each.shape != most.shape:
             raise InputError(
                 f"consist '{self.consist.name}': {each.size} {what} efforts for"
-                f" {most.size} vehicles"
+                f" {most.size} vehicles",
+                remedy="give one effort per vehicle",
             )
         if not np.all((each >= 0.0) & (each <= most * (1.0 + 1e-12))):
             row = int(np.argmin((each >= 0.0) & (each <= most * (1.0 + 1e-12))))
@@ -304,7 +307,9 @@ class ConsistPlant:
 
     def _check_step(self) -> None:
         if not (self.step > 0.0 and np.isfinite(self.step)):
-            raise InputError(f"a time step of {self.step} s is not positive")
+            raise InputError(
+                f"a time step of {self.step} s is not positive", remedy="give a step above 0 s"
+            )
         name = self.consist.name
         inertia = self._vehicles[:, particles.INERTIA]
         reduced = 1.0 / (1.0 / inertia[:-1] + 1.0 / inertia[1:])

@@ -66,19 +66,26 @@ def check_stops(line: Line, stops: tuple[Stop, ...]) -> None:
         If there are fewer than two, one lies beyond the line, or they are out of order.
     """
     if len(stops) < 2:
-        raise InputError(f"line '{line.name}': a trip needs two stops at least")
+        raise InputError(
+            f"line '{line.name}': a trip needs two stops at least",
+            remedy="name a departure and an arrival",
+        )
     for stop in stops:
         if not 0.0 <= stop.position <= line.length:
             raise InputError(
                 f"line '{line.name}': stop '{stop.station}' at km {stop.position / 1e3:.3f} lies"
-                f" beyond the line's end at km {line.length / 1e3:.3f}"
+                f" beyond the line's end at km {line.length / 1e3:.3f}",
+                remedy="give stops on the line",
             )
         if stop.departure < stop.arrival:
-            raise InputError(f"stop '{stop.station}': departure is before arrival")
+            raise InputError(
+                f"stop '{stop.station}': departure is before arrival", remedy="exchange its times"
+            )
     for first, second in pairwise(stops):
         if second.position <= first.position or second.arrival <= first.departure:
             raise InputError(
-                f"stops '{first.station}' and '{second.station}' are not in the order of travel"
+                f"stops '{first.station}' and '{second.station}' are not in the order of travel",
+                remedy="order the stops as they are passed",
             )
 
 

@@ -218,7 +218,8 @@ class Plant:
         relative = np.ones(axles.count) if axle_adhesion is None else np.asarray(axle_adhesion)
         if relative.shape != (axles.count,) or np.any(relative <= 0.0):
             raise InputError(
-                f"train '{train.name}': adhesion of the axles needs {axles.count} positive values"
+                f"train '{train.name}': adhesion of the axles needs {axles.count} positive values",
+                remedy="give one maximum adhesion per axle",
             )
         parameters = PlantParameters(
             mass=mass,
@@ -415,10 +416,14 @@ def check_train(train: Train, mass: float, rotating: float, power: float, step: 
     where = f"train '{train.name}'"
     if not (mass > 0.0 and power > 0.0 and step > 0.0):
         raise InputError(
-            f"{where}: mass {mass} kg, power {power} W and step {step} s must be positive"
+            f"{where}: mass {mass} kg, power {power} W and step {step} s must be positive",
+            remedy="give values above 0",
         )
     if axles.count < 1 or not axles.rotating_mass > 0.0:
-        raise InputError(f"{where}: needs at least one powered axle with a rotating mass")
+        raise InputError(
+            f"{where}: needs at least one powered axle with a rotating mass",
+            remedy="give the train axles with a rotating mass",
+        )
     if axles.count * axles.rotating_mass > rotating:
         raise InputError(
             f"{where}: {axles.count} powered axles of {axles.rotating_mass:g} kg rotating mass"
@@ -469,7 +474,10 @@ def rail_table(maximum_adhesion: StepProfile) -> FloatArray:
     if np.any((peak <= 0.0) | (peak >= 1.0)):
         bad = int(np.argmax((peak <= 0.0) | (peak >= 1.0)))
         at = maximum_adhesion.positions[bad] / 1e3
-        raise InputError(f"maximum adhesion {peak[bad]} at km {at:.3f} is not between 0 and 1")
+        raise InputError(
+            f"maximum adhesion {peak[bad]} at km {at:.3f} is not between 0 and 1",
+            remedy="give values such as 0.2",
+        )
     columns = [maximum_adhesion.positions, peak, *creep_coefficients(peak).T]
     return np.ascontiguousarray(np.column_stack(columns))
 
@@ -496,7 +504,10 @@ def curve_table(characteristic: AdhesionCharacteristic | None) -> FloatArray:
     found = characteristic.adhesion_at(slips, speeds[:, None])
     peaks = found.max(axis=1, keepdims=True)
     if not np.all((peaks > 0.0) & np.isfinite(peaks)):
-        raise InputError("adhesion characteristic: has no maximum above 0")
+        raise InputError(
+            "adhesion characteristic: has no maximum above 0",
+            remedy="give a characteristic with adhesion above 0",
+        )
     relative = found / peaks
     steepest = np.max(np.diff(relative, axis=1) / np.diff(slips), axis=1)
     units = speeds if over_creepage else np.ones(speeds.size)

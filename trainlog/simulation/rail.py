@@ -222,11 +222,19 @@ class Change:
     def __post_init__(self) -> None:
         place = f"change at km {self.start / 1e3:g} to {self.end / 1e3:g}"
         if not 0.0 <= self.start < self.end < np.inf:
-            raise InputError(f"{place}: a section ends after it starts, from km 0 on")
+            raise InputError(
+                f"{place}: a section ends after it starts, from km 0 on", remedy="write km=10:14"
+            )
         if not 0.1 <= self.factor <= 10.0:
-            raise InputError(f"{place}: factor {self.factor:g} is not between 0.1 and 10")
+            raise InputError(
+                f"{place}: factor {self.factor:g} is not between 0.1 and 10",
+                remedy="write factor=0.7 for 30 % less adhesion",
+            )
         if not 0.0 <= self.births <= 100.0:
-            raise InputError(f"{place}: births {self.births:g} is not between 0 and 100")
+            raise InputError(
+                f"{place}: births {self.births:g} is not between 0 and 100",
+                remedy="write spots=0.2 for a fifth of the usual ones",
+            )
 
 
 @dataclass(frozen=True, eq=False)

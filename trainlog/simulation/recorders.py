@@ -85,7 +85,10 @@ def write_recorder_csv(trip: Trip, path: str | Path, seed: int = 1) -> Defects:
         trip[topic.name] for topic in (TRAIN_STATE, TRAIN_CONTROLS, TRAIN_AXLES)
     )
     if len(state) < 600:
-        raise LogError(f"trip '{trip.name}' is too short for a recorder's file with gaps")
+        raise LogError(
+            f"trip '{trip.name}' is too short for a recorder's file with gaps",
+            remedy="simulate a longer trip",
+        )
     local = pd.DatetimeIndex(state.index).tz_convert(LOCAL_TIME)
     columns = {
         "Date": local.strftime("%d.%m.%Y"),

@@ -152,7 +152,10 @@ class Scenario:
 
     def __post_init__(self) -> None:
         if self.direction not in ("forward", "reverse"):
-            raise InputError(f"scenario '{self.name}': direction '{self.direction}' is unknown")
+            raise InputError(
+                f"scenario '{self.name}': direction '{self.direction}' is unknown",
+                remedy="give 'forward' or 'reverse'",
+            )
         if (self.trajectory is None) != (self.follows is None):
             raise InputError(
                 f"scenario '{self.name}': a trajectory and the driver who follows it go together",
@@ -321,7 +324,10 @@ def draw_scenarios(
     if count < 1:
         raise InputError(f"cannot draw {count} scenarios", remedy="give a count of 1 or more")
     if len(line.stations) < 2:
-        raise InputError(f"line '{line.name}' has fewer than two stations")
+        raise InputError(
+            f"line '{line.name}' has fewer than two stations",
+            remedy="give the line two stations or more",
+        )
     _check_brakes(train)
     sensors = sensors or Sensors()
     bases = {weather: base_map(line, weather, seed) for weather in ("dry", "wet")}
@@ -384,7 +390,10 @@ def draw_days(
         )
     line = rail.line
     if len(line.stations) < 2:
-        raise InputError(f"line '{line.name}' has fewer than two stations")
+        raise InputError(
+            f"line '{line.name}' has fewer than two stations",
+            remedy="give the line two stations or more",
+        )
     for train in trains:
         _check_brakes(train)
     seed = rail.seed if seed is None else seed

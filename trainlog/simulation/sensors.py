@@ -84,7 +84,7 @@ class Sensors:
         for name in self.__slots__:
             value = getattr(self, name)
             if value is not None and not np.all(np.asarray(value) >= 0.0):
-                raise InputError(f"sensors: {name} {value} is negative")
+                raise InputError(f"sensors: {name} {value} is negative", remedy="give 0 or more")
 
     def known(self) -> dict[str, Any]:
         """All fields by name, but those of a single train that are as of any other."""

@@ -94,7 +94,10 @@ class DriveSensors:
     def __post_init__(self) -> None:
         for name in self.__slots__:
             if not getattr(self, name) >= 0.0:
-                raise InputError(f"drive sensors: {name} {getattr(self, name)} is negative")
+                raise InputError(
+                    f"drive sensors: {name} {getattr(self, name)} is negative",
+                    remedy="give 0 or more",
+                )
 
 
 @dataclass
@@ -140,7 +143,8 @@ class TractionLoop:
         if self._hold < 1 or abs(self._hold * step - self.control.period) > 1e-9:
             raise InputError(
                 f"traction control '{self.control.name}': its period of {self.control.period} s is"
-                f" not a multiple of the plant's step of {step} s"
+                f" not a multiple of the plant's step of {step} s",
+                remedy="give a period of whole steps",
             )
         # Numbers of its own: those of the other sensors stay as they are.
         self._random = np.random.default_rng([self.seed, 13])
