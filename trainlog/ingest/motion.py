@@ -151,7 +151,7 @@ def moved_mass(time: FloatArray, speed: FloatArray, effort: FloatArray, sign: in
     --------
     >>> time = np.arange(0.0, 40.0)
     >>> float(round(moved_mass(time, 0.5 * time, np.full(40, 75e3))))
-    150000
+    150000.0
     """
     known = np.isfinite(speed)
     if np.count_nonzero(known) < ENOUGH or not np.any(effort > 0.0):
