@@ -34,46 +34,45 @@ if TYPE_CHECKING:
 
 
 SETTINGS: dict[str, tuple[Measure | tuple[str, ...], str]] = {
-    "load": (MASS.between(0.0), "without a parameter set: what the train carries; 0"),
+    "load": (MASS.between(0.0), "payload, without a parameter set; 0"),
     "objective": (
         ("wheel", "line", "expected"),
-        "traction at the wheel rims; or energy from the line, with efficiencies and what the"
-        " dynamic brake feeds back, at worst or as expected of the observed trips; wheel",
+        "energy at the wheel rims; or from the line, with efficiencies and regeneration, in the"
+        " worst case or expected over the observed trips; wheel",
     ),
     "braking": (
         ("recourse", "common"),
-        "each configuration brakes for itself, or all alike; recourse",
+        "by each configuration for itself, or alike for all; recourse",
     ),
     "protect": (
         ("front", "train"),
-        "speed limits hold for the train's front, or all of its length; front",
+        "speed limits hold for the train's front, or its whole length; front",
     ),
-    "initial-speed": (SPEED, "speed where it begins; 0"),
-    "final-speed": (SPEED, "speed where it ends, at most; 0"),
-    "dwell": (TIME.between(0.0), "with --stops: least standing time at a stop; 0"),
+    "initial-speed": (SPEED, "speed at the start; 0"),
+    "final-speed": (SPEED, "highest speed at the end; 0"),
+    "dwell": (TIME.between(0.0), "with --stops: shortest dwell time; 0"),
     "risk": (
         SHARE,
-        "with --map: probability, for each place and trip, that there is less adhesion than is"
-        " counted on, as the map expects it at the time of the run, such as 0.05",
+        "with --map: probability, per place and trip, of less adhesion than counted on at the"
+        " time of the run, such as 0.05",
     ),
     "sigmas": (
         NUMBER,
-        "with --map, in place of risk: standard deviations taken off its estimate; 2",
+        "with --map, in place of risk: standard deviations below its estimate; 2",
     ),
     "assumed-adhesion": (
         NUMBER,
-        "with --map: adhesion counted on where it has none; no limit there",
+        "with --map: adhesion where it has no estimate; no limit there",
     ),
     "cells": (
         COUNT.between(20.0, 20_000.0),
-        "cells of the grid, at least one for each step of the line; 500",
+        "cells of the grid, at least one per step of the line; 500",
     ),
     "time-limit": (
         TIME.between(0.1),
-        "time after which the best that was found is taken, with its gap; what has begun is"
-        " finished; of each section, with --stops",
+        "longest search, per section with --stops; then the best plan so far counts, with its gap",
     ),
-    "referee": (("no", "yes"), "solve it again with CasADi and IPOPT, and compare; no"),
+    "referee": (("no", "yes"), "solve it again with IPOPT, and compare; no"),
 }
 """What ``--set KEY=VALUE`` sets of a plan: how its value is read, and what it is."""
 
