@@ -202,13 +202,11 @@ def unrenewed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="session")
-def fleet_logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def fleet_logs(made_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
     """Logs of a few short trips, which tests of a fleet read and none changes."""
     from fleet_trips import TRIPS, short_trips
 
-    folder = tmp_path_factory.mktemp("fleet") / "logs"
-    short_trips(folder, TRIPS)
-    return folder
+    return made_once("fleet-logs", lambda folder: short_trips(folder, TRIPS))
 
 
 @pytest.fixture(scope="session")
