@@ -62,7 +62,6 @@ def import_(
     traction_curve: Path | None = None,
     braking_curve: Path | None = None,
     formation: str | None = None,
-    name: str | None = None,
     loaded: Annotated[float | None, PERCENT.between(0.0, 1.0)] = None,
     mass_model: Literal["mass_point", "homogeneous_strip"] | None = None,
     acceleration_limits: Literal["gross", "net"] | None = None,
@@ -98,9 +97,7 @@ def import_(
         The same of its dynamic brake.
     formation : VEHICLES
         A train of vehicles of these railtoolkit files, by id, from front to rear: 'DB_V90, 10
-        Facs124'.
-    name : NAME
-        With --formation: name of the train.
+        Facs124', or with a name of the train, 'ore: DB_V90, 10 Facs124'.
     loaded : SHARE
         Of a railtoolkit train: share of its load on board.
     mass_model : NAME
@@ -130,11 +127,10 @@ def import_(
         electrification, traction, braking, mass_model, acceleration_limits, curve_resistance,
         loaded, category, limit, gradients_known,
     )  # fmt: skip
-    if formation is None and name is not None:
-        raise InputError("--name is that of a formation", remedy="give --formation, too")
+    name, _, vehicles = (formation or "").rpartition(":")
     with output_folder(output):
         if formation is not None:
-            wrote(import_formation(files, formation, output, options, name).path)
+            wrote(import_formation(files, vehicles, output, options, name.strip() or None).path)
         for file in files if formation is None else ():
             for each in import_file(file, output, options):
                 wrote(each.path)
