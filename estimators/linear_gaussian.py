@@ -149,9 +149,9 @@ class LinearGaussian:
             observation, used, spread, np.ascontiguousarray(gate, dtype=np.float64),
             start, spread_at_start, means, covariances, innovations, sums, gains,
         )  # fmt: skip
-        found = Filtered(means, covariances, used)
-        if single:
-            found = Filtered(means[:, 0], covariances[:, 0], used[:, 0])
+        asked = np.asarray(measured, dtype=np.float64).reshape(used.shape)
+        parts = (means, covariances, asked, used, innovations, sums)
+        found = Filtered(*(each[:, 0] if single else each for each in parts))
         return found, (transition, step, observation, innovations, sums, gains)
 
 
@@ -163,19 +163,50 @@ class Filtered:
     ----------
     means : (n, series, d) or (n, d) array
     covariances : (n, series, d, d) or (n, d, d) array
-    used : (n, series, k) or (n, k) array
-        The measurements; NaN what was missing or left out.
+    measured, used : (n, series, k) or (n, k) array
+        The measurements; those used are NaN where one was missing or left out.
+    innovations, sums : (n, series, k) or (n, k) array
+        How far each departed from its prediction, and the variance of that.
     """
 
     means: FloatArray
     covariances: FloatArray
+    measured: FloatArray
     used: FloatArray
+    innovations: FloatArray
+    sums: FloatArray
 
     @property
     def std(self) -> FloatArray:
         """Standard deviation of each state, shaped like `means`."""
         variances = np.diagonal(self.covariances, axis1=-2, axis2=-1)
         return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
+
+    def log_likelihood(self, outlier: float = np.inf) -> float:
+        """Logarithm of the likelihood of the measurements, up to a constant a measurement.
+
+        Parameters
+        ----------
+        outlier : float
+            What a measurement that departs from its prediction costs at most, and what one costs
+            that was left out.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> model = LinearGaussian(np.ones((2, 1, 1)), np.zeros((2, 1, 1)), np.ones((1, 1, 1)))
+        >>> found = model.filter([[2.0], [4.0]], 1.0, [0.0], [[1.0]])
+        >>> round(found.log_likelihood(), 3)  # -(4/2 + 9/1.5 + log 3) / 2
+        -4.549
+        """
+        used = np.isfinite(self.used)
+        left_out = np.isfinite(self.measured) & ~used
+        sums = self.sums[used]
+        cost = np.minimum(0.5 * self.innovations[used] ** 2 / sums, outlier)
+        unseen = float(np.count_nonzero(left_out))
+        usual = 0.5 * float(np.median(np.log(sums))) if sums.size else 0.0
+        seen = float(np.sum(cost + 0.5 * np.log(sums)))
+        return -seen - (unseen * (outlier + usual) if unseen else 0.0)
 
 
 def random_walk_slope(
