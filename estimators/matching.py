@@ -12,9 +12,7 @@ the distance along the road against that between the fixes, where no speed was m
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numba import njit
@@ -40,17 +38,6 @@ STEP_PENALTY, STEP_LENGTH = 8.0, 50.0
 """What a link forward costs at most, in the unit of `REWARD`: the first and, for every so many
 metres by which it departs from the distance driven, 1 more. Speeds may be wrong and receivers
 step; fixes in a row that go with each other outweigh that."""
-
-OFF_PENALTY, OFF_REWARD = 8.0, 1.1
-"""What it costs that a receiver holds, replays or reflects its fixes for a while, and what each fix
-of it is worth: they go with each other, if not with the train, nearly as well as others do, which
-are worth 1.5 in the mean."""
-
-SURE_WAY = 200.0
-"""Standard deviation of a distance driven [m] beyond which it shows nothing of a receiver."""
-
-DELAY = 2.0
-"""Standard deviation of the delay of a speed [s], before it is known."""
 
 REVERSAL, ABSENCE = 8.0, 15.0
 """What it costs, in the unit of `REWARD`, to turn round where the train stood, and to come back
@@ -153,8 +140,6 @@ class EdgeNodes:
     driven, driven_variance : (n,) arrays [m], [m²]
         Distance driven since the first, NaN throughout where no speed is known; its variance,
         growing.
-    pace : (n,) array [m/s]
-        The speed; NaN throughout where it is not to show that the receiver was off for a while.
     stood : (n,) bool array
         Whether the train may have stood between the fix before and this one.
     first : (n + 1,) int array
@@ -170,7 +155,6 @@ class EdgeNodes:
     std: FloatArray
     driven: FloatArray
     driven_variance: FloatArray
-    pace: FloatArray
     stood: BoolArray
     first: IntArray
     edge: IntArray
@@ -180,7 +164,7 @@ class EdgeNodes:
     def between(self, first: int, last: int) -> EdgeNodes:
         """The fixes from one to before another."""
         low, high = int(self.first[first]), int(self.first[last])
-        of_fix = ("seconds", "east", "north", "std", "driven", "driven_variance", "pace", "stood")
+        of_fix = ("seconds", "east", "north", "std", "driven", "driven_variance", "stood")
         return EdgeNodes(
             **{name: getattr(self, name)[first:last] for name in of_fix},
             first=self.first[first : last + 1] - low,
@@ -234,8 +218,7 @@ def best_chain(
 
     Each fix in the chain is worth `reward`, less half its squared distance from the edge and half
     the squared difference between chainage gained and distance driven, both over their variances;
-    passing junctions costs nothing. Fixes left out are worth nothing, or, where many follow each
-    other, as much as others less what it costs that a receiver is off for a while.
+    passing junctions costs nothing. Fixes left out are worth nothing.
 
     Parameters
     ----------
@@ -259,7 +242,7 @@ def best_chain(
     >>> x = np.array([20.0, 60.0, 110.0, 160.0])
     >>> nodes = EdgeNodes(
     ...     seconds=np.arange(4.0), east=x, north=np.zeros(4), std=np.full(4, 3.0), driven=x,
-    ...     driven_variance=np.arange(4.0), pace=np.full(4, 40.0), stood=np.zeros(4, dtype=bool),
+    ...     driven_variance=np.arange(4.0), stood=np.zeros(4, dtype=bool),
     ...     first=np.array([0, 1, 2, 4, 6]), edge=np.array([0, 0, 1, 2, 1, 2]),
     ...     chainage=np.array([20.0, 60.0, 10.0, 10.0, 60.0, 60.0]),
     ...     distance=np.array([0.0, 0.0, 1.0, 1.0, 9.0, 1.0]),
@@ -272,7 +255,7 @@ def best_chain(
     away = np.cumsum(np.diff(n.first) == 0).astype(np.int64)
     other = left_out or LeftOut(-1, np.inf, -np.inf, between)
     worth, before, link = _viterbi(
-        n.seconds, n.east, n.north, n.std, n.driven, n.driven_variance, n.pace,
+        n.seconds, n.east, n.north, n.std, n.driven, n.driven_variance,
         np.cumsum(n.stood).astype(np.int64), away, n.first, n.edge, n.chainage, n.distance,
         graph.lengths, between.row, between.distance, other.between.row, other.between.distance,
         other.course, other.begin, other.end, absence, reward,
@@ -294,28 +277,6 @@ def best_chain(
     )  # fmt: skip
 
 
-def off_between(nodes: EdgeNodes, chain: Chain) -> Iterator[tuple[int, int]]:
-    """Pairs of fixes of a chain on one edge between which the receiver was off.
-
-    It was where so many fixes are left out that this is likelier than their being wrong one by one,
-    and distance and speed agree from the one before to the one after.
-    """
-    if np.isnan(nodes.driven).any():
-        return
-    eligible = np.cumsum(np.diff(nodes.first) > 0)
-    place = np.where(chain.course % 2, -1.0, 1.0) * nodes.chainage[chain.candidate]
-    for number, (before, after) in enumerate(pairwise(chain.node.tolist())):
-        left_out = int(eligible[after] - eligible[before]) - 1
-        if left_out * OFF_REWARD <= OFF_PENALTY:
-            continue
-        apart = place[number + 1] - place[number] - (nodes.driven[after] - nodes.driven[before])
-        variance = nodes.std[before] ** 2 + nodes.std[after] ** 2
-        variance += nodes.driven_variance[after] - nodes.driven_variance[before]
-        variance += (DELAY * (nodes.pace[after] - nodes.pace[before])) ** 2
-        if variance < SURE_WAY**2 and 0.5 * apart**2 < (OFF_PENALTY + REWARD) * variance:
-            yield before, after
-
-
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _viterbi(
     seconds: FloatArray,
@@ -324,7 +285,6 @@ def _viterbi(
     std: FloatArray,
     driven: FloatArray,
     driven_variance: FloatArray,
-    pace: FloatArray,
     stood: IntArray,
     away: IntArray,
     first: IntArray,
@@ -361,17 +321,12 @@ def _viterbi(
             elapsed = seconds[i] - seconds[j]
             noise = std[i] ** 2 + std[j] ** 2
             variance = noise
-            off = 0.0
             if np.isnan(driven[i]):
                 step = np.hypot(east[i] - east[j], north[i] - north[j])
                 variance += (TURN_SHARE * step) ** 2 + (IDLE_SPEED * elapsed) ** 2
             else:
                 step = driven[i] - driven[j]
                 variance += driven_variance[i] - driven_variance[j]
-                if not np.isnan(pace[i]):
-                    variance += (DELAY * (pace[i] - pace[j])) ** 2
-                    if variance < SURE_WAY**2:
-                        off = max((seen - 1) * OFF_REWARD - OFF_PENALTY, 0.0)
             behind = -3.0 * np.sqrt(noise)
             most = FASTEST * elapsed + 4.0 * np.sqrt(variance)
             may_turn = stood[i] > stood[j]
@@ -388,7 +343,7 @@ def _viterbi(
                             continue
                         for was in range(2):
                             source = worth[2 * d + was]
-                            if own + source + off <= worth[to]:
+                            if own + source <= worth[to]:
                                 continue
                             kind = 0
                             gained = np.inf
@@ -414,9 +369,7 @@ def _viterbi(
                                     gap = ahead[row[2 * f + was], 2 * e + way]
                                 gained = rest + gap + begun
                             if gained <= most:
-                                # A receiver is off for a while only if fixes and speed agree
-                                # across it.
-                                penalty = 0.5 * (gained - step) ** 2 / variance - off
+                                penalty = 0.5 * (gained - step) ** 2 / variance
                                 if gained > behind:
                                     cap = STEP_PENALTY + np.abs(gained - step) / STEP_LENGTH
                                     penalty = min(penalty, cap)

@@ -208,6 +208,9 @@ FIELD = {
     "held fixes": Field(places="held"),
     "replayed fixes": Field(places="replayed"),
     "jumping fixes": Field(places="jumping"),
+    "a phone that replays": Field(
+        noise=8.0, stated=0.5, speed="replayed", speed_stated=0.0, places="replayed"
+    ),
     "a cold start": Field(places="cold start"),
     "a phone": Field(
         noise=8.0, memory=60.0, stated=0.3, extrapolated=4.0, speed="replayed", speed_stated=0.0
@@ -242,6 +245,29 @@ def test_bands_hold_whatever_the_receiver_does(
         assert held >= 0.88, f"{quantity}: the band holds {held:.1%}"
         if quantity == "position":
             assert np.median(np.abs(error)) < 10.0
+
+
+@pytest.mark.parametrize("interval", [0.2, 1.0])
+def test_fixes_that_are_late_are_brought_forward(interval: float, field_rides: list[tuple]) -> None:
+    for seed, (track, run) in enumerate(field_rides):
+        late = Field(interval=interval, places="late")
+        trip, truth = receive(track, run, late, 21 + seed)
+        found = estimated(trip, track)
+        assert found.frame is not None
+        error, std = errors(found.frame, truth, "position")
+        # Late by 4.5 s in the mean: by 60 to 170 m at the speeds of these trains.
+        assert np.median(np.abs(error)) < 15.0
+        assert np.mean(np.abs(error) <= 1.96 * std) > 0.6
+        assert float(found.metadata["receiver.lateness"]) > 1.0
+        assert any("brought forward" in finding.note for finding in found.findings)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_fixes_on_time_stay(seed: int, field_rides: list[tuple]) -> None:
+    track, run = field_rides[seed % 3]
+    speed = ("good", "lasting")[seed % 2]
+    found = estimated(receive(track, run, Field(memory=60.0, speed=speed), 31 + seed)[0], track)
+    assert "receiver.lateness" not in found.metadata
 
 
 def test_late_and_frozen_speeds_are_reported(field_rides: list[tuple]) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as t_distribution
 
-from estimators.matching import EdgeGraph, LeftOut, best_chain, distances, off_between
+from estimators.matching import EdgeGraph, LeftOut, best_chain, distances
 from estimators.motion import (
     ACCELERATION_TIME,
     LASTING_TIME,
@@ -37,6 +37,7 @@ from estimators.receiver import (
     structure,
     white_noise,
 )
+from estimators.receiver_states import SPACING, lateness, receiver_states
 from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
 from trainlog.errors import InputError
 from trainlog.ingest.clock import Result
@@ -44,6 +45,7 @@ from trainlog.ingest.matching import GEOMETRY_STD, EdgeTracks, edge_nodes, rough
 from trainlog.ingest.motion import ENOUGH, GATE, MOVING, POSITION, held, scale_of
 from trainlog.ingest.profile import Profile, Quantity
 from trainlog.ingest.receiver import (
+    LOSS_DENSITY,
     ODOMETER_STD,
     Driven,
     Fixes,
@@ -84,6 +86,18 @@ MOST_ASIDE = 0.5
 DRIFT = 0.1
 """Random walk [m/√s] of the chainage beyond the integral of the speed: curves cut short by the
 geometry."""
+
+OLDEST = 12.0
+"""Age [s] up to which fixes may be late throughout, and from which on they are old ones."""
+
+REPLAYED = 3
+"""Age [s] from which on a fix of a receiver that is not late throughout is an old one."""
+
+ELSEWHERE = 50.0
+"""Misfit of line and fixes [m] from which on places along the line show nothing of a receiver."""
+
+BEHIND = 4_000.0
+"""Distance [m] behind the train at which old fixes are looked for."""
 
 TURNS = 5
 """Times the fixes are projected and the motion is smoothed."""
@@ -156,6 +170,8 @@ class OnLine:
         NaN where there is none.
     computed : (n,) bool array
         Fixes that the receiver did not measure then: extrapolated, held or replayed ones.
+    misplaced : (n,) bool array
+        Fixes that are elsewhere while the speeds go on.
     slipping : (n,) bool array
         Wheel speeds that are not trusted.
     misfit : float [m]
@@ -167,6 +183,11 @@ class OnLine:
         As estimated on this trip [m], [m/s].
     along_std : float [m]
         Of a further noise of the positions, along the line alone: fixes that come late.
+    caught_up, late_std : (n,) array [m]
+        How far the train was ahead of each fix when it came, where the receiver is late throughout,
+        and its standard deviation.
+    lateness : float [s]
+        Mean of how late the fixes are while the train moves; 0 where they are not.
     delay : float [s]
         By which the satellite speed came later than the fixes; it was put back by it.
     common_delay : Delay
@@ -183,9 +204,11 @@ class OnLine:
         self.known = np.isfinite(points)
         self.near, distance = nearest_on(track, points)
         self.aside = np.zeros(points.size, dtype=np.bool_)
-        self.judged = self.aside
+        self.judged = self.misplaced = self.aside
         self.reasons_aside: Counter[str] = Counter()
         self.along_std = self.delay = 0.0
+        self.caught_up, self.late_std = np.zeros((2, points.size))
+        self.lateness = 0.0
         self.common_delay = Delay(0.0, 0.0)
         self.speed_noise: ReceiverNoise | None = None
         self.position_noise = ReceiverNoise(1.0, 0.0, LASTING_TIME)
@@ -206,7 +229,7 @@ class OnLine:
         if speed_aware:
             self._set_doubtful_aside()
         fitting, course = self._roughly(speed_aware)
-        self.known = np.isfinite(points)
+        self.known = np.isfinite(points) & ~self.misplaced
         self.motion = self._run(course, fitting)
         lost = int(np.count_nonzero(self.rejected | self.computed))
         if gated and lost > MOST_ASIDE * count:
@@ -269,20 +292,31 @@ class OnLine:
         driven = distance_driven(self.fixes, slip_aware=self.slip_aware)
         self.slipping = driven.slipping
         chain = self._chain(std, driven)
-        seconds, nodes = self.fixes.seconds, np.flatnonzero(np.isfinite(chain))
-        course = np.interp(seconds, seconds[nodes], chain[nodes])
-        if np.isfinite(driven.distance).all():
-            off = chain[nodes] - driven.distance[nodes]
-            course = driven.distance + np.interp(seconds, seconds[nodes], off)
+        seconds = self.fixes.seconds
+        course = self._course(chain)
         chainage, aside = beside(self.track, self.points, course)
+        judged = speed_aware and np.count_nonzero(np.isfinite(self.fixes.speed)) > 1
+        if judged:
+            self._put_speeds_back(chainage)
+            if self.gated and np.isfinite(driven.distance).all():
+                chainage = self._judge_fixes(chainage, aside, course, std)
+                course = self._course(chainage)
+        aside = np.where(np.isfinite(chainage), aside, np.nan)
         spread = robust_std(aside[~np.isnan(aside)])
-        fitting = np.isfinite(self.points)
+        fitting = np.isfinite(chainage)
         if self.gated:
-            fitting &= np.hypot(aside, chainage - course) < GATE * np.hypot(spread, std)
+            unsure = np.hypot(std, self.late_std)
+            fitting &= (
+                np.hypot(
+                    aside / np.hypot(spread, std), (chainage - course) / np.hypot(spread, unsure)
+                )
+                < GATE
+            )
         if speed_aware:
             fit = np.where(fitting, chainage, np.nan)
-            if np.count_nonzero(np.isfinite(self.fixes.speed)) > 1:
-                self._compare_speeds(fit, max(spread, SMALLEST_NOISE[0]))
+            if judged:
+                flags = contradicted(seconds, fit, self.fixes.speed, max(spread, SMALLEST_NOISE[0]))
+                self._without_speeds("contradicted", flags)
             self.common_delay = common_delay(self.fixes, fit)
             if self.common_delay.value > 0.0:
                 self.fixes = self.fixes.with_late_wheels(self.common_delay.value)
@@ -290,8 +324,17 @@ class OnLine:
                 self.slipping = again.slipping
         return fitting, course
 
-    def _compare_speeds(self, chainage: FloatArray, std: float) -> None:
-        """Put late speeds back, and set aside those that do not go with the chainage."""
+    def _course(self, chainage: FloatArray) -> FloatArray:
+        """A chainage at every row [m], between those that are known by the distance driven."""
+        seconds = self.fixes.seconds
+        driven = distance_driven(self.fixes, slip_aware=self.slip_aware).distance
+        nodes = np.flatnonzero(np.isfinite(chainage))
+        if not np.isfinite(driven).all():
+            return np.asarray(np.interp(seconds, seconds[nodes], chainage[nodes]))
+        return driven + np.interp(seconds, seconds[nodes], (chainage - driven)[nodes])
+
+    def _put_speeds_back(self, chainage: FloatArray) -> None:
+        """Put speeds that come later than the fixes back by their delay."""
         seconds, used = self.fixes.seconds, self.fixes.speed
         self.delay = delay_of(seconds, chainage, used)
         if self.delay:
@@ -301,14 +344,56 @@ class OnLine:
             _, missing = integral(seconds, used)
             whole = np.interp(at, seconds, missing) - missing < 1e-6
             inside = (at <= seconds[known[-1]]) & whole & np.isfinite(used)
-            used = np.where(inside, put_back, np.nan)
-            self.fixes = replace(self.fixes, speed=used)
-        self._without_speeds("contradicted", contradicted(seconds, chainage, used, std))
+            self.fixes = replace(self.fixes, speed=np.where(inside, put_back, np.nan))
+
+    def _judge_fixes(
+        self, chainage: FloatArray, aside: FloatArray, course: FloatArray, std: FloatArray
+    ) -> FloatArray:
+        """Where the train was when each fix came [m]; NaN for old and wrong ones.
+
+        By the speeds; those of a receiver that is late throughout are brought forward.
+        """
+        seconds, track = self.fixes.seconds, self.track
+        driven = distance_driven(self.fixes, slip_aware=self.slip_aware)
+        if self.misfit > ELSEWHERE:
+            # Places on another line show nothing of the receiver.
+            return chainage
+        # An old place is a place of the track far behind the train.
+        _, distance = nearest_on(track, self.points)
+        behind = (np.abs(aside) > 3.0 * std) & (distance < 3.0 * std)
+        behind &= (self.near < course) & (self.near > course - BEHIND)
+        chainage = np.where(behind, self.near, chainage)
+        pace, known = self.fixes.any_speed, np.isfinite(self.fixes.any_speed)
+        pace = np.interp(seconds, seconds[known], pace[known])
+        step = np.diff(seconds[known], prepend=seconds[known][0])
+        lost = np.cumsum(LOSS_DENSITY * step**3 / 12.0)
+        unsure = np.interp(seconds, seconds[known], lost)
+        found = receiver_states(seconds, chainage, std, driven.distance, unsure)
+        short, moving = found.age <= OLDEST, np.isfinite(chainage) & (pace > MOVING)
+        evident = bool(np.mean((short & (found.age > 0))[moving]) > 0.5) if moving.any() else False
+        seen = series_of(seconds, np.where(short, chainage - driven.distance, np.nan), SPACING)
+        at = seen.seconds
+        parts = (np.interp(at, seconds, each) for each in (pace, unsure, std))
+        late = lateness(at, seen.values, *parts, evident=evident)
+        if late is not None:
+            age, spread = (np.interp(seconds, at, each) for each in late)
+            then = np.interp(seconds - age, seconds, driven.distance)
+            self.caught_up = driven.distance - then
+            self.late_std = spread * pace
+            self.lateness = float(np.mean(age[moving])) if moving.any() else 0.0
+            chainage = chainage + self.caught_up
+            found = receiver_states(
+                seconds, chainage, np.hypot(std, self.late_std), driven.distance, unsure
+            )
+        self._without_speeds("contradicted", found.doubted)
+        old = found.age >= REPLAYED
+        self.computed |= old & np.isfinite(self.points)
+        self.points[old] = np.nan
+        self.misplaced = found.wrong & ~old
+        return np.where(old | self.misplaced, np.nan, chainage)
 
     def _chain(self, std: FloatArray, driven: Driven) -> FloatArray:
         """Chainage of the fixes in the best chain, NaN for all others.
-
-        Fixes while the receiver is off become computed ones.
 
         Raises
         ------
@@ -323,11 +408,7 @@ class OnLine:
         graph = EdgeGraph(self.track.positions[-1:], np.zeros((0, 2), dtype=np.int64))
         edges = EdgeTracks(graph, (self.track,), self.track.origin)
         found = places.owner, one, places.chainage, places.distance
-        pace = fixes.any_speed
-        moving = np.isfinite(pace)
-        if moving.any():
-            pace = np.interp(fixes.seconds, fixes.seconds[moving], pace[moving])
-        nodes = edge_nodes(edges, fixes, chosen, std[chosen], driven, found, pace)
+        nodes = edge_nodes(edges, fixes, chosen, std[chosen], driven, found)
         # On a line the train does not turn round.
         nodes = replace(nodes, stood=np.zeros(chosen.size, dtype=np.bool_))
         between = distances(graph, np.zeros(1, dtype=np.int64))
@@ -357,13 +438,6 @@ class OnLine:
             )
         chainage = np.full(self.points.size, np.nan)
         chainage[chosen[chain.node]] = nodes.chainage[chain.candidate]
-        off = np.zeros(self.points.size, dtype=np.bool_)
-        for before, after in off_between(nodes, chain):
-            off[chosen[before] + 1 : chosen[after]] = True
-        off &= np.isfinite(self.points)
-        self.computed |= off
-        if self.gated:
-            self.points[off] = np.nan
         return chainage
 
     # -------------------------------------------------------------- the motion, turn by turn
@@ -374,7 +448,8 @@ class OnLine:
         position, pace = course, np.gradient(course, seconds)
         motion = None
         for turn in range(TURNS):
-            chainage, aside = beside(self.track, self.points, position)
+            chainage, aside = beside(self.track, self.points, position - self.caught_up)
+            chainage += self.caught_up
             before = self.chainage
             if motion is not None and self.gated:
                 fitting = self.known & ~self._departs(chainage, aside, motion)
@@ -387,7 +462,9 @@ class OnLine:
             last = position
             if turn < 3:
                 self._size_along(
-                    np.where(np.abs(aside) < GATE * self._usual(aside), chainage, np.nan)
+                    np.where(
+                        self.known & (np.abs(aside) < GATE * self._usual(aside)), chainage, np.nan
+                    )
                 )
             motion = self._smoothed()
             position, pace = motion.position, motion.speed
@@ -402,7 +479,8 @@ class OnLine:
         late = LATE_SHARE * self.along_std
         return replace(
             found,
-            position_std=np.hypot(found.position_std, late),
+            # No number of fixes that are late together shows by how much.
+            position_std=np.hypot(np.hypot(found.position_std, late), self.late_std),
             speed_std=np.hypot(found.speed_std, late / LASTING_TIME),
         )
 
@@ -550,7 +628,7 @@ class OnLine:
         had been driven, should be 0, and so should their rate. Whatever the receiver's errors are
         like, those along the track are like them.
         """
-        _, aside = beside(self.track, self.points, motion.position)
+        _, aside = beside(self.track, self.points, motion.position - self.caught_up)
         fitting = np.isfinite(self.chainage)
         if np.count_nonzero(fitting) < LEAST_CALIBRATED:
             return motion
@@ -583,7 +661,7 @@ class OnLine:
             wheels = (np.where(self.slipping, np.nan, wheels) * factor)[rows]
             # White noise of this size carries as much, taken together, as errors that last.
             wheel_std = (wheel_std * np.sqrt(max(1.0, 2.0 * WHEEL_TIME / step)))[rows]
-        lasting = self.unsure * noise.lasting * self.relative
+        lasting = np.hypot(self.unsure * noise.lasting * self.relative, self.late_std)
         return smooth_motion(
             fixes.seconds[rows],
             speed[rows] * factor,
@@ -608,7 +686,7 @@ class OnLine:
     ) -> BoolArray:
         """Fixes that do not go with the motion, along the line or beside it."""
         std = self._usual(aside)
-        spread = np.sqrt(std**2 + motion.position_std**2 + self.along_std**2)
+        spread = np.sqrt(std**2 + motion.position_std**2 + self.along_std**2 + self.late_std**2)
         along = (chainage - motion.position) / spread
         departure = np.hypot(along, aside / std)
         departure[_ends(self.track, chainage, std)] = np.inf
@@ -847,12 +925,19 @@ def _findings(fixes: Fixes, matched: OnLine) -> tuple[Finding, ...]:
     """What was set aside, by rule."""
     count = int(np.count_nonzero(matched.computed))
     computed = f"{count} extrapolated, held or replayed by the receiver" if count else ""
+    late_by = f"{matched.lateness:.1f} s in the mean; brought forward by the speeds"
     # A delay of fixes and speeds together concerns every speed.
     late = np.isfinite(fixes.speed) & (matched.common_delay.value > 0.0)
     counts = (
         ("contradicted", matched.contradicted | late, "/gnss/motion.speed", matched.reasons),
         ("off_line", matched.rejected | matched.computed, "/gnss/fix", computed),
         ("slip", matched.slipping, "/train/state.speed", ""),
+        (
+            "contradicted",
+            np.isfinite(matched.chainage) & (matched.lateness > 0.0),
+            "/gnss/fix",
+            late_by,
+        ),
     )
     return tuple(
         Finding(rule, int(np.count_nonzero(flags)), (), column, note)
@@ -874,6 +959,8 @@ def _noise_of(matched: OnLine) -> dict[str, str]:
     if matched.speed_noise is not None:
         found["receiver.speed_std"] = f"{matched.speed_noise.std:.2f}"
         found["receiver.speed_time"] = f"{matched.speed_noise.time:.0f}"
+    if matched.lateness:
+        found["receiver.lateness"] = f"{matched.lateness:.1f}"
     if matched.delay:
         found["receiver.speed_delay"] = f"{matched.delay:g}"
     if matched.common_delay.value > 0.0:

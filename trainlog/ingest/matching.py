@@ -130,7 +130,6 @@ def edge_nodes(
     std: FloatArray,
     driven: Driven,
     found: tuple[IntArray, IntArray, FloatArray, FloatArray],
-    pace: FloatArray | None = None,
 ) -> EdgeNodes:
     """Some fixes with their candidates.
 
@@ -145,8 +144,6 @@ def edge_nodes(
     driven : Driven
     found : (owner, edge, chainage, distance)
         Their candidates, in order of their owners.
-    pace : array [m/s], optional
-        The speed at every fix, where it is to show that the receiver was off.
     """
     points = to_plane(fixes.latitude[chosen], fixes.longitude[chosen], edges.origin)
     owner, edge, chainage, apart = found
@@ -158,7 +155,6 @@ def edge_nodes(
         std=std,
         driven=driven.distance[chosen],
         driven_variance=driven.variance[chosen],
-        pace=np.full(chosen.size, np.nan) if pace is None else pace[chosen],
         stood=_stood(fixes, chosen, points),
         first=np.concatenate(([0], np.cumsum(counts))),
         edge=edge,

@@ -106,7 +106,7 @@ less than this part of that along the track."""
 LEAST_COMPARED = 60
 """Fixes from which on they judge speeds."""
 
-DELAYS = np.arange(-2.0, 12.1, 0.5)
+DELAYS = np.arange(0.0, 12.1, 0.5)
 """Delays of the speed behind the positions that are tried [s]."""
 
 UNCHECKED_DENSITY = 5.0
