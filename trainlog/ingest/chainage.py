@@ -50,7 +50,6 @@ from trainlog.ingest.receiver import (
     Driven,
     Fixes,
     common_delay,
-    contradicted,
     delay_of,
     distance_driven,
     extrapolated,
@@ -292,7 +291,6 @@ class OnLine:
         driven = distance_driven(self.fixes, slip_aware=self.slip_aware)
         self.slipping = driven.slipping
         chain = self._chain(std, driven)
-        seconds = self.fixes.seconds
         course = self._course(chain)
         chainage, aside = beside(self.track, self.points, course)
         judged = speed_aware and np.count_nonzero(np.isfinite(self.fixes.speed)) > 1
@@ -314,9 +312,6 @@ class OnLine:
             )
         if speed_aware:
             fit = np.where(fitting, chainage, np.nan)
-            if judged:
-                flags = contradicted(seconds, fit, self.fixes.speed, max(spread, SMALLEST_NOISE[0]))
-                self._without_speeds("contradicted", flags)
             self.common_delay = common_delay(self.fixes, fit)
             if self.common_delay.value > 0.0:
                 self.fixes = self.fixes.with_late_wheels(self.common_delay.value)

@@ -10,12 +10,11 @@ that is set aside; a step of the positions alone, with speeds that go on, is the
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from numba import njit
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from estimators.receiver import (
@@ -450,16 +449,15 @@ def delay_of(seconds: FloatArray, along: FloatArray, speed: FloatArray) -> float
 
 
 def contradicted(
-    seconds: FloatArray, places: NDArray[Any], speed: FloatArray, std: float
+    seconds: FloatArray, places: ComplexArray, speed: FloatArray, std: float
 ) -> BoolArray:
-    """Speeds whose integral departs from the positions over some window.
+    """Speeds that are too low for the distance between their fixes, or far too high.
 
     Parameters
     ----------
     seconds : (n,) array [s]
-    places : (n,) array [m]
-        Chainage, or, as complex points of the plane, where no line is known: then a speed is only
-        found to be too low for the distance between its fixes, or far too high.
+    places : (n,) complex array [m]
+        In a plane.
     speed : (n,) array [m/s]
     std : float [m]
         Of a position.
@@ -470,7 +468,7 @@ def contradicted(
     >>> time = np.arange(0.0, 400.0)
     >>> speed = np.full(400, 20.0)
     >>> speed[100:200] = 12.0
-    >>> found = np.flatnonzero(contradicted(time, 20.0 * time, speed, std=3.0))
+    >>> found = np.flatnonzero(contradicted(time, 20.0 * time + 0j, speed, std=3.0))
     >>> bool(90 <= found[0] <= 105), bool(195 <= found[-1] <= 210)
     (True, True)
     """
@@ -494,22 +492,17 @@ def contradicted(
         first, second = first[whole], second[whole]
         by_speed = along[second] - along[first]
         moved = fixes.values[second] - fixes.values[first]
-        noise = GATE * np.sqrt(2.0) * std + STEEPEST_ERROR * np.abs(by_speed)
-        if np.iscomplexobj(moved):
-            chord = np.abs(moved)
-            # As well as they usually agree over so long: what lasts is the same at both ends.
-            driving = by_speed > MOVING * window
-            usual = robust_std((chord - by_speed)[driving]) if driving.any() else std
-            least = GATE * max(usual, LEAST_STD) + STEEPEST_ERROR * np.abs(by_speed)
-            noise = np.minimum(noise, least)
-            late = np.minimum(np.abs(pace[second] - pace[first]), STEEPEST * window)
-            late *= LATEST
-            wrong = chord - by_speed > noise + late
-            for share, longest in LEAST_CHORDS:
-                if window <= longest:
-                    wrong |= share * by_speed - chord > noise + late
-        else:
-            wrong = np.abs(moved - by_speed) > noise
+        chord = np.abs(moved)
+        # As well as they usually agree over so long: what lasts is the same at both ends.
+        driving = by_speed > MOVING * window
+        usual = robust_std((chord - by_speed)[driving]) if driving.any() else std
+        size = min(np.sqrt(2.0) * std, max(usual, LEAST_STD))
+        noise = GATE * size + STEEPEST_ERROR * np.abs(by_speed)
+        noise += LATEST * np.minimum(np.abs(pace[second] - pace[first]), STEEPEST * window)
+        wrong = chord - by_speed > noise
+        for share, longest in LEAST_CHORDS:
+            if window <= longest:
+                wrong |= share * by_speed - chord > noise
         bad |= covered(first[wrong], second[wrong] + 1, time.size)
     if not bad.any():
         return flags
@@ -517,14 +510,11 @@ def contradicted(
     return np.asarray(inside & np.isfinite(speed))
 
 
-def _breaks(time: FloatArray, places: NDArray[Any], along: FloatArray, std: float) -> BoolArray:
+def _breaks(time: FloatArray, places: ComplexArray, along: FloatArray, std: float) -> BoolArray:
     """Where the positions step while the speed goes on: before which value."""
     steps = np.diff(time, prepend=time[0] - 1.0)
-    change = np.diff(places, prepend=places[0])
     by_speed = np.diff(along, prepend=along[0])
-    apart = np.abs(change - by_speed)
-    if np.iscomplexobj(places):
-        apart = np.abs(np.abs(change) - by_speed)
+    apart = np.abs(np.abs(np.diff(places, prepend=places[0])) - by_speed)
     close = steps < 3.0
     usual = robust_std(apart[close]) if close.any() else std
     far = close & (apart > max(GATE * usual, std))
