@@ -201,7 +201,7 @@ class OnLine:
         self.track = track = track_of(geometry)
         self.points = points = track.plane(fixes.latitude, fixes.longitude)
         self.known = np.isfinite(points)
-        self.near, distance = nearest_on(track, points)
+        self.near, self.apart = nearest_on(track, points)
         self.aside = np.zeros(points.size, dtype=np.bool_)
         self.judged = self.misplaced = self.aside
         self.reasons_aside: Counter[str] = Counter()
@@ -213,11 +213,11 @@ class OnLine:
         self.position_noise = ReceiverNoise(1.0, 0.0, LASTING_TIME)
         self.chainage = np.full(points.size, np.nan)
         count = np.count_nonzero(self.known)
-        std, self.misfit = rough_noise(fixes.std, distance)
+        std, self.misfit = rough_noise(fixes.std, self.apart)
         if self.misfit > MAX_MISFIT:
             raise InputError(
                 f"half of the {count} fixes lie"
-                f" {np.nanmedian(distance) / 1e3:.1f} km or more from the line",
+                f" {np.nanmedian(self.apart) / 1e3:.1f} km or more from the line",
                 remedy="give the line that was driven",
             )
         self.computed = extrapolated(fixes.seconds, points) | kept_on(fixes.seconds, points, std)
@@ -348,14 +348,13 @@ class OnLine:
 
         By the speeds; those of a receiver that is late throughout are brought forward.
         """
-        seconds, track = self.fixes.seconds, self.track
+        seconds = self.fixes.seconds
         driven = distance_driven(self.fixes, slip_aware=self.slip_aware)
         if self.misfit > ELSEWHERE:
             # Places on another line show nothing of the receiver.
             return chainage
         # An old place is a place of the track far behind the train.
-        _, distance = nearest_on(track, self.points)
-        behind = (np.abs(aside) > 3.0 * std) & (distance < 3.0 * std)
+        behind = (np.abs(aside) > 3.0 * std) & (self.apart < 3.0 * std)
         behind &= (self.near < course) & (self.near > course - BEHIND)
         chainage = np.where(behind, self.near, chainage)
         pace, known = self.fixes.any_speed, np.isfinite(self.fixes.any_speed)
@@ -365,17 +364,18 @@ class OnLine:
         unsure = np.interp(seconds, seconds[known], lost)
         found = receiver_states(seconds, chainage, std, driven.distance, unsure)
         short, moving = found.age <= OLDEST, np.isfinite(chainage) & (pace > MOVING)
-        evident = bool(np.mean((short & (found.age > 0))[moving]) > 0.5) if moving.any() else False
+        aged = float(np.mean((short & (found.age > 0))[moving])) if moving.any() else 0.0
         seen = series_of(seconds, np.where(short, chainage - driven.distance, np.nan), SPACING)
         at = seen.seconds
         parts = (np.interp(at, seconds, each) for each in (pace, unsure, std))
-        late = lateness(at, seen.values, *parts, evident=evident)
+        # A receiver that is late throughout shows an age sooner or later.
+        late = lateness(at, seen.values, *parts, evident=aged > 0.5) if aged else None
         if late is not None:
             age, spread = (np.interp(seconds, at, each) for each in late)
             then = np.interp(seconds - age, seconds, driven.distance)
             self.caught_up = driven.distance - then
             self.late_std = spread * pace
-            self.lateness = float(np.mean(age[moving])) if moving.any() else 0.0
+            self.lateness = float(np.mean(age[moving]))
             chainage = chainage + self.caught_up
             found = receiver_states(
                 seconds, chainage, np.hypot(std, self.late_std), driven.distance, unsure
