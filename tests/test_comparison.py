@@ -14,7 +14,7 @@ import pytest
 from refusals import refused
 
 from analysis.charts import figure_of
-from analysis.comparison.compare import Comparison, compare
+from analysis.comparison.compare import Comparison, compare, section_table, sections_between
 from analysis.comparison.driven import driven_trip
 from analysis.comparison.groups import trip_cost
 from analysis.comparison.plot import comparison_charts
@@ -506,3 +506,18 @@ def test_a_long_log_is_read_in_pieces_with_the_same_result(
         found = driven_trip(tmp_path / "trip.mcap")
         np.testing.assert_allclose(found.running, whole.running, atol=1e-9)
         np.testing.assert_allclose(found.sums["traction"], whole.sums["traction"], rtol=1e-9)
+
+
+def test_positions_in_whole_metres_move_no_time_between_sections() -> None:
+    """A train creeps for seconds within the metre of its stop."""
+    trip = stopping()
+    state = trip["/train/state"]
+    coarse = state.assign(position=np.floor(state["position"]))
+    coarse.attrs = dict(state.attrs)
+    found = []
+    for each in (trip, trip.with_topic(coarse)):
+        driven = driven_trip(each)
+        table = section_table(driven, sections_between(driven.line, *driven.covered))
+        assert table["running_time"].sum() == pytest.approx(driven.running[-1], abs=0.2)
+        found.append(table["running_time"].to_numpy())
+    assert found[1] == pytest.approx(found[0], abs=0.6)

@@ -307,7 +307,7 @@ def test_a_power_that_no_trip_shows_is_said_to_be_the_files(tmp_path: Path) -> N
     power = f"the train file's {TRAIN.max_traction_power / 1e3:.0f} kW is taken"
     shown = StringIO()
     Console(file=shown, width=200).print(*fits.shown())
-    assert f"no trip shows its power: {power}." in shown.getvalue()
+    assert f"no trip shows its power: {power}" in shown.getvalue()
     write_parameters(fits.parameters, tmp_path / "set.json")
     assert power in read_parameters(tmp_path / "set.json").assumed_power
     seen = replace(fit_trip(trip()), max_power=1.9e6, max_power_std=2e4)

@@ -39,7 +39,7 @@ from trainlog.formats.railway import line_of, passport_of, recorded_load, train_
 from trainlog.mcap import read_log
 from trainlog.mcap.reader import stream_log
 from trainlog.railway import Line, Train, Trajectory
-from trainlog.railway.line import STATION_REACH, km_words, station_at
+from trainlog.railway.line import STATION_REACH, in_km, km_words, station_at
 from trainlog.railway.passport import Quantity
 from trainlog.resampling import (
     GAP_DISTANCE,
@@ -781,6 +781,16 @@ class DrivenTrip:
         """Values of the samples at each position [m]."""
         return np.interp(self.sample_at(position), np.arange(values.size), values)
 
+    def sample_of(self, stand: Stand) -> float:
+        """The sample with which a stand begins.
+
+        The position may be recorded in steps: it is reached before the train stands, and left after
+        it has departed.
+        """
+        there = np.flatnonzero(np.abs(self.position - stand.position) < 2.0)
+        idle = there[:-1][np.diff(self.running[there]) < 1e-6]
+        return float(idle[0]) if idle.size else float(self.sample_at(stand.position))
+
     def share_of(self, flag: str, edges: FloatArray) -> FloatArray:
         """Share of the running time of each cell between `edges` (n + 1,) with a flag; (n,)."""
         step = np.diff(self.running, prepend=0.0)
@@ -1059,7 +1069,8 @@ class _Reduction:
             place = np.interp(times, table.time, position)
             silent = gap.missing == "sample" and gap.seconds > LONGEST_GAP  # stated as no position
             if place[1] - place[0] > GAP_DISTANCE and not silent:
-                found.append(f"{gap.words}: km {place[0] / 1e3:.3f} to {place[1] / 1e3:.3f}")
+                first, last = in_km(self.line, place).tolist()
+                found.append(f"{gap.words}: km {first:.3f} to {last:.3f}")
         rest = len(found) - LISTED_GAPS
         return found[:LISTED_GAPS] + ([f"and {counted(rest, 'more gap')}"] if rest > 0 else [])
 

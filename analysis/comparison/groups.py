@@ -94,7 +94,7 @@ class TripCost:
         return self.traction != self.traction
 
 
-AT_LEAST = "where efforts are recorded, at least"
+RECORDED_PART = "where efforts are recorded"
 """What of an energy is known though efforts are missing."""
 
 Recorded = Trip | Path
@@ -134,7 +134,7 @@ def trip_cost(trip: Recorded) -> TripCost:
     )
     notes = list(driven.notes)
     if driven.unknown():
-        notes.append(f"{AT_LEAST} {kwh(traction)} of traction at the wheel rims")
+        notes.append(f"{RECORDED_PART} {kwh(traction)} of traction at the wheel rims")
         traction = float("nan")
     if "dynamic_braking" in driven.sums and driven.unknown("dynamic_braking"):
         dynamic = float("nan")

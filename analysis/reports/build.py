@@ -345,6 +345,8 @@ class _Driven:
     begins: str
     cost: TripCost | None
     verdict: Verdict
+    axles: bool
+    """Whether wheel speeds are recorded, which show slip."""
 
     def cell(self, of: Callable[[TripCost], str]) -> str:
         """What is stated of its cost."""
@@ -376,7 +378,8 @@ def _folder_summary(folder: Path, trips: Sequence[_Driven]) -> Section:
     steps = [f"record anew, or do not use: {', '.join(_named(bad))}"] * bool(bad)
     if trips and not (said["slippery"] or said["cost"]):
         steps += [f"fit the running resistance of all: trainlog fit {folder} -o parameters.json"]
-        steps += [f"add their slip to a map: trainlog map update {folder} --map LINE.map"]
+        slip = [f"add their slip to a map: trainlog map update {folder} --map LINE.map"]
+        steps += slip * any(each.axles for each in trips)
     slipping = [each for each in costs if each.slips]
     if slipping:
         most = max(slipping, key=lambda each: each.slips or 0)
@@ -441,7 +444,8 @@ def _trips(
         except TrainlogError:
             cost = None
         begins = options.zone.date(trip.start)
-        trips.append(_Driven(_name(log, folder), trip.name, begins, cost, judged))
+        axles = "/train/axles" in trip.topics
+        trips.append(_Driven(_name(log, folder), trip.name, begins, cost, judged, axles))
     every += trips
     if curves:
         shown.append(_overlaid(group, curves[:MOST_DRAWN], lines))

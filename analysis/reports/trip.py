@@ -30,7 +30,7 @@ from analysis.charts import (
     worded,
 )
 from analysis.comparison.driven import SHORTEST_STOP
-from analysis.comparison.groups import AT_LEAST, TripCost, trip_cost
+from analysis.comparison.groups import RECORDED_PART, TripCost, trip_cost
 from analysis.fleet.trips import TOPICS
 from analysis.reports.answers import Verdict, slip_words, summary_section, verdict
 from analysis.reports.page import Part, Section, Warned
@@ -337,7 +337,7 @@ def _cost_words(cost: object) -> list[str]:
     if cost.unknown:
         there = ", not known there"
         gaps = [each.replace(there, "") for each in cost.notes if there in each]
-        gaps += [each for each in cost.notes if each.startswith(AT_LEAST)]
+        gaps += [each for each in cost.notes if each.startswith(RECORDED_PART)]
         words = [f"energy not known: {'; '.join(gaps) or 'efforts are missing'}"]
     else:
         drawn = "unknown energy" if np.isnan(cost.line) else kwh(cost.line)

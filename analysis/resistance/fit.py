@@ -200,7 +200,7 @@ class TripFit(DragCurve, Presented):
 
     def summary(self) -> dict[str, str]:
         """Curve, mass, power, and what they rest on."""
-        power = "limit not reached"
+        power = "not shown: no lever or effort demand asks for more than is given"
         if self.max_power is not None and self.max_power_std is not None:
             power = f"{self.max_power / 1e3:.0f} ± {1.96 * self.max_power_std / 1e3:.0f} kW"
         masked = [

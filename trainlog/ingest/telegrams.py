@@ -96,7 +96,7 @@ def read_telegrams(path: Path, profile: Profile | None) -> Recording:
     arrival = None if arrival is None else arrival[wanted]
     names = (*options.columns, ARRIVAL)
     table = columns_of(octets, wanted_columns(profile, names, path), options, arrival)
-    cells = Cells(table, rows, int(rows[-1]), findings, raw)
+    cells = Cells(table, rows, len(rows) + sum(each.count for each in findings), findings, raw)
     found = recording_of(cells, profile, path)
     left_over = columns_left(profile, options.columns)
     return replace(found, not_used=found.not_used | left_over | dict(not_used))

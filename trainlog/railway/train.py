@@ -920,14 +920,18 @@ class ParameterSet(Declared):
         >>> import trainlog
         >>> train = trainlog.read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
         >>> noted = [{"accepted": True, "max_power": POWER_OF_FILE}]
-        >>> ParameterSet(train.name, (Configuration.of(train),), details=noted).assumed_power
-        "no trip shows its power: the train file's 2600 kW is taken"
+        >>> found = ParameterSet(train.name, (Configuration.of(train),), details=noted)
+        >>> found.assumed_power  # doctest: +ELLIPSIS
+        "no trip shows its power: the train file's 2600 kW is taken; a recorded lever or effort..."
         """
         sources = {each.get("max_power") for each in self.details if each.get("accepted")}
         if sources != {POWER_OF_FILE}:
             return ""
         powers = span([each.max_power for each in self.configurations], 1e-3)
-        return f"no trip shows its power: the train file's {powers} kW is taken"
+        return (
+            f"no trip shows its power: the train file's {powers} kW is taken; a recorded lever or"
+            " effort demand would show it where all of it is asked for"
+        )
 
     def check_train(self, train: str) -> None:
         """Refuse to be used for another train.
