@@ -194,23 +194,14 @@ def section_table(trip: DrivenTrip, sections: Sections) -> pd.DataFrame:
     whole = sections.edges[ran + 1] - sections.edges[ran]
     stood, dwell = np.zeros(ran.size), np.zeros(ran.size)
     rows = {int(section): row for row, section in enumerate(ran)}
-    entered, left = trip.sample_at(low), trip.sample_at(high)
     for stand in trip.stands:
         edge = sections.edge_of(stand)
         row = rows.get(sections.of(stand.position) if edge is None else edge - 1)
         if row is not None:
             (stood if edge is None else dwell)[row] += stand.duration
-        if edge is not None and 0 < edge < sections.edges.size - 1:
-            # A section ends where the train stands for its station.
-            left[ran == edge - 1] = entered[ran == edge] = trip.sample_of(stand)
-    if ran.size and low[0] <= trip.covered[0]:
-        entered[0] = 0.0
-    if ran.size and high[-1] >= trip.covered[1]:
-        left[-1] = trip.running.size - 1.0
 
     def between(values: FloatArray) -> FloatArray:
-        at = np.arange(values.size)
-        return np.asarray(np.interp(left, at, values) - np.interp(entered, at, values))
+        return np.asarray(trip.at(values, high) - trip.at(values, low))
 
     found = {
         "first": low,

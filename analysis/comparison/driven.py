@@ -775,21 +775,14 @@ class DrivenTrip:
         step = self.position[high] - self.position[low]
         with np.errstate(invalid="ignore", divide="ignore"):
             share = np.where(step > 0.0, (s - self.position[low]) / step, 1.0)
-        return np.asarray(low + np.clip(share, 0.0, 1.0))
+        found = low + np.clip(share, 0.0, 1.0)
+        # A position that is recorded in steps is reached before the train stands at its end.
+        found = np.where(s >= self.position[-1], self.position.size - 1.0, found)
+        return np.asarray(np.where(s <= self.position[0], 0.0, found))
 
     def at(self, values: FloatArray, position: ArrayLike) -> FloatArray:
         """Values of the samples at each position [m]."""
         return np.interp(self.sample_at(position), np.arange(values.size), values)
-
-    def sample_of(self, stand: Stand) -> float:
-        """The sample with which a stand begins.
-
-        The position may be recorded in steps: it is reached before the train stands, and left after
-        it has departed.
-        """
-        there = np.flatnonzero(np.abs(self.position - stand.position) < 2.0)
-        idle = there[:-1][np.diff(self.running[there]) < 1e-6]
-        return float(idle[0]) if idle.size else float(self.sample_at(stand.position))
 
     def share_of(self, flag: str, edges: FloatArray) -> FloatArray:
         """Share of the running time of each cell between `edges` (n + 1,) with a flag; (n,)."""
