@@ -443,7 +443,7 @@ def _trips(
             cost: TripCost | None = trip_cost(trip)
         except TrainlogError:
             cost = None
-        begins = options.zone.date(trip.start)
+        begins = options.zone.date(trip.start) if any(map(len, trip.topics.values())) else ""
         axles = "/train/axles" in trip.topics
         trips.append(_Driven(_name(log, folder), trip.name, begins, cost, judged, axles))
     every += trips
