@@ -15,7 +15,7 @@ from rich.console import Console
 from trajectory_cases import FLIRT, hilly_line, observed, optimised
 
 from analysis.reports.results import certificate_words
-from analysis.trajectory import active_set, optimiser
+from analysis.trajectory import active_set, convex, optimiser
 from analysis.trajectory.plot import _title
 from analysis.trajectory.table import trajectory_table
 from trainlog.cli.main import run
@@ -73,6 +73,7 @@ def test_a_solver_that_breaks_off_reports_no_settings_of_its_own(
         raise cp.SolverError("Try another solver, or solve with verbose=True")
 
     monkeypatch.setattr(cp.Problem, "solve", broken)
+    monkeypatch.setattr(convex, "_by_piqp", lambda *_, **__: None)
     monkeypatch.setattr(active_set, "descend", lambda *_: None)
     monkeypatch.setattr(optimiser, "_paced", lambda *_: None)
     with pytest.raises(InfeasibleError, match="beyond the solver's arithmetic") as refusal:

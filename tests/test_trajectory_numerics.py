@@ -41,7 +41,7 @@ def same(found: Trajectory, usual: Trajectory) -> bool:
 def test_the_answer_of_a_solver_that_stops_early_is_solved_again(
     usual: Trajectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(convex._SETTINGS, cp.PIQP, {"max_iter": 3})
+    monkeypatch.setitem(convex._SETTINGS, "max_iter", 3)
     found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0, 1.05), **OPTIONS)
     assert {word.split()[0] for word in found.certificate["solver"]["statuses"]} == {"CLARABEL"}
     assert same(found, usual)
@@ -124,6 +124,7 @@ def test_where_no_solver_works_the_run_at_one_pace_is_the_answer(
         raise cp.SolverError("Try another solver, or solve with verbose=True")
 
     monkeypatch.setattr(cp.Problem, "solve", broken)
+    monkeypatch.setattr(convex, "_by_piqp", lambda *_, **__: None)
     found = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=40)
     certificate = found.certificate
     assert not certificate["certified"]

@@ -1,7 +1,8 @@
 """Convex programs: what they share, their solvers, and the convex relaxation of the problem.
 
-A program is written as sparse arrays at once, cell by cell, and given to CVXPY as one vector of
-unknowns between its bounds: that saves most of the time that modelling with expressions takes.
+A program is written as sparse arrays at once, cell by cell: that saves most of the time that
+modelling with expressions takes. PIQP takes these arrays; a program with cones, or one that PIQP
+does not solve, goes to Clarabel by CVXPY, as one vector of unknowns between its bounds.
 
 In the relaxation each node has, next to ``z``, a speed ``w`` with ``w² <= 2 z``, and each cell a
 time per metre ``tau`` with ``tau (w + w') / 2 >= 1``; both are second-order cones that stay
@@ -25,6 +26,7 @@ from typing import Any
 
 import cvxpy as cp
 import numpy as np
+import piqp
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
@@ -37,18 +39,16 @@ SLOW = 0.2
 """Speeds below this are scaled as if they were this [m/s]."""
 
 
-_SETTINGS: dict[str, dict[str, Any]] = {
-    cp.PIQP: {
-        "eps_abs": 1e-7,
-        "eps_rel": 1e-8,
-        "eps_duality_gap_rel": 1e-8,
-        "max_iter": 150,
-        # Regularised less, the last steps of programs of several configurations drown in
-        # rounding, and the solver stands still.
-        "reg_finetune_lower_limit": 1e-11,
-    }
+_SETTINGS: dict[str, Any] = {
+    "eps_abs": 1e-7,
+    "eps_rel": 1e-8,
+    "eps_duality_gap_rel": 1e-8,
+    "max_iter": 150,
+    # Regularised less, the last steps of programs of several configurations drown in
+    # rounding, and the solver stands still.
+    "reg_finetune_lower_limit": 1e-11,
 }
-"""What the solvers stop at: beyond it the rounding of large programs makes some of them stall."""
+"""What PIQP stops at: beyond it the rounding of large programs makes it stall."""
 
 _ROUGH: dict[str, Any] = {"eps_abs": 1e-3, "eps_rel": 1e-4, "eps_duality_gap_rel": 1e-5}
 """The same for programs that only prepare the next one: a third fewer iterations."""
@@ -137,7 +137,9 @@ class Rows:
     def matrix(self, unknowns: int) -> sp.csc_array:
         """All coefficients, (rows, unknowns)."""
         row, column, value = (np.concatenate(each) for each in zip(*self._entries, strict=True))
-        return sp.csc_array((value, (row, column)), shape=(self.count, unknowns))
+        found = sp.csc_array((value, (row, column)), shape=(self.count, unknowns))
+        found.eliminate_zeros()
+        return found
 
 
 class Unknowns:
@@ -218,48 +220,87 @@ def solve(
     OutOfTimeError
         If no time is left.
     """
+    status = ""
+    if not cones:
+        begin = time.monotonic()
+        # PIQP cannot be stopped, Clarabel can.
+        if time_left() <= _PACE.get() * unknowns.size:
+            raise OutOfTimeError
+        found = _by_piqp(unknowns, cost, equal, below, curvature, rough=rough)
+        _PACE.set((time.monotonic() - begin) / unknowns.size)
+        if found is not None:
+            return found
     x = bounded(unknowns) if variable is None else variable
     objective = cost @ x
     if curvature is not None:
         objective = objective + 0.5 * cp.quad_form(x, curvature, assume_PSD=True)
     equations = equal.matrix(unknowns.size) @ x == equal.right
     limits = below.matrix(unknowns.size) @ x <= below.right
-    status = ""
-    for solver in (cp.CLARABEL,) if cones else (cp.PIQP, cp.CLARABEL):
-        begin, left = time.monotonic(), time_left()
-        # PIQP cannot be stopped, Clarabel can.
-        if left <= (0.0 if cones else _PACE.get() * unknowns.size):
-            raise OutOfTimeError
-        settings = dict(_SETTINGS.get(solver, {}))
-        if rough and solver == cp.PIQP:
-            settings |= _ROUGH
-        if solver == cp.CLARABEL and left < np.inf:
-            settings["time_limit"] = left
-        program = cp.Problem(cp.Minimize(objective), [equations, limits, *cones])
-        try:
-            with warnings.catch_warnings():
-                # The status states what the warning would, and the certificate carries it.
-                warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
-                program.solve(solver=solver, **settings)
-        except (cp.SolverError, ValueError, ArithmeticError):
-            # Numbers that are none, or too large, are refused before any solver runs.
-            status = SOLVER_FAILED
-            continue
-        if not cones:
-            _PACE.set((time.monotonic() - begin) / unknowns.size)
-        status = str(program.status)
-        good = (cp.OPTIMAL,) if solver == cp.PIQP else (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)
-        if status in good and np.all(np.isfinite(x.value)):
-            return ProgramSolution(
-                np.asarray(x.value),
-                np.asarray(equations.dual_value),
-                np.asarray(limits.dual_value),
-                float(program.value),
-                f"{solver} {status}",
-            )
+    left = time_left()
+    if left <= 0.0:
+        raise OutOfTimeError
+    settings = {"time_limit": left} if left < np.inf else {}
+    program = cp.Problem(cp.Minimize(objective), [equations, limits, *cones])
+    try:
+        with warnings.catch_warnings():
+            # The status states what the warning would, and the certificate carries it.
+            warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
+            program.solve(solver=cp.CLARABEL, **settings)
+    except (cp.SolverError, ValueError, ArithmeticError):
+        # Numbers that are none, or too large, are refused before any solver runs.
+        raise NoSolutionError(SOLVER_FAILED) from None
+    status = str(program.status)
+    if status in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE) and np.all(np.isfinite(x.value)):
+        return ProgramSolution(
+            np.asarray(x.value),
+            np.asarray(equations.dual_value),
+            np.asarray(limits.dual_value),
+            float(program.value),
+            f"{cp.CLARABEL} {status}",
+        )
     if time_left() <= 0.0:
         raise OutOfTimeError
     raise NoSolutionError(status)
+
+
+def _by_piqp(
+    unknowns: Unknowns,
+    cost: FloatArray,
+    equal: Rows,
+    below: Rows,
+    curvature: sp.csc_array | None,
+    *,
+    rough: bool,
+) -> ProgramSolution | None:
+    """The optimum as PIQP finds it; None where it does not end with one.
+
+    Without CVXPY, whose way to the same arrays takes longer than the solver.
+    """
+    _settle_bounds(unknowns)
+    size = unknowns.size
+    solver = piqp.SparseSolver()
+    for name, value in (_SETTINGS | (_ROUGH if rough else {})).items():
+        setattr(solver.settings, name, value)
+    given = {
+        "P": sp.csc_array((size, size)) if curvature is None else curvature,
+        "c": cost,
+        "A": equal.matrix(size),
+        "b": equal.right,
+        "G": below.matrix(size),
+        "h_u": below.right,
+    }
+    entries = (value.data if sp.issparse(value) else value for value in given.values())
+    if not all(np.all(np.isfinite(each)) for each in entries):
+        return None
+    solver.setup(**given, x_l=unknowns.low, x_u=unknowns.high)
+    if solver.solve() != piqp.PIQP_SOLVED:
+        return None
+    result = solver.result
+    x = np.clip(result.x, unknowns.low, unknowns.high)
+    if not np.all(np.isfinite(x)):
+        return None
+    duals, value = (np.array(result.y), np.array(result.z_u)), float(result.info.primal_obj)
+    return ProgramSolution(x, *duals, value, "PIQP optimal")
 
 
 def bounded(unknowns: Unknowns) -> cp.Variable:
@@ -270,11 +311,16 @@ def bounded(unknowns: Unknowns) -> cp.Variable:
     NoSolutionError
         If bounds exclude each other by more than rounding, or are no numbers.
     """
+    _settle_bounds(unknowns)
+    return cp.Variable(unknowns.size, bounds=[unknowns.low, unknowns.high])
+
+
+def _settle_bounds(unknowns: Unknowns) -> None:
+    """Lift upper bounds that rounding has put below the lower ones; others are refused."""
     apart = unknowns.low - unknowns.high
     if not np.all(apart <= _ROUNDING):
         raise NoSolutionError("infeasible")
     unknowns.high = np.maximum(unknowns.low, unknowns.high)
-    return cp.Variable(unknowns.size, bounds=[unknowns.low, unknowns.high])
 
 
 def energy_cost(
