@@ -192,6 +192,27 @@ def test_without_efforts_the_energy_is_calculated_with_a_band_that_holds_the_tru
     assert len(figure_of(found.charts()).axes) == 3
 
 
+@pytest.mark.parametrize(
+    "unrecorded",
+    [["pneumatic_braking_effort"], ["pneumatic_braking_effort", "dynamic_braking_effort"]],
+)
+def test_brakes_that_are_not_recorded_are_no_error_of_the_model(unrecorded: list[str]) -> None:
+    """Without them the model seemed to need half of the work, and was contradicted."""
+    whole = read_log(sample("stopping.mcap"))
+    controls = whole["/train/controls"].assign(**dict.fromkeys(unrecorded, np.nan))
+    trip = replace(whole, topics={**whole.topics, "/train/controls": controls})
+    found, complete = calculate(trip, TRAIN), calculate(whole, TRAIN)
+    assert found.outside == []
+    work = complete.total("calculated_work")
+    assert found.total("calculated_work") == pytest.approx(work, rel=0.01)
+    (note,) = found.notes
+    assert "friction brake is not recorded" in note
+    assert complete.notes == ()
+    # A model that is wrong still shows between the brakings.
+    wrong = replace(TRAIN, resistance=replace(OWN, r2=4.0 * OWN.r2))
+    assert [each.name for each in calculate(trip, wrong).diagnosis.wrong] == ["r2"]
+
+
 def test_a_fit_of_another_train_is_refused() -> None:
     other = ParameterSet("another", (Configuration.of(TRAIN),), OWN, np.eye(3), (0.0, 40.0))
     refused(InputError, "another", calculate, read_log(sample("nonstop.mcap")), other)

@@ -199,6 +199,11 @@ def test_page_and_table_state_the_same(
         assert row["km"] in text
         assert row["advice"] in text or row["event"] == "passes"
         assert row["time"] in printed
+        stated = re.search(
+            r"(?:hold|(?:falls|rises) to|traction to|brake to) (\d+) km/h$", row["advice"]
+        )
+        assert stated is None or row["target_kmh"] == stated[1]
+    assert sum(row["advice"].startswith("coast") for row in rows) > 1
     assert rows[0]["station"] == "Wil"
     assert rows[0]["time"] == "07:12:00"
     assert "Driver&#x27;s advice: Wil to Gossau SG" in text

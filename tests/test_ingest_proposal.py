@@ -205,6 +205,25 @@ def test_a_table_without_names_is_read_by_what_its_columns_do(tmp_path: Path) ->
     np.testing.assert_allclose(trip["/train/state"]["position"], run.s, atol=0.1)
 
 
+def test_the_brakes_of_a_german_recorder_are_known_by_their_names(tmp_path: Path) -> None:
+    run = drive()
+    braked = np.maximum(-np.gradient(run.v, run.t), 0.0)
+    path = written(
+        tmp_path,
+        {
+            "t [s]": run.t,
+            "v [km/h]": run.v * 3.6,
+            "E-Bremskraft [kN]": 150.0 * braked,
+            "HL-Druck [bar]": 5.0 - (braked > 0.1) * (0.3 + braked),
+            "C-Druck [bar]": 3.0 * braked,
+        },
+    )
+    columns = propose_profile(path).profile.columns
+    assert columns["/train/controls.dynamic_braking_effort"].column == "E-Bremskraft [kN]"
+    assert columns["/train/brakes.brake_pipe_pressure"].column == "HL-Druck [bar]"
+    assert columns["/train/brakes.brake_cylinder_pressure"].column == "C-Druck [bar]"
+
+
 @pytest.mark.parametrize(
     ("columns", "remedy"),
     [

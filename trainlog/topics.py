@@ -708,7 +708,7 @@ TRAIN_BRAKES = Topic(
             bounds=Bounds(-1e5, 1.6e6),
             recorded=Recorded(
                 "pressure",
-                qualifier="cylinder cylindre bc zylinder bremszylinder cyl cf",
+                qualifier="cylinder cylindre bc bz zylinder bremszylinder cyl cf c",
                 plausible=(-1e5, 1.2e6),
             ),
             drawn=Drawn("pressure", "brake cylinders", "friction braking"),

@@ -55,7 +55,7 @@ from analysis.given import Given, trip_of
 from analysis.resistance.fit import TripFit, fit_trip, scale_of
 from analysis.resistance.observed import FitOfTrips, parameter_set
 from analysis.resistance.passport import estimated_passport, with_effort_delay
-from analysis.resistance.recording import recorded_head_wind
+from analysis.resistance.recording import LEAST_EFFORT, recorded_head_wind
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
@@ -328,6 +328,10 @@ SPEED_STD = 0.03
 GRADIENT_STD, GRADIENT_LENGTH = 0.2e-3, 1000.0
 """Error of gradients, and the length [m] it holds for, where the line states none."""
 
+BRAKED = 0.05
+"""Deceleration [m/s²] without traction, beyond resistance and gradient, that a brake which is not
+recorded has caused."""
+
 UNCALIBRATED = Quantity(1.0, 0.06, "assumed", "no load is recorded")
 """Recorded over true effort of ordinary converters."""
 
@@ -364,6 +368,17 @@ class Inputs:
     def efforts(self) -> bool:
         """Whether efforts are recorded."""
         return "traction" in self.driven.sums
+
+    @property
+    def unrecorded_brakes(self) -> str:
+        """Brakes of the train whose efforts are not recorded beside the traction, in words."""
+        train, sums = self.model.train, self.driven.sums
+        brakes = {
+            "dynamic_braking": ("motor", train.max_dynamic_braking_effort),
+            "pneumatic_braking": ("friction", train.max_pneumatic_braking_effort),
+        }
+        missing = [word for name, (word, most) in brakes.items() if most and name not in sums]
+        return " and ".join(missing) if self.efforts else ""
 
     @property
     def inertia(self) -> float:
@@ -445,7 +460,8 @@ def _mass(trip: Trip, train: Train, model: ParameterSet | Train) -> Quantity:
 class Cells:
     """The trip by position: nodes (n + 1,), and what happens between them (n,).
 
-    `unknown` are cells without efforts or speed, `speedless` those of them without speed.
+    `unknown` are cells without efforts or speed, `speedless` those of them without speed;
+    `inferred` those whose braking follows from the motion, for want of a record.
     """
 
     nodes: FloatArray
@@ -462,6 +478,7 @@ class Cells:
     names: tuple[str, ...]
     unknown: BoolArray
     speedless: BoolArray
+    inferred: BoolArray
 
     @staticmethod
     def of(inputs: Inputs) -> Cells:
@@ -484,7 +501,8 @@ class Cells:
         if inputs.windy:
             wind = trip.at(trip.signals["head_wind"], middle)
         section = np.clip(np.searchsorted(sections.edges, middle) - 1, 0, sections.edges.size - 2)
-        return Cells(
+        lacks, speedless = _unknown(trip, nodes)
+        cells = Cells(
             nodes,
             speed,
             speed >= SLOWEST,
@@ -497,8 +515,25 @@ class Cells:
             section.astype(np.int64),
             sections.edges,
             tuple(sections.names),
-            *_unknown(trip, nodes),
+            lacks,
+            speedless,
+            np.zeros(step.size, dtype=np.bool_),
         )
+        return cells._with_unrecorded_braking(inputs) if inputs.unrecorded_brakes else cells
+
+    def _with_unrecorded_braking(self, inputs: Inputs) -> Cells:
+        """With the braking that the motion shows where none of the recorded efforts explains it."""
+        train = inputs.model.train
+        needed = (
+            0.5 * inputs.inertia * np.diff(self.speed**2)
+            + self.resisting(inputs.model.resistance) * self.step
+            + inputs.mass.value * self.track
+            + self.braking
+        )
+        idle = self.work <= LEAST_EFFORT * train.max_tractive_effort * self.step
+        braked = idle & ~self.unknown & (needed < -BRAKED * inputs.inertia * self.step)
+        braking = np.where(braked, self.braking - needed, self.braking)
+        return replace(self, braking=braking, inferred=braked)
 
     @property
     def inside_gap(self) -> BoolArray:
@@ -915,7 +950,7 @@ class Calculation(Presented):
                 f" the 95 % band is more than {WIDEST:.0%} of the value, or reaches down to a stand"
                 for quantity, sections in self.not_determined.items()
             ),
-            f"bands: {self.wind_words}",
+            f"bands: {self.wind_words}; a day's wind that is known better is stated by --wind",
             f"{self.model} against trip '{self.trip}': {self.words} ({alarms})",
             *(f"{self.trip}: {note}" for note in self.notes),
         ]
@@ -1072,9 +1107,21 @@ def calculate(
         wind_std=inputs.wind_std,
         wind_recorded=inputs.windy,
         efforts=efforts,
-        notes=inputs.driven.notes,
+        notes=(*inputs.driven.notes, *_notes(inputs, cells)),
         line=inputs.driven.line,
     )
+
+
+def _notes(inputs: Inputs, cells: Cells) -> list[str]:
+    """Which efforts the comparison takes from the motion."""
+    brakes = inputs.unrecorded_brakes
+    if not brakes:
+        return []
+    length = float(cells.step[cells.inferred].sum()) / 1e3
+    return [
+        f"the effort of the {brakes} brake is not recorded: where the train brakes ({length:.1f} km)"
+        " it follows from the motion and the model, which are not compared there"
+    ]
 
 
 def judged_together(found: Sequence[Calculation]) -> Diagnosis:

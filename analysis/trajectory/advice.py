@@ -179,7 +179,7 @@ class JourneyAdvice(Presented):
                 "speed_m_s": speed,
                 "permitted_m_s": row.permitted,
                 "advice": row.words,
-                "target_m_s": None if row.instruction is None else row.instruction.target,
+                "target_m_s": None if row.instruction is None else row.instruction.stated_target,
                 "to_km": None if row.instruction is None else row.to_km,
             }
             for row, speed in zip(self.rows, advised_speeds(self.rows), strict=True)
@@ -386,7 +386,7 @@ def write_journey_advice(found: JourneyAdvice, path: str | Path) -> None:
         if row.instruction is None:
             return own
         return own | {
-            "target_kmh": f"{KMH * row.instruction.target:.0f}",
+            "target_kmh": f"{KMH * row.instruction.stated_target:.0f}",
             "to_km": f"{row.to_km:.3f}",
             "lowest_kmh": f"{KMH * row.instruction.lowest:.1f}",
             "highest_kmh": f"{KMH * row.instruction.highest:.1f}",

@@ -146,6 +146,11 @@ class Instruction:
         free = self.phase is Phase.COASTING or slows or self.words().startswith("brake, if")
         return self._capped(KMH * self.until) / KMH if free and not self.hold else self.target
 
+    @property
+    def stated_target(self) -> float:
+        """Speed that the words name: the target or, coasting, the speed where it ends [m/s]."""
+        return self.stated_until if self.phase is Phase.COASTING else self.target
+
     def _course(self) -> str:
         """How the speed falls and rises: ``": speed falls to 8 km/h"``."""
         turns = [

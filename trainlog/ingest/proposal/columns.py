@@ -31,7 +31,7 @@ from trainlog.ingest.proposal.motion import (
 )
 from trainlog.ingest.proposal.times import Clock
 from trainlog.ingest.proposal.trips import facts_of
-from trainlog.ingest.proposal.vocabulary import Meaning, plain, split_unit
+from trainlog.ingest.proposal.vocabulary import Meaning, dimension_of, plain, split_unit
 from trainlog.ingest.proposal.work import Proposed, Work, said, unit_reason
 from trainlog.ingest.recording import field_of
 from trainlog.railway.train import Train
@@ -39,7 +39,7 @@ from trainlog.topics import RECORDED, Recorded
 from trainlog.units import KMH, factor, si_unit
 
 LEVELS = 8
-"""Different values that an effort has at least."""
+"""Different values that an effort without a stated unit of force has at least."""
 
 
 STRONG = 0.05
@@ -78,7 +78,8 @@ def effort_signs(work: Work, speed: str | None) -> None:
     """Which columns are traction, which braking, with which sign; proposals without a unit yet."""
     for role in (roles.TRACTION, roles.SIGNED, roles.DYNAMIC, roles.PNEUMATIC, roles.BRAKING):
         for name in list(work.names.get(role, [])):
-            if np.unique(work.numbers[name]).size < LEVELS:
+            stated = dimension_of(work.meanings[name].unit or "") == "force"
+            if not stated and np.unique(work.numbers[name]).size < LEVELS:
                 work.names[role].remove(name)
                 work.left[name] = f"an effort of fewer than {LEVELS} values: a state?"
     main = work.first(roles.TRACTION)
