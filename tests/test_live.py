@@ -343,6 +343,19 @@ def test_what_the_sender_counted_and_did_not_arrive_is_lost() -> None:
     assert (numbering.lost, numbering.restarts) == (1 + 5000 - 13, 1)
 
 
+@pytest.mark.parametrize("size", [1 << 8, 1 << 16])
+def test_a_counter_that_goes_round_is_no_restart(size: int) -> None:
+    numbers = [number % size for number in range(size - 30, 3 * size + 10)]
+    lost = numbers[:20] + numbers[22:33] + numbers[37:]
+    late = [*lost[:27], lost[28], lost[27], *lost[29:]]  # the last of a round comes behind 0
+    numbering = Numbering()
+    numbering.take(late)
+    assert (numbering.lost, numbering.late) == (6, 1)
+    assert (numbering.restarts, numbering.repeated) == (0, 0)
+    numbering.take([0])
+    assert numbering.restarts == 1
+
+
 def test_datagrams_left_out_are_counted_by_the_senders_number(tmp_path: Path) -> None:
     rows = (SAMPLES / "recorder.csv").read_bytes().splitlines(keepends=True)
     file = tmp_path / "part.csv"

@@ -131,6 +131,7 @@ CHECKS: tuple[Column, ...] = (
     Column("longest_gap", "s", "of them"),
     Column("repairs", "1", "cells and rows that ingest repaired or dropped", "count"),
     Column("repaired", "", "how often each rule was applied: rule=count, ...", "text"),
+    Column("stated", "", "how often a rule found what it does not change: rule=count, ...", "text"),
     Column("missing", "", "channels that are not recorded, separated by commas", "text"),
     Column("frozen", "", "columns that repeat a value while the train moves", "text"),
     Column("frozen_samples", "1", "of them", "count"),

@@ -16,7 +16,7 @@ from trainlog.errors import TrainlogError
 from trainlog.ingest.frozen import MEASURED, blank_frozen
 from trainlog.ingest.profile import Limits
 from trainlog.ingest.recording import Table
-from trainlog.ingest.report import report_of
+from trainlog.ingest.report import STATED, report_of
 from trainlog.railway.geometry import beside, track_of
 from trainlog.resampling import interpolated
 from trainlog.topics import GNSS_FIX, TRAIN_STATE
@@ -83,7 +83,7 @@ def _gaps(trip: Trip) -> dict[str, Any]:
 
 
 def _repairs(trip: Trip) -> dict[str, Any]:
-    """What ingest repaired, as the provenance states it."""
+    """What ingest repaired, and what it only stated, as the provenance has it."""
     if not any(step.get("step") == "ingest" for step in trip.provenance):
         return {}
     counts = Counter[str]()
@@ -91,9 +91,12 @@ def _repairs(trip: Trip) -> dict[str, Any]:
         # A fix without a position, as in a tunnel, is one that the receiver did not have.
         if finding.rule != "empty" or not finding.column.startswith("/gnss/"):
             counts[finding.rule] += finding.count
+    by_rule = sorted(counts.items())
+    changed = {rule: count for rule, count in by_rule if rule not in STATED}
     return {
-        "repairs": counts.total(),
-        "repaired": ", ".join(f"{rule}={count}" for rule, count in sorted(counts.items())),
+        "repairs": sum(changed.values()),
+        "repaired": ", ".join(f"{rule}={count}" for rule, count in changed.items()),
+        "stated": ", ".join(f"{rule}={count}" for rule, count in by_rule if rule in STATED),
     }
 
 

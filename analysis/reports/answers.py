@@ -149,8 +149,8 @@ def doubts(row: Mapping[Any, Any], samples: float = np.inf) -> Iterator[Doubt]:
     if abs(off) > max(1.96 * float(known.get("speed_scale_std", 0.0)), LEAST_SPEED_OFF):
         words = f"recorded speed is {off:+.1%} off, compared with {known['speed_scale_source']}"
         yield Doubt(1, (SPEED_OFF,), words)
-    repaired = str(known.get("repaired", "")).split(", ")
-    clock = [each for each in repaired if each.partition("=")[0] in CLOCK_RULES]
+    met = [each for name in ("repaired", "stated") for each in str(known.get(name, "")).split(", ")]
+    clock = [each for each in met if each.partition("=")[0] in CLOCK_RULES]
     if clock and known.get("speed_scale_source") == "nothing":
         # A step of the distance may be one of the clock, or of the counter.
         steps = " or the counter of the distance" * all("position_steps" in each for each in clock)

@@ -54,6 +54,12 @@ DOUBTED = 100
 RESTART = 1000
 """A number that falls by more than this is the first of a sender that was started again."""
 
+COUNTERS = tuple(1 << bits for bits in (8, 16, 32))
+"""Numbers that a sender's counter of 1, 2 or 4 bytes has; behind the last, it goes on at 0."""
+
+NEAR = 32, 100
+"""Within this part of a counter's numbers, and so many, of its end and of 0 it has gone round."""
+
 
 @dataclass
 class Numbering:
@@ -75,10 +81,13 @@ class Numbering:
     restarts: int = 0
     _highest: int | None = None
     _missing: set[int] = field(default_factory=set)
+    _counter: int = 0
+    _begun: int = 0
 
     def take(self, numbers: Iterable[int]) -> None:
         """Take the numbers in the order of arrival."""
-        for number in numbers:
+        for counted_as in numbers:
+            number = self._gone_on(counted_as)
             if self._highest is None or number == self._highest + 1:
                 self._highest = number
             elif number > self._highest:
@@ -90,11 +99,24 @@ class Numbering:
                 self._missing.discard(number)
                 self.lost -= 1
                 self.late += 1
-            elif self._highest - number > RESTART or number <= 1:
+            elif self._highest - number > RESTART or counted_as <= 1:
                 self.restarts += 1
-                self._highest, self._missing = number, set()
+                self._highest, self._missing, self._begun = counted_as, set(), 0
             else:
                 self.repeated += 1
+
+    def _gone_on(self, number: int) -> int:
+        """The number since the sender was started: its counter may have gone round."""
+        if self._highest is None:
+            return number
+        last = self._highest - self._begun
+        size = next((each for each in COUNTERS if last < each and self._counter <= each), 0)
+        near = min(size // NEAR[0], NEAR[1])
+        if last < size <= last + near and number < near:
+            self._counter, self._begun = size, self._begun + size
+        elif self._begun and last < near and size - near <= number < size:
+            return self._begun - size + number  # late, from before the counter went round
+        return self._begun + number
 
 
 class Sequence:

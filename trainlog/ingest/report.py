@@ -35,6 +35,9 @@ CLOCK_RULES = (
 )
 """Rules that show a clock that was set, or may do: a distance over its times is doubtful."""
 
+STATED = ("clock_step_suspected", "position_steps", "unit_suspected", "quantised", "gaps")
+"""Rules that state what they find and change nothing."""
+
 MOST_LINES = 8
 """Of the report in a prompt."""
 
