@@ -1119,8 +1119,8 @@ def _notes(inputs: Inputs, cells: Cells) -> list[str]:
         return []
     length = float(cells.step[cells.inferred].sum()) / 1e3
     return [
-        f"the effort of the {brakes} brake is not recorded: where the train brakes, {length:.1f} km,"
-        " it follows from the motion and the model, which are not compared there"
+        f"the effort of the {brakes} brake is not recorded: over {length:.1f} km of braking it"
+        " follows from the motion and the model, which are not compared there"
     ]
 
 
