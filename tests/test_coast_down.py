@@ -29,12 +29,18 @@ from tests.coasting_trips import (
 from trainlog.cli.main import run
 from trainlog.errors import InputError, LogError, NotIdentifiableError
 from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
-from trainlog.formats.railway import CoastDownResult, read_coast_down, train_of
+from trainlog.formats.railway import (
+    CoastDownResult,
+    read_coast_down,
+    read_train,
+    train_of,
+    train_to_bytes,
+)
 from trainlog.formats.samples import sample
 from trainlog.ingest import ingest_each
 from trainlog.mcap import read_log, write_log
 from trainlog.topics import GNSS_MOTION
-from trainlog.trip import Trip, frame_of, seconds
+from trainlog.trip import TRAIN_ATTACHMENT, Trip, frame_of, seconds
 
 CURVE = (0.014, 4e-4, 6e-5)
 
@@ -182,6 +188,19 @@ def test_several_trips_are_sharper_than_one_and_come_in_any_order() -> None:
     assert np.array_equal(together.curve.theta, coast_down(trips[::-1]).curve.theta)
     assert inside(together, CURVE)
     assert error(together, CURVE) < 0.02
+    assert not any("t on these trips" in note for note in together.notes)
+    train = read_train(sample("CH_Stadler_FLIRT_TPF.train.json"))
+    loaded = [
+        replace(
+            trip,
+            metadata={**trip.metadata, "load": str(9_000 * number)},
+            attachments={**trip.attachments, TRAIN_ATTACHMENT: train_to_bytes(train)},
+        )
+        for number, trip in enumerate(trips)
+    ]
+    masses = [(train.mass + load) / 1e3 for load in (0.0, 18_000.0)]
+    (note,) = [each for each in coast_down(loaded).notes if "t on these trips" in each]
+    assert f"from {masses[0]:.0f} to {masses[1]:.0f} t" in note
 
 
 def test_an_average_keeps_straight_lines() -> None:

@@ -48,6 +48,7 @@ from trainlog.formats.railway import (
     Identified,
     line_of,
     read_line,
+    recorded_load,
     train_of,
 )
 from trainlog.identity import Known, TripIdentity, identity_of, same_drives, text_of
@@ -79,6 +80,10 @@ IMPLAUSIBLE = 21.0
 """Squared distance from `TYPICAL`, in standard deviations, beyond which no train has such a curve:
 chance exceeds it once in 10,000 trains. A driver who holds one effort all day cannot be
 distinguished from a train that coasts with another curve, unless no train has that curve."""
+
+
+OTHER_MASS = 0.03
+"""Share by which masses of trips differ that is stated where they are pooled."""
 
 
 def _segments_in_words(fit: TripCoastDown) -> Said:
@@ -160,6 +165,8 @@ class CoastDown(Presented):
         Gain in log-likelihood by coasting over no coasting at all, all trips together.
     digests : dict of str to str
         SHA-256 of the files that it was made from; see `Sources`.
+    masses : tuple of float [kg]
+        Of the loaded train on the trips used, where train and load are recorded.
     """
 
     charts_by: ClassVar[str] = "analysis.resistance.plot:coast_down_charts"
@@ -172,6 +179,7 @@ class CoastDown(Presented):
     refused: dict[str, str]
     evidence: float
     digests: dict[str, str]
+    masses: tuple[float, ...] = ()
 
     @property
     def title(self) -> str:
@@ -210,9 +218,26 @@ class CoastDown(Presented):
         """What the columns mean, on what they rest, and why trips were refused."""
         return [
             "'Half band' is half the 95 % interval of the trip's own curve where it is known best.",
+            *self._pooled,
             _ratio(self.ratio),
             *(f"refused: {reason}" for reason in self.refused.values()),
         ]
+
+    @property
+    def _pooled(self) -> Iterator[str]:
+        """What the band of several trips holds beside those of each, and masses that differ."""
+        if len(self.trips) > 1:
+            yield (
+                "The common curve's band is wider: it holds what the trips differ by, such as wind,"
+                " load and weather."
+            )
+        low, high = min(self.masses, default=0.0), max(self.masses, default=0.0)
+        if high > (1.0 + OTHER_MASS) * low:
+            yield (
+                f"The train's mass is from {low / 1e3:.0f} to {high / 1e3:.0f} t on these trips:"
+                " resistance over inertia is less for a heavier train, and the curve one of a"
+                " middle mass; fit trips of one load for a curve of that load."
+            )
 
     @property
     def result(self) -> CoastDownResult:
@@ -400,9 +425,13 @@ def _coast_down(sources: Sources, speeds: tuple[float, float] | None) -> CoastDo
     curve, between, ratio = combined(fits, expected)
     check_plausible(curve)
     check_supported(curve, speeds)
+    used = {fit.trip for fit in fits}
+    loads = [recorded_load(trip, train) for trip in sources.trips if trip.name in used]
+    masses = [train.mass + load.value for load in loads if load is not None and train is not None]
     return CoastDown(
-        name, curve, ratio, between, tuple(fits), refused, detection.evidence, sources.digests
-    )
+        name, curve, ratio, between, tuple(fits), refused, detection.evidence, sources.digests,
+        tuple(masses),
+    )  # fmt: skip
 
 
 def combined(
