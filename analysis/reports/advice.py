@@ -111,7 +111,7 @@ def _parts(found: JourneyAdvice, line: Line | None, files: Sequence[Path]) -> li
         )
     return [
         Section("Stations", [*doubts, stations_table(found)]),
-        Section("Advice", [driver_table(found), words]),
+        Section("Advice", [driver_table(found), " ".join([words, *found.sentences()])]),
         Section("Speed", [_chart(found, line)]),
         Section(
             "Made of",

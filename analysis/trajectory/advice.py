@@ -184,7 +184,22 @@ class JourneyAdvice(Presented):
             }
             for row, speed in zip(self.rows, advised_speeds(self.rows), strict=True)
         ]
-        return {"line": self.line, "train": self.train, "departure_s": self.start, "advice": rows}
+        return {
+            "line": self.line,
+            "train": self.train,
+            "departure_s": self.start,
+            "limits_kept_over_m": min(each.protected_length for each in self.sections),
+            "advice": rows,
+        }
+
+    def sentences(self) -> list[str]:
+        """Where the speed limits are kept, unless over the whole train."""
+        if all(each.protected_length for each in self.sections):
+            return []
+        return [
+            "Speed limits are kept at the train's front: where a higher one begins, the driver"
+            " waits until the whole train has passed."
+        ]
 
 
 def time_of_day(word: str) -> float:

@@ -113,6 +113,11 @@ class PlannedRun(Presented):
         ):
             assumed = ", ".join(name.replace("_", " ") for name in names)
             found += [f"Assumed of the {what}: {assumed}."] if assumed else []
+        if any(not each.protected_length for each in self.sections):
+            found.append(
+                "Speed limits hold for the train's front; for its whole length of"
+                f" {self.problem.train.length:.0f} m, plan with protect=train."
+            )
         for each in self.sections:
             asked, cells = each.provenance["settings"]["cells"], each.positions.size - 1
             if cells > MORE_CELLS * asked:
