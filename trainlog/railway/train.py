@@ -472,15 +472,16 @@ class Train(Declared):
         float,
         Quantity(
             "m/s^2", "m/s^2", (0.005, 4, "trains reach"), must=POSITIVE, stated="required",
-            usual=1.0,
+            usual=1.0, shown="acceleration: {} at most",
         ),
     ] = 1.0  # fmt: skip
     max_deceleration: Annotated[
         float,
         Quantity(
-            "m/s^2", "m/s^2", (0.02, 6, "trains reach"), must=POSITIVE, stated="required", usual=1.0
+            "m/s^2", "m/s^2", (0.02, 6, "trains reach"), must=POSITIVE, stated="required",
+            usual=1.0, shown="acceleration: {} braking",
         ),
-    ] = 1.0
+    ] = 1.0  # fmt: skip
     efficiency_traction: Annotated[
         float, Quantity("%", "1", must=POSITIVE_SHARE, stated="required", usual=0.87)
     ] = 1.0
