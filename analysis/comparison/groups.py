@@ -134,7 +134,9 @@ def trip_cost(trip: Recorded) -> TripCost:
     )
     notes = list(driven.notes)
     if driven.gain.known and driven.gain.value != 1.0:
-        notes.append(f"efforts are the recorded ones over the passport's gain, {driven.gain.text(digits=3)}")
+        notes.append(
+            f"efforts are the recorded ones over the passport's gain, {driven.gain.text(digits=3)}"
+        )
     if driven.unknown():
         notes.append(f"{RECORDED_PART} {kwh(traction)} of traction at the wheel rims")
         traction = float("nan")

@@ -1,8 +1,9 @@
 """Convex programs: what they share, their solvers, and the convex relaxation of the problem.
 
-A program is written as sparse arrays at once, cell by cell: that saves most of the time that
-modelling with expressions takes. PIQP takes these arrays; a program with cones, or one that PIQP
-does not solve, goes to Clarabel by CVXPY, as one vector of unknowns between its bounds.
+A program is written as sparse arrays at once, cell by cell, and stated to CVXPY as one vector of
+unknowns between its bounds: that saves most of the time that modelling with expressions takes. A
+search solves many programs of one shape, each about the solution of the one before; CVXPY states
+the first, the others give PIQP their arrays as they are.
 
 In the relaxation each node has, next to ``z``, a speed ``w`` with ``w² <= 2 z``, and each cell a
 time per metre ``tau`` with ``tau (w + w') / 2 >= 1``; both are second-order cones that stay
@@ -80,15 +81,20 @@ _DEADLINE = ContextVar("deadline", default=np.inf)
 _PACE = ContextVar("pace", default=0.0)
 """Time of the last program per unknown [s]."""
 
+_STATED: ContextVar[frozenset[tuple[int, ...]]] = ContextVar("stated", default=frozenset())
+"""Unknowns and equations of the programs that CVXPY has stated in this search."""
+
 
 @contextmanager
 def time_limit(seconds: float | None) -> Iterator[None]:
     """Start no program in here that would not end within so many seconds; None: no limit."""
     token = _DEADLINE.set(np.inf if seconds is None else time.monotonic() + seconds)
+    stated = _STATED.set(_STATED.get())
     try:
         yield
     finally:
         _DEADLINE.reset(token)
+        _STATED.reset(stated)
 
 
 def time_left() -> float:
@@ -220,12 +226,12 @@ def solve(
     OutOfTimeError
         If no time is left.
     """
-    status = ""
-    if not cones:
-        begin = time.monotonic()
-        # PIQP cannot be stopped, Clarabel can.
-        if time_left() <= _PACE.get() * unknowns.size:
-            raise OutOfTimeError
+    shape = (unknowns.size, equal.count)
+    # PIQP cannot be stopped, Clarabel can.
+    if time_left() <= (0.0 if cones else _PACE.get() * unknowns.size):
+        raise OutOfTimeError
+    begin = time.monotonic()
+    if not cones and shape in _STATED.get():
         found = _by_piqp(unknowns, cost, equal, below, curvature, rough=rough)
         _PACE.set((time.monotonic() - begin) / unknowns.size)
         if found is not None:
@@ -236,31 +242,45 @@ def solve(
         objective = objective + 0.5 * cp.quad_form(x, curvature, assume_PSD=True)
     equations = equal.matrix(unknowns.size) @ x == equal.right
     limits = below.matrix(unknowns.size) @ x <= below.right
-    left = time_left()
-    if left <= 0.0:
-        raise OutOfTimeError
-    settings = {"time_limit": left} if left < np.inf else {}
     program = cp.Problem(cp.Minimize(objective), [equations, limits, *cones])
-    try:
-        with warnings.catch_warnings():
-            # The status states what the warning would, and the certificate carries it.
-            warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
-            program.solve(solver=cp.CLARABEL, **settings)
-    except (cp.SolverError, ValueError, ArithmeticError):
-        # Numbers that are none, or too large, are refused before any solver runs.
-        raise NoSolutionError(SOLVER_FAILED) from None
-    status = str(program.status)
-    if status in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE) and np.all(np.isfinite(x.value)):
-        return ProgramSolution(
-            np.asarray(x.value),
-            np.asarray(equations.dual_value),
-            np.asarray(limits.dual_value),
-            float(program.value),
-            f"{cp.CLARABEL} {status}",
-        )
+    status = ""
+    first = not cones and shape not in _STATED.get()
+    for solver in (cp.PIQP, cp.CLARABEL) if first else (cp.CLARABEL,):
+        begin, left = time.monotonic(), time_left()
+        if left <= 0.0:
+            raise OutOfTimeError
+        settings = _piqp_settings(rough)
+        if solver == cp.CLARABEL:
+            settings = {"time_limit": left} if left < np.inf else {}
+        try:
+            with warnings.catch_warnings():
+                # The status states what the warning would, and the certificate carries it.
+                warnings.filterwarnings("ignore", "Solution may be inaccurate", UserWarning)
+                program.solve(solver=solver, **settings)
+        except (cp.SolverError, ValueError, ArithmeticError):
+            # Numbers that are none, or too large, are refused before any solver runs.
+            status = SOLVER_FAILED
+            continue
+        if not cones:
+            _PACE.set((time.monotonic() - begin) / unknowns.size)
+        status = str(program.status)
+        good = (cp.OPTIMAL,) if solver == cp.PIQP else (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)
+        if status in good and np.all(np.isfinite(x.value)):
+            _STATED.set(_STATED.get() | {shape})
+            return ProgramSolution(
+                np.asarray(x.value),
+                np.asarray(equations.dual_value),
+                np.asarray(limits.dual_value),
+                float(program.value),
+                f"{solver} {status}",
+            )
     if time_left() <= 0.0:
         raise OutOfTimeError
     raise NoSolutionError(status)
+
+
+def _piqp_settings(rough: bool) -> dict[str, Any]:
+    return _SETTINGS | (_ROUGH if rough else {})
 
 
 def _by_piqp(
@@ -272,14 +292,11 @@ def _by_piqp(
     *,
     rough: bool,
 ) -> ProgramSolution | None:
-    """The optimum as PIQP finds it; None where it does not end with one.
-
-    Without CVXPY, whose way to the same arrays takes longer than the solver.
-    """
+    """The optimum of a program whose shape CVXPY has stated before; None if PIQP finds none."""
     _settle_bounds(unknowns)
     size = unknowns.size
     solver = piqp.SparseSolver()
-    for name, value in (_SETTINGS | (_ROUGH if rough else {})).items():
+    for name, value in _piqp_settings(rough).items():
         setattr(solver.settings, name, value)
     given = {
         "P": sp.csc_array((size, size)) if curvature is None else curvature,
