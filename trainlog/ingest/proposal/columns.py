@@ -78,8 +78,8 @@ def effort_signs(work: Work, speed: str | None) -> None:
     """Which columns are traction, which braking, with which sign; proposals without a unit yet."""
     for role in (roles.TRACTION, roles.SIGNED, roles.DYNAMIC, roles.PNEUMATIC, roles.BRAKING):
         for name in list(work.names.get(role, [])):
-            stated = dimension_of(work.meanings[name].unit or "") == "force"
-            if not stated and np.unique(work.numbers[name]).size < LEVELS:
+            force = dimension_of(work.meanings[name].unit or "") == "force"
+            if not force and np.unique(work.numbers[name]).size < LEVELS:
                 work.names[role].remove(name)
                 work.left[name] = f"an effort of fewer than {LEVELS} values: a state?"
     main = work.first(roles.TRACTION)
