@@ -242,3 +242,53 @@ def test_a_table_without_time_is_passed_over_in_a_folder_alone(tmp_path: Path) -
         for each in ingest_all(folder, tmp_path / "logs", choose=choose).outcomes
     }
     assert states == {"devices.csv": "passed_over", "broken.csv": "refused"}
+
+
+def walked(tmp_path: Path, way: np.ndarray, speed: np.ndarray, seed: int = 0) -> str:
+    """What ingest states of the motion along a way [m, north + i east] at 1 Hz."""
+    noise = np.random.default_rng(seed).normal(0.0, 1.0, (2, way.size))
+    metre = np.degrees(1.0 / 6_371_000.0)
+    frame = pd.DataFrame(
+        {
+            "t": pd.Timestamp("2024-05-01T06:00:00Z") + pd.to_timedelta(np.arange(way.size), "s"),
+            "lat": 47.0 + metre * (way.real + noise[0]),
+            "lon": 9.0 + metre * (way.imag + noise[1]) / np.cos(np.radians(47.0)),
+            "v": np.abs(speed + 0.1 * noise[0]),
+        }
+    )
+    frame.to_csv(tmp_path / "run.csv", index=False)
+    names = {"/gnss/motion.speed": ("v", "m/s")}
+    names |= {f"/gnss/fix.{each}": (each[:3], "deg") for each in ("latitude", "longitude")}
+    profile = Profile.model_validate(
+        {
+            "format": "trainlog/recorder-profile",
+            "version": 1,
+            "name": "walked",
+            "file": {"format": "csv"},
+            "time": {"column": "t", "timezone": "UTC"},
+            "columns": {field: {"column": name, "unit": u} for field, (name, u) in names.items()},
+        }
+    )
+    (made,) = ingest_all(tmp_path / "run.csv", tmp_path / "logs", profile).of("made", "repaired")
+    return made.metadata.get("motion_evidence", "")
+
+
+def test_what_no_train_does_is_stated(tmp_path: Path) -> None:
+    second = np.arange(900.0)
+    ones = np.ones(second.size)
+    assert walked(tmp_path, 0.0 * second, 0.1 * ones).startswith("the train never moves")
+    circle = walked(tmp_path, 5.0 * np.exp(1j * second * 1.4 / 5.0), 1.4 * ones)
+    assert circle.endswith("bends of a few metres")
+    shaken = walked(tmp_path, 20.0 * second, 20.0 + 12.0 * (-1.0) ** second)
+    assert "accelerates by more than 4 m/s²" in shaken
+
+
+@pytest.mark.parametrize("radius", [20.0, 80.0, 300.0])
+def test_tight_curves_and_turning_loops_are_a_trains_motion(tmp_path: Path, radius: float) -> None:
+    """Trams turn on 20 m; a train runs through a loop and back, and stands between."""
+    second = np.arange(1_200.0)
+    speed = np.clip(np.minimum(0.5 * second, 0.5 * (1_199.0 - second)), 0.0, 0.3 * radius**0.5 * 4)
+    driven = np.cumsum(speed)
+    turned = np.clip((driven - 0.4 * driven[-1]) / radius, 0.0, np.pi)
+    way = np.cumsum(speed * np.exp(1j * turned))
+    assert walked(tmp_path, way, speed) == ""

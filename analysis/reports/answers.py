@@ -99,6 +99,8 @@ def verdict(trip: Trip, damage: str = "") -> Verdict:
     found = [each for each in doubts(row, samples) if each.words]
     if "assumed" in trip.metadata.get("clock", ""):
         found.append(Doubt(1, (), f"clock: {trip.metadata['clock']}"))
+    if "motion_evidence" in trip.metadata:
+        found.append(Doubt(2, (), trip.metadata["motion_evidence"]))
     found.sort(key=lambda each: -each.level)
     level = max((each.level for each in found), default=0)
     return Verdict(level, tuple(each.words for each in found))

@@ -144,11 +144,10 @@ def _print_ingested(result: Ingested, *, alone: bool) -> None:
             say(f"kept {each.log}")
             continue
         console.print(about(each.metadata, each.duration))
-        shown_as = {"direction": "direction", "route": f"route {each.metadata.get('line')}:"}
-        for what, words in shown_as.items():
+        route = f"route {each.metadata.get('line')}: "
+        for what, words in {"direction": "direction ", "route": route, "motion": ""}.items():
             if f"{what}_evidence" in each.metadata:
-                words = f"    {words} {each.metadata[f'{what}_evidence']}"
-                say(words)
+                say(f"    {words}{each.metadata[f'{what}_evidence']}")
         lines = [line for line in each.report.lines() if line not in shown]
         console.print(*(f"    {line}" for line in lines), sep="\n")
         # What the file holds besides its trips is shown with the first of them.

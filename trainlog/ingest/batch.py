@@ -231,11 +231,12 @@ class Ingested(Presented):
     def notes(self) -> list[str]:
         """What was refused and passed over, with reasons."""
         words = [f"refused: {_place(each)}{each.reason}" for each in self.of("refused")]
-        words += [
-            f"{_name(each)}: direction {evidence}"
-            for each in self.of("made", "repaired", "unchanged")
-            if "assumed" in (evidence := each.metadata.get("direction_evidence", ""))
-        ]
+        for each in self.of("made", "repaired", "unchanged"):
+            direction, motion = (
+                each.metadata.get(f"{what}_evidence", "") for what in ("direction", "motion")
+            )
+            words += [f"{_name(each)}: direction {direction}"] if "assumed" in direction else []
+            words += [f"{_name(each)}: {motion}"] if motion else []
         others = self.of("passed_over")
         words += [f"passed over: {each.file}: {each.reason}" for each in others[:MOST_PASSED_OVER]]
         if len(others) > MOST_PASSED_OVER:

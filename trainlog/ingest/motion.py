@@ -8,7 +8,7 @@ effort moves.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from trainlog.ingest.recording import METRES_PER_DEGREE, Finding, Table
 from trainlog.railway.train import Train
 from trainlog.spans import runs_of
 from trainlog.trip import Trip, seconds
-from trainlog.units import NANOSECONDS
+from trainlog.units import KMH, NANOSECONDS
 
 POSITION, SPEED, GNSS_SPEED = "/train/state.position", "/train/state.speed", "/gnss/motion.speed"
 LATITUDE, LONGITUDE = "/gnss/fix.latitude", "/gnss/fix.longitude"
@@ -64,6 +64,22 @@ FIX_STD, SPEED_STD = 5.0, 0.5
 receiver states none."""
 
 
+STAYED = 50.0
+"""Way [m] that places and distances of a train which never moves stay within."""
+
+BEND_PATH, BEND_CHORD, BEND_STEP = 100.0, 0.3, 0.7
+"""Bends of a few metres radius: over a path [m] the fixes move less than a share of it, though from
+sample to sample, some metres, they move more than the other share. Tracks turn round within some
+300 m."""
+
+HARSH = 4.0
+"""Acceleration over a second [m/s²] that no train reaches."""
+
+OFTEN_BENT, OFTEN_HARSH = 0.5, 0.1
+"""Share of the parts with such bends, and of the moving seconds with such accelerations, from which
+on a recording is not of a train's motion."""
+
+
 def seconds_of(table: Table) -> FloatArray:
     """Time of each row since the first [s]."""
     return np.asarray((table.time - table.time[0]) / NANOSECONDS)
@@ -96,6 +112,85 @@ def plane(table: Table) -> ComplexArray | None:
     scale = METRES_PER_DEGREE * np.cos(np.radians(float(np.median(latitude[fixed]))))
     places = METRES_PER_DEGREE * latitude + 1j * scale * longitude
     return np.where(fixed, places, np.nan)
+
+
+def unlike_a_train(tables: Sequence[Table]) -> str:
+    """Why a recording does not show a train's motion, in words; empty if it may.
+
+    It never moves, or most of its fixes lie on bends of some metres, or it often accelerates as
+    no train does. Recordings without any column of motion are not judged.
+
+    Examples
+    --------
+    >>> second = np.arange(600)
+    >>> still = Table(second, second * NANOSECONDS, {SPEED: np.full(600, 0.1)})
+    >>> unlike_a_train([still])
+    'the train never moves: 0.4 km/h at most in 599 s'
+    >>> run = Table(second, second * NANOSECONDS, {SPEED: np.minimum(0.5 * second, 20.0)})
+    >>> unlike_a_train([run])
+    ''
+    """
+    moved = [words for table in tables if len(table) > ENOUGH for words in _moved(table)]
+    if moved and all(moved):
+        longest = max(float(seconds_of(table)[-1]) for table in tables if len(table))
+        return f"the train never moves: {', '.join(dict.fromkeys(moved))} in {longest:.0f} s"
+    found = [words for table in tables if len(table) > ENOUGH for words in _not_of_rail(table)]
+    return f"not a train's motion: {', '.join(dict.fromkeys(found))}" if found else ""
+
+
+def _moved(table: Table) -> Iterator[str]:
+    """Of each column of motion how little it moves, in words; empty if it moves."""
+    speed, fixes = speed_of(table), plane(table)
+    position = table.signals.get(POSITION)
+    if speed is not None:
+        most = float(np.nanpercentile(speed, 99.0))
+        yield f"{KMH * most:.1f} km/h at most" if most < MOVING else ""
+    for words, places in (("distance", position), ("fixes", fixes)):
+        known = np.zeros(0) if places is None else places[np.isfinite(places)]
+        if known.size > 0:
+            middle = np.median(known.real) + 1j * np.median(known.imag)
+            away = float(np.percentile(np.abs(known - middle), 99.0))
+            yield f"{words} within {away:.0f} m" if away < STAYED else ""
+
+
+def _not_of_rail(table: Table) -> Iterator[str]:
+    """What of a table's motion no train shows."""
+    time, speed, fixes = seconds_of(table), speed_of(table), plane(table)
+    if speed is None:
+        return
+    known = np.flatnonzero(np.isfinite(speed))
+    blocks = series_of(time[known], speed[known], 1.0)
+    first, second = pairs_at(blocks.seconds, 1.0)
+    if first.size >= ENOUGH:
+        change = np.abs(blocks.values[second] - blocks.values[first])
+        rate = change / (blocks.seconds[second] - blocks.seconds[first])
+        moving = np.maximum(blocks.values[second], blocks.values[first]) > MOVING
+        harsh = moving & (rate > HARSH)
+        share = float(harsh.sum()) / max(float(moving.sum()), ENOUGH)
+        if share > OFTEN_HARSH:
+            yield (
+                f"accelerates by more than {HARSH:g} m/s² in {share:.0%} of the seconds in motion,"
+                f" up to {rate.max():.0f} m/s²"
+            )
+    if fixes is None:
+        return
+    path = integral(time, speed)[0]
+    fixed = np.flatnonzero(np.isfinite(fixes) & np.isfinite(path))
+    path, fixes = path[fixed], fixes[fixed]
+    later = np.searchsorted(path, path + BEND_PATH)
+    begin = np.flatnonzero(later < path.size)
+    steps, ways = np.abs(np.diff(fixes)), np.diff(path)
+    driven = np.concatenate(([0.0], np.cumsum(np.minimum(steps, ways))))
+    whole = path[later[begin]] - path[begin]
+    chord = np.abs(fixes[later[begin]] - fixes[begin])
+    # Fixes that are held, or late, move less from one to the next, too.
+    followed = driven[later[begin]] - driven[begin] > BEND_STEP * whole
+    bent = followed & (chord < BEND_CHORD * whole)
+    if begin.size >= ENOUGH and bent.mean() > OFTEN_BENT:
+        yield (
+            f"turns round within {BEND_PATH:.0f} m of its way in {bent.mean():.0%} of the"
+            " recording: bends of a few metres"
+        )
 
 
 class Agreement(NamedTuple):

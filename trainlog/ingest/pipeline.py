@@ -22,7 +22,13 @@ from trainlog.ingest.chainage import (
     estimated_state,
     position_offset,
 )
-from trainlog.ingest.motion import GNSS_SPEED, POSITION, SPEED, suspect_efforts
+from trainlog.ingest.motion import (
+    GNSS_SPEED,
+    POSITION,
+    SPEED,
+    suspect_efforts,
+    unlike_a_train,
+)
 from trainlog.ingest.parts import parts_of
 from trainlog.ingest.placing import OVERRUN, placed
 from trainlog.ingest.profile import (
@@ -65,6 +71,9 @@ SPEED_MARGIN = 1.5
 """Speeds beyond this multiple of what line and train allow are impossible."""
 
 Direction = Literal["forward", "reverse"]
+
+FALLS = "; the recorded distance falls: if these are the line's kilometres, give --reverse"
+"""Said beside a direction that is assumed."""
 
 
 def ingest(
@@ -573,7 +582,13 @@ def _trip(
     trip.metadata.update(metadata_of(recording, profile, line, train, heading))
     trip.metadata.update(estimate.metadata)
     if place is not None:
-        trip.metadata["direction_evidence"] = place.evidence
+        falls = POSITION in profile.columns and profile.columns[POSITION].sign == -1
+        trip.metadata["direction_evidence"] = place.evidence + FALLS * (
+            falls and "assumed" in place.evidence
+        )
+    doubtful = unlike_a_train(tables)
+    if doubtful:
+        trip.metadata["motion_evidence"] = doubtful
     trip.metadata["start"] = trip.start.isoformat()
     if line is not None:
         trip.attachments[LINE_ATTACHMENT] = line_to_bytes(line)
