@@ -123,10 +123,10 @@ def unlike_a_train(tables: Sequence[Table]) -> str:
     Examples
     --------
     >>> second = np.arange(600)
-    >>> still = Table(second, second * NANOSECONDS, {SPEED: np.full(600, 0.1)})
+    >>> still = Table(second * NANOSECONDS, second, {SPEED: np.full(600, 0.1)})
     >>> unlike_a_train([still])
     'the train never moves: 0.4 km/h at most in 599 s'
-    >>> run = Table(second, second * NANOSECONDS, {SPEED: np.minimum(0.5 * second, 20.0)})
+    >>> run = Table(second * NANOSECONDS, second, {SPEED: np.minimum(0.5 * second, 20.0)})
     >>> unlike_a_train([run])
     ''
     """
