@@ -172,7 +172,7 @@ def lines(draw: st.DrawFn) -> Line:
     )
 
 
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(
     line=lines(),
     train=st.sampled_from([FLIRT, VIRM6]),
@@ -190,7 +190,7 @@ def test_any_run_passes_its_audit_and_respects_its_bound(
         configurations,
         reserve=reserve,
         objective=objective,  # type: ignore[arg-type]
-        cells=80,
+        cells=50,
     )
     certificate = found.certificate
     assert certificate["energy"] >= certificate["lower_bound"] * (1.0 - 1e-6)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from refusals import refused
 from trajectory_cases import FLIRT, KMH, drawn, hilly_line, observed, optimised, optimised_journey
 
-from analysis.trajectory.journey import sections_of
+from analysis.trajectory.journey import JourneyPlan, sections_of
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.formats.ttobench import read_journey, read_track
 from trainlog.railway import Journey, TimingPoint, Trajectory
@@ -135,10 +136,19 @@ def stop(place: float, earliest: float | None = None, latest: float | None = Non
     return TimingPoint(place, earliest, latest, 0.0, 0.0)
 
 
+STOPS = Journey("stops", "hilly", (stop(0.0, 0.0, 0.0), stop(5_000.0), stop(8_000.0)))
+ASKED = (hilly_line(), FLIRT, drawn(FLIRT, 2, seed=3))
+
+
+@cache
+def with_stops(objective: str) -> JourneyPlan:
+    options = {"dwell": 30.0, "reserve": 0.12, "cells": 60, "objective": objective}
+    return optimised_journey(*ASKED, STOPS, **options)  # type: ignore[arg-type]
+
+
 def test_reserve_is_shared_so_that_a_second_is_worth_the_same_everywhere() -> None:
-    journey = Journey("stops", "hilly", (stop(0.0, 0.0, 0.0), stop(5_000.0), stop(8_000.0)))
     options = {"dwell": 30.0, "reserve": 0.12, "cells": 150}
-    plan = optimised_journey(hilly_line(), FLIRT, observed(FLIRT, 1.0), journey, **options)  # type: ignore[arg-type]
+    plan = optimised_journey(hilly_line(), FLIRT, observed(FLIRT, 1.0), STOPS, **options)  # type: ignore[arg-type]
     assert plan.departures[1] >= plan.arrivals[0] + 30.0 - 1e-6
     least = sum(plan.certificate["least_running_times"])
     assert plan.arrivals[-1] == pytest.approx(30.0 + 1.12 * least)
@@ -162,10 +172,7 @@ def test_reserve_is_shared_so_that_a_second_is_worth_the_same_everywhere() -> No
 
 @pytest.mark.parametrize("objective", ["wheel", "line"])
 def test_a_journey_names_the_configuration_that_takes_most_in_all(objective: str) -> None:
-    journey = Journey("stops", "hilly", (stop(0.0, 0.0, 0.0), stop(5_000.0), stop(8_000.0)))
-    configurations = drawn(FLIRT, 3, seed=3)
-    options = {"dwell": 30.0, "reserve": 0.12, "cells": 60, "objective": objective}
-    plan = optimised_journey(hilly_line(), FLIRT, configurations, journey, **options)  # type: ignore[arg-type]
+    plan, configurations = with_stops(objective), ASKED[2]
     certificate = plan.certificate
     totals = sum(np.array(each.certificate[f"{objective}_energy"]) for each in plan.sections)
     assert certificate["costliest_energy"] == pytest.approx(np.max(totals))
@@ -177,20 +184,17 @@ def test_a_journey_names_the_configuration_that_takes_most_in_all(objective: str
 
 def test_a_journey_at_the_line_is_worst_for_one_configuration_in_all_its_sections() -> None:
     """The worst of each section, added up, is more than any train takes."""
-    journey = Journey("stops", "hilly", (stop(0.0, 0.0, 0.0), stop(5_000.0), stop(8_000.0)))
-    configurations = drawn(FLIRT, 3, seed=3)
-    asked = (hilly_line(), FLIRT, configurations)
-    plan = optimised_journey(*asked, journey, dwell=30.0, reserve=0.12, cells=60, objective="line")
+    plan = with_stops("line")
     certificate, times = plan.certificate, plan.arrivals - plan.departures
     apart = [
-        optimised(*asked, start=start, end=end, running_time=time, cells=60, objective="line")
+        optimised(*ASKED, start=start, end=end, running_time=time, cells=60, objective="line")
         for (start, end), time in zip(((0.0, 5e3), (5e3, 8e3)), times.tolist(), strict=True)
     ]
     together = sum(np.array(each.certificate["line_energy"]) for each in apart)
     assert certificate["energy"] <= np.max(together) * (1.0 + 2e-4)
     assert certificate["energy"] < sum(each.certificate["energy"] for each in apart)
     # Whatever the mixture, the expected energy of any plan is above its bound.
-    mixture = [certificate["mixture"].get(each.name, 0.0) for each in configurations]
+    mixture = [certificate["mixture"].get(each.name, 0.0) for each in ASKED[2]]
     assert sum(mixture) == pytest.approx(1.0)
     assert np.dot(mixture, together) >= certificate["lower_bound"]
 

@@ -91,7 +91,7 @@ def test_a_gentle_brake_takes_no_more_than_the_few_that_decide_at_the_line() -> 
 
 def test_few_decide_at_the_line_where_the_dynamic_brake_is_weak() -> None:
     """Whoever has time brakes early, without friction: no reason to optimise for all of them."""
-    configurations = drawn(VIRM6, 20, seed=1)
+    configurations = drawn(VIRM6, 13, seed=1)
     found = optimised(
         hilly_line(), VIRM6, configurations, objective="line", reserve=0.07, cells=80
     ).certificate
@@ -102,10 +102,9 @@ def test_few_decide_at_the_line_where_the_dynamic_brake_is_weak() -> None:
     assert found["gap"] < 5e-3
 
 
-@pytest.mark.parametrize("objective", ["line", "expected"])
-def test_when_the_time_is_over_the_best_so_far_is_the_answer_with_its_gap(objective: str) -> None:
+def test_when_the_time_is_over_the_best_so_far_is_the_answer_with_its_gap(unrenewed: None) -> None:
     problem = TrajectoryProblem(
-        hilly_line(), VIRM6, drawn(VIRM6, 8, seed=1), objective=objective, reserve=0.07
+        hilly_line(), VIRM6, drawn(VIRM6, 4, seed=1), objective="line", reserve=0.07
     )
     soon, whole = (
         optimise(problem, OptimiserOptions(80, time_limit=limit)).certificate
