@@ -110,6 +110,7 @@ def test_sources_of_the_energy_from_the_line_are_stated_in_words() -> None:
     assert "not known: 1 run" in words
 
 
+@pytest.mark.usefixtures("unpainted_page")
 def test_what_was_refused_is_listed_with_its_reason_and_nothing_in_it_is_code(page: Page) -> None:
     (row,) = table_of(page, "refused")
     assert (row["analysis"], row["trips"]) == ("passport", 1)

@@ -30,6 +30,8 @@ from trainlog.presentation import new_table
 from trainlog.railway import RunningResistance
 from trainlog.trip import SCENARIO_ATTACHMENT
 
+pytestmark = pytest.mark.usefixtures("remembered", "unpainted_page")
+
 HEADINGS = ("section", "timetable s", "least of a reference s", "iterations of IPOPT", "least s")
 ROW = ("Chemnitz Hbf - Chemnitz-Hilbersdorf", "222", "204.7", "41 (of 5000)", "180.2")
 WORDS = " ".join((*HEADINGS, *ROW)).split()

@@ -47,6 +47,7 @@ def test_the_command_in_the_readme_makes_them_again(made: Path, name: str) -> No
     assert difference is None, difference
 
 
+@pytest.mark.long
 def test_two_runs_on_one_machine_give_the_same_bytes(made: Path, tmp_path: Path) -> None:
     runpy.run_path(str(CHECKOUT / "sample_logs" / "make_logs.py"))["make"](tmp_path)
     same = {name: sha256_of(made / name) == sha256_of(tmp_path / name) for name in MADE}

@@ -205,6 +205,7 @@ def test_masses_are_drawn_from_the_range() -> None:
     assert np.array_equal(drawn, study.drawn_masses(3, 100))
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_tables_and_pictures_are_made(
     known: study.Setup,
     outcomes: dict[tuple[str, float], study.Outcome],
@@ -219,7 +220,7 @@ def test_tables_and_pictures_are_made(
     assert "day 2: 0.0" in counted_on(days)
     pictures = {**study_charts(known, three), "days.png": days_charts(days)}
     StudyReport(tmp_path, terminal.console).draw(pictures)
-    assert all((tmp_path / name).stat().st_size > 10_000 for name in pictures)
+    assert all((tmp_path / name).exists() for name in pictures)
 
 
 def test_a_changing_rail_has_spots_that_come_and_go(known: study.Setup) -> None:
@@ -306,6 +307,7 @@ def test_as_published_a_late_train_takes_the_bounds_of_where_it_ought_to_be(
     assert table.heads[-1] == "78.2 t"
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_where_no_map_can_be_made_the_days_driven_are_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -318,5 +320,5 @@ def test_where_no_map_can_be_made_the_days_driven_are_reported(
     assert "day 2 was not driven: map of line" in report
     assert "no trip has shown the maximum adhesion" in report
     assert "| 1 | 0 | 0 |" in report
-    assert (tmp_path / "two-days.png").stat().st_size > 10_000
+    assert (tmp_path / "two-days.png").exists()
     assert len(list(tmp_path.glob("day-1-*.mcap"))) == 3

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from painting import without_painting
 from test_study_tables import check_page
 
 from analysis.studies.cunillera_2022 import model as study
@@ -22,7 +23,7 @@ LEVEL, DOWNHILL, CHOSEN = study.level(), study.downhill(), study.configurations(
 
 @dataclass(frozen=True)
 class Ran:
-    """What the command printed, and the folder that it wrote."""
+    """What the command printed, and the folder that it wrote; pictures are not painted."""
 
     printed: str
     folder: Path
@@ -31,7 +32,7 @@ class Ran:
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory) -> Ran:
     folder = tmp_path_factory.mktemp("robust-minimax")
-    with console.capture() as captured:
+    with console.capture() as captured, without_painting():
         assert not command(["study", "robust-minimax", "-o", str(folder)])
     return Ran(captured.get(), folder)
 
@@ -157,5 +158,5 @@ def test_the_command_writes_every_answer_with_its_picture(ran: Ran) -> None:
     for name in study.questions(LEVEL, DOWNHILL, CHOSEN):
         found = read_trajectory(ran.folder / f"{name}.json")
         assert found.certificate["audit"]["passed"]
-        assert (ran.folder / f"{name}.png").stat().st_size > 10_000
+        assert (ran.folder / f"{name}.png").exists()
     assert (ran.folder / "nominal-driven-by-others.png").exists()

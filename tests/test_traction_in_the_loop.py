@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ from trainlog.errors import InputError
 from trainlog.formats.mapfile import read_map, write_map
 from trainlog.formats.railway import read_line, read_train, write_line
 from trainlog.mcap import read_log
-from trainlog.railway import StepProfile, Train
+from trainlog.railway import StepProfile, TrackConditionMap, Train
 from trainlog.railway.adhesion import AdhesionCharacteristic, creep_coefficients, polach_curve
 from trainlog.simulation import DriveReading, Plant, TractionLoop, draw_scenarios, simulate
 
@@ -36,8 +37,12 @@ pytestmark = pytest.mark.usefixtures("remembered")
 
 LINE = read_line("sample_logs/CH_StGallen_Wil.line.json")
 TRAIN = read_train("sample_logs/CH_Stadler_FLIRT_TPF.train.json")
-MAP = read_map("sample_logs/CH_StGallen_Wil.map")
 MASS = 130e3
+
+
+@cache
+def known_map() -> TrackConditionMap:
+    return read_map("sample_logs/CH_StGallen_Wil.map")
 
 
 def with_axles(count: int) -> Train:
@@ -79,7 +84,7 @@ def driven(
     else:
         made = (
             CooperativeTraction(
-                train, LINE, condition=MAP if layer else None, layer=layer or "", mass=mass
+                train, LINE, condition=known_map() if layer else None, layer=layer or "", mass=mass
             )
             if control == "cooperative"
             else ReadhesionControl(train)
@@ -167,7 +172,7 @@ def shared(
 ) -> np.ndarray:
     """Efforts [N] of axles on rails of their own, by decision; None: without a map."""
     control = CooperativeTraction(
-        TRAIN, LINE, condition=MAP if layer else None, layer=layer or "", mass=MASS
+        TRAIN, LINE, condition=known_map() if layer else None, layer=layer or "", mass=MASS
     )
     model, period, rng = drive_model(TRAIN, MASS), control.period, np.random.default_rng(3)
     curves = np.array([creep_coefficients(each) for each in rails])
@@ -266,13 +271,15 @@ def test_a_racing_wheel_loses_effort_gets_most_of_it_back_and_the_rest_slowly() 
 def test_trips_are_driven_with_either_control_and_state_it() -> None:
     scenario = draw_scenarios(LINE, TRAIN, 4, seed=1)[2]
     for name in ("cooperative", "readhesion"):
-        made = with_traction([scenario], name, MAP)[0].traction
+        made = with_traction([scenario], name, known_map())[0].traction
         assert made is not None
         assert made().name == name
     refused(InputError, "unknown", with_traction, [scenario], "best")
-    refused(InputError, "no layer", with_traction, [scenario], "cooperative", MAP, layer="snow")
+    refused(
+        InputError, "no layer", with_traction, [scenario], "cooperative", known_map(), layer="snow"
+    )
     other = replace(scenario, line=replace(LINE, name="another"))
-    refused(InputError, "another", with_traction, [other], "cooperative", MAP)
+    refused(InputError, "another", with_traction, [other], "cooperative", known_map())
 
 
 def test_simulate_command_drives_with_a_map(tmp_path: Path) -> None:

@@ -195,7 +195,7 @@ def test_no_speed_and_control_has_less_than_the_bound_by_curvature(size: float) 
         assert np.all(least <= own + 1e-9)
 
 
-@pytest.mark.parametrize("objective", ["wheel", "line"])
+@pytest.mark.parametrize("objective", ["wheel", pytest.param("line", marks=pytest.mark.long)])
 def test_a_run_in_three_times_the_least_time_is_bounded_by_curvature(objective: str) -> None:
     answer, fastest, time, fine = with_much_time(objective)
     multipliers, run = answer.solution.multipliers, answer.problem.run

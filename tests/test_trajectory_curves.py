@@ -47,7 +47,7 @@ TRAINS = {
 @cache
 def found(train: str, line: str, count: int = 2) -> Trajectory:
     configurations = drawn(TRAINS[train], count, seed=3, spread=0.05)
-    return optimised(LINES[line], TRAINS[train], configurations, reserve=0.1, cells=150)
+    return optimised(LINES[line], TRAINS[train], configurations, reserve=0.1, cells=80)
 
 
 def within(train: Train, trajectory: Trajectory) -> FloatArray:
@@ -95,7 +95,7 @@ def test_plans_stay_within_the_curve_and_pass_their_audit(train: str, line: str)
 def test_a_common_brake_stops_a_train_whose_dynamic_brake_fades(line: str) -> None:
     train = TRAINS["stepped"]
     trajectory = optimised(
-        LINES[line], train, [Configuration.of(train)], reserve=0.08, braking="common", cells=200
+        LINES[line], train, [Configuration.of(train)], reserve=0.08, braking="common", cells=100
     )
     assert trajectory.certificate["certified"]
     assert np.all(within(train, trajectory) <= 1.0 + 1e-6)
@@ -115,7 +115,7 @@ def test_without_its_curve_a_train_would_be_asked_for_more_than_it_gives() -> No
     assert float(known.tractive_effort_limit(at)) == pytest.approx(48e3)
     configurations = [Configuration.of(known)]
     line = LINES["level"]
-    blind = optimised(line, alone, configurations, reserve=0.05, cells=200)
+    blind = optimised(line, alone, configurations, reserve=0.05, cells=80)
     assert blind.certificate["audit"]["passed"]
     run = TrajectoryProblem(line, known, configurations)
     refused = audit(
@@ -124,7 +124,7 @@ def test_without_its_curve_a_train_would_be_asked_for_more_than_it_gives() -> No
     )  # fmt: skip
     assert refused.effort[0] > 1.1
     assert any("exceeds the traction" in each for each in refused.failures(run, np.inf))
-    seeing = optimised(line, known, configurations, reserve=0.05, cells=200)
+    seeing = optimised(line, known, configurations, reserve=0.05, cells=80)
     assert np.all(within(known, seeing) <= 1.0 + 1e-6)
     assert seeing.certificate["audit"]["effort"] <= 1.0 + 1e-6
 
@@ -179,7 +179,7 @@ def test_ipopt_finds_no_better_plan() -> None:
     pytest.importorskip("casadi")
     train = TRAINS["linear"]
     trajectory = optimised(
-        LINES["hilly"], train, [Configuration.of(train)], reserve=0.1, cells=120, referee=True
+        LINES["hilly"], train, [Configuration.of(train)], reserve=0.1, cells=60, referee=True
     )
     judged = trajectory.certificate["referee"]
     assert judged["status"] in ("Solve_Succeeded", "Solved_To_Acceptable_Level")

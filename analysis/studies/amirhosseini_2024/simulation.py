@@ -354,8 +354,7 @@ def run(
         if k:
             # While an edge passes under a train, its slope keeps changing.
             since = rows[k - 1, 0] if point else max(position - plant.consist.length, 0.0)
-            crossed = edges_crossed(slopes.gradients.positions, position, since)
-            _reset(learner, variant, now, moved_on=bool(crossed[0]))
+            _reset(learner, variant, now, slopes.gradients.positions, (since, position))
             # (22): the rate of change of speed less the effort that was at work.
             output = MASS / PERIOD * (measured - before) - effort
             found, covariance = learner.record(_regressor(variant, before), output, SAMPLE_VARIANCE)
@@ -401,9 +400,17 @@ def _regressor(variant: Variant, speed: float) -> FloatArray:
     return -np.array([1.0, speed, speed**2])[: variant.parameters]
 
 
-def _reset(learner: RecursiveLeastSquares, variant: Variant, now: float, *, moved_on: bool) -> None:
-    elapsed = bool(periods_elapsed(TIME_RESET, now, now - PERIOD)[0])
-    if (variant.reset == "time" and elapsed) or (variant.reset == "space" and moved_on):
-        learner.reset()
-    elif variant.reset == "space, constant term" and moved_on:
-        learner.reset([0])
+def _reset(
+    learner: RecursiveLeastSquares,
+    variant: Variant,
+    now: float,
+    edges: FloatArray,
+    moved: tuple[float, float],
+) -> None:
+    """Reset as the variant does, `now` [s], having moved from a position to another [m]."""
+    if variant.reset == "time":
+        due = periods_elapsed(TIME_RESET, now, now - PERIOD)[0]
+    else:
+        due = variant.reset != "never" and edges_crossed(edges, moved[1], moved[0])[0]
+    if due:
+        learner.reset([0] if variant.reset == "space, constant term" else None)
