@@ -23,20 +23,22 @@ from analysis.adhesion.condition_map import (
     adhesion_map,
     empty_map,
     merge,
+    recording_of,
     update,
 )
 from analysis.adhesion.evidence import Evidence, evidence, evidence_of
-from analysis.adhesion.map_state import summary
+from analysis.adhesion.map_state import map_words, summary
 from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.charts import draw
 from estimators.condition_field import Prior
 from trainlog.arrays import FloatArray
 from trainlog.condition import prior_of
 from trainlog.errors import InputError, LogError
-from trainlog.formats.mapfile import map_from_bytes, map_to_bytes
+from trainlog.formats.mapfile import MapFile, map_from_bytes, map_to_bytes
 from trainlog.mcap import write_log
 from trainlog.railway import TrackConditionMap
-from trainlog.railway.evidence import DailyEvidence
+from trainlog.railway.condition import ConditionLayer
+from trainlog.railway.evidence import DailyEvidence, fixed
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
 
@@ -510,3 +512,127 @@ class TestWhatRecordersLack:
         assert wide.trips[0]["load"] == known.load
         assert any("load is not recorded" in note for note in wide.trips[0]["notes"])
         assert "recorders" in repr(wide)
+
+
+WAY = level_line(6_000.0)
+WAY_BINS = 240
+
+
+class Rail:
+    """Maximum adhesion by bin, and trips that try it: what they find is known of no estimator."""
+
+    def __init__(self, seed: int) -> None:
+        self.generator = np.random.default_rng([seed, 11])
+        noise = self.generator.standard_normal(WAY_BINS // 5 + 2)
+        self.log = np.log(0.16) + 0.1 * np.interp(
+            np.arange(WAY_BINS) / 5.0, np.arange(noise.size), noise
+        )
+        for start in self.generator.integers(0, WAY_BINS - 8, WAY_BINS // 30):
+            self.log[start : start + 6] = np.log(self.generator.uniform(0.08, 0.12))
+
+    def trip(self, number: int, factor: float = 1.0, direction: str = "forward") -> Evidence:
+        """A trip that finds the rail `factor` times as good."""
+        met = self.log + np.log(factor) + 0.05 * self.generator.standard_normal(WAY_BINS)
+        tried = np.log(self.generator.uniform(0.06, 0.24, WAY_BINS))
+        slips = tried > met
+        weight = fixed(np.where(slips, 1.0 / (0.12**2 + 0.03**2), 0.0))
+        level = np.searchsorted(np.log(LEVELS), tried, side="right") - 1
+        used = np.zeros((WAY_BINS, LEVELS.size))
+        used[np.flatnonzero(~slips), level[~slips]] = 1.0
+        daily = DailyEvidence.of_bins(DAY + number, slips, weight, fixed(weight * met), used)
+        return Evidence(
+            WAY.name, WAY.length, BIN, "wet", f"trip-{number}", f"{number:064x}", daily,
+            {"direction": direction},
+        )  # fmt: skip
+
+    def held(self, layer: ConditionLayer, factor: float = 1.0) -> tuple[float, float]:
+        """Share of the bins with onsets in the 95 % band, and the mean of estimate over truth."""
+        seen = layer.events > 0
+        error = (layer.log_mean - self.log - np.log(factor))[seen]
+        return float(np.mean(np.abs(error) < 1.96 * layer.log_std[seen])), float(error.mean())
+
+
+def notes_of(track: TrackConditionMap) -> dict[str, list[str]]:
+    return {trip["trip"]: trip.get("notes", []) for trip in track.trips}
+
+
+class TestTripsThatDisagree:
+    def test_trips_of_another_condition_are_set_aside_and_named(self) -> None:
+        rail = Rail(1)
+        wrong = {2, 5, 8, 11, 13}
+        trips = [rail.trip(number, 1.9 if number in wrong else 1.0) for number in range(14)]
+        track, _ = update(empty_map(WAY), trips)
+        said = {name for name, notes in notes_of(track).items() if notes}
+        assert said == {f"trip-{number}" for number in wrong}
+        inside, bias = rail.held(track.layers["wet"])
+        assert inside > 0.93
+        assert abs(bias) < 0.03
+        assert any("'trip-5' is set aside" in each for each in map_words(track))
+        # The order in which they come does not matter.
+        again, _ = update(empty_map(WAY), trips[::-1])
+        assert map_to_bytes(again) == map_to_bytes(track)
+
+    def test_a_change_of_the_whole_line_is_no_wrong_label(self) -> None:
+        rail = Rail(2)
+        trips = [rail.trip(number, 1.0 if number < 9 else 0.7) for number in range(14)]
+        track, _ = update(empty_map(WAY), trips)
+        assert not any(
+            notes[0].startswith("set aside") for notes in notes_of(track).values() if notes
+        )
+
+    def test_the_other_track_has_a_layer_of_its_own(self, tmp_path: Path) -> None:
+        rail = Rail(3)
+        ways = {"forward": 1.0, "reverse": 0.7}
+        trips = [
+            rail.trip(number, ways[way], way)
+            for number, way in enumerate(["forward", "reverse"] * 5)
+        ]
+        track, _ = update(empty_map(WAY), trips)
+        assert sorted(track.layers) == ["wet forward", "wet reverse"]
+        for way, factor in ways.items():
+            inside, bias = rail.held(track.travelled(way).layer("wet"), factor)
+            assert inside > 0.93
+            assert abs(bias) < 0.03
+        assert all("directions differ" in notes[0] for notes in notes_of(track).values())
+        # Apart they stay, in a file, in sums of days, and with a trip that comes later.
+        with MapFile(tmp_path / "a.map", empty_map(WAY)) as file:
+            file.append_all([recording_of(each) for each in trips])
+            assert file.compact(DAY + 5) == 5
+            file.append(recording_of(rail.trip(20, 0.7, "reverse")))
+            later = {name: known for name, (known, _) in file.layers(file.trips()).items()}
+        assert sorted(later) == ["wet forward", "wet reverse"]
+        assert later["wet forward"] == track.layers["wet forward"].evidence
+
+    def test_factors_of_trips_are_taken_out_where_they_differ(self) -> None:
+        rail = Rail(4)
+        factors = np.exp([0.0, 0.2, -0.2, 0.02, -0.15, 0.16, -0.22, 0.0, 0.2, -0.03])
+        trips = [rail.trip(number, float(each)) for number, each in enumerate(factors)]
+        track, _ = update(empty_map(WAY), trips)
+        layer = track.layers["wet"]
+        seen = layer.events > 0
+        error = (layer.log_mean - rail.log)[seen]
+        error -= np.median(error)
+        assert np.sqrt(np.mean(error**2)) < 0.06
+        assert rail.held(layer)[0] > 0.93
+
+    def test_trips_years_apart_from_the_others_are_set_aside(self) -> None:
+        rail = Rail(5)
+        trips = [rail.trip(number - 26 * 365 * (number % 3 == 0)) for number in range(8)]
+        track, _ = update(empty_map(WAY), trips)
+        said = [notes[0] for notes in notes_of(track).values() if notes]
+        assert len(said) == 3
+        assert all("dated 199" in each and "correct the recorder's clock" in each for each in said)
+        assert np.ptp(track.days) < 10
+
+    def test_trips_that_agree_are_left_as_they_are(self) -> None:
+        for seed in range(100, 125):
+            rail = Rail(seed)
+            trips = [
+                rail.trip(number, direction=("forward", "reverse")[number % 2])
+                for number in range(4)
+            ]
+            with MapFile.of_map(empty_map(WAY)) as file:
+                file.append_all([recording_of(each) for each in trips])
+                found = file.summed(file.trips())
+            assert not found.notes
+            assert found.evidence["wet"][0] == DailyEvidence.total(each.daily for each in trips)

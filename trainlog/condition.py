@@ -7,8 +7,8 @@ whatever order trips were counted.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,10 +29,13 @@ from estimators.condition_field import (
     solve,
 )
 from estimators.condition_passes import OFTEN, blurred
+from estimators.trip_agreement import Agreement, TripRows, agreement_of
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError
 from trainlog.railway.condition import (
+    DIRECTIONS,
+    SET_ASIDE,
     ConditionChange,
     ConditionLayer,
     ConditionModel,
@@ -40,6 +43,8 @@ from trainlog.railway.condition import (
     PassingSpot,
     TrackConditionMap,
     band_of,
+    condition_of_layer,
+    layer_of,
 )
 from trainlog.railway.evidence import DailyEvidence, day_of
 
@@ -215,6 +220,156 @@ def later_evidence(track: TrackConditionMap, time: Timestamp) -> str:
         return ""
     ends = [str(np.datetime64(int(each), "D")) for each in (later[0], later[-1])]
     return f"evidence of {counted(later.size, 'day')}, {' to '.join(dict.fromkeys(ends))}"
+
+
+@dataclass(frozen=True, eq=False)
+class TripEvidence:
+    """Evidence of one trip in a layer, to be compared with that of others.
+
+    Attributes
+    ----------
+    key : str
+    direction : str
+        ``"forward"`` or ``"reverse"``; empty: not known.
+    start : int [ns since 1970 UTC]
+    evidence : DailyEvidence
+    """
+
+    key: str
+    direction: str
+    start: int
+    evidence: DailyEvidence
+
+
+@dataclass(frozen=True, eq=False)
+class Reconciled:
+    """Evidence of a layer whose trips do not all agree.
+
+    Attributes
+    ----------
+    evidence : dict of str to DailyEvidence
+        By layer: one, or one for each direction (`layer_of`).
+    notes : dict of str to str
+        Why trips are set aside, or what was made of them, by key.
+    layers : dict of str to str
+        Layer in which each trip counts, by key; not those set aside.
+    """
+
+    evidence: dict[str, DailyEvidence]
+    notes: dict[str, str]
+    layers: dict[str, str]
+
+
+LONGEST_APART = 5 * 365
+"""Days without any trip in a map, at most: what lies beyond is taken for a wrong date."""
+
+
+def reconciled(
+    track: TrackConditionMap, layer: str, trips: Sequence[TripEvidence], *, apart: bool = False
+) -> Reconciled | None:
+    """What counts of the trips of a layer; None if all of them agree.
+
+    Trips that find another level than the others there, or are dated years from them, are set
+    aside. Where those of one direction find more than those of the other, as on the two tracks of a
+    double line, each direction has a layer. Where factors of trips differ by more than errors,
+    each trip's is taken out of its evidence, and its error is common to the trip's onsets.
+
+    Parameters
+    ----------
+    track : TrackConditionMap
+        Of which levels and settings are used.
+    layer : str
+    trips : sequence of TripEvidence
+        In an order that does not depend on how they came.
+    apart : bool
+        Whether the directions are known to differ.
+    """
+    notes = _misdated(trips)
+    dated = [each for each in trips if each.key not in notes]
+    found = None
+    if len(dated) > 1:
+        second = np.array([each.direction == DIRECTIONS[1] for each in dated])
+        order = np.array([each.start for each in dated], dtype=np.int64)
+        found = agreement_of(_trip_rows(track, dated), second, order)
+    if not notes and not apart and (found is None or _all_agree(found)):
+        return None
+    layers: dict[str, str] = {}
+    pieces: dict[str, list[DailyEvidence]] = {}
+    for number, each in enumerate(dated):
+        own = layer
+        if each.direction and (apart or (found is not None and found.apart)):
+            own = layer_of(layer, each.direction)
+        piece = each.evidence
+        if found is not None and found.aside[number]:
+            times = float(np.exp(found.factors.log[number]))
+            notes[each.key] = (
+                f"{SET_ASIDE}{times:.2f} times the adhesion of the other '{layer}' trips in"
+                f" {found.factors.places[number]:.0f} bins; is it of that rail condition?"
+            )
+            continue
+        if found is not None and found.apart:
+            notes[each.key] = (
+                f"the directions differ: reverse trips find {np.exp(found.apart):.2f} times the"
+                " adhesion of forward ones; each has its layer"
+            )
+        if found is not None and found.spread:
+            log, std = float(found.factors.log[number]), float(found.factors.std[number])
+            share = found.spread**2 / (found.spread**2 + std**2)
+            piece = piece.scaled(share * log, share * std**2, np.log(track.levels))
+        layers[each.key] = own
+        pieces.setdefault(own, []).append(piece)
+    none = DailyEvidence.none(track.bins, track.levels.size)
+    evidence = {name: DailyEvidence.total(each) for name, each in sorted(pieces.items())}
+    return Reconciled(evidence or {layer: none}, notes, layers)
+
+
+def _all_agree(found: Agreement) -> bool:
+    return not (found.apart or found.spread or found.aside.any())
+
+
+def _misdated(trips: Sequence[TripEvidence]) -> dict[str, str]:
+    """Why trips are dated wrong, by key: the fewer, or the earlier, of two groups years apart."""
+    dated = sorted(
+        (int(each.evidence.days[0]), each.key) for each in trips if each.evidence.days.size
+    )
+    if len(dated) < 2:
+        return {}
+    days = np.array([day for day, _ in dated])
+    group = np.cumsum(np.diff(days, prepend=days[0]) > LONGEST_APART)
+    size = np.bincount(group)
+    usual = int(np.flatnonzero(size == size.max())[-1])
+    ends = [np.datetime64(int(each), "D") for each in days[group == usual][[0, -1]]]
+    return {
+        key: f"{SET_ASIDE}dated {np.datetime64(day, 'D')}, years from trips of {ends[0]} to"
+        f" {ends[1]}; correct the recorder's clock and ingest it again"
+        for (day, key), own in zip(dated, group.tolist(), strict=True)
+        if own != usual
+    }
+
+
+def _trip_rows(track: TrackConditionMap, trips: Sequence[TripEvidence]) -> TripRows:
+    """Evidence of trips as the estimator takes it, each bin of a trip once."""
+    levels, own = np.log(track.levels), setting(track, "trip_std") ** 2
+
+    def joined(name: str) -> Any:
+        return np.concatenate([getattr(each.evidence, name) for each in trips])
+
+    def number(name: str) -> IntArray:
+        sizes = [getattr(each.evidence, name).size for each in trips]
+        return np.repeat(np.arange(len(trips)), sizes)
+
+    weight = joined("weight")
+    return TripRows(
+        len(trips),
+        track.bins,
+        number("bin"),
+        joined("bin"),
+        joined("weighted_log") / weight,
+        np.maximum(1.0 / weight - own, 1e-4) + joined("common") / weight**2,
+        number("used_bin"),
+        joined("used_bin"),
+        levels[joined("used_level")],
+    )
 
 
 def assumed_parameters(track: TrackConditionMap, name: str) -> FieldParameters:
@@ -400,7 +555,8 @@ def _spot(track: TrackConditionMap, found: FieldPosterior, group: IntArray) -> P
 
 def prior_of(track: TrackConditionMap, layer: str) -> Prior:
     """What the map's settings say of a layer before any evidence."""
-    known = layer if layer in ("dry", "wet") else "other"
+    condition = condition_of_layer(layer)
+    known = condition if condition in ("dry", "wet") else "other"
     return Prior(
         float(np.log(setting(track, f"prior_{known}"))),
         setting(track, "prior_std"),

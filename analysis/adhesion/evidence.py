@@ -26,7 +26,7 @@ from trainlog.identity import COLUMNS, TripIdentity, identity_of
 from trainlog.mcap import read_log
 from trainlog.mcap.reader import identity_of_log, stretches
 from trainlog.railway.condition import TrackConditionMap
-from trainlog.railway.evidence import DailyEvidence
+from trainlog.railway.evidence import DailyEvidence, fixed
 from trainlog.railway.line import Line
 from trainlog.railway.weather import Weather, check_condition, stated_condition, sun_elevation
 from trainlog.trip import LINE_ATTACHMENT, Trip
@@ -37,9 +37,6 @@ COVARIATE_TOPICS = ("/environment",)
 
 STEP = 60 * NANOSECONDS
 """Weather is averaged over a trip in steps of a minute."""
-
-FIXED_POINT = 2.0**-20
-"""Weights and weighted logarithms are whole multiples of this, so that their sums are exact."""
 
 POSITION_MARGIN = 5.0
 """Samples this close to the edge of a bin [m] bound no maximum: they may belong to the next."""
@@ -185,6 +182,8 @@ def with_details(
     """As `evidence_of_parts`, with the drive, the steps and the weather of the trip."""
     found = evidence_of_parts(parts, track, layer, sha256=sha256)
     details = found.details | covariates(trip, found.span, weather)
+    if LINE_ATTACHMENT in trip.attachments and line_of(trip).name == track.line:
+        details["direction"] = trip.metadata.get("direction", "forward")
     return replace(found, recorded=recorded, steps=len(trip.provenance), details=details)
 
 
@@ -348,7 +347,7 @@ class _Sums:
         seen = events > 0
         safe = np.where(seen, total, 1.0)
         spread = np.hypot(setting(track, "trip_std"), np.sqrt(1.0 / safe))
-        weight = np.where(seen, _fixed(spread**-2), 0.0)
+        weight = np.where(seen, fixed(spread**-2), 0.0)
         # What all onsets of the trip err by alike does not become less with their number.
         alike = np.hypot(onsets["delay_std"], onsets["transfer_std"]) / onsets["adhesion"]
         shared = summed(precision * alike.to_numpy()) / safe
@@ -357,10 +356,10 @@ class _Sums:
             self.day,
             events,
             weight,
-            _fixed(weight * mean),
+            fixed(weight * mean),
             _censored(self.highest, track, seen),
-            weighted_square=_fixed(weight * mean**2),
-            common=_fixed(weight**2 * (self.common_std**2 + shared**2)),
+            weighted_square=fixed(weight * mean**2),
+            common=fixed(weight**2 * (self.common_std**2 + shared**2)),
         )
 
 
@@ -413,10 +412,6 @@ def check_line(track: TrackConditionMap, trip: str, line: str, length: float) ->
             f" the map is of '{track.line}' ({track.length:g} m)",
             remedy="keep one map a line",
         )
-
-
-def _fixed(values: FloatArray) -> FloatArray:
-    return np.asarray(np.round(values / FIXED_POINT) * FIXED_POINT)
 
 
 # ---------------------------------------------------------------------------------- weather

@@ -47,7 +47,12 @@ from trainlog.presentation import (
     frame_table,
     new_table,
 )
-from trainlog.railway.condition import ConditionLayer, ModelParameter, TrackConditionMap
+from trainlog.railway.condition import (
+    SET_ASIDE,
+    ConditionLayer,
+    ModelParameter,
+    TrackConditionMap,
+)
 from trainlog.railway.line import Line
 
 SPOT_SEPARATION = 250.0
@@ -612,9 +617,16 @@ def map_words(track: TrackConditionMap) -> list[str]:
         words = [each.elsewhere for each in every[:1]]
     for each in every:
         for note, trips in each.notes.items():
+            if note.startswith(SET_ASIDE):
+                continue
             more = f" and {len(trips) - 1} more" if len(trips) > 1 else ""
             words.append(f"{each.layer}, {trips[0]}{more}: {note}")
-    return words
+    return words + [
+        f"trip '{trip['trip']}' is {note}"
+        for trip in track.trips
+        for note in trip.get("notes", ())
+        if note.startswith(SET_ASIDE)
+    ]
 
 
 def _spots_in_words(layer: LayerSummary) -> str:

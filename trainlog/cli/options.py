@@ -354,12 +354,13 @@ def zone_assumed(at: str | None, zone: str | None) -> str:
 
 
 def map_of_run(
-    condition: Path, at: str | None, line: Line
+    condition: Path, at: str | None, line: Line, direction: str = ""
 ) -> tuple[TrackConditionMap, pd.Timestamp | None]:
     """The map, made of the evidence of the days before the time of the run alone, and that time.
 
     What is left out is printed. Without a time all evidence counts. Of a network's folder of maps
-    it is the map along the `line`, in its own direction.
+    it is the map along the `line`, in its own direction. With the `direction` of the run layers of
+    the other one are left out.
 
     Raises
     ------
@@ -374,6 +375,7 @@ def map_of_run(
         track = network_map(condition).along(line)
     else:
         track = trainlog.read_map(condition)
+    track = track.travelled(direction) if direction else track
     time = moment(at, None)
     if time is None:
         return track, None

@@ -221,7 +221,9 @@ def plan(
         time_given = TIME.above(0.0).read(running_time, "--running-time")
     the_line = own_line.reversed() if reverse else own_line
     start, end = stretch(km, the_line) or (None, None)
-    track, time = (None, None) if map_ is None else map_of_run(map_, at, own_line)
+    track, time = None, None
+    if map_ is not None:
+        track, time = map_of_run(map_, at, own_line, "reverse" if reverse else "forward")
     if track is not None and layer is None:
         console.print("  no --layer is given: wet")
     options = analysis.OptimiserOptions(

@@ -142,7 +142,9 @@ def follow(
     if kept is not None and planned.direction == "reverse":
         kept = kept.reversed()
     the_line, the_train = line_and_train(line, train, kept)
-    the_map, time = (None, None) if map_ is None else map_of_run(map_, at, the_line)
+    the_map, time = None, None
+    if map_ is not None:
+        the_map, time = map_of_run(map_, at, the_line, planned.direction)
     words = counted_on(the_map, weather, risk, time)
     say(f"  {words}")
     scenarios = section_scenarios(

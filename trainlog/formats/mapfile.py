@@ -25,7 +25,7 @@ from functools import reduce
 from itertools import groupby
 from operator import xor
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, Self
 
 import numpy as np
 from isal import isal_zlib
@@ -44,15 +44,20 @@ from trainlog.formats.files import (
 from trainlog.formats.packed import pack, unpack, unpack_joined
 from trainlog.identity import Known, TripIdentity, identity_from_text, overlapping, same_drives
 from trainlog.railway.condition import (
+    SET_ASIDE,
     ConditionChange,
     ConditionLayer,
     ConditionModel,
     ModelParameter,
     PassingSpot,
     TrackConditionMap,
+    condition_of_layer,
 )
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.version import code_version_of
+
+if TYPE_CHECKING:
+    from trainlog.condition import Reconciled
 
 APPLICATION = 0x746C6D70
 """SQLite's application_id of a map: "tlmp"."""
@@ -259,10 +264,16 @@ class Row(NamedTuple):
         found: dict[str, str] = json.loads(self.evidence) if self.evidence else {}
         return found
 
+    def piece(self, digest: str) -> _Piece:
+        """Evidence of the trip by its digest."""
+        direction = str(json.loads(self.entry).get("direction", ""))
+        return _Piece(*self.days, digest, self.key, direction, self.start or -1)
+
     @property
     def entry_whole(self) -> dict[str, Any]:
         """The entry of the trip as a map at hand has it."""
         entry: dict[str, Any] = json.loads(self.entry)
+        entry.pop("direction", None)  # it serves to compare trips, which sums do not allow
         return entry if self.identity is None else {**entry, "identity": self.identity}
 
     @property
@@ -328,6 +339,38 @@ class _Piece(NamedTuple):
     first_day: int
     last_day: int
     digest: str
+    key: str
+    direction: str
+    start: int
+
+
+class Sums(NamedTuple):
+    """What the trips of a file amount to.
+
+    Attributes
+    ----------
+    evidence : dict of str to (DailyEvidence, str)
+        By layer, added up, with a digest of what it was added up from.
+    notes : dict of str to str
+        On trips that do not agree with the others, by key.
+    layers : dict of (str, str) to str
+        Where trips of a rail condition count by direction, the layer of each, by condition and key.
+    """
+
+    evidence: dict[str, tuple[DailyEvidence, str]]
+    notes: dict[str, str]
+    layers: dict[tuple[str, str], str]
+
+
+def _entry_of(
+    row: Row, notes: Mapping[str, str], layers: Mapping[tuple[str, str], str]
+) -> dict[str, Any]:
+    """The entry of a trip, with what was made of it beside the others."""
+    entry = row.entry_whole
+    if row.key in notes:
+        entry["notes"] = [*entry.get("notes", ()), notes[row.key]]
+    layer = layers.get((row.layer, row.key), row.layer)
+    return entry | ({"layer": layer} if layer != row.layer else {})
 
 
 def _pieces_of(rows: Iterable[Row]) -> dict[str, list[_Piece]]:
@@ -335,7 +378,7 @@ def _pieces_of(rows: Iterable[Row]) -> dict[str, list[_Piece]]:
     found: dict[str, list[_Piece]] = {}
     for row in rows:
         for layer, digest in row.pieces.items() if row.counted else ():
-            found.setdefault(layer, []).append(_Piece(*row.days, digest))
+            found.setdefault(layer, []).append(row.piece(digest))
     return found
 
 
@@ -471,9 +514,11 @@ class MapFile:
         """
         with self.unchanging():
             trips = self.trips()
-            entries = sorted((row.entry_whole for row in trips if row.counted), key=place_of)
+            known, notes, own = self.summed(trips)
+            entries = sorted(
+                (_entry_of(row, notes, own) for row in trips if row.counted), key=place_of
+            )
             track = replace(self.empty, trips=tuple(entries))
-            known = self.layers(trips)
             # What else changed since the estimate was made does not matter.
             code = code_version_of("trainlog.condition")
             made_from = {name: f"{digest} {code}" for name, (_, digest) in known.items()}
@@ -600,14 +645,66 @@ class MapFile:
 
     def layers(self, trips: Sequence[Row]) -> dict[str, tuple[DailyEvidence, str]]:
         """Evidence of the trips by layer, added up, and a digest of what it was added up from."""
+        return self.summed(trips).evidence
+
+    def summed(self, trips: Sequence[Row]) -> Sums:
+        """Evidence of the trips by layer, added up; what does not agree is set aside or apart."""
         known, pieces = self._sums(), _pieces_of(trips)
-        found = {}
-        for layer in sorted({*known, *pieces}):
+        found, notes, layers = dict[str, tuple[DailyEvidence, str]](), dict[str, str](), {}
+        for layer in sorted({*map(condition_of_layer, known), *pieces}):
             given = pieces.get(layer, [])
             start, digest = known.get(layer, (None, ""))
             made_from = [digest, *sorted(each.digest for each in given)]
-            found[layer] = self._added_up(start, given), sha256("\n".join(made_from).encode())
-        return found
+            apart = {name: each for name, each in known.items() if name != layer}
+            apart = {n: each for n, each in apart.items() if condition_of_layer(n) == layer}
+            judged = self._reconciled(layer, given, apart=bool(apart))
+            if judged is None:
+                found[layer] = self._added_up(start, given), sha256("\n".join(made_from).encode())
+                continue
+            notes |= judged.notes
+            layers |= {(layer, key): name for key, name in judged.layers.items()}
+            made_from += [*sorted(judged.notes.values()), *sorted(judged.layers.values())]
+            sums = {**apart, **({layer: known[layer]} if layer in known else {})}
+            for name in sorted({*judged.evidence, *sums}):
+                own = [each[name] for each in (judged.evidence,) if name in each]
+                own += [sums[name][0]] if name in sums else []
+                whole = [name, sums[name][1] if name in sums else "", *made_from]
+                found[name] = DailyEvidence.total(own), sha256("\n".join(whole).encode())
+        return Sums(found, notes, layers)
+
+    def _reconciled(
+        self, layer: str, pieces: Sequence[_Piece], *, apart: bool
+    ) -> Reconciled | None:
+        """What counts of the trips of a layer; None if all of them agree."""
+        from trainlog.condition import TripEvidence, reconciled
+
+        if len(pieces) < 2 and not apart:
+            return None
+        trips = [
+            TripEvidence(each.key, each.direction, each.start, evidence)
+            for each, evidence in zip(pieces, self._each(pieces), strict=True)
+        ]
+        trips.sort(key=lambda each: each.key)
+        track = self.empty
+        sizes = {(each.evidence.bins, each.evidence.levels) for each in trips}
+        if sizes - {(track.bins, track.levels.size)}:
+            return None  # which is refused where the map is read
+        return reconciled(track, layer, trips, apart=apart)
+
+    def _each(self, pieces: Sequence[_Piece]) -> Iterator[DailyEvidence]:
+        """The evidence of pieces, one by one."""
+        for first in range(0, len(pieces), _TOGETHER):
+            digests = [piece.digest for piece in pieces[first : first + _TOGETHER]]
+            blobs = self._blobs(digests)
+            for each in digests:
+                yield self._joined([self._raw(blobs.get(each, b""), each)], each)
+
+    def _blobs(self, digests: Sequence[str]) -> dict[str, bytes]:
+        """Evidence as it stands in the file, by digest."""
+        every = ",".join("?" * len(digests))
+        return dict(
+            self._asked(f"SELECT digest, data FROM evidence WHERE digest IN ({every})", digests)
+        )
 
     def _added_up(self, known: DailyEvidence | None, pieces: Sequence[_Piece]) -> DailyEvidence:
         """What is known already and the pieces, in one; at least one of them there must be.
@@ -623,9 +720,7 @@ class MapFile:
             digests = [piece.digest for piece in group]
             for start in range(0, len(digests), _TOGETHER):
                 some = digests[start : start + _TOGETHER]
-                every = ",".join("?" * len(some))
-                command = f"SELECT digest, data FROM evidence WHERE digest IN ({every})"
-                blobs = dict(self._asked(command, some))
+                blobs = self._blobs(some)
                 raw = [self._raw(blobs.get(each, b""), each) for each in some]
                 latest = [DailyEvidence.total([*latest, self._joined(raw, some[0])])]
         return DailyEvidence.total([*done, *latest])
@@ -834,7 +929,13 @@ class MapFile:
         """
         with self._writing() as database:
             rows = self.rows("WHERE evidence IS NOT NULL AND ifnull(last_day, -1) < ?", (before,))
-            known, added = self.sums(), _pieces_of(rows)
+            _, notes, layers = self.summed(self.rows())
+            # What is set aside now may count beside later trips.
+            rows = [row for row in rows if not notes.get(row.key, "").startswith(SET_ASIDE)]
+            known, added = self.sums(), dict[str, list[_Piece]]()
+            for layer, pieces in _pieces_of(rows).items():
+                for piece in pieces:
+                    added.setdefault(layers.get((layer, piece.key), layer), []).append(piece)
             for layer in sorted(added):
                 self._insert_sums(layer, self._added_up(known.get(layer), added[layer]))
             for row in rows:

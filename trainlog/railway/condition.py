@@ -7,7 +7,7 @@ up in any order so that trips can be processed apart and merged.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, ClassVar
@@ -38,6 +38,29 @@ ADHESION_CLASSES = (
     f"from {ADHESION_BOUNDS[-1]:.2f}",
 )
 """Their names."""
+
+
+DIRECTIONS = "forward", "reverse"
+
+SET_ASIDE = "set aside: "
+"""How the note of a trip begins whose evidence does not count."""
+
+
+def layer_of(layer: str, direction: str) -> str:
+    """Name of a layer of one direction.
+
+    Examples
+    --------
+    >>> layer_of("wet", "reverse"), condition_of_layer("wet reverse"), condition_of_layer("wet")
+    ('wet reverse', 'wet', 'wet')
+    """
+    return f"{layer} {direction}"
+
+
+def condition_of_layer(layer: str) -> str:
+    """The rail condition of a layer, be it of one direction."""
+    condition, _, direction = layer.rpartition(" ")
+    return condition if direction in DIRECTIONS else layer
 
 
 def adhesion_class(adhesion: ArrayLike) -> IntArray:
@@ -517,6 +540,7 @@ class TrackConditionMap(Presented):
     levels : (k,) array
         Adhesion levels of the censoring histograms.
     layers : dict of str to ConditionLayer
+        By rail condition; where directions differ, ``"wet forward"`` and ``"wet reverse"``.
     trips : tuple of dict
         Provenance: name and SHA-256 of every log counted in, and its layer.
 
@@ -603,6 +627,24 @@ class TrackConditionMap(Presented):
                 f"map of line '{self.line}' has no layer '{name}'",
                 remedy=f"layers present: {', '.join(self.layers) or 'none'}",
             ) from None
+
+    def travelled(self, direction: str) -> TrackConditionMap:
+        """The map for trips in a direction: layers of that direction by their rail condition alone.
+
+        Examples
+        --------
+        >>> import trainlog
+        >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
+        >>> apart = replace(track, layers={"wet reverse": track.layers["wet"]})
+        >>> list(apart.travelled("reverse").layers), list(apart.travelled("forward").layers)
+        (['wet'], [])
+        """
+        layers = {
+            condition_of_layer(name): layer
+            for name, layer in self.layers.items()
+            if name in (condition_of_layer(name), layer_of(condition_of_layer(name), direction))
+        }
+        return replace(self, layers=layers)
 
     def bin_of(self, position: ArrayLike) -> IntArray:
         """Index of the bin that holds each position [m]; ends are extended."""

@@ -27,6 +27,21 @@ _DENSE = 4
 _SUMS = ("trips", "events", "weight", "weighted_log", "weighted_square", "common")
 
 
+FIXED_POINT = 2.0**-20
+"""Weights and weighted logarithms are whole multiples of this, so that their sums are exact."""
+
+
+def fixed(values: FloatArray) -> FloatArray:
+    """Values as whole multiples of `FIXED_POINT`.
+
+    Examples
+    --------
+    >>> fixed(np.array([0.1])) * 2.0**20
+    array([104858.])
+    """
+    return np.asarray(np.round(values / FIXED_POINT) * FIXED_POINT)
+
+
 def day_of(time: Timestamp) -> int:
     """The day of a time, counted from 1970-01-01 in UTC; without a zone it is taken for UTC.
 
@@ -195,6 +210,29 @@ class DailyEvidence:
             **{name: getattr(self, name)[own] for name in (*_KEYS, *_SUMS)},
             **{name: getattr(self, name)[used] for name in (*_USED_KEYS, "used_trips")},
         )
+
+    def scaled(self, log_factor: float, variance: float, log_levels: FloatArray) -> DailyEvidence:
+        """That of a trip with all adhesion divided by a factor, which all onsets have in common.
+
+        Parameters
+        ----------
+        log_factor, variance : float
+            Logarithm of the factor, and the variance of its error.
+        log_levels : (k,) array
+            Logarithms of the map's levels.
+        """
+        shift = log_factor * self.weight
+        level = np.searchsorted(log_levels, log_levels[self.used_level] - log_factor, "right") - 1
+        moved = replace(
+            self,
+            weighted_log=fixed(self.weighted_log - shift),
+            weighted_square=fixed(
+                self.weighted_square - log_factor * (2.0 * self.weighted_log - shift)
+            ),
+            common=fixed(self.common + variance * self.weight**2),
+            used_level=np.maximum(level, 0).astype(np.int64),
+        )
+        return DailyEvidence.total([moved.chosen(self.weight >= 0.0, level >= 0)])
 
     @property
     def days(self) -> IntArray:

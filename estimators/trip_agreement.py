@@ -1,0 +1,300 @@
+"""Whether the trips of a layer agree: the factor by which each finds more or less than the others.
+
+Every trip finds the level of a place times a factor of its own, near 1. The level of a place is the
+median over trips; a trip's factor is a posterior mean on a grid, from its onsets of slip and from
+what it used without slip where others slipped. Both take turns (median polish: Tukey 1977,
+Exploratory Data Analysis, chapter 11). Single places, as those where a spot passed, weigh little:
+their error has a wide share.
+
+A trip whose factor no ordinary spread between trips explains is of another rail condition than its
+label. Where factors differ more than errors do, each trip's own is what its onsets have in common.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from trainlog.arrays import BoolArray, FloatArray, IntArray
+
+ERROR = 0.09
+"""Standard deviation of a trip's log adhesion about level and factor, beside its own."""
+
+WIDE, OFTEN = 4.0, 0.15
+"""Single places scatter by this factor more, and how often."""
+
+ASTRAY = 0.02
+"""Probability of any adhesion at a place, whatever its level: a spot, another place."""
+
+ALIKE = 0.5
+"""Weight of a bin: neighbours are of one slip."""
+
+GRID = np.arange(-1.2, 1.201, 0.03)
+"""Logarithms of factors that are tried."""
+
+PRIOR = 0.5
+"""Standard deviation of the logarithm of a factor before any evidence."""
+
+ORDINARY = 0.05
+"""Standard deviation of the logarithm of factors that is in the spread between trips anyway."""
+
+LEAST = 0.25
+"""Logarithm of a factor below which a trip is of its condition."""
+
+DOUBT = 3.0
+"""Log likelihood ratio of such a factor to an ordinary one from which a trip is set aside."""
+
+SPREAD = 6.0
+"""Log likelihood ratio from which factors are taken to differ."""
+
+APART = 0.12
+"""Logarithm of the ratio of two directions from which they are taken to differ."""
+
+LASTING, CHANGE = 3, 0.45
+"""So many trips after all others, and factors whose logarithms are up to this, are a change of the
+line."""
+
+ROUNDS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class TripRows:
+    """Evidence of the trips of one rail condition, as plain arrays.
+
+    Attributes
+    ----------
+    trips, bins : int
+    trip, bin : (m,) int array
+        One row a trip and bin with onsets of slip.
+    log, variance : (m,) array
+        Log adhesion there, and the variance of its error.
+    used_trip, used_bin : (n,) int array
+    used_log : (n,) array
+        Log adhesion that was used without slip.
+    """
+
+    trips: int
+    bins: int
+    trip: IntArray
+    bin: IntArray
+    log: FloatArray
+    variance: FloatArray
+    used_trip: IntArray
+    used_bin: IntArray
+    used_log: FloatArray
+
+    def of(self, trips: BoolArray) -> TripRows:
+        """Those of some trips; their numbers stay."""
+        own, used = trips[self.trip], trips[self.used_trip]
+        onsets = (each[own] for each in (self.trip, self.bin, self.log, self.variance))
+        levels = (each[used] for each in (self.used_trip, self.used_bin, self.used_log))
+        return TripRows(self.trips, self.bins, *onsets, *levels)
+
+
+@dataclass(frozen=True, eq=False)
+class Factors:
+    """Factors of trips; arrays (trips,).
+
+    Attributes
+    ----------
+    log, std : array
+        Logarithm of the factor and its standard deviation.
+    doubt : array
+        Log likelihood ratio of the likeliest factor to the likeliest ordinary one.
+    places : array
+        Bins in which the trip meets others.
+    """
+
+    log: FloatArray
+    std: FloatArray
+    doubt: FloatArray
+    places: FloatArray
+
+
+def median_by(group: IntArray, values: FloatArray, size: int) -> FloatArray:
+    """Median of the values of each group; NaN where there is none; (size,).
+
+    Examples
+    --------
+    >>> median_by(np.array([0, 0, 0, 2]), np.array([1.0, 5.0, 2.0, 4.0]), 3)
+    array([ 2., nan,  4.])
+    """
+    order = np.lexsort((values, group))
+    count = np.bincount(group, minlength=size)
+    first = np.cumsum(count) - count
+    found = np.full(size, np.nan)
+    some = count > 0
+    low, high = first + (count - 1) // 2, first + count // 2
+    ranked = values[order]
+    found[some] = 0.5 * (ranked[low[some]] + ranked[high[some]])
+    return found
+
+
+def likelihoods(rows: TripRows, level: FloatArray, own: BoolArray) -> FloatArray:
+    """Log likelihood of each trip by its factor, (trips, grid).
+
+    Parameters
+    ----------
+    rows : TripRows
+    level : (bins,) array
+        Log level of each bin; NaN where it is not known.
+    own : (m,) bool array
+        Rows with onsets that count.
+    """
+    found = np.zeros((rows.trips, GRID.size))
+    trip, away = rows.trip[own], (rows.log - level[rows.bin])[own]
+    std = np.sqrt(ERROR**2 + rows.variance[own])
+    off = away[:, None] - GRID
+    value = ASTRAY * np.ones(off.shape)
+    for share, width in ((1.0 - OFTEN, std), (OFTEN, WIDE * std)):
+        density = np.exp(-0.5 * (off / width[:, None]) ** 2) / (
+            np.sqrt(2.0 * np.pi) * width[:, None]
+        )
+        value += share * density
+    np.add.at(found, trip, ALIKE * np.log(value))
+    known = np.isfinite(level[rows.used_bin])
+    over = level[rows.used_bin[known]] - rows.used_log[known]
+    borne = np.exp(log_ndtr((over[:, None] + GRID) / ERROR))
+    np.add.at(found, rows.used_trip[known], ALIKE * np.log(ASTRAY + (1.0 - ASTRAY) * borne))
+    return found
+
+
+def factors_of(rows: TripRows, ordinary: BoolArray | None = None) -> tuple[Factors, FloatArray]:
+    """Factor of each trip, and the level of each bin, (bins,).
+
+    Parameters
+    ----------
+    rows : TripRows
+    ordinary : (trips,) bool array, optional
+        Trips that make the levels where any of them is; default: all.
+    """
+    makes = np.ones(rows.trips, dtype=np.bool_) if ordinary is None else ordinary
+    own = makes[rows.trip]
+    log = np.zeros(rows.trips)
+    several = np.zeros(rows.trip.size, dtype=np.bool_)
+    for _ in range(ROUNDS):
+        even = rows.log - log[rows.trip]
+        level = median_by(rows.bin[own], even[own], rows.bins)
+        count = np.bincount(rows.bin[own], minlength=rows.bins)
+        # A trip does not judge itself.
+        several = np.isfinite(level)[rows.bin] & (count[rows.bin] - own > 0)
+        likelihood = likelihoods(rows, level, several)
+        posterior = likelihood - 0.5 * (GRID / PRIOR) ** 2
+        weight = np.exp(posterior - posterior.max(axis=1, keepdims=True))
+        weight /= weight.sum(axis=1, keepdims=True)
+        log = weight @ GRID
+        std = np.sqrt(np.maximum(weight @ GRID**2 - log**2, 1e-4))
+        sure = makes & (std < 0.5 * PRIOR)
+        middle = float(np.median(log[sure])) if sure.any() else 0.0
+        log = np.where(std < 0.5 * PRIOR, log - middle, 0.0)
+    near = np.abs(GRID) <= max(LEAST - 0.05, 0.15)
+    doubt = likelihood.max(axis=1) - likelihood[:, near].max(axis=1)
+    used = np.isfinite(level[rows.used_bin])
+    places = np.bincount(rows.trip[several], minlength=rows.trips) + np.bincount(
+        rows.used_trip[used], minlength=rows.trips
+    )
+    return Factors(log, std, doubt, places.astype(np.float64)), level
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """How the trips of a rail condition go together.
+
+    Attributes
+    ----------
+    apart : float
+        Logarithm of what trips in the second direction find over those in the first; 0 where they
+        agree.
+    aside : (trips,) bool array
+        Trips of another condition.
+    factors : Factors
+        Beside trips of their direction that are not set aside.
+    spread : float
+        Standard deviation of the logarithm of the others' factors; 0 where errors explain it.
+    """
+
+    apart: float
+    aside: BoolArray
+    factors: Factors
+    spread: float
+
+
+def agreement_of(rows: TripRows, second: BoolArray, order: IntArray) -> Agreement:
+    """How trips go together.
+
+    Parameters
+    ----------
+    rows : TripRows
+    second : (trips,) bool array
+        Trips in the second of two directions.
+    order : (trips,) int array
+        By time.
+    """
+    apart = _apart(rows, second)
+    groups = [~second, second] if apart else [np.ones(rows.trips, dtype=np.bool_)]
+    aside = np.zeros(rows.trips, dtype=np.bool_)
+    columns = np.zeros((4, rows.trips))
+    for group in groups:
+        found, others = _set_aside(rows.of(group), group, order)
+        aside |= others
+        every = (found.log, found.std, found.doubt, found.places)
+        columns[:, group] = np.array(every)[:, group]
+    factors = Factors(*columns)
+    return Agreement(apart, aside, factors, _spread(factors, ~aside & (factors.places > 0)))
+
+
+def _apart(rows: TripRows, second: BoolArray) -> float:
+    """Logarithm of what the second direction finds over the first; 0 where they agree."""
+    sides = []
+    for first in (~second, second):
+        found, _ = factors_of(rows, first)
+        side = found.log[~first & (found.places > 0) & (found.std < 0.5 * PRIOR)]
+        if side.size < 2:
+            return 0.0
+        middle = float(np.median(side))
+        spread = max(1.48 * float(np.median(np.abs(side - middle))), ORDINARY)
+        if abs(middle) < max(APART, 4.0 * spread / np.sqrt(side.size)):
+            return 0.0
+        sides.append(middle)
+    return 0.5 * (sides[0] - sides[1]) if sides[0] * sides[1] < 0.0 else 0.0
+
+
+def _set_aside(rows: TripRows, group: BoolArray, order: IntArray) -> tuple[Factors, BoolArray]:
+    """Factors of some trips, and which of them are of another condition."""
+    aside = np.zeros(rows.trips, dtype=np.bool_)
+    found, _ = factors_of(rows)
+    for _ in range(ROUNDS):
+        # Where several are of another condition, one more is no surprise.
+        least = DOUBT if aside.sum() < 2 else DOUBT / 2.0
+        new = group & (np.abs(found.log) > LEAST) & (found.doubt > least)
+        new &= ~_changed(found, new, group, order)
+        if np.array_equal(new, aside) or 2 * new.sum() >= group.sum():
+            break
+        aside = new
+        found, _ = factors_of(rows, ~aside)
+    return found, aside
+
+
+def _changed(found: Factors, new: BoolArray, group: BoolArray, order: IntArray) -> BoolArray:
+    """Trips after which all find the same: a change of the line, not a wrong label."""
+    trips = np.flatnonzero(group)[np.argsort(order[group], kind="stable")]
+    usual = np.flatnonzero(~new[trips])
+    last = trips[usual[-1] + 1 :] if usual.size else trips
+    changed = np.zeros(new.size, dtype=np.bool_)
+    if last.size >= LASTING and np.ptp(np.sign(found.log[last])) == 0.0:
+        changed[last] = np.abs(found.log[last]) < CHANGE
+    return changed
+
+
+def _spread(found: Factors, chosen: BoolArray) -> float:
+    """Standard deviation of factors beyond their errors; 0 where these explain them."""
+    log, std = found.log[chosen], np.hypot(found.std[chosen], ORDINARY)
+    if log.size < 3:
+        return 0.0
+    tried = np.append(0.0, np.exp(np.linspace(np.log(0.02), np.log(0.6), 40)))
+    total = std[:, None] ** 2 + tried**2
+    value = -0.5 * np.sum(np.log(total) + log[:, None] ** 2 / total, axis=0)
+    best = int(np.argmax(value))
+    return float(tried[best]) if value[best] - value[0] > SPREAD else 0.0
