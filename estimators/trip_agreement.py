@@ -12,7 +12,7 @@ label. Where factors differ more than errors do, each trip's own is what its ons
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import log_ndtr
@@ -88,9 +88,16 @@ class TripRows:
     def of(self, trips: BoolArray) -> TripRows:
         """Those of some trips; their numbers stay."""
         own, used = trips[self.trip], trips[self.used_trip]
-        onsets = (each[own] for each in (self.trip, self.bin, self.log, self.variance))
-        levels = (each[used] for each in (self.used_trip, self.used_bin, self.used_log))
-        return TripRows(self.trips, self.bins, *onsets, *levels)
+        return replace(
+            self,
+            trip=self.trip[own],
+            bin=self.bin[own],
+            log=self.log[own],
+            variance=self.variance[own],
+            used_trip=self.used_trip[used],
+            used_bin=self.used_bin[used],
+            used_log=self.used_log[used],
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -620,3 +621,61 @@ def test_slip_is_masked_where_no_axle_speeds_are_recorded() -> None:
         (row,) = (panel.rows for panel in timeline_chart(fit.timeline, "").panels if panel.rows)
         shown = f"{row} {fit.summary()['masked']}"
         assert ("slip" in shown, "effort dips" in shown) == (one is trip, one is bare)
+
+
+def with_more(one: Trip, force: float, start: float, end: float) -> Trip:
+    """The trip with so much more effort for the same motion, between two times [s]."""
+    frame = one["/train/controls"]
+    inside = (seconds(frame) >= start) & (seconds(frame) < end)
+    effort = frame["tractive_effort"] - frame["dynamic_braking_effort"] + force * inside
+    found = frame.assign(
+        tractive_effort=np.maximum(effort, 0.0), dynamic_braking_effort=np.maximum(-effort, 0.0)
+    )
+    found.attrs = frame.attrs
+    return one.with_topic(found)
+
+
+class TestStretchesUnlikeTheRest:
+    """A force that no term of the equation of motion knows, on a part of a trip."""
+
+    def test_a_brake_that_drags_through_half_of_a_trip_is_named_with_place_and_time(self) -> None:
+        with pytest.raises(TripRefusedError, match="elsewhere: a dragging brake") as error:
+            fit_trip(with_more(trip(), 2500.0, 600.0, 1200.0))
+        assert error.value.reason == "contradiction"
+        # Which half is right is not known: the trip begins at 22:13:20.
+        assert re.search(r"22:23:[12]\d", str(error.value))
+        assert "2.5 ± 0." in str(error.value)
+
+    def test_the_band_holds_both_halves_where_they_differ_less(self) -> None:
+        fit = fit_trip(with_more(trip(), 1200.0, 600.0, 1200.0), largest_std=0.3)
+        low, high = fit.band(np.array([12.0, 20.0, 30.0]))
+        true = RESISTANCE(np.array([12.0, 20.0, 30.0]))
+        assert np.all((low < true) & (true + 1200.0 < high))
+        assert any("the band holds both" in note for note in fit.notes)
+
+    def test_a_section_with_a_wrong_gradient_is_left_to_itself(self) -> None:
+        force = 2e-3 * 9.81 * 130e3
+        plain, fit = fit_trip(trip()), fit_trip(with_more(trip(), force, 500.0, 650.0))
+        speed = np.linspace(12.0, 30.0, 10)
+        np.testing.assert_allclose(fit.resistance(speed), RESISTANCE(speed), rtol=0.03)
+        assert np.all(fit.std(speed) < 2.0 * plain.std(speed))
+        (note,) = (each for each in fit.notes if "elsewhere" in each)
+        assert "2.5 ± 0." in note or "2.6 ± 0." in note
+        assert re.search(r"22:21:[34]\d to 22:24:[01]\d", note)
+        assert not plain.notes
+
+
+def test_without_a_recorded_wind_the_band_of_still_air_holds_the_truth() -> None:
+    """A steady head wind of 8 m/s: r2 (v + w)² for r2 v²."""
+    blown = RunningResistance(
+        RESISTANCE.r0 + RESISTANCE.r2 * 64.0, RESISTANCE.r1 + 16.0 * RESISTANCE.r2, RESISTANCE.r2
+    )
+    windy = trip(resistance=blown)
+    fit = fit_trip(windy)
+    speed = np.array([12.0, 20.0, 30.0])
+    assert np.all(fit.band(speed)[0] > RESISTANCE(speed))
+    low, high = fit.still_air(speed)
+    assert np.all((low < RESISTANCE(speed)) & (RESISTANCE(speed) < high))
+    assert "no wind is recorded" in fit.summary()["in still air"]
+    (note,) = (each for each in analysis.fit(windy).notes if "wind is recorded" in each)
+    assert "A head wind of 10 m/s" in note

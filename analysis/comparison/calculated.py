@@ -43,7 +43,6 @@ from scipy.stats import f as f_distribution
 from analysis.comparison.compare import sections_between, with_units
 from analysis.comparison.driven import DrivenTrip, driven_trip
 from analysis.comparison.energy import (
-    HEAD_WIND,
     RECORDED_WIND,
     TRIP_SPREAD,
     ForceModel,
@@ -52,6 +51,7 @@ from analysis.comparison.energy import (
     trip_spread,
 )
 from analysis.given import Given, trip_of
+from analysis.resistance.curve import HEAD_WIND
 from analysis.resistance.fit import TripFit, fit_trip, scale_of
 from analysis.resistance.observed import FitOfTrips, parameter_set
 from analysis.resistance.passport import estimated_passport, with_effort_delay

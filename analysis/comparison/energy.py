@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import uniform_filter1d
 
 from analysis.comparison.driven import DrivenTrip
-from analysis.resistance.curve import curve_std
+from analysis.resistance.curve import HEAD_WIND, curve_std
 from trainlog.arrays import FloatArray
 from trainlog.railway import Line, ParameterSet, RunningResistance, Train
 
@@ -24,9 +24,6 @@ RESISTANCE_SHARE = 0.3
 
 TRIP_SPREAD = 0.05
 """Standard deviation of the resistance from trip to trip, over its value, without the wind."""
-
-HEAD_WIND = 5.0
-"""Standard deviation of a trip's head wind that is not known [m/s]."""
 
 RECORDED_WIND = 1.0
 """Standard deviation of a recorded head wind [m/s]: gusts, and the train in its own air."""

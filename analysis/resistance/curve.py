@@ -28,6 +28,10 @@ STATED_AT = 80.0 / KMH
 """Speed [m/s] at which tables state the resistance."""
 
 
+HEAD_WIND = 5.0
+"""Standard deviation of a trip's head wind that is not known [m/s]."""
+
+
 def powers(speed: ArrayLike) -> FloatArray:
     """``(1, v, v²)`` (..., 3) at each speed [m/s]."""
     v = np.asarray(speed, dtype=np.float64)

@@ -8,10 +8,12 @@ from typing import ClassVar
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from analysis.given import Given, trip_of
 from analysis.resistance.curve import (
     CURVE_COLUMNS,
+    HEAD_WIND,
     RESISTANCE_COLUMN,
     DragCurve,
     curve_std,
@@ -28,7 +30,7 @@ from analysis.resistance.recording import (
     check_recorded,
     speed_scale,
 )
-from analysis.resistance.regression import DELAY_STD, Regression, Residuals, regress
+from analysis.resistance.regression import DELAY_STD, Regression, Residuals, Stretch, regress
 from analysis.resistance.windows import Evidence, WindowPoints, Windows, part_of
 from trainlog.arrays import FloatArray
 from trainlog.display import span
@@ -47,7 +49,7 @@ from trainlog.presentation import (
     WordTable,
     new_table,
 )
-from trainlog.railway.line import Line, StepProfile
+from trainlog.railway.line import Line, StepProfile, in_km
 from trainlog.railway.passport import Passport
 from trainlog.railway.resistance import LARGEST_STD, RunningResistance
 from trainlog.railway.train import Train
@@ -158,6 +160,9 @@ class TripFit(DragCurve, Presented):
         By which the recorded efforts were corrected; what it does not know widens the band.
     notes : tuple of str
         What the recording does not show and the band does not hold, in words.
+    wind_recorded : bool
+        Whether the curve is that of still air; else it is that of the air of the day
+        (`still_air`).
     """
 
     charts_by: ClassVar[str] = "analysis.resistance.plot:trip_fit_charts"
@@ -192,6 +197,7 @@ class TripFit(DragCurve, Presented):
     identity: str = ""
     passport: Passport | None = None
     notes: tuple[str, ...] = ()
+    wind_recorded: bool = False
 
     @property
     def title(self) -> str:
@@ -209,8 +215,12 @@ class TripFit(DragCurve, Presented):
             if time > 0.0
         ]
         notes = {"notes": "; ".join(self.notes)} if self.notes else {}
+        low, high = (float(end) / 1e3 for end in self.still_air(self.asked[1]))
+        top = f"{low:.1f} to {high:.1f} kN at {KMH * self.asked[1]:.0f} km/h"
+        still = {} if self.wind_recorded else {"in still air": f"{top}, no wind is recorded"}
         return {
             "curve": self.words,
+            **still,
             "mass": f"{self.mass / 1e3:.1f} ± {1.96 * self.mass_std / 1e3:.1f} t",
             "power": power,
             "speeds": f"{span(self.speed_range, KMH)} km/h, asked for {span(self.asked, KMH)} km/h",
@@ -233,6 +243,25 @@ class TripFit(DragCurve, Presented):
             "efforts": f"recorded {delay.value:.2f} ± {1.96 * delay.std:.2f} s late"
             f" ({delay.source}), {gain.value:.3f} ± {1.96 * gain.std:.3f} times ({gain.source})"
         }
+
+    def still_air(self, speed: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper end [N] of the 95 % band of the resistance in still air.
+
+        Where no wind is recorded, a head wind of `HEAD_WIND` may have blown: its air resistance,
+        r2 (v + w)², makes r0 larger by r2 w² and r1 by 2 r2 w.
+
+        Parameters
+        ----------
+        speed : array [m/s]
+        """
+        low, high = self.band(speed)
+        if self.wind_recorded:
+            return low, high
+        value, v, wind = self.resistance(speed), np.asarray(speed), 1.96 * HEAD_WIND
+        through, square = 2.0 * self.resistance.r2 * wind * v, self.resistance.r2 * wind**2
+        return value - np.hypot(value - low, through + square), value + np.hypot(
+            high - value, np.maximum(through - square, 0.0)
+        )
 
     @property
     def gain_std(self) -> float:
@@ -407,7 +436,7 @@ def fit_evidence(
     estimated = known.effort_delay.source == "estimated"
     delay_std = DELAY_STD if estimated else known.effort_delay.std
     try:
-        regression = regress(windows, mass, mass_std, Expected.on(line), delay_std)
+        regression = regress(windows, mass, mass_std, Expected.on(line), delay_std, search=True)
     except np.linalg.LinAlgError as error:
         raise TripRefusedError(
             "condition",
@@ -418,6 +447,8 @@ def fit_evidence(
         ) from error
     gain_std = known.effort_gain.std / known.effort_gain.value
     covariance = _with_scale(regression, scale)
+    unlike = [_stretch_words(each, timeline, line, origin) for each in regression.stretches]
+    _check_stretches(name, regression, unlike, asked, timeline, largest_std)
     _check_curve(name, regression, covariance, asked, timeline, largest_std)
     covariance = _with_gain(regression.beta, covariance, gain_std)
     used = windows.select(regression.kept)
@@ -473,7 +504,8 @@ def fit_evidence(
             ),
         ),
         passport=known,
-        notes=tuple(filter(None, (SLIP_UNSEEN * evidence.slip_unseen, gain_words(known)))),
+        notes=tuple(filter(None, (SLIP_UNSEEN * evidence.slip_unseen, gain_words(known), *unlike))),
+        wind_recorded=evidence.wind_recorded,
     )
 
 
@@ -625,6 +657,40 @@ def _masked_most(masked: dict[str, float], total: float) -> Reason:
     kinds: tuple[Reason, ...] = ("gap", "standstill", "braking", "slip")
     worst = max(kinds, key=lambda reason: masked[reason])
     return worst if masked[worst] > 0.5 * total else "too short"
+
+
+def _stretch_words(found: Stretch, timeline: Timeline, line: Line, origin: pd.Timestamp) -> str:
+    """Where and when a trip is unlike itself, by how much, and what was made of it."""
+    ends = np.array([found.start, found.end])
+    km = in_km(line, np.interp(ends, timeline.time, timeline.position))
+    first, last = (f"{origin + pd.Timedelta(each, 's'):%H:%M:%S}" for each in ends)
+    more = "more" if found.force > 0.0 else "less"
+    made = "the band holds both" if found.ambiguous else "left to itself"
+    return (
+        f"from km {km[0]:.1f} to {km[1]:.1f} ({first} to {last} UTC) the train needs"
+        f" {abs(found.force) / 1e3:.1f} ± {1.96 * found.std / 1e3:.1f} kN {more} than elsewhere:"
+        f" a dragging brake, wind, or wrong gradients; {made}"
+    )
+
+
+def _check_stretches(
+    name: str,
+    regression: Regression,
+    words: list[str],
+    asked: tuple[float, float],
+    timeline: Timeline,
+    largest_std: float,
+) -> None:
+    """Refuse a trip whose parts differ by more than the band may hold."""
+    curve = RunningResistance(*regression.beta[:3].tolist())(np.linspace(*asked, 61))
+    for found, said in zip(regression.stretches, words, strict=True):
+        if found.ambiguous and 0.5 * abs(found.force) > largest_std * float(np.min(curve)):
+            raise TripRefusedError(
+                "contradiction",
+                f"trip '{name}': {said.rpartition(';')[0]}",
+                remedy="find out which part is right, and fit that part alone",
+                timeline=timeline,
+            )
 
 
 def _check_curve(

@@ -20,7 +20,7 @@ from analysis.resistance.combination import (
     each_drive_once,
     summarised,
 )
-from analysis.resistance.curve import CURVE_COLUMNS, RESISTANCE_COLUMN
+from analysis.resistance.curve import CURVE_COLUMNS, HEAD_WIND, RESISTANCE_COLUMN, STATED_AT
 from analysis.resistance.fit import (
     COLUMNS,
     TOPICS,
@@ -165,6 +165,15 @@ class Fits(Presented):
             f" {low * KMH:.0f} to {high * KMH:.0f} km/h. The single coefficients are strongly"
             " correlated: trust the curve.",
         ]
+        windless = sum(not fit.wind_recorded for fit in self.trips)
+        if windless:
+            wind, r2 = 1.96 * HEAD_WIND, self.common.resistance.r2
+            more = r2 * wind * (2.0 * STATED_AT + wind) / float(self.common.resistance(STATED_AT))
+            words.append(
+                f"No wind is recorded on {counted(windless, 'trip')}: the curve is that of the air"
+                f" of these days. A head wind of {wind:.0f} m/s would be {more:.0%} of it at"
+                f" {STATED_AT * KMH:.0f} km/h; record it, or fit trips of several days."
+            )
         for fit in self.trips:
             doubts = (*diagnosed(fit.residuals).doubts, *fit.notes)
             words += [f"{fit.trip}: {doubt}" for doubt in doubts]

@@ -264,6 +264,7 @@ class Prepared:
         Whether wheels may slip without anything that is recorded showing it.
     slip : str
         What the recording shows where slip is masked.
+    wind_recorded : bool
     """
 
     recording: Recording
@@ -274,6 +275,7 @@ class Prepared:
     masks: dict[str, BoolArray]
     slip_unseen: bool = False
     slip: str = "slip"
+    wind_recorded: bool = False
 
     @property
     def masked(self) -> dict[str, float]:
@@ -347,10 +349,12 @@ def prepare(
     dynamic = np.nan_to_num(dynamic)
     tunnel = train.tunnel_coefficient(line.tunnel_cross_section(position))
     section, nearest = gradient_pieces(line, position)
+    wind = recorded_head_wind(trip, index)
+    through_air = speed if wind is None else speed + wind
     recording = Recording(
         time=time,
         speed=speed,
-        air_square=_air_square(trip, index, speed),
+        air_square=np.asarray(through_air * np.abs(through_air)),
         effort=traction - dynamic - np.nan_to_num(pneumatic) - tunnel * speed**2,
         braking=dynamic,
         rotating_momentum=_rotating_momentum(train, speed, wheels),
@@ -364,15 +368,9 @@ def prepare(
     shown = "slip" if wheels.shape[1] else EFFORT_DIPS
     if 0 < wheels.shape[1] < train.axles.count:
         shown = f"slip or {EFFORT_DIPS}"
-    return Prepared(recording, index, scale, smooth, position, masks, unseen, shown)
-
-
-def _air_square(trip: Trip, index: pd.DatetimeIndex, speed: FloatArray) -> FloatArray:
-    """Square of the speed through the air [m²/s²], with its sign."""
-    wind = recorded_head_wind(trip, index)
-    if wind is None:
-        return np.asarray(speed**2)
-    return np.asarray((speed + wind) * np.abs(speed + wind))
+    return Prepared(
+        recording, index, scale, smooth, position, masks, unseen, shown, wind is not None
+    )
 
 
 def recorded_head_wind(trip: Trip, index: pd.DatetimeIndex) -> FloatArray | None:

@@ -26,7 +26,7 @@ International Statistical Review 55(2).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,7 +40,7 @@ from analysis.resistance.noise import (
 )
 from analysis.resistance.windows import Windows
 from estimators.rls import RecursiveLeastSquares
-from trainlog.arrays import BoolArray, FloatArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 
 LAGS = 10
 """Neighbours over which correlation is looked for."""
@@ -156,6 +156,57 @@ CLUSTER = 80.0
 """Windows that begin within the same so many seconds form a cluster: one or two kilometres."""
 
 
+OFFSET_STD = 0.03
+"""Prior standard deviation of the force over mass [m/s²] by which a stretch is unlike the rest: a
+brake that drags, or a gradient 3 per mille wrong."""
+
+STRETCHES = 3
+"""Most stretches that are unlike the rest."""
+
+PIECES = 60
+"""Of a trip, at whose ends stretches begin and end."""
+
+UNLIKE = 3.0, 16.0
+"""Standard deviations of a stretch's force from which on it is looked at, and log odds of such a
+stretch to none from which on it counts: some 1,800 are tried."""
+
+LEAST_FORCE = 0.006
+"""Force over mass [m/s²] below which a stretch is like the rest: surveys err by as much."""
+
+
+SHORT = 0.25
+"""Share of a trip up to which what is unlike the rest is left to itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """A stretch of a trip whose force is unlike that of the rest.
+
+    Attributes
+    ----------
+    start, end : float [s]
+    share : float
+        Of the time that is used.
+    force, std : float [N]
+        By which the running resistance there is larger than elsewhere.
+    """
+
+    start: float
+    end: float
+    share: float
+    force: float = 0.0
+    std: float = 0.0
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether it is not short beside the rest: either may be the unlike one."""
+        return self.share > SHORT
+
+    def inside(self, windows: Windows) -> BoolArray:
+        """Which windows lie in it."""
+        return np.asarray((windows.start >= self.start) & (windows.end <= self.end))
+
+
 @dataclass(frozen=True, eq=False)
 class Regression:
     """Running resistance and mass from a set of windows.
@@ -182,6 +233,8 @@ class Regression:
         Which windows were used; the others are outliers.
     condition : float
         Column-normalised condition number of the regressors.
+    stretches : tuple of Stretch
+        Each with a force of its own.
     """
 
     beta: FloatArray
@@ -197,6 +250,7 @@ class Regression:
     residual: FloatArray
     kept: BoolArray
     condition: float
+    stretches: tuple[Stretch, ...] = ()
 
 
 def regress(
@@ -205,6 +259,9 @@ def regress(
     mass_std: float,
     expected_noise: Expected | None = None,
     delay_std: float = DELAY_STD,
+    *,
+    search: bool = False,
+    stretches: tuple[Stretch, ...] = (),
 ) -> Regression:
     """Fit the windows: ``(1/m, r0/m, r1/m, r2/m, delay/m, (brake scale - 1)/m)``.
 
@@ -218,6 +275,11 @@ def regress(
         Where the search for the noise begins, and towards what it is drawn.
     delay_std : float [s]
         Of the delay of the efforts, beforehand.
+    search : bool
+        Whether to look for stretches whose force is unlike that of the rest. Each has a force of
+        its own; where it is not short beside the rest, r0 is between both, and its band holds both.
+    stretches : tuple of Stretch
+        That are known already.
 
     Returns
     -------
@@ -225,14 +287,18 @@ def regress(
     """
     from scipy.ndimage import maximum_filter1d
 
-    spread = np.array([mass_std / mass**2, *DRAG_STD, delay_std / mass, BRAKE_SCALE_STD / mass])
-    expected = np.array([1.0 / mass, 0.0, 0.0, 0.0, 0.0, 0.0])
+    spread = np.array(
+        [mass_std / mass**2, *DRAG_STD, delay_std / mass, BRAKE_SCALE_STD / mass]
+        + [OFFSET_STD] * len(stretches)
+    )
+    expected = np.append(1.0 / mass, np.zeros(spread.size - 1))
     prior = np.column_stack([np.diag(1.0 / spread), expected / spread])
     kept = np.ones(windows.count, dtype=bool)
     for left in reversed(range(ROUNDS)):
         used = windows.select(kept)
         parts = NoiseParts.of(used, mass)
-        columns = np.column_stack([used.x, used.effort_change, used.braking, used.y])
+        own = [-used.duration * each.inside(used) for each in stretches]
+        columns = np.column_stack([used.x, used.effort_change, used.braking, *own, used.y])
         likelihood = Likelihood(parts, columns, prior, expected_noise or Expected())
         noise = estimate_noise(likelihood)
         rows = parts.whiten(noise, columns)
@@ -246,9 +312,24 @@ def regress(
         if left == 0 or not np.any(far):
             break
         kept[np.flatnonzero(kept)[far]] = False
+    more = None
+    if search and len(stretches) < STRETCHES and not any(each.ambiguous for each in stretches):
+        more = _unlike(used, likelihood, noise, rows.shape[1])
+    if more is not None:
+        return regress(
+            windows, mass, mass_std, expected_noise, delay_std,
+            search=True, stretches=(*stretches, more),
+        )  # fmt: skip
     found = np.asarray(recursion.result().covariance, dtype=np.float64)
     factor = max(1.0, _cluster_ratio(rows[:, :-1], residual, found, used.start))
     beta, covariance = _history(RecursiveLeastSquares(spread, prior_mean=expected), rows, factor)
+    own_force = [
+        replace(each, force=float(theta[k] / theta[0]), std=float(np.sqrt(found[k, k]) / theta[0]))
+        for k, each in enumerate(stretches, 6)
+    ]
+    half = 0.5 * sum(each.force for each in own_force if each.ambiguous)
+    beta[:, 0] += half
+    covariance[:, 0, 0] += half**2
     share = shares(likelihood, noise)
     _, survey = _physical(theta[None], factor * share.survey[None])
     return Regression(
@@ -265,7 +346,76 @@ def regress(
         residual=residual,
         kept=kept,
         condition=condition_number(used.x),
+        stretches=tuple(own_force),
     )
+
+
+def _unlike(used: Windows, likelihood: Likelihood, noise: NoiseModel, count: int) -> Stretch | None:
+    """The stretch whose force is most unlike that of the rest; None if none is.
+
+    Forces of all stretches are tried at a gradient error that is not made larger by them; whether
+    there is one is asked of the likelihoods, each with noise of its own. `count` is that of the
+    columns of the likelihood.
+    """
+    if used.count < 4 * PIECES:
+        return None
+    small = replace(noise, gradient=min(noise.gradient, likelihood.expected.sizes.gradient))
+    edges = np.linspace(0, used.count, PIECES + 1).astype(np.int64)
+    for _ in range(2):
+        score, first, last = _best_stretch(used, likelihood, small, edges)
+        if score < UNLIKE[0] ** 2:
+            return None
+        near = np.linspace(-1.0, 1.0, PIECES // 3) * used.count / PIECES
+        fine = np.concatenate([first + near, last + near, [0, used.count]])
+        edges = np.unique(np.clip(fine, 0, used.count).astype(np.int64))
+    if 2 * (last - first) > used.count and (first == 0 or last == used.count):
+        # The shorter one of two parts is the unlike one.
+        first, last = (last, used.count) if first == 0 else (0, first)
+    share = float(used.duration[first:last].sum() / used.duration.sum())
+    found = Stretch(float(used.start[first]), float(used.end[last - 1]), share)
+    column = -used.duration * found.inside(used)
+    prior = np.vstack([likelihood.prior, np.zeros(count)])
+    own = np.append(np.zeros(count - 1), 1.0 / OFFSET_STD)
+    unlike = replace(
+        likelihood,
+        columns=np.insert(likelihood.columns, count - 1, column, axis=1),
+        prior=np.insert(prior, count - 1, own, axis=1),
+    )
+    odds = likelihood.deviance(likelihood.place(noise)) - np.log(OFFSET_STD)
+    with_it = estimate_noise(unlike)
+    odds -= unlike.deviance(unlike.place(with_it))
+    square, _ = unlike.square(unlike.place(with_it))
+    force = float(np.linalg.solve(square[:-1, :-1], square[:-1, -1])[count - 1])
+    return found if odds > UNLIKE[1] and abs(force) > LEAST_FORCE else None
+
+
+def _best_stretch(
+    used: Windows, likelihood: Likelihood, noise: NoiseModel, edges: IntArray
+) -> tuple[float, int, int]:
+    """Of stretches between any two edges the one whose force is surest not to be 0.
+
+    Its squared standard deviations, and the first window and the one behind the last.
+    """
+    pieces = edges.size - 1
+    piece = np.repeat(np.arange(pieces), np.diff(edges))
+    own = np.where(piece[:, None] == np.arange(pieces), -used.duration[:, None], 0.0)
+    white = likelihood.parts.whiten(noise, np.column_stack([likelihood.columns, own]))
+    count = likelihood.columns.shape[1]
+    known = np.vstack([white[:, :count], likelihood.prior])
+    own = np.vstack([white[:, count:], np.zeros((likelihood.prior.shape[0], pieces))])
+    # What the parameters explain is taken out of both.
+    basis = np.linalg.qr(known[:, :-1] / np.linalg.norm(known[:, :-1], axis=0))[0]
+    left, own = (each - basis @ (basis.T @ each) for each in (known[:, -1], own))
+    square = np.pad(np.cumsum(np.cumsum(own.T @ own, axis=0), axis=1), ((1, 0), (1, 0)))
+    product = np.append(0.0, np.cumsum(own.T @ left))
+    first, last = np.triu_indices(pieces + 1, 1)
+    size = square[last, last] - 2.0 * square[first, last] + square[first, first]
+    # Next to nothing is left of the force of the whole trip.
+    shown = size > 1e-3 * (square[last, last] + square[first, first])
+    moved = (product[last] - product[first]) ** 2
+    score = np.where(shown, moved / np.where(shown, size, 1.0), 0.0)
+    best = int(np.argmax(score))
+    return float(score[best]), int(edges[first[best]]), int(edges[last[best]])
 
 
 def condition_number(x: FloatArray) -> float:

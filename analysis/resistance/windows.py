@@ -335,6 +335,8 @@ class Part:
     timeline : Timeline
     slip_unseen : bool
         Whether wheels may slip without anything that is recorded showing it.
+    wind_recorded : bool
+        Whether the resistance is that of still air.
     """
 
     recording: Recording
@@ -343,6 +345,7 @@ class Part:
     duration: float
     timeline: Timeline
     slip_unseen: bool = False
+    wind_recorded: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,6 +362,8 @@ class Evidence:
     timeline : Timeline
     slip_unseen : bool
         Whether wheels may slip without anything that is recorded showing it.
+    wind_recorded : bool
+        Whether the resistance is that of still air.
     """
 
     windows: Windows
@@ -367,6 +372,7 @@ class Evidence:
     duration: float
     timeline: Timeline
     slip_unseen: bool = False
+    wind_recorded: bool = False
 
     @staticmethod
     def of(parts: Iterable[Part]) -> Evidence:
@@ -375,7 +381,7 @@ class Evidence:
         limited: list[LimitedSamples] = []
         lines: list[Timeline] = []
         masked: dict[str, float] = {}
-        duration, unseen = 0.0, False
+        duration, unseen, windy = 0.0, False, True
         open_run: Recording | None = None
         for part in parts:
             closed, open_run = _parted(part.recording, open_run)
@@ -385,6 +391,7 @@ class Evidence:
             masked = {reason: masked.get(reason, 0.0) + t for reason, t in part.masked.items()}
             duration += part.duration
             unseen |= part.slip_unseen
+            windy &= part.wind_recorded
         if open_run is not None:
             windows.append(build_windows(open_run))
         return Evidence(
@@ -394,6 +401,7 @@ class Evidence:
             duration,
             _at_a_glance(lines),
             unseen,
+            windy,
         )
 
 
@@ -431,6 +439,7 @@ def part_of(
         duration=float(np.sum(step[inside])),
         timeline=_timeline(prepared, inside),
         slip_unseen=prepared.slip_unseen,
+        wind_recorded=prepared.wind_recorded,
     )
 
 

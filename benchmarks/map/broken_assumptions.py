@@ -397,9 +397,9 @@ def fit_row(name: str, options: argparse.Namespace) -> str:
             except TrainlogError as error:
                 refused.append(str(error))
                 continue
-            low, high = (float(end) for end in fit.band(at))
+            low, high = (float(end) for end in fit.still_air(at))
             true, value = float(still(at)), float(fit.resistance(at))
-            rows.append((value / true - 1.0, 1.96 * float(fit.std(at)) / true, low < true < high))
+            rows.append((value / true - 1.0, 0.5 * (high - low) / true, low < true < high))
             doubts = (*fit.notes, *diagnosed(fit.residuals).doubts)
             said += [f"{train.name}, {number}: {words}" for words in doubts]
     found = np.array(rows, dtype=float).reshape(-1, 3)

@@ -650,7 +650,8 @@ class MapFile:
     def summed(self, trips: Sequence[Row]) -> Sums:
         """Evidence of the trips by layer, added up; what does not agree is set aside or apart."""
         known, pieces = self._sums(), _pieces_of(trips)
-        found, notes, layers = dict[str, tuple[DailyEvidence, str]](), dict[str, str](), {}
+        found, notes = dict[str, tuple[DailyEvidence, str]](), dict[str, str]()
+        layers: dict[tuple[str, str], str] = {}
         for layer in sorted({*map(condition_of_layer, known), *pieces}):
             given = pieces.get(layer, [])
             start, digest = known.get(layer, (None, ""))
