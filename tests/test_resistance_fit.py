@@ -679,3 +679,17 @@ def test_without_a_recorded_wind_the_band_of_still_air_holds_the_truth() -> None
     assert "no wind is recorded" in fit.summary()["in still air"]
     (note,) = (each for each in analysis.fit(windy).notes if "wind is recorded" in each)
     assert "A head wind of 10 m/s" in note
+
+
+def test_efforts_that_rest_for_a_minute_are_a_gap() -> None:
+    made, speed = trip(), np.array([12.0, 20.0, 30.0])
+    frame = made["/train/controls"].copy()
+    effort = frame["tractive_effort"].to_numpy().copy()
+    for start in (2_000, 5_000, 9_000):
+        strong = start + int(np.argmax(effort[start : start + 600]))
+        effort[strong : strong + 600] = effort[strong]
+    found = frame.assign(tractive_effort=effort)
+    found.attrs = made["/train/controls"].attrs
+    plain, fit = fit_trip(made), fit_trip(made.with_topic(found))
+    assert 175.0 < fit.masked["gap"] - plain.masked["gap"] < 195.0
+    np.testing.assert_allclose(fit.resistance(speed), RESISTANCE(speed), rtol=0.03)

@@ -730,3 +730,31 @@ def test_events_without_any_adhesion_have_no_creep_curve(heavy: Seen) -> None:
     some[::7] = np.nan
     curves = replace(heavy.found, adhesion=some).creep_curves()
     assert curves["maximum"].notna().mean() > 0.5
+
+
+def test_values_that_rest_for_a_minute_are_left_out(trips: list[Seen]) -> None:
+    """A wheel's speed and another axle's effort: a recorder that repeats them, no slip."""
+    each = trips[2]
+    frame = each.trip["/train/axles"].copy()
+    moving = np.flatnonzero(each.speed > 12.0)
+    pulling = np.flatnonzero((each.speed > 8.0) & (frame["wheel_effort_3"].to_numpy() > 20e3))
+    stuck = {"wheel_speed_2": moving[moving.size // 3], "wheel_effort_3": pulling[0]}
+    for column, start in stuck.items():
+        values = frame[column].to_numpy().copy()
+        values[start : start + 600] = values[start]
+        frame[column] = values
+    frame.attrs = each.trip["/train/axles"].attrs
+    found = slip(each.trip.with_topic(frame))
+    assert sum("repeats itself" in note for note in found.notes) == 2
+    for column, start in stuck.items():
+        axle, inside = int(column[-1]), slice(start + 60, start + 590)
+        assert np.isnan(found.adhesion[inside, axle - 1]).all()
+        own = found.events[(found.events["axle"] == axle) & found.events["measured"]]
+        assert not own["onset"].between(found.time[inside.start], found.time[inside.stop]).any()
+    # What other axles did is as it was.
+    before, after = (seen[seen["axle"].isin([1, 4])] for seen in (each.found.events, found.events))
+    assert len(before) == len(after)
+    assert (
+        abs(before["start"].to_numpy() - after["start"].to_numpy()) < pd.Timedelta("0.3s")
+    ).all()
+    np.testing.assert_allclose(before["adhesion"], after["adhesion"], rtol=0.07)

@@ -60,6 +60,9 @@ TURNING_SHARE = 0.45
 """By how much the level of an onset errs for an error of the gain alone: what turns the wheels
 faster is known without the gain, and it is most where slip sets in."""
 
+LONGEST_HELD, HELD = 5.0, 3.0
+"""Gaps in an axle's speed or effort are bridged for so long [s], or so many of its usual steps."""
+
 SLOW = 0.25
 """Time between samples [s] from which on short slips are missed."""
 
@@ -95,6 +98,8 @@ class PoweredAxles:
         How the efforts of the axles are known: each by itself, from the total, or not.
     levelled : (k,) bool array
         Axles whose effort is known.
+    shown : (n, k) bool array
+        Whether a sample shows speed and effort of the axle.
     mass : float [kg]
         Of the loaded train, without the rotating part.
     axle_load : float [N]
@@ -125,6 +130,7 @@ class PoweredAxles:
     demand: FloatArray | None
     level: str
     levelled: BoolArray
+    shown: BoolArray
     mass: float
     axle_load: float
     common_std: float
@@ -209,6 +215,8 @@ def powered_axles(trip: Trip, train: Train, known: Passport) -> PoweredAxles:
         demand=_demand(trip, clock),
         level=level,
         levelled=levelled,
+        shown=_lately(time, speeds)
+        & (np.isfinite(own[:, numbers]) | ~levelled | (level != "axle")),
         mass=train.mass + load,
         axle_load=_axle_load(train, known, load, gain),
         common_std=common_std,
@@ -273,14 +281,28 @@ def _speeds(
 
 
 def _axle_efforts(frame: pd.DataFrame, count: int) -> FloatArray | None:
-    """Recorded efforts of all powered axles, (n, count), gaps held; None without any column.
+    """Recorded efforts of all powered axles, (n, count), short gaps held; None without any column.
 
     NaN throughout for axles without.
     """
     names = [f"wheel_effort_{i}" for i in range(1, count + 1)]
     if not any(name in frame.columns for name in names):
         return None
-    return np.array(frame.reindex(columns=names).ffill().to_numpy(dtype=np.float64))
+    efforts = frame.reindex(columns=names)
+    held = efforts.ffill().to_numpy(dtype=np.float64)
+    return np.where(_lately(seconds(frame), efforts.to_numpy(dtype=np.float64)), held, np.nan)
+
+
+def _lately(time: FloatArray, values: FloatArray) -> BoolArray:
+    """Whether each column (n, k) was recorded shortly before each sample, for its usual steps."""
+    found = np.zeros(values.shape, dtype=np.bool_)
+    for column, one in zip(found.T, values.T, strict=True):
+        known = np.flatnonzero(np.isfinite(one))
+        if known.size > 1:
+            longest = max(LONGEST_HELD, HELD * float(np.median(np.diff(time[known]))))
+            last = np.searchsorted(known, np.arange(time.size), "right") - 1
+            column[:] = (last >= 0) & (time - time[known[np.maximum(last, 0)]] <= longest)
+    return found
 
 
 def _total(trip: Trip, clock: pd.DatetimeIndex) -> FloatArray | None:

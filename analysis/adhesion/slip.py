@@ -11,7 +11,8 @@ of the axle although the driver asks for no less, and the wheel returns to the t
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections import Counter
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -33,9 +34,11 @@ from estimators.slip import (
     train_speed,
 )
 from trainlog.arrays import BoolArray, FloatArray, IntArray
-from trainlog.display import span
+from trainlog.display import counted, span
 from trainlog.errors import LogError
 from trainlog.formats.railway import line_of, train_of
+from trainlog.ingest.frozen import without_frozen
+from trainlog.ingest.recording import Finding
 from trainlog.presentation import Presented, WordTable, frame_table
 from trainlog.railway.line import Line, in_km
 from trainlog.railway.passport import Passport
@@ -399,7 +402,7 @@ def slip(trip: Given, known: Passport | None = None) -> SlipAnalysis:
     >>> found.adhesion.shape[1], found.events["kind"].unique().tolist()
     (4, ['traction', 'braking'])
     """
-    trip = trip_of(trip, TOPICS)
+    trip, frozen = without_frozen(trip_of(trip, TOPICS))
     train, line = train_of(trip), line_of(trip)
     axles = powered_axles(trip, train, passport(trip) if known is None else known)
     noise = wheel_noise(axles.wheel_speed)
@@ -427,9 +430,11 @@ def slip(trip: Given, known: Passport | None = None) -> SlipAnalysis:
     )  # fmt: skip
     slipping = slipping_axles(motion)
     slipping |= small_slips(motion, slipping)
+    slipping &= np.isfinite(axles.wheel_speed)
     least = least_slip(motion)
     events = event_rows(motion, slipping)
     adhesion[:, ~axles.levelled] = adhesion_std[:, ~axles.levelled] = np.nan
+    adhesion[~axles.shown] = adhesion_std[~axles.shown] = np.nan
     if share is not None:
         adhesion = _mean_force(axles) / loads
         # The effort of wheels that slip turns them, not the train.
@@ -453,7 +458,12 @@ def slip(trip: Given, known: Passport | None = None) -> SlipAnalysis:
         events=events,
         common_std=axles.common_std,
         load=axles.load,
-        notes=(*axles.notes, *_delay_notes(axles, events), *_noise_notes(noise, least)),
+        notes=(
+            *axles.notes,
+            *_delay_notes(axles, events),
+            *_noise_notes(noise, least),
+            *_frozen_notes(frozen),
+        ),
         complete=axles.complete and least < SLIP_THRESHOLD,
     )
 
@@ -511,6 +521,17 @@ def _noise_notes(noise: float, least: float) -> list[str]:
         return []
     return [
         f"wheel speeds have a noise of {noise:.2f} m/s: slips below {least:.1f} m/s are not seen"
+    ]
+
+
+def _frozen_notes(frozen: Sequence[Finding]) -> list[str]:
+    """What a recorder repeated, which is left out, by column."""
+    counts = Counter[str]()
+    for each in frozen:
+        counts[each.column] += each.count
+    return [
+        f"{column} repeats itself while the train moves on, {counted(count, 'sample')}: left out"
+        for column, count in sorted(counts.items())
     ]
 
 
@@ -870,8 +891,14 @@ def _onset_of(
         "adhesion_std": np.hypot(noise, spread) if known else np.nan,
         "delay_std": float(delayed) if known else np.nan,
         "transfer_std": spread_by_transfer if known else np.nan,
-        "measured": known and adhesion > 0.0 and (fell or cut),
+        "measured": known and adhesion > 0.0 and (fell or cut) and _is_shown(axles, axle, at, peak),
     }
+
+
+def _is_shown(axles: PoweredAxles, axle: int, onset: int, peak: int) -> bool:
+    """Whether the effort is known before the onset, up to the largest slip."""
+    first = int(np.searchsorted(axles.time, axles.time[min(onset, peak)] - CUT_TIME))
+    return bool(axles.shown[first : peak + 1, axle].all())
 
 
 def _level(

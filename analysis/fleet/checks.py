@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,9 +13,7 @@ from analysis.comparison.driven import SHORT_GAP, SILENCE
 from analysis.fleet.trips import FleetTrip
 from analysis.resistance.recording import speed_scale
 from trainlog.errors import TrainlogError
-from trainlog.ingest.frozen import MEASURED, blank_frozen
-from trainlog.ingest.profile import Limits
-from trainlog.ingest.recording import Table
+from trainlog.ingest.frozen import without_frozen
 from trainlog.ingest.report import STATED, report_of
 from trainlog.railway.geometry import beside, track_of
 from trainlog.resampling import interpolated
@@ -102,29 +100,11 @@ def _repairs(trip: Trip) -> dict[str, Any]:
 
 def _frozen(trip: Trip) -> dict[str, Any]:
     """Columns that repeat a value while the train moves, by the rule of ingest."""
-    found = [each for table in _tables(trip) for each in blank_frozen(table, Limits())[1]]
+    _, found = without_frozen(trip)
     return {
         "frozen": "; ".join(f"{each.column} {each.note}" for each in found),
         "frozen_samples": sum(each.count for each in found),
     }
-
-
-def _tables(trip: Trip) -> Iterator[Table]:
-    """Topics that share a clock, as tables of ingest."""
-    clocks: dict[bytes, list[tuple[str, pd.DataFrame]]] = {}
-    for name in MEASURED:
-        frame = trip.topics.get(name)
-        if frame is not None and len(frame) > 1:
-            clock = pd.DatetimeIndex(frame.index).as_unit("ns").asi8
-            clocks.setdefault(clock.tobytes(), []).append((name, frame))
-    for frames in clocks.values():
-        time = pd.DatetimeIndex(frames[0][1].index).as_unit("ns").asi8
-        columns = {
-            f"{name}.{column}": frame[column].to_numpy(np.float64)
-            for name, frame in frames
-            for column in frame.columns
-        }
-        yield Table(time, np.arange(time.size, dtype=np.int64), columns)
 
 
 def _scale(trip: Trip, doubts: list[str]) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from estimators.motion import smooth_motion
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.formats.railway import line_of
+from trainlog.ingest.frozen import without_frozen
 from trainlog.ingest.report import CLOCK_RULES
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
@@ -293,6 +294,8 @@ def prepare(
 ) -> Prepared:
     """Bring a trip's topics onto one clock and mask what the equation of motion does not cover.
 
+    What a recorder repeats while the train moves on is a gap.
+
     Parameters
     ----------
     trip : Trip
@@ -311,6 +314,7 @@ def prepare(
     LogError
         If a topic is missing or time does not increase.
     """
+    trip, _ = without_frozen(trip)
     state, controls = trip["/train/state"], trip["/train/controls"]
     index = pd.DatetimeIndex(state.index)
     origin = index[0] if origin is None else origin

@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import pandas as pd
 from scipy.integrate import cumulative_trapezoid
 
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
@@ -41,6 +42,7 @@ from trainlog.ingest.motion import (
 )
 from trainlog.ingest.profile import Limits
 from trainlog.ingest.recording import Finding, Table, field_of
+from trainlog.trip import Trip
 
 Column = FloatArray | ComplexArray
 
@@ -195,6 +197,42 @@ def blank_frozen(table: Table, limits: Limits) -> Result:
     for name, unexplained in motion.unexplained(frozen).items():
         frozen[name] |= unexplained
     return _without(table, motion, frozen)
+
+
+def without_frozen(trip: Trip) -> tuple[Trip, list[Finding]]:
+    """A trip without values that were repeated while the train moved on, and what they are.
+
+    For logs that ingest has not seen; of what it has made nothing is found.
+
+    Examples
+    --------
+    >>> import trainlog
+    >>> without_frozen(trainlog.read("sample_logs/stopping.mcap"))[1]
+    []
+    """
+    clocks: dict[bytes, list[tuple[str, pd.DataFrame]]] = {}
+    for name in MEASURED:
+        frame = trip.topics.get(name)
+        if frame is not None and len(frame) > 1:
+            clock = pd.DatetimeIndex(frame.index).as_unit("ns").asi8
+            clocks.setdefault(clock.tobytes(), []).append((name, frame))
+    every: list[Finding] = []
+    for frames in clocks.values():
+        time = pd.DatetimeIndex(frames[0][1].index).as_unit("ns").asi8
+        columns = {
+            f"{name}.{column}": frame[column].to_numpy(np.float64)
+            for name, frame in frames
+            for column in frame.columns
+        }
+        rows = np.arange(time.size, dtype=np.int64)
+        table, findings = blank_frozen(Table(time, rows, columns), Limits())
+        every += findings
+        for name, frame in frames if findings else ():
+            kept = {column: table.signals[f"{name}.{column}"] for column in frame.columns}
+            found = frame.assign(**kept)
+            found.attrs = frame.attrs
+            trip = trip.with_topic(found)
+    return trip, every
 
 
 def _without(table: Table, motion: _Motion, frozen: dict[str, BoolArray]) -> Result:
