@@ -78,7 +78,7 @@ def other_rail(scenario: Scenario, number: int, **changes: Any) -> OtherRail:
 
 @dataclass(frozen=True)
 class Case:
-    """Trips of one line, what the map is told of them, and the truth.
+    """Trips of one line, what the map is given of them, and the truth.
 
     Attributes
     ----------

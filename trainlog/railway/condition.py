@@ -635,6 +635,7 @@ class TrackConditionMap(Presented):
         --------
         >>> import trainlog
         >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
+        >>> from dataclasses import replace
         >>> apart = replace(track, layers={"wet reverse": track.layers["wet"]})
         >>> list(apart.travelled("reverse").layers), list(apart.travelled("forward").layers)
         (['wet'], [])
