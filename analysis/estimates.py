@@ -18,7 +18,7 @@ from estimators.motion import smooth_motion
 from trainlog import __version__
 from trainlog.arrays import FloatArray, robust_std
 from trainlog.errors import LogError, TrainlogError
-from trainlog.formats.files import write_bytes
+from trainlog.formats.files import csv_bytes, write_bytes
 from trainlog.mcap import LogWriter
 from trainlog.mcap.reader import stretches
 from trainlog.topics import ESTIMATED_STATE, TRAIN_AXLES
@@ -306,8 +306,7 @@ def write_slip_table(logs: Iterable[str | Path], path: str | Path) -> int:
     25
     """
     table = slip_table(logs)
-    text = table.to_csv(index=False, lineterminator="\n", float_format="%.8g")
-    write_bytes(path, text.encode())
+    write_bytes(path, csv_bytes(table, float_format="%.8g"))
     return len(table)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import warnings
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -97,10 +98,13 @@ def test_a_csv_file_opens_in_any_program(log: Path, tmp_path: Path) -> None:
     assert (pd.DatetimeIndex(frame["time"]) == state.index).all()
 
 
+FORMULAS = ("=1+1", "'=x", "''=x", "-5", "'s", "\t=a", "\r@a", "+49", "@b", "-")
+
 CELLS = st.fixed_dictionaries(
     {
         "speed": st.floats(width=64),
-        "message": st.text(st.characters(codec="utf-8", exclude_characters="\0")),
+        "message": st.text(st.characters(codec="utf-8", exclude_characters="\0"))
+        | st.sampled_from(FORMULAS),
         "level": st.integers(0, 5),
     }
 )
@@ -121,7 +125,11 @@ def test_whatever_a_cell_holds_comes_back_from_csv(rows: list[dict[str, Any]], s
         with folder_writer(Path(parent) / "trip.csv", CsvTripIndex) as writer:
             writer.add(trip)
         found = read_parquet(Path(parent) / "trip.csv")
+        with (Path(parent) / "trip.csv" / "events.csv").open(encoding="utf-8", newline="") as file:
+            cells = [row["message"] for row in csv.DictReader(file)]
     assert found == trip
+    # No spreadsheet program takes a text for a formula.
+    assert not any(cell.startswith(("=", "+", "-", "@", "\t", "\r")) for cell in cells)
     speeds = found[TRAIN_STATE.name].speed.to_numpy(), trip[TRAIN_STATE.name].speed.to_numpy()
     assert np.array_equal(np.signbit(speeds[0]), np.signbit(speeds[1]) & ~np.isnan(speeds[1]))
 

@@ -11,6 +11,7 @@ from refusals import refused
 
 import trainlog
 from trainlog.errors import InputError
+from trainlog.formats.declared import parse_toml
 from trainlog.formats.files import (
     atomic_write,
     output_folder,
@@ -155,6 +156,7 @@ def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
         (b"[1, -Infinity]", "a.json, line 1, column 5: -Infinity is not a JSON number"),
         (b'{"a": 1, "b": 2, "a": 3}', "a.json, a: comes twice in one object; remove one of them"),
         (b"[" * 200_000, "a.json: is nested too deeply"),
+        (b'{"mass": ' + b"9" * 6_000 + b"}", "a.json: holds a number of thousands of digits"),
     ],
 )
 def test_text_that_is_not_json_is_refused_with_its_place(data: bytes, message: str) -> None:
@@ -216,3 +218,14 @@ def test_what_a_file_cannot_hold_is_named(name: str, kind: str, tmp_path: Path) 
     refused(InputError, rf"^'a.mcap' \(str\) {remedy}", write, "a.mcap", path)
     refused(InputError, rf"^a list {remedy}", write, [], path)
     assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"x = " + b"[" * 5_000 + b"]" * 5_000, "a.toml: is nested too deeply; expected TOML"),
+        (b"x = " + b"9" * 6_000, "a.toml: holds a number of thousands of digits; expected TOML"),
+    ],
+)
+def test_toml_that_its_parser_gives_up_is_refused(data: bytes, message: str) -> None:
+    assert str(refused(InputError, "", parse_toml, data, file="a.toml")).startswith(message)

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from typing import Any
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -78,6 +79,50 @@ def lateness(seconds: float) -> str:
     if abs(seconds) < 0.005:
         return "on time"
     return f"{abs(seconds):.2f} s {'late' if seconds > 0.0 else 'early'}"
+
+
+_FORMULA = re.compile(r"'*[=+\-@\t\r]")
+
+
+def cell_of(text: Any) -> Any:
+    """A text as a cell that no spreadsheet takes for a formula: behind an apostrophe.
+
+    Numbers, also those written as texts, stay as they are.
+
+    Examples
+    --------
+    >>> cell_of("=HYPERLINK(A1)"), cell_of("-5.2"), cell_of("Wil"), cell_of(7.5)
+    ("'=HYPERLINK(A1)", '-5.2', 'Wil', 7.5)
+    """
+    if not isinstance(text, str) or not _FORMULA.match(text) or is_number(text):
+        return text
+    return f"'{text}"
+
+
+def text_of_cell(cell: str) -> str:
+    """The text of a cell that `cell_of` wrote.
+
+    Examples
+    --------
+    >>> text_of_cell("'=1+1"), text_of_cell("'s-Hertogenbosch")
+    ('=1+1', "'s-Hertogenbosch")
+    """
+    return cell[1:] if cell[:1] == "'" and _FORMULA.match(cell) else cell
+
+
+def is_number(text: str) -> bool:
+    """Whether a text is a number.
+
+    Examples
+    --------
+    >>> is_number("-1e3"), is_number("-a")
+    (True, False)
+    """
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 SPEED_UNITS = {"km/h": 1.0, "m/s": 1.0 / 3.6, "mph": 1000.0 / 1609.344}

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
 import numpy as np
 
 from trainlog.arrays import same_values
-from trainlog.display import SPEED_UNITS, as_text, in_speed_unit, in_zone
+from trainlog.display import SPEED_UNITS, as_text, cell_of, in_speed_unit, in_zone
 from trainlog.errors import InputError
 from trainlog.units import JOULES_PER_KWH, KMH
 
@@ -554,7 +554,7 @@ class WordTable:
         text = StringIO()
         writer = csv.DictWriter(text, names, restval="", lineterminator="\n")
         writer.writeheader()
-        writer.writerows(rows)
+        writer.writerows({key: cell_of(value) for key, value in row.items()} for row in rows)
         return text.getvalue()
 
     def to_frame(self) -> pd.DataFrame:

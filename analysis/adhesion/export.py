@@ -25,7 +25,7 @@ from trainlog.arrays import FloatArray
 from trainlog.condition import known_before
 from trainlog.errors import InputError
 from trainlog.extras import load
-from trainlog.formats.files import atomic_write, write_bytes
+from trainlog.formats.files import atomic_write, csv_bytes, write_bytes
 from trainlog.formats.ttobench import AdhesionSections, Metadata, write_adhesion
 from trainlog.presentation import plain_rows
 from trainlog.railway import Line, TrackConditionMap
@@ -352,8 +352,7 @@ def unit_of(column: str) -> str:
 
 
 def _write_csv(export: _Export, path: str | Path) -> None:
-    text = export.table.to_csv(index=False, date_format="%Y-%m-%d", lineterminator="\n")
-    write_bytes(path, text.encode())
+    write_bytes(path, csv_bytes(export.table, date_format="%Y-%m-%d"))
 
 
 def _write_ttobench(export: _Export, path: str | Path) -> None:

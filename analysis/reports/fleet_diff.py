@@ -10,7 +10,7 @@ import pandas as pd
 from analysis.charts import BLUE, GREY, RED, Chart, Curve, Panel, Rule, Span
 from analysis.fleet.diff import JUDGED, FleetDiff
 from analysis.reports.page import Page, Part, Section, Warned
-from trainlog.formats.files import made_folder, write_bytes
+from trainlog.formats.files import csv_bytes, made_folder, write_bytes
 
 PAGE, TABLES = "diff.html", ("moved", "means", "estimates", "verdicts", "places", "words")
 """What `write_diff` writes into a folder: the page, and these tables as CSV."""
@@ -41,7 +41,7 @@ def write_diff(found: FleetDiff, folder: str | Path) -> list[Path]:
     for name in TABLES:
         frame: pd.DataFrame = getattr(found, name)
         path = target / f"{name}.csv"
-        write_bytes(path, frame.to_csv(index=False).encode())
+        write_bytes(path, csv_bytes(frame))
         written.append(path)
     diff_page(found).write(target / PAGE)
     return [target / PAGE, *written]

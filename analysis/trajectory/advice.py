@@ -25,7 +25,7 @@ from trainlog import __version__
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
 from trainlog.formats.declared import thing_to_bytes
-from trainlog.formats.files import sha256, write_bytes
+from trainlog.formats.files import csv_bytes, sha256, write_bytes
 from trainlog.formats.railway import line_of_plan
 from trainlog.presentation import Presented, WordTable, new_table
 from trainlog.railway import Line, StepProfile, Trajectory
@@ -409,7 +409,7 @@ def write_journey_advice(found: JourneyAdvice, path: str | Path) -> None:
 
     speeds = advised_speeds(found.rows)
     table = pd.DataFrame([fields(*each) for each in zip(found.rows, speeds, strict=True)])
-    write_bytes(path, table.to_csv(index=False, lineterminator="\n").encode())
+    write_bytes(path, csv_bytes(table))
 
 
 def stations_table(found: JourneyAdvice) -> WordTable:

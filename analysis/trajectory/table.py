@@ -14,7 +14,7 @@ import pandas as pd
 from analysis.trajectory.adhesion import adhesion_words
 from analysis.trajectory.advice import JourneyAdvice, driver_table, journey_advice
 from trainlog.display import at_most, counted, lateness
-from trainlog.formats.files import write_bytes
+from trainlog.formats.files import csv_bytes, write_bytes
 from trainlog.presentation import (
     DURATION,
     ENERGY,
@@ -158,7 +158,7 @@ def write_profile(found: JourneyAdvice, line: Line | None, path: Path) -> None:
     table["km"] = [f"{place:.{digits}f}" for place in table["km"]]
     if len(parts) == 1:
         del table["section"]
-    write_bytes(path, table.to_csv(index=False, lineterminator="\n").encode())
+    write_bytes(path, csv_bytes(table))
 
 
 def section_name(section: Trajectory, line: Line | None) -> str:

@@ -35,7 +35,7 @@ from trainlog.catalogue.results import (
 from trainlog.display import as_text
 from trainlog.errors import InputError
 from trainlog.extras import require
-from trainlog.formats.files import atomic_write
+from trainlog.formats.files import atomic_write, csv_bytes
 from trainlog.formats.settings import read_settings
 
 if TYPE_CHECKING:
@@ -521,7 +521,7 @@ def write_trips(frame: pd.DataFrame, path: str | Path) -> None:
                 if isinstance(shown[name].dtype, pd.DatetimeTZDtype):
                     shown[name] = [None if pd.isna(t) else t.isoformat() for t in shown[name]]
             headings = {name: f"{name} [{unit}]" for name, unit in units.items() if unit}
-            shown.rename(columns=headings).to_csv(temporary, index=False)
+            temporary.write_bytes(csv_bytes(shown.rename(columns=headings)))
             return
         table = pa.Table.from_pandas(shown, preserve_index=False).replace_schema_metadata(None)
         fields = [

@@ -201,7 +201,7 @@ def fleet_query(
     """
     from analysis.catalogue_table import found_table, trips_table
     from trainlog.catalogue import open_catalogue, write_trips
-    from trainlog.formats.files import atomic_write
+    from trainlog.formats.files import csv_bytes, write_bytes
 
     limits: dict[str, Any] = {"train": train, "line": line, "start": from_, "end": to}
     by_sql = asked is not None and re.match(r"(?i)\s*(select|with)\b|tables$", asked) is not None
@@ -224,8 +224,7 @@ def fleet_query(
     state({"count": len(found)})
     if output is not None:
         if by_sql:
-            with atomic_write(destination(output, ".csv")) as temporary:
-                found.to_csv(temporary, index=False)
+            write_bytes(destination(output, ".csv"), csv_bytes(found))
         else:
             write_trips(found, output)
         console.print(counted(len(found), "row" if by_sql else "trip"))

@@ -25,7 +25,7 @@ from trainlog.declaration import (
     Must,
     check_plausible,
 )
-from trainlog.display import counted
+from trainlog.display import cell_of, counted, text_of_cell
 from trainlog.errors import InputError
 from trainlog.formats.declared import built
 from trainlog.formats.files import check_written, read_bytes, write_bytes
@@ -208,7 +208,7 @@ def write_headed(
     text = io.StringIO(newline="")
     table = csv.writer(text, lineterminator="\n")
     table.writerow(f"{each.name} [{each.unit}]" if each.unit else each.name for each in columns)
-    table.writerows(["" if cell != cell else cell for cell in row] for row in rows)
+    table.writerows(["" if cell != cell else cell_of(cell) for cell in row] for row in rows)
     write_bytes(path, text.getvalue().encode())
 
 
@@ -274,7 +274,7 @@ def read_headed(path: str | Path, expected: str) -> HeadedTable:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
+    return [text_of_cell(cell.strip()) for cell in next(csv.reader([line], delimiter=separator))]
 
 
 _CURVE_COLUMNS = Column("speed", "km/h", "m/s"), Column("effort", "kN", "N")

@@ -15,7 +15,14 @@ import numpy as np
 
 from trainlog.declaration import Declared, content_of, from_content
 from trainlog.errors import InputError
-from trainlog.formats.files import check_written, parse_json, read_bytes, to_bytes, write_bytes
+from trainlog.formats.files import (
+    check_written,
+    parse_json,
+    read_bytes,
+    to_bytes,
+    too_large,
+    write_bytes,
+)
 
 
 def parse_toml(data: bytes, *, file: str | Path) -> dict[str, Any]:
@@ -41,6 +48,8 @@ def parse_toml(data: bytes, *, file: str | Path) -> dict[str, Any]:
         raise InputError(
             f"is not TOML: {error}", file=file, remedy="correct it there or just before"
         ) from error
+    except (RecursionError, ValueError) as error:
+        raise too_large(error, file, "TOML") from error
 
 
 def as_toml(content: Mapping[str, Any], comments: Mapping[str, str]) -> str:

@@ -12,10 +12,14 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from trainlog.declaration import plain as plain, shortest as shortest
+from trainlog.display import cell_of
 from trainlog.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _REMEDIES = {
     errno.ENOENT: "create its folder first",
@@ -185,6 +189,28 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     """Write `data` to `path`, whole or not at all; errors as `atomic_write`."""
     with atomic_write(path) as temporary:
         temporary.write_bytes(data)
+
+
+def csv_bytes(frame: pd.DataFrame, **options: Any) -> bytes:
+    r"""A table as CSV in UTF-8, without the index; no text in it is a spreadsheet's formula.
+
+    Parameters
+    ----------
+    frame : DataFrame
+    **options
+        Of `DataFrame.to_csv`.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> csv_bytes(pd.DataFrame({"trip": ["=1+1", "-"], "off": ["-2.5", 1]}))
+    b"trip,off\n'=1+1,-2.5\n'-,1\n"
+    """
+    shown = frame.rename(columns=cell_of)
+    for number, kind in enumerate(frame.dtypes):
+        if kind.kind == "O":
+            shown.isetitem(number, [cell_of(each) for each in frame.iloc[:, number]])
+    return str(shown.to_csv(index=False, lineterminator="\n", **options)).encode()
 
 
 def read_bytes(path: str | Path, *, any_kind: bool = False) -> bytes:
@@ -429,8 +455,15 @@ def parse_json(data: bytes, *, file: str | Path) -> Any:
     except InputError as error:
         place = error.place or _constant_place(text)
         raise InputError(error.problem, file=file, place=place, remedy=error.remedy) from error
-    except RecursionError as error:
-        raise InputError("is nested too deeply", file=file, remedy="expected JSON") from error
+    except (RecursionError, ValueError) as error:
+        raise too_large(error, file, "JSON") from error
+
+
+def too_large(error: Exception, file: str | Path, kind: str) -> InputError:
+    """The refusal of a text that Python's parser gives up: nested too deeply, or a huge number."""
+    deep = isinstance(error, RecursionError)
+    problem = "is nested too deeply" if deep else "holds a number of thousands of digits"
+    return InputError(problem, file=file, remedy=f"expected {kind} of one of trainlog's files")
 
 
 def _truncated(file: str | Path, place: str) -> InputError:

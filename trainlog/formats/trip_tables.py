@@ -166,7 +166,7 @@ class TopicWriter:
         if csv:
             titles = [_title(self._schema.field(name)) for name in (TIME, *self._kinds)]
             together = together.select([TIME, *self._kinds]).rename_columns(titles)
-            together = together.replace_schema_metadata()
+            together = _texts(together.replace_schema_metadata(), _FORMULA, r"'\1")
         if len(together):
             self._file.write_table(together, ROWS)
 
@@ -378,6 +378,19 @@ class _ParquetReader(TopicReader):
         self._file.close()
 
 
+_FORMULA = r"('*[=+\-@\t\r])"
+"""Beginning of a text that a spreadsheet takes for a formula; in CSV an apostrophe is before it."""
+
+
+def _texts(table: pa.Table, pattern: str, replacement: str) -> pa.Table:
+    """A table with the beginnings of its texts replaced."""
+    for number, item in enumerate(table.schema):
+        if pa.types.is_string(item.type) or pa.types.is_large_string(item.type):
+            told = pc.replace_substring_regex(table.column(number), f"^{pattern}", replacement)
+            table = table.set_column(number, item, told)
+    return table
+
+
 class _CsvReader(TopicReader):
     """A CSV file with columns of the types `kinds`, in any order; others are passed over."""
 
@@ -435,7 +448,8 @@ class _CsvReader(TopicReader):
                     )
                 last, count = int(times[-1]), count + len(batch)
                 for first in range(0, len(batch), rows):
-                    yield pa.Table.from_batches([batch.slice(first, rows)], self.schema)
+                    part = pa.Table.from_batches([batch.slice(first, rows)], self.schema)
+                    yield _texts(part, f"'{_FORMULA}", r"\1")
 
     def _read(self) -> Any:
         return _named(self._path, "cannot be read", f"correct the row, or {AGAIN}")

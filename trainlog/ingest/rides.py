@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from trainlog.arrays import BoolArray, IntArray
 from trainlog.errors import InputError
-from trainlog.formats.files import read_bytes
+from trainlog.formats.files import csv_bytes, read_bytes
 from trainlog.ingest.mapping import recording_of, wanted_columns
 from trainlog.ingest.parts import part_of, with_cut_lines
 from trainlog.ingest.profile import Profile, RideOptions
@@ -256,4 +256,4 @@ def _listed(
             for ride, count, reason in zip(rides, counts, reasons, strict=True)
         ]
     )
-    return shown.to_csv(index=False, lineterminator="\n").encode()
+    return csv_bytes(shown)
