@@ -136,6 +136,21 @@ def test_what_is_wrong_in_a_statement_is_one_message_with_what_is_known(
     assert len(catalogue) == TRIPS
 
 
+@pytest.mark.parametrize(
+    ("statement", "limit", "problem"),
+    [
+        ("select count(*) from range(100000000000) a", {"seconds": 0.2}, r"more than 0\.2 s;"),
+        ("select list(a.range) from range(300000000) a", {"memory": 5e7}, r"0\.05 GB of memory;"),
+    ],
+)
+def test_a_statement_ends_at_its_limits(
+    catalogue: Catalogue, statement: str, limit: dict[str, float], problem: str
+) -> None:
+    with pytest.raises(InputError, match=problem):
+        catalogue.sql(statement, **limit)
+    assert len(catalogue.sql("select * from trips limit 3")) == 3
+
+
 def test_a_file_of_results_that_is_missing_is_stated(catalogue: Catalogue) -> None:
     folder = catalogue.results_folder / "top speed"
     (path, *_) = sorted(folder.glob("*.parquet"))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -96,6 +97,10 @@ def open_catalogue(
     return Catalogue(where or read_settings().catalogue or _DEFAULT, results, create=create)
 
 
+SECONDS, MEMORY = 600.0, 4e9
+"""Time [s] and memory [byte] that a statement of SQL may take unless others are stated."""
+
+
 class Catalogue(Files, Trips, Computed):
     """Which trips there are, where their logs stand, and what was computed of them.
 
@@ -112,7 +117,9 @@ class Catalogue(Files, Trips, Computed):
         rows = {name: f"{count:,}" for name, count in self.counts().items()}
         return as_text(f"Catalogue {self.place}", rows)
 
-    def sql(self, statement: str) -> pd.DataFrame:
+    def sql(
+        self, statement: str, *, seconds: float = SECONDS, memory: float = MEMORY
+    ) -> pd.DataFrame:
         """What a statement of SQL finds in the trips and in what was computed of them.
 
         DuckDB runs it. Its tables are ``trips`` (those that count, with the columns of
@@ -125,6 +132,8 @@ class Catalogue(Files, Trips, Computed):
         ----------
         statement : str
             ``"select train, avg(r0) from resistance join trips using (key) group by train"``
+        seconds, memory : float [s], [byte]
+            That it may take.
 
         Returns
         -------
@@ -134,7 +143,7 @@ class Catalogue(Files, Trips, Computed):
         ------
         InputError
             If it is not understood, or names a table or column that there is not; names those that
-            there are.
+            there are. If it takes longer, or more memory, than it may.
 
         Examples
         --------
@@ -154,7 +163,19 @@ class Catalogue(Files, Trips, Computed):
             named = _named_in(statement, [*_TABLES, *analyses], self.place)
             try:
                 with _connection(self, analyses, named) as connection:
-                    return connection.execute(statement).df()
+                    connection.execute(f"SET memory_limit = '{memory / 1e6:.0f}MB'")
+                    connection.execute("SET lock_configuration = true")
+                    with _interrupted(connection, seconds):
+                        return connection.execute(statement).df()
+            except (duckdb.InterruptException, duckdb.OutOfMemoryException) as error:
+                long = isinstance(error, duckdb.InterruptException)
+                raise InputError(
+                    f"the statement takes more than {seconds:g} s"
+                    if long
+                    else f"the statement takes more than {memory / 1e9:g} GB of memory",
+                    remedy="ask for fewer trips or columns; in Python, Catalogue.sql takes other"
+                    " limits",
+                ) from error
             except duckdb.Error as error:
                 if isinstance(error, duckdb.IOException) and attempt + 1 < ATTEMPTS:
                     # Another process put files of results together meanwhile, perhaps.
@@ -327,9 +348,20 @@ def _connection(
                 connection.register(name, _table(database, *_TABLES[name], named, empty))
         # These files alone are read.
         connection.execute(f"SET allowed_paths = [{', '.join(map(_quoted, paths))}]")
-        for setting in ("enable_external_access = false", "lock_configuration = true"):
-            connection.execute(f"SET {setting}")
+        connection.execute("SET enable_external_access = false")
         yield connection
+
+
+@contextmanager
+def _interrupted(connection: duckdb.DuckDBPyConnection, seconds: float) -> Iterator[None]:
+    """What runs in here is interrupted after so many seconds."""
+    timer = threading.Timer(seconds, connection.interrupt)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _results_of(database: Database, analysis: str) -> _Analysis:
