@@ -118,6 +118,12 @@ class PlannedRun(Presented):
                 "Speed limits hold for the train's front; for its whole length of"
                 f" {self.problem.train.length:.0f} m, plan with protect=train."
             )
+        permitted = float(self.problem.permitted_speed(np.array([self.problem.end]))[0])
+        if self.problem.final_speed > permitted:
+            found.append(
+                f"The final speed of {KMH * self.problem.final_speed:.0f} km/h is above the"
+                f" {KMH * permitted:.0f} km/h permitted at the end, which holds."
+            )
         for each in self.sections:
             asked, cells = each.provenance["settings"]["cells"], each.positions.size - 1
             if cells > MORE_CELLS * asked:
