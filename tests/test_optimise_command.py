@@ -456,19 +456,14 @@ def test_a_plan_states_where_limits_are_kept_and_what_is_assumed(
     assert "assumed gradients" in " ".join(repr(line).split())
 
 
+@pytest.mark.parametrize("protect", ["front", "train"])
 def test_what_of_a_plan_is_less_than_it_seems_is_stated(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    protect: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Limits kept at the front alone, and a final speed that is not permitted there."""
-    words = ("plan", "--line", "sample", "--train", "sample", "--km", "20:", "--set", "cells=60")
-    output = ("-o", tmp_path / "plan.json", "--json")
-    _, printed, _ = run(monkeypatch, capsys, *words, "--set", "final-speed=500", *output)
-    front, final = (
-        any(note.startswith(begins) for note in json.loads(printed)["notes"])
-        for begins in ("Speed limits hold for the train's front", "The final speed of 500 km/h is")
-    )
-    assert (front, final) == (True, True)
-    _, printed, _ = run(monkeypatch, capsys, *words, "--set", "protect=train", *output)
-    assert not any(
-        "final speed" in note or "front" in note for note in json.loads(printed)["notes"]
-    )
+    words = ["plan", *SAMPLES, "--km", "20:", "--set", "cells=60", "--set", f"protect={protect}"]
+    fast = ["--set", "final-speed=500"] if protect == "front" else []
+    assert cli.run([*words, *fast, "-o", str(tmp_path / "plan.json"), "--json"]) == 0
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    for begins in ("Speed limits hold for the train's front", "The final speed of 500 km/h is"):
+        assert any(note.startswith(begins) for note in notes) == (protect == "front")
