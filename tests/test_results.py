@@ -78,11 +78,11 @@ def test_arrays_of_other_types_shapes_and_values_differ() -> None:
 def test_a_fit_goes_straight_into_set_and_calculation(fitted) -> None:  # type: ignore[no-untyped-def]
     (fit,) = fitted.trips
     wanted = analysis.parameter_set([fit])
+    expected = analysis.calculate(LOG, wanted)
     for given in (fit, fitted):
         found = analysis.parameter_set(given)
         assert found.configurations == wanted.configurations
         calculated = analysis.calculate(LOG, given)
-        expected = analysis.calculate(LOG, wanted)
         assert calculated.total("calculated_work") == expected.total("calculated_work")
     with pytest.raises(trainlog.InputError, match=r"\(str\) was given where"):
         analysis.calculate(LOG, "params.json")
@@ -239,11 +239,14 @@ def test_every_table_of_a_result_is_the_same_read_again_from_csv(results) -> Non
                         assert row[key] == value, (kind, table.name, key)
 
 
-def test_every_result_with_charts_is_drawn(results, tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_every_result_with_charts_is_drawn(results) -> None:  # type: ignore[no-untyped-def]
+    """Once, without the layout, which draws it a second time."""
     for kind, result in results.items():
         if kind.charts_by:
-            result.plot().savefig(tmp_path / f"{kind.__name__}.svg")
-            assert (tmp_path / f"{kind.__name__}.svg").stat().st_size > 1_000, kind
+            figure = result.plot()
+            figure.set_layout_engine("none")
+            figure.draw_without_rendering()
+            assert all(each.has_data() for each in figure.axes), kind
 
 
 def test_frames_hold_what_a_developer_computes_with(results) -> None:  # type: ignore[no-untyped-def]
@@ -262,7 +265,7 @@ def test_frames_hold_what_a_developer_computes_with(results) -> None:  # type: i
     assert found["Calculation"]["work_J"].sum() > 0.0
 
 
-@pytest.mark.parametrize("width", [60, 80, 110])
+@pytest.mark.parametrize("width", [60, 110])
 def test_no_table_of_a_result_is_wider_than_the_page(results, width: int) -> None:  # type: ignore[no-untyped-def]
     for kind, result in results.items():
         console = Console(width=width, file=io.StringIO())

@@ -593,12 +593,16 @@ def line_of(trip: Trip) -> Line:
             f"trip '{trip.name}': direction is '{direction}'",
             remedy="metadata 'direction' must be 'forward' or 'reverse'",
         )
-    return _line(data, _called(trip, LINE_ATTACHMENT), direction == "reverse")
+    try:
+        return travelled_line(data, direction == "reverse")
+    except InputError:
+        return line_from_bytes(data, file=_called(trip, LINE_ATTACHMENT))
 
 
 @lru_cache(KEPT)
-def _line(data: bytes, called: str, backwards: bool) -> Line:
-    line = line_from_bytes(data, file=called)
+def travelled_line(data: bytes, backwards: bool) -> Line:
+    """The line in the bytes of a line file, in the direction of travel; trips of one share it."""
+    line = line_from_bytes(data)
     return line.reversed() if backwards else line
 
 
@@ -645,12 +649,16 @@ def train_of(trip: Trip) -> Train:
     >>> train_of(read_log("sample_logs/nonstop.mcap")).name
     'CH_Stadler_FLIRT_TPF'
     """
-    return _train(_attachment(trip, TRAIN_ATTACHMENT), _called(trip, TRAIN_ATTACHMENT))
+    data = _attachment(trip, TRAIN_ATTACHMENT)
+    try:
+        return _train(data)
+    except InputError:
+        return train_from_bytes(data, file=_called(trip, TRAIN_ATTACHMENT))
 
 
 @lru_cache(KEPT)
-def _train(data: bytes, called: str) -> Train:
-    return train_from_bytes(data, file=called)
+def _train(data: bytes) -> Train:
+    return train_from_bytes(data)
 
 
 def passport_of(trip: Trip) -> Passport | None:

@@ -18,7 +18,7 @@ from trainlog.arrays import IntArray, UintArray
 from trainlog.display import counted
 from trainlog.errors import LogError, TrainlogError
 from trainlog.formats.files import sha256
-from trainlog.formats.railway import line_from_bytes
+from trainlog.formats.railway import travelled_line
 from trainlog.mcap.account import Account
 from trainlog.mcap.codec import UNIT, axles_of
 from trainlog.mcap.contents import ChunkPlace, Contents, MisplacedError, contents_used, index_in
@@ -314,11 +314,9 @@ def describe(path: str | Path) -> LogDescription:
 def _travelled(data: bytes, records: dict[str, dict[str, str]]) -> Line | None:
     """The line attached to a log in the direction of travel; None if it cannot be read."""
     try:
-        line = line_from_bytes(data)
+        return travelled_line(data, records.get(TRIP_RECORD, {}).get("direction") == "reverse")
     except TrainlogError:
         return None
-    backwards = records.get(TRIP_RECORD, {}).get("direction") == "reverse"
-    return line.reversed() if backwards else line
 
 
 def _span(source: Source, contents: Contents) -> tuple[tuple[float, float] | None, str | None]:
