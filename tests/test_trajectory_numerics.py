@@ -143,9 +143,9 @@ def test_a_grid_too_coarse_for_the_timetable_is_made_finer() -> None:
 
 
 @pytest.mark.parametrize("coarse", [60, pytest.param(120, marks=pytest.mark.long)])
-@pytest.mark.parametrize("objective", ["wheel", "line"])
+@pytest.mark.parametrize("objective", ["wheel", pytest.param("line", marks=pytest.mark.long)])
 def test_a_run_without_reserve_is_the_fastest_and_audited(objective: str, coarse: int) -> None:
-    configurations = drawn(FLIRT, 3, seed=2)
+    configurations = drawn(FLIRT, 2, seed=2)
     times = []
     for cells in (coarse, 2 * coarse):
         found = optimised(
