@@ -42,8 +42,12 @@ LEAVES = StepProfile(np.array([0.0, 60.0, 200.0, 2_780.0]), np.array([0.085, 0.0
 
 
 @pytest.fixture(scope="module")
-def known() -> study.Setup:
-    prepared = study.prepared(seed=1, sections=1)
+def prepared() -> study.Setup:
+    return study.prepared(seed=1, sections=1)
+
+
+@pytest.fixture(scope="module")
+def known(prepared: study.Setup) -> study.Setup:
     return study.Setup(prepared.plan, {**prepared.rails, "bad": SLIPPERY})
 
 
@@ -309,8 +313,10 @@ def test_as_published_a_late_train_takes_the_bounds_of_where_it_ought_to_be(
 
 @pytest.mark.usefixtures("unpainted")
 def test_where_no_map_can_be_made_the_days_driven_are_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    prepared: study.Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    asked = {(1, 1): prepared}  # by seed and number of sections
+    monkeypatch.setattr("analysis.studies.hauck_2023.run.prepared", lambda *words: asked[words[:2]])
     monkeypatch.setattr("analysis.studies.hauck_2023.run.SCENARIOS", ())
     monkeypatch.setattr("analysis.studies.hauck_2023.run.study_charts", lambda *_: {})
     for name in ("difference_table", "tracking_table", "lateness_table", "gain_table"):

@@ -121,7 +121,7 @@ def test_on_a_slippery_rail_the_cooperative_control_pulls_as_much_as_the_rail_gi
     assert found.unsolved == 0
 
 
-@pytest.mark.parametrize("maximum", [0.14, 0.17])
+@pytest.mark.parametrize("maximum", [0.14, pytest.param(0.17, marks=pytest.mark.long)])
 def test_a_heavy_train_that_starts_slowly_stays_near_the_peak(maximum: float) -> None:
     """Little way is made: what is known of the rail must not fade with time and draw slip down."""
     mass = MASS + 260e3
