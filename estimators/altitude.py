@@ -27,13 +27,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import minimize
 from scipy.sparse import csc_array, csr_array, diags_array, vstack
 from scipy.sparse.linalg import SuperLU, splu
 
-from trainlog.arrays import BoolArray, FloatArray
+from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
 
 KNOTS = 50.0
@@ -195,16 +196,25 @@ class _Solved:
     deviance: float
     heights: FloatArray
     factor: SuperLU
-    whitened: list[tuple[csr_array, FloatArray]]
+    whitened: csr_array
+    values: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """The altitudes as linear functions of the heights of the knots and the rides' mean errors."""
+    """The altitudes as linear functions of the heights of the knots and the rides' mean errors.
+
+    The rides one below the other: `starts` are their first rows, `apart` the seconds since the row
+    before, infinite at those. `before` is `matrix` one row further down, with nothing at `starts`.
+    """
 
     count: int
     origin: float
-    rides: list[tuple[FloatArray, csr_array, FloatArray]]
+    starts: IntArray
+    apart: FloatArray
+    matrix: csr_array
+    before: csr_array
+    altitude: FloatArray
 
     @staticmethod
     def of(rides: Sequence[Ride], length: float) -> _System:
@@ -229,38 +239,52 @@ class _System:
             )
             weighted = (diags_array(weight) @ matrix).tocsr()
             rows.append((ride.time, weighted, weight * (ride.altitude - origin)))
-        return _System(count, origin, [row for row in rows if row[0].size > 1])
+        rows = [row for row in rows if row[0].size > 1]
+        sizes = [time.size for time, _, _ in rows]
+        starts = np.cumsum([0, *sizes[:-1]])
+        apart = np.concatenate([np.diff(time, prepend=-np.inf) for time, _, _ in rows])
+        matrix = vstack([each for _, each, _ in rows]).tocsr()
+        follows = np.isfinite(apart).astype(np.float64)
+        back = diags_array([follows[1:]], offsets=[-1], shape=(follows.size, follows.size))
+        altitude = np.concatenate([each for _, _, each in rows])
+        return _System(count, origin, starts, apart, matrix, (back @ matrix).tocsr(), altitude)
 
     def solved(self, place: FloatArray) -> _Solved:
         """The heights for the sizes at `place`, standard deviations from what is expected."""
         sizes = np.exp(SIZES + SIZES_STD * place)
         sigma, tau, gamma, lasting = sizes
-        whitened, logarithm = [], 0.0
-        for time, matrix, altitude in self.rides:
-            rho = np.exp(-np.diff(time) / tau)
-            std = np.concatenate(([sigma], sigma * np.sqrt(1.0 - rho**2)))
-            back = diags_array([np.ones(time.size), -rho], offsets=[0, -1])
-            whitening = (diags_array(1.0 / std) @ back).tocsr()
-            whitened.append(((whitening @ matrix).tocsr(), whitening @ altitude))
-            logarithm += 2.0 * float(np.sum(np.log(std)))
+        rho = np.exp(-self.apart / tau)
+        std = sigma * np.sqrt(1.0 - rho**2)
+        back = rho[1:] * self.altitude[:-1]
+        values = (self.altitude - np.concatenate(([0.0], back))) / std
+        whitened = (
+            diags_array(1.0 / std) @ self.matrix - diags_array(rho / std) @ self.before
+        ).tocsr()
+        logarithm = 2.0 * float(np.sum(np.log(std)))
         prior = self._prior(gamma, lasting)
         keep = np.exp(-KNOTS / lasting)
         logarithm += (self.count - 2) * np.log(gamma**2 * (1.0 - keep**2)) + 2.0 * np.log(gamma)
-        left = vstack([*(rows for rows, _ in whitened), prior]).tocsc()
-        right = np.concatenate([*(values for _, values in whitened), np.zeros(prior.shape[0])])
+        left = vstack([whitened, prior]).tocsc()
+        right = np.concatenate([values, np.zeros(prior.shape[0])])
         factor = splu(csc_array(left.T @ left))
         heights = factor.solve(left.T @ right)
         residual = right - left @ heights
         determinant = float(np.sum(np.log(np.abs(factor.U.diagonal()))))
         deviance = 0.5 * (logarithm + determinant + residual @ residual + place @ place)
-        return _Solved(sizes, float(deviance), heights, factor, whitened)
+        return _Solved(sizes, float(deviance), heights, factor, whitened, values)
 
     def _prior(self, gamma: float, lasting: float) -> csr_array:
         """What is expected of gradients and mean errors, as rows of unit variance."""
-        count, size = self.count, self.rides[0][1].shape[1]
-        gradient = diags_array([-1.0, 1.0], offsets=[0, 1], shape=(count - 1, size)).tocsr() / KNOTS
+        first, after, before, others = self._expected
         keep = np.exp(-KNOTS / lasting)
-        change = (gradient[1:] - keep * gradient[:-1]) / (gamma * np.sqrt(1.0 - keep**2))
+        change = (after - keep * before) / (gamma * np.sqrt(1.0 - keep**2))
+        return vstack([first / gamma, change, others]).tocsr()
+
+    @cached_property
+    def _expected(self) -> tuple[csr_array, csr_array, csr_array, csr_array]:
+        """Rows of the first gradient, of those after another, of the others, and of mean errors."""
+        count, size = self.count, self.matrix.shape[1]
+        gradient = diags_array([-1.0, 1.0], offsets=[0, 1], shape=(count - 1, size)).tocsr() / KNOTS
         errors = np.arange(size - count)
         mean = csr_array(
             (np.full(errors.size, 1.0 / MEAN_ERROR), (errors, count + errors)),
@@ -268,7 +292,7 @@ class _System:
         )
         # The height of the whole is only known as well as the mean errors are.
         anchor = csr_array(([1e-3], ([0], [0])), shape=(1, size))
-        return vstack([gradient[[0]] / gamma, change, mean, anchor]).tocsr()
+        return gradient[[0]], gradient[1:], gradient[:-1], vstack([mean, anchor]).tocsr()
 
 
 def _profile(system: _System, solved: _Solved) -> HeightProfile:
@@ -280,16 +304,11 @@ def _profile(system: _System, solved: _Solved) -> HeightProfile:
     mean[starts + across, columns], mean[starts, columns] = 1.0 / OVER, -1.0 / OVER
     solution = solved.factor.solve(mean)
     variance = np.sum(mean * solution, axis=0)
-    effects = [rows @ solution for rows, _ in solved.whitened]
-    model = np.sum([np.sum(effect**2, axis=0) for effect in effects], axis=0)
-    robust = np.sum(
-        [
-            ((values - rows @ solved.heights) @ effect) ** 2
-            for (rows, values), effect in zip(solved.whitened, effects, strict=True)
-        ],
-        axis=0,
-    )
-    rides = len(solved.whitened)
+    effect = solved.whitened @ solution
+    model = np.sum(effect**2, axis=0)
+    residual = solved.values - solved.whitened @ solved.heights
+    robust = np.sum(np.add.reduceat(residual[:, None] * effect, system.starts) ** 2, axis=0)
+    rides = system.starts.size
     widened = max(1.0, float(np.sqrt(robust.mean() / model.mean() * rides / (rides - 1.0))))
     gradient = mean.T @ solved.heights
     std = np.sqrt(variance + (widened**2 - 1.0) * model)
