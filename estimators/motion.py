@@ -45,6 +45,10 @@ NO_POSITION_STD = 1e4
 """Standard deviation of the position [m] before the first one is measured."""
 
 
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(12)
+"""Of the quadrature over a step."""
+
+
 @dataclass(frozen=True, eq=False)
 class MotionModel:
     """How a train moves, and how long errors of its measurements last.
@@ -273,7 +277,9 @@ def motion_model(
     """
     motion = MotionModel() if model is None else model
     transition, noise = np.zeros((2, steps.size, STATES, STATES))
-    transition[:, :3, :3], noise[:, :3, :3] = _singer(steps, motion)
+    # A recorder's steps are few different ones.
+    different, which = np.unique(steps, return_inverse=True)
+    transition[:, :3, :3], noise[:, :3, :3] = (part[which] for part in _singer(different, motion))
     if motion.unmeasured is not None:
         noise[:, :3, :3] *= motion.unmeasured[:, None, None]
     noise[:, 0, 0] += motion.drift**2 * steps
@@ -294,10 +300,9 @@ def _singer(steps: FloatArray, motion: MotionModel) -> tuple[FloatArray, FloatAr
     transition[:, 0, 0] = transition[:, 1, 1] = 1.0
     transition[:, 0, 1] = steps
     transition[:, :, 2] = _impulse_response(steps, motion.acceleration_time)
-    nodes, weights = np.polynomial.legendre.leggauss(12)
-    response = _impulse_response(0.5 * steps[:, None] * (1.0 + nodes), motion.acceleration_time)
+    response = _impulse_response(0.5 * steps[:, None] * (1.0 + NODES), motion.acceleration_time)
     spectral_density = 2.0 * motion.acceleration_std**2 / motion.acceleration_time
-    noise = np.einsum("nqi,nqj,q,n->nij", response, response, weights, 0.5 * steps)
+    noise = np.einsum("nqi,nqj,q,n->nij", response, response, WEIGHTS, 0.5 * steps)
     return transition, spectral_density * noise
 
 
