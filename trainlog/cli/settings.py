@@ -106,10 +106,7 @@ def docs(page: str | None = None, /, *, list_: bool = False, path: bool = False)
     path
         Print where it is; open nothing.
     """
-    import webbrowser
-
     from trainlog.documentation import REMEDY, documentation
-    from trainlog.replay.viewer import has_display
 
     found = documentation()
     if list_:
@@ -124,7 +121,16 @@ def docs(page: str | None = None, /, *, list_: bool = False, path: bool = False)
     uri = file.as_uri() + (f"#{anchor}" if anchor else "")
     if state({"page": file, "uri": uri, "built": found.built}):
         return
-    if path or not (found.built and has_display() and webbrowser.open(uri)):
+    if path or not (found.built and _opened(uri)):
         say(uri if anchor else file)
     if not found.built:
         say(f"  {REMEDY}")
+
+
+def _opened(uri: str) -> bool:
+    """Whether a browser shows the page."""
+    import webbrowser
+
+    from trainlog.replay.viewer import has_display
+
+    return has_display() and webbrowser.open(uri)
