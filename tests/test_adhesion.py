@@ -65,6 +65,7 @@ class TestSlipDetector:
         found = detector.update(np.array([2.0, np.nan, 2.0, np.nan, 0.0])[:, None])[:, 0]
         assert found.tolist() == [False, False, True, True, False]
 
+    @settings(max_examples=40)
     @given(
         arrays(np.float64, (40, 2), elements=st.floats(-4.0, 4.0)),
         st.integers(0, 40),

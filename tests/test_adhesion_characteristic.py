@@ -125,6 +125,7 @@ def test_a_table_keeps_the_shape_of_its_points() -> None:
 
 
 @family
+@settings(max_examples=40)
 @given(slip=st.floats(-20.0, 20.0), speed=st.floats(0.0, 60.0))
 def test_it_is_odd_and_never_beyond_its_maximum(
     curve: AdhesionCharacteristic, slip: float, speed: float
@@ -136,6 +137,7 @@ def test_it_is_odd_and_never_beyond_its_maximum(
 
 
 @family
+@settings(max_examples=40)
 @given(share=st.floats(0.01, 5.0), speed=st.floats(3.0, 60.0))
 def test_slopes_are_those_of_the_curve_and_vanish_at_the_optimum(
     curve: AdhesionCharacteristic, share: float, speed: float
@@ -164,6 +166,7 @@ def test_many_speeds_at_once_give_what_each_gives(curve: AdhesionCharacteristic)
     )  # fmt: skip
 
 
+@settings(max_examples=40)
 @given(factor=st.floats(0.1, 3.0))
 def test_a_scaled_table_has_a_scaled_maximum_at_the_same_slip(factor: float) -> None:
     table = FAMILIES["table over creepage"]

@@ -66,6 +66,7 @@ def _cases() -> Iterator[Any]:
                 yield pytest.param(name, train, reserve, marks=marks)
 
 
+@pytest.mark.usefixtures("unrenewed")
 @pytest.mark.parametrize(("name", "train", "reserve"), list(_cases()))
 def test_no_row_leads_over_a_limit(name: str, train: str, reserve: float, tmp_path: Path) -> None:
     line, driver = _line(name), TRAINS[train]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from refusals import refused
 from simulated_line import flirt, hilly_line, level_line
 from slip_truth import Seen, seen
@@ -37,6 +37,7 @@ lengths = st.floats(0.3, 3.0)
 
 
 class TestMoments:
+    @settings(max_examples=40)
     @given(
         st.builds(
             AxleGeometry, st.floats(1.5, 4.0), st.floats(6.0, 14.0), lengths, lengths, lengths,

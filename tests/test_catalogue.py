@@ -59,16 +59,22 @@ def where(place: str, tmp_path: Path) -> Iterator[Callable[[], Catalogue]]:
         each.close()
 
 
-@pytest.fixture
-def logs(tmp_path: Path) -> Path:
-    """A folder of three logs: two drives, and a part of one of them."""
-    folder = tmp_path / "logs"
-    (folder / "deep").mkdir(parents=True)
-    shutil.copy(SAMPLES / "nonstop.mcap", folder)
-    shutil.copy(SAMPLES / "stopping.mcap", folder / "deep")
-    trip = trainlog.read(SAMPLES / "stopping.mcap")
-    trainlog.write(trip.between(None, "2024-10-07T08:10"), folder / "part.mcap")
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of three logs: the beginnings of two drives, and a part of one of them."""
+    folder = tmp_path_factory.mktemp("written")
+    (folder / "deep").mkdir()
+    for name, minutes in (("nonstop", 4), ("deep/stopping", 4), ("part", 2)):
+        trip = trainlog.read(SAMPLES / f"{'nonstop' if name == 'nonstop' else 'stopping'}.mcap")
+        end = trip.start + pd.Timedelta(minutes=minutes)
+        trainlog.write(trip.between(None, end), folder / f"{name}.mcap")
     return folder
+
+
+@pytest.fixture
+def logs(written: Path, tmp_path: Path) -> Path:
+    """The same, which a test may change."""
+    return Path(shutil.copytree(written, tmp_path / "logs"))
 
 
 def test_files_are_registered_once_and_the_fullest_recording_of_a_drive_counts(
@@ -91,7 +97,7 @@ def test_files_are_registered_once_and_the_fullest_recording_of_a_drive_counts(
     assert found["name"].tolist() == ["trip-01", "trip-03"]
     assert found["path"].tolist()[1] == str(logs / "deep" / "stopping.mcap")
     assert catalogue.counts()["other recordings"] == 1
-    trip = trainlog.read(SAMPLES / "stopping.mcap")
+    trip = trainlog.read(logs / "deep" / "stopping.mcap")
     row = found.iloc[1]
     assert (row["start"], row["end"], row["duration"]) == (trip.start, trip.end, trip.duration)
     assert row["topics"] == {name: len(frame) for name, frame in trip.topics.items() if len(frame)}
@@ -310,7 +316,7 @@ def test_a_file_that_cannot_be_used_is_listed_and_tried_again_once_it_changes(
     for _ in range(2):
         assert [each.path for each in catalogue.add(logs).of("refused")] == [str(bad)]
     assert "not an MCAP file" in catalogue.uncounted().set_index("what")["reason"]["refused"]
-    shutil.copy(SAMPLES / "nonstop.mcap", bad)
+    shutil.copy(logs / "nonstop.mcap", bad)
     assert [each.state for each in catalogue.add(bad).outcomes] == ["copy"]
     assert catalogue.counts()["refused"] == 0
     with pytest.raises(InputError, match="does not exist"):

@@ -259,7 +259,7 @@ def _joined(inner: st.SearchStrategy[Expression]) -> st.SearchStrategy[Expressio
     )
 
 
-@settings(max_examples=30, derandomize=True)
+@settings(max_examples=15, derandomize=True)
 @given(expression=st.recursive(ATOMS, _joined, max_leaves=5))
 def test_an_expression_means_the_same_to_each_database_and_to_pandas(
     catalogues: dict[str, Callable[[str], list[str]]], expression: Expression

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -54,14 +56,13 @@ OUTAGES = ((120.0, 180.0), (400.0, 460.0))
 BURSTS = ((280.0, 305.0, 30.0 + 10.0j), (330.0, 350.0, -15.0 + 30.0j))
 
 
-@pytest.mark.parametrize("reverse", [False, True])
 @pytest.mark.parametrize(
-    ("receiver", "bound"),
+    ("receiver", "bound", "reverse"),
     [
-        (Receiver(outages=OUTAGES, bursts=BURSTS), 5.0),
-        (Receiver(rate=5.0, outages=OUTAGES, bursts=BURSTS), 5.0),
-        (Receiver(outages=OUTAGES, bursts=BURSTS, lasting=True), 5.5),
-        (Receiver(outages=OUTAGES, bursts=BURSTS, wheels=True), 2.0),
+        (Receiver(outages=OUTAGES, bursts=BURSTS), 5.0, True),
+        (Receiver(rate=5.0, outages=OUTAGES, bursts=BURSTS), 5.0, False),
+        (Receiver(outages=OUTAGES, bursts=BURSTS, lasting=True), 5.5, True),
+        (Receiver(outages=OUTAGES, bursts=BURSTS, wheels=True), 2.0, False),
     ],
 )
 def test_chainage_holds_through_outages_and_reflections(
@@ -227,8 +228,15 @@ def field_rides() -> list[tuple[Geometry, tuple[np.ndarray, np.ndarray, np.ndarr
     ]
 
 
-@pytest.mark.parametrize("interval", [1.0, 11.0])
-@pytest.mark.parametrize("name", FIELD)
+def _field_cases() -> Iterator[Any]:
+    """Every receiver at both intervals; by default at one of them."""
+    for number, name in enumerate(FIELD):
+        for interval in (1.0, 11.0):
+            marks = () if (interval > 1.0) == (number % 2 > 0) else pytest.mark.long
+            yield pytest.param(name, interval, marks=marks)
+
+
+@pytest.mark.parametrize(("name", "interval"), list(_field_cases()))
 def test_bands_hold_whatever_the_receiver_does(
     name: str, interval: float, field_rides: list[tuple]
 ) -> None:
@@ -301,7 +309,7 @@ def late(trip: Trip, delay: float, *topics: str) -> Trip:
     return Trip({**trip.topics, **shifted}, trip.metadata)
 
 
-@pytest.mark.parametrize(("delay", "rate"), [(0.2, 5.0), (0.5, 1.0), (1.0, 5.0), (1.0, 1.0)])
+@pytest.mark.parametrize(("delay", "rate"), [(0.2, 5.0), (0.5, 1.0), (1.0, 1.0)])
 def test_fixes_and_speeds_that_are_late_together_are_put_back(delay: float, rate: float) -> None:
     trip, truth = drive(winding(), Receiver(rate=rate, wheels=True), seed=3)
     estimate = estimated(late(trip, delay, "/gnss/fix", "/gnss/motion"), winding())
@@ -317,8 +325,7 @@ def test_fixes_and_speeds_that_are_late_together_are_put_back(delay: float, rate
     assert uncertain.all()
 
 
-@pytest.mark.parametrize("rate", [1.0, 5.0])
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(("seed", "rate"), [(1, 5.0), (2, 1.0), (3, 1.0)])
 def test_satellites_on_time_are_not_shifted(rate: float, seed: int) -> None:
     trip, _ = drive(winding(), Receiver(rate=rate, wheels=True), seed=seed)
     assert "receiver.delay" not in estimated(trip, winding()).metadata
@@ -329,8 +336,7 @@ def test_satellites_on_time_are_not_shifted(rate: float, seed: int) -> None:
     assert "receiver.delay" not in wheels.metadata
 
 
-@pytest.mark.parametrize("wheels", [True, False])
-@pytest.mark.parametrize("rate", [1.0, 2.0])
+@pytest.mark.parametrize(("rate", "wheels"), [(1.0, True), (2.0, False)])
 def test_fixes_that_a_faster_table_repeats_are_used_once(rate: float, wheels: bool) -> None:
     trip, truth = drive(winding(), Receiver(rate=rate, wheels=True), seed=2)
     rows = trip["/train/state"].index

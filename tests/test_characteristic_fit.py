@@ -78,7 +78,7 @@ def drawn(seed: int) -> tuple[AdhesionPoints, float, float, float]:
 
 def test_bands_hold_the_truth_of_curves_of_another_form() -> None:
     held, found, refused = [], [], 0
-    for seed in range(16):
+    for seed in range(10):
         points, maximum, optimum, speed = drawn(seed)
         try:
             fit = fit_adhesion_characteristic(points, speed=speed)
@@ -88,7 +88,7 @@ def test_bands_hold_the_truth_of_curves_of_another_form() -> None:
         low, high = fit.optimal_band
         held.append([abs(fit.maximum - maximum) < 1.96 * fit.maximum_std, low < optimum < high])
         found.append(fit.maximum / maximum - 1.0)
-    assert refused <= 2
+    assert refused <= 1
     assert np.all(np.mean(held, axis=0) >= 0.9)
     assert np.median(np.abs(found)) < 0.01
 

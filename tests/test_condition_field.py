@@ -125,7 +125,7 @@ def test_levels_stay_at_those_of_the_onsets_however_many_calm_trips(place_from: 
     known = ConditionLayer.unestimated(DailyEvidence.total(pieces))
     track = replace(empty_map(LINE), layers={"wet": known})
     forecast = rolling_forecast(track)
-    for number in (15, 12, 8):
+    for number in (15, 8):
         whole, found = layer_before(track, DAY + number, "wet"), forecast("wet", day(number))
         assert whole is not None
         assert found is not None

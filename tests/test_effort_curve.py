@@ -31,7 +31,7 @@ DATA = Path(__file__).parents[2] / "shared" / "data"
 SHARED = pytest.mark.skipif(not DATA.is_dir(), reason="the shared data are not here")
 FLIRT = read_train(sample(DEFAULT_TRAIN))
 CURVE = EffortCurve(np.array([0.0, 10.0, 30.0]), np.array([100e3, 80e3, 20e3]))
-quick = settings(max_examples=60)
+quick = settings(max_examples=30)
 
 
 # ---- the curve ----------------------------------------------------------------------------------

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy import stats
 from simulated_line import level_line
 
@@ -60,6 +61,7 @@ def on_grid(estimate: AdhesionEstimate) -> AdhesionEstimate:
     return AdhesionEstimate(estimate.log_mean, estimate.log_std, estimate.observed, levels, density)
 
 
+@settings(max_examples=40)
 @given(st.floats(0.05, 0.4), st.floats(0.05, 0.5), st.floats(0.05, 0.4))
 def test_scores_of_a_normal_forecast_are_those_of_the_textbook(
     median: float, std: float, met: float
@@ -88,6 +90,7 @@ def test_what_was_held_for_impossible_costs_much_and_not_everything() -> None:
     assert -12.0 < used_score(forecast, [0.5])[0] < -8.0
 
 
+@settings(max_examples=40)
 @given(
     st.lists(
         st.tuples(st.floats(0.0, 1.0), st.integers(0, 5), st.integers(0, 5)),
@@ -202,6 +205,7 @@ def shape() -> tuple[FloatArray, FloatArray]:
     return grid, density / density.sum()
 
 
+@cache
 def drawn(seed: int, days: int = 30) -> Drawn:
     generator = np.random.default_rng(seed)
     level = np.log(generator.uniform(0.06, 0.2, BINS))
@@ -232,6 +236,7 @@ def drawn(seed: int, days: int = 30) -> Drawn:
     return Drawn(passages, Demand(found, LEVELS), lambda layer, time: true, level)
 
 
+@cache
 def scored(rail: Drawn, forecaster: Forecaster) -> Verification:
     nothing = DailyEvidence.none(BINS, LEVELS.size)
     return verify("drawn", TRACK, rail.days, forecaster, lambda layer, day: nothing, rail.demand)[

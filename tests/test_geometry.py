@@ -116,6 +116,7 @@ def test_a_minute_of_arc_has_its_published_length() -> None:
     assert complex(east) == pytest.approx(78_847.0 / 60.0, abs=0.02)
 
 
+@settings(max_examples=40)
 @given(
     st.complex_numbers(min_magnitude=0.1, max_magnitude=10.0),
     st.complex_numbers(max_magnitude=1e5),

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,10 +16,11 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from refusals import refused
 
+from analysis.adhesion import evidence
 from analysis.adhesion.condition_map import adhesion_map, empty_map, merge, update
 from analysis.estimates import estimate_log
 from analysis.geometry.centre_line import geometry_of
-from analysis.resistance import combine
+from analysis.resistance import combine, logs
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.combination import SAME_DRIVE, each_drive_once
 from analysis.resistance.fit import fit_trip
@@ -120,6 +122,26 @@ def test_a_rounded_copy_is_another_drive_as_the_help_states(digits: int) -> None
 @pytest.fixture(scope="module")
 def versions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {make.__name__: make(tmp_path_factory.mktemp(make.__name__)) for make in VERSIONS}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def analysed_once() -> Iterator[None]:
+    """A log is analysed once, however often a test gives it: no test changes one.
+
+    What it shows does not depend on the map that it is added to: all are of one line.
+    """
+    made, kept = evidence.evidence_of_log, dict[tuple[object, ...], object]()
+
+    def known(path: Path, track: object, *given: object, sha256: str = "") -> object:
+        key = (path, *given, sha256)
+        if key not in kept:
+            kept[key] = made(path, track, *given, sha256=sha256)
+        return kept[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(logs, "fit_log", cache(logs.fit_log))
+        patch.setattr(evidence, "evidence_of_log", known)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -204,7 +204,7 @@ def test_a_log_cut_off_anywhere_gives_its_whole_rows(tmp_path: Path) -> None:
         assert complete <= len(trip["/train/state"]) <= complete + 1
 
 
-@settings(max_examples=150, suppress_health_check=list(HealthCheck))
+@settings(max_examples=60, suppress_health_check=list(HealthCheck))
 @given(st.data())
 def test_random_damage_never_gives_anything_but_our_error(
     tmp_path: Path, data: st.DataObject

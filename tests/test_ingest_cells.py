@@ -18,7 +18,7 @@ from trainlog.ingest.tabular import without_empty_cells
 from trainlog.trip import Trip
 
 FILES = settings(
-    max_examples=60,
+    max_examples=25,
 )
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from ingest_logs import plain_profile
 from refusals import refused
 from simulated_line import flirt, hilly_line
@@ -48,6 +48,7 @@ def fixes(seconds: np.ndarray, position: np.ndarray, speed: np.ndarray) -> Fixes
     return Fixes(index, seconds, latitude, longitude, 2.0 * ones, speed, 0.1 * ones)
 
 
+@settings(max_examples=40)
 @given(st.lists(st.floats(0.0, 11_000.0), min_size=1, max_size=50), st.floats(-30.0, 30.0))
 def test_points_beside_the_track_find_their_chainage(at: list[float], beside: float) -> None:
     """Radii are 750 m and more: a point 30 m beside lies nearest to where it was put."""

@@ -109,7 +109,7 @@ def test_an_offset_can_be_kept(driven: Trip, tmp_path: Path) -> None:
         ingest(far, off, line=LINE)
 
 
-@pytest.mark.parametrize("scale", [1.0, 1.004, 0.996])
+@pytest.mark.parametrize("scale", [1.0, 1.004])
 def test_drift_of_an_odometer_is_left(driven: Trip, tmp_path: Path, scale: float) -> None:
     path = recorded(driven, tmp_path, lambda position: scale * position)
     trip = ingest(path, profile(), line=LINE)
@@ -162,6 +162,7 @@ def test_a_stated_direction_that_the_fixes_contradict_is_refused(
 # ------------------------------------------------------------------ the load
 
 
+@pytest.mark.parametrize("driven", ["forward"], indirect=True)
 @pytest.mark.parametrize(("load", "likely"), [("11.7", "were t meant"), ("900000", "900 t")])
 def test_a_load_that_cannot_be_meant_is_refused(
     driven: Trip, tmp_path: Path, load: str, likely: str
@@ -195,6 +196,7 @@ def test_an_empty_train_and_the_load_its_file_states_are_plausible() -> None:
 # ------------------------------------------------------------------ proposals
 
 
+@pytest.mark.parametrize("driven", ["forward"], indirect=True)
 def test_an_assumed_time_zone_stays_with_the_trip(driven: Trip, tmp_path: Path) -> None:
     proposal = propose_profile("sample_logs/recorder.csv")
     trip = ingest("sample_logs/recorder.csv", proposal.profile)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from ingest_logs import SECOND, START, plain_profile, write
 
 from trainlog.errors import InputError
@@ -15,7 +15,7 @@ from trainlog.ingest import ingest, repairs_of, report_of
 from trainlog.trip import Trip
 
 FILES = settings(
-    max_examples=20,
+    max_examples=10,
 )
 
 COLUMN = "/train/state.position"
@@ -109,6 +109,8 @@ def test_counters_that_start_anew_go_on(
     if at_rest and resting.size:
         place = int(resting[np.argmin(np.abs(resting - place))])
     anew = distance + 700.0
+    # Near where counters wrap, to start anew is to wrap.
+    assume(np.abs(anew[place - 1] - np.array([6_553.6, 10_000.0])).min() > 100.0)
     anew[place:] -= anew[place]
     trip = read_rows(tmp_path, rows_of(seconds, speed, anew), with_speed=with_speed)
     report = report_of(trip)

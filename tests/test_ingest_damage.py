@@ -20,7 +20,7 @@ from trainlog.ingest.rules import quantum
 from trainlog.trip import Trip
 
 FILES = settings(
-    max_examples=25,
+    max_examples=10,
 )
 
 WEEKS = 1024 * 7 * 86_400

@@ -190,21 +190,21 @@ def found_frozen(frame: pd.DataFrame, column: str, length: float, rng: np.random
 @pytest.mark.parametrize(
     ("column", "least"),
     [
-        ("/train/state.speed", 6),
-        ("/train/axles.wheel_speed_2", 6),
-        ("/train/state.position", 6),
-        ("/gnss/motion.speed", 6),
+        ("/train/state.speed", 4),
+        ("/train/axles.wheel_speed_2", 4),
+        ("/train/state.position", 4),
+        ("/gnss/motion.speed", 4),
         # An outage may leave less than 10 s of it.
-        ("/gnss/fix.latitude", 5),
+        ("/gnss/fix.latitude", 3),
         # An effort of few kN is coarser than its noise and may rest.
-        ("/train/controls.tractive_effort", 4),
+        ("/train/controls.tractive_effort", 3),
     ],
 )
 @pytest.mark.parametrize("log", ["nonstop", "stopping"])
 def test_frozen_values_are_found(log: str, column: str, least: int) -> None:
     rng = np.random.default_rng(4)
     frame = sampled(log)
-    lengths = (20.0, 20.0, 45.0, 45.0, 120.0, 300.0)
+    lengths = (20.0, 45.0, 120.0, 300.0)
     assert sum(found_frozen(frame, column, each, rng) for each in lengths) >= least
 
 

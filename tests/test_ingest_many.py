@@ -103,7 +103,8 @@ def test_what_would_come_out_otherwise_is_made_again(
     what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recording, profile = tmp_path / "recorder.csv", tmp_path / "recorder.profile.toml"
-    recording.write_bytes(sample("recorder.csv").read_bytes())
+    rows = sample("recorder.csv").read_bytes().splitlines(keepends=True)[:3_000]
+    recording.write_bytes(b"".join(rows))
     profile.write_bytes(sample("recorder.profile.toml").read_bytes())
     logs = tmp_path / "logs"
     first = ingest_all(recording, logs, profile)
@@ -114,7 +115,7 @@ def test_what_would_come_out_otherwise_is_made_again(
     elif what == "direction":
         options = {"direction": "reverse"}
     elif what == "content":
-        recording.write_bytes(recording.read_bytes()[:200_000])
+        recording.write_bytes(b"".join(rows[:2_000]))
     elif what == "profile":
         profile.write_text(f"{profile.read_text('utf-8')}\n# a remark\n", "utf-8")
     elif what == "code":
@@ -255,7 +256,8 @@ def test_the_command_lists_all_and_its_status_says_whether_any_failed(
 def test_interrupted_it_keeps_whole_logs_and_lists_them(tmp_path: Path) -> None:
     folder, logs = tmp_path / "many", tmp_path / "logs"
     folder.mkdir()
-    text = sample("gnss.csv").read_text("utf-8")
+    head = sample("gnss.csv").read_text("utf-8").splitlines()[:2_000]
+    text = "\n".join(head)
     for number in range(100):
         (folder / f"{number:03d}.csv").write_text(f"{text}\n{'#' * number}", "utf-8")
     words = [sys.executable, "-m", "trainlog", "ingest", str(folder), "-o", str(logs)]
@@ -274,7 +276,7 @@ def test_interrupted_it_keeps_whole_logs_and_lists_them(tmp_path: Path) -> None:
     assert 3 <= len(finished) < 100
     for log in finished:
         assert log.name in shown
-        assert len(read_log(log)["/gnss/fix"]) > 6000
+        assert len(read_log(log)["/gnss/fix"]) > 1_500
 
 
 def test_logs_of_a_vehicle_recorder_with_line_and_train(tmp_path: Path) -> None:

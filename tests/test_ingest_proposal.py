@@ -28,7 +28,7 @@ from trainlog.units import factor, si_unit
 
 SHARED = Path(__file__).parents[1] / ".." / "shared" / "data"
 RECORDER = Path("sample_logs/recorder.csv")
-LAYOUTS = range(500, 530)
+LAYOUTS = range(500, 515)
 
 
 def drive(count: int = 600, step: float = 1.0) -> pd.DataFrame:

@@ -31,7 +31,7 @@ from trainlog.mcap import read_log, write_log
 from trainlog.trip import Trip
 
 FILES = settings(
-    max_examples=20,
+    max_examples=10,
 )
 
 

@@ -58,7 +58,7 @@ def test_damage_gives_trips_or_our_error(tmp_path: Path, kind: str) -> None:
     path, data = whole(kind, tmp_path)
     draw = random.Random(kind)
     profile = measured.profile({"/train/state.speed": {"column": "v"}}) if kind == "mdf" else None
-    for _ in range(15 if kind == "mdf" else 40):
+    for _ in range(8 if kind == "mdf" else 20):
         path.write_bytes(damaged(draw, data))
         message, trips = "", []
         try:

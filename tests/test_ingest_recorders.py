@@ -35,7 +35,7 @@ def assert_fixes(trip: Trip, recorded: Recorded) -> None:
 # ------------------------------------------------------------------ GPX
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(
     ("speed", "offset"),
     [("1.0", "Z"), ("garmin", "+02:00"), ("osmand", "-05:00"), ("plain", "Z"), ("none", "+01:00")],
@@ -96,7 +96,7 @@ def test_a_track_that_is_no_trip_does_not_cost_the_others(tmp_path: Path) -> Non
 
 def test_a_gpx_cut_off_anywhere_gives_its_whole_points(tmp_path: Path) -> None:
     text = gpx_text(drive(40, 1.0))
-    for end in range(len(text) - 1200, len(text) - 8, 7):
+    for end in range(len(text) - 1200, len(text) - 8, 17):
         whole = text[:end].count("</trkpt>")
         trip = read(tmp_path, "run.gpx", text[:end])
         assert len(trip["/gnss/fix"]) == whole

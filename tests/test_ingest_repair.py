@@ -33,7 +33,7 @@ from trainlog.railway import StepProfile
 from trainlog.trip import Trip, seconds
 
 FILES = settings(
-    max_examples=60,
+    max_examples=20,
 )
 
 

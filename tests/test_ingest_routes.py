@@ -80,8 +80,14 @@ ROUTES = [
 ]
 
 
-@pytest.mark.parametrize("receiver", [RATE_2, GPX, PHONE], ids=["ublox", "gpx", "phone"])
-@pytest.mark.parametrize(("network", "places"), ROUTES, ids=lambda each: str(each)[:12])
+@pytest.mark.parametrize(
+    ("network", "places", "receiver"),
+    [
+        pytest.param(*route, receiver, id=f"{' - '.join(route[1])}, {name}")
+        for number, route in enumerate(ROUTES)
+        for name, receiver in (("ublox", RATE_2), (("gpx", GPX), ("phone", PHONE))[number % 2])
+    ],
+)
 def test_the_route_is_found_and_its_chainage(
     tmp_path: Path, network: Network, places: tuple[str, ...], receiver: Receiver
 ) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from ingest_logs import START, Run, clean_run
 from refusals import refused
 
@@ -285,6 +285,7 @@ def test_live_datagrams_give_what_their_file_gives(tmp_path: Path) -> None:
 NUMBERS = st.sampled_from(["int8", "uint16", "int32", "uint64", "float32", "float64"])
 
 
+@settings(max_examples=40)
 @given(st.lists(NUMBERS, min_size=1, max_size=6), st.booleans(), st.data())
 def test_every_number_is_read_as_it_was_packed(kinds: list[str], big: bool, data: Any) -> None:
     codes = {

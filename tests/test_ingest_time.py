@@ -22,7 +22,7 @@ from clock_steps import (
     recorded,
     table_profile,
 )
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from recorder_files import Drive, nmea_lines
 
 from trainlog.errors import InputError
@@ -81,6 +81,7 @@ def test_every_way_of_writing_an_instant(
     assert read(*columns, **options) == [INSTANT]
 
 
+@settings(max_examples=40)
 @given(st.integers(pd.Timestamp("1981-01-01").value, pd.Timestamp("2099-01-01").value))
 def test_nanoseconds_survive_text_and_counts(instant: int) -> None:
     text = pd.Timestamp(instant).isoformat(timespec="nanoseconds")
@@ -90,6 +91,7 @@ def test_nanoseconds_survive_text_and_counts(instant: int) -> None:
     assert read([instant], format="epoch", unit="ns") == [instant]
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 2_000_000_000_000))
 def test_seconds_as_decimals_are_exact_to_the_millisecond(milliseconds: int) -> None:
     milliseconds += 500_000_000_000
@@ -166,8 +168,9 @@ COMMON = [
     (LINE_NAMES[(number + place) % len(LINE_NAMES)], layout, step)
     for number, layout in enumerate(LAYOUTS)
     for place, step in enumerate(("back", "forward", "mixed"))
+    if (number + place) % 3
 ]
-"""Every layout with a step back, a step forward and mixed clocks, the lines in turn."""
+"""Every layout with two of a step back, a step forward and mixed clocks, the lines in turn."""
 
 RARE = [
     (line, layout, step)

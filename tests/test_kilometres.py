@@ -121,6 +121,7 @@ def test_tables_name_a_place_by_the_same_kilometre(
     assert float(row[1]) == pytest.approx(expected(FLAWIL), abs=0.06)
 
 
+@pytest.mark.parametrize("counted", ["jump"], indirect=True)
 def test_a_report_names_a_place_by_the_same_kilometre(
     counted: Counted, figures: list[Figure], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -148,6 +149,7 @@ def test_a_report_names_a_place_by_the_same_kilometre(
         assert label == pytest.approx(expected(1e3 * place), abs=1e-6)
 
 
+@pytest.mark.parametrize("counted", ["falling", "jump"], indirect=True)
 def test_pictures_are_labelled_with_the_same_kilometres(
     counted: Counted,
     figures: list[Figure],

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from refusals import refused
 
 from analysis.studies.hauck_2023 import model as dynamics
@@ -36,6 +36,7 @@ def test_resistance_on_a_gradient_by_hand() -> None:
     assert -mass * dynamics.drift(speed, sine, mass, CONSTANTS) == pytest.approx(by_hand)
 
 
+@settings(max_examples=40)
 @given(
     speed=st.floats(0.0, 33.0),
     sine=st.floats(-0.03, 0.03),

@@ -477,6 +477,7 @@ class TestOtherFiles:
 
 
 class TestPacked:
+    @settings(max_examples=40)
     @given(
         st.lists(st.integers(-(2**62), 2**62), max_size=20),
         st.lists(st.floats(), max_size=20),
@@ -498,6 +499,7 @@ class TestPacked:
             assert found[name].shape == array.shape
             assert found[name].tobytes() == array.tobytes()
 
+    @settings(max_examples=40)
     @given(
         st.lists(
             st.lists(st.one_of(st.integers(-3, 300), st.integers(-(2**50), 2**50)), max_size=6),

@@ -268,14 +268,14 @@ def test_names_made_up_message_by_message_do_not_fill_the_memory(tmp_path):
 
 
 def test_messages_that_are_large_as_objects_are_not_held_together(tmp_path):
-    large = b'{"x":[' + b"[]," * 150_000 + b"1]}"
+    large = b'{"x":[' + b"[]," * 60_000 + b"1]}"
     path = json_log(tmp_path / "large.mcap", "/large", [large] * 7)
     tracemalloc.start()
     found = frames_of(path)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert [(item.field, item.messages) for item in found.skipped] == [("x", 7)]
-    assert peak < 50e6  # all at once they take 70 MB
+    assert peak < 20e6  # all at once they take 28 MB
 
 
 def test_a_message_beyond_all_size_is_not_decoded(tmp_path, monkeypatch):
@@ -360,7 +360,7 @@ def test_json_numbers_beyond_every_type(tmp_path):
     assert np.isnan(frame["x"].iloc[2])
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     st.recursive(
         st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),

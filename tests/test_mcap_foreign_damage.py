@@ -96,7 +96,7 @@ def test_many_mutated_files_raise_nothing_but_our_errors(tmp_path):
     assert outcomes["reported"] > 5_000
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(st.data())
 def test_mutated_schemas_and_messages_cost_only_themselves(data):
     with tempfile.TemporaryDirectory() as folder:

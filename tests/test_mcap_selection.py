@@ -107,7 +107,7 @@ def whole_of(path: Path) -> Trip:
     return read_log(path)
 
 
-@settings(max_examples=40)
+@settings(max_examples=16)
 @given(
     seed=st.integers(0, 5),
     pair=st.tuples(limits, limits),
@@ -129,7 +129,7 @@ def test_a_span_of_time_is_the_slice_of_the_whole(
     assert_same(replace(expected, topics=kept), part)
 
 
-@settings(max_examples=40)
+@settings(max_examples=16)
 @given(seed=st.integers(0, 5), pair=st.tuples(limits, limits), indexed=st.booleans())
 def test_a_stretch_of_the_line_is_the_slice_of_the_whole(
     seed: int,
@@ -268,7 +268,7 @@ def together(pieces: list[Trip]) -> Trip:
     return replace(first, topics=topics)
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(
     seed=st.integers(0, 5),
     rows=st.one_of(st.integers(1, 40), st.just(10**6)),

@@ -73,7 +73,7 @@ def write_pieces(path: Path, *pieces: Trip) -> None:
             log.add(piece)
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(st.lists(st.integers(-(10**9), 301 * 10**9), max_size=6))
 def test_any_pieces_give_the_same_bytes(
     whole: Path, tmp_path_factory: pytest.TempPathFactory, cuts: list[int]

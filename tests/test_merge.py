@@ -38,8 +38,7 @@ def written(trip: Trip, path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("cuts", [(0.5,), (0.2, 0.21, 0.9)])
-@pytest.mark.parametrize("backwards", [False, True])
+@pytest.mark.parametrize(("cuts", "backwards"), [((0.5,), False), ((0.2, 0.21, 0.9), True)])
 def test_parts_in_any_order_are_the_whole(
     cuts: tuple[float, ...], backwards: bool, whole: Trip, tmp_path: Path
 ) -> None:

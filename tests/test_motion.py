@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 
 from trainlog.railway import EffortCurve
 from trainlog.railway.motion import (
@@ -34,6 +34,7 @@ POSITIONS = np.linspace(0.0, LENGTH, CELLS + 1)
 FREE = np.full((1, CELLS + 1), np.inf)
 
 
+@settings(max_examples=40)
 @given(st.floats(0.1, 2.0), st.floats(0.0, 0.09), st.sampled_from([1, 4]))
 def test_constant_effort_gives_constant_acceleration(a: float, drag: float, order: int) -> None:
     pull = Traction.of(np.full(CELLS, a), np.array([np.inf]))
@@ -80,6 +81,7 @@ def test_a_train_that_drag_overcomes_stalls_or_crawls() -> None:
     assert z[0, -1] == 0.125
 
 
+@settings(max_examples=40)
 @given(st.floats(0.2, 1.5), st.floats(0.0, 0.1), st.floats(0.0, 0.1))
 def test_full_braking_backwards_adds_brake_and_drag(b: float, drag: float, pull: float) -> None:
     most = np.full((1, CELLS), b)

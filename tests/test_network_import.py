@@ -7,6 +7,7 @@ import io
 import itertools
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -42,11 +43,17 @@ CONNECTED = {
 """By the documentation of OSRD: which ports of a switch a train passes between."""
 
 
+@cache
+def file_of(name: str) -> Any:
+    """What a file of OSRD holds; no test changes it."""
+    return json.loads((OSRD / "infras" / f"{name}.json").read_text())
+
+
 class Reading:
     """A file of OSRD, searched and read piece by piece of its track sections, without networks."""
 
     def __init__(self, name: str) -> None:
-        self.file = json.loads((OSRD / "infras" / f"{name}.json").read_text())
+        self.file = file_of(name)
         self.tracks = {each["id"]: each for each in self.file["track_sections"]}
         self.onward: dict[tuple[str, str], list[tuple[str, str]]] = {}
         for switch in self.file["switches"]:
@@ -135,6 +142,7 @@ class Reading:
         return min((self.speed(each, category) for each in sections), default=80.0 / 3.6)
 
 
+@cache
 def imported(name: str, category: str | None = None) -> Network:
     found = networks_in(OSRD / "infras" / f"{name}.json", category=category)
     assert found is not None
@@ -149,7 +157,7 @@ def test_every_infrastructure_of_osrd_becomes_a_network_with_all_its_track(
 ) -> None:
     (written,) = import_file(OSRD / "infras" / f"{name}.json", tmp_path)
     network = read_network(written.path)
-    tracks = json.loads((OSRD / "infras" / f"{name}.json").read_text())["track_sections"]
+    tracks = file_of(name)["track_sections"]
     assert network.length == pytest.approx(sum(each["length"] for each in tracks))
     assert written.path.read_bytes() == thing_to_bytes(imported(name))
     assert written.path.read_bytes() == thing_to_bytes(network)
@@ -181,18 +189,17 @@ def test_a_route_has_the_gradients_curves_and_limits_of_the_file_at_random_point
         if way is None:
             continue
         line = network.route(start, goal).line
-        for position in draw.uniform(0.0, way[0], 40).tolist():
-            track, at, sign = reading.at(way[1], position)
-            gradient = sign * reading.gradient(track, at)
-            assert line.gradient(position) == pytest.approx(gradient, abs=1e-12)
-            assert line.curvature(position) == pytest.approx(
-                sign * reading.curvature(track, at), abs=1e-12
-            )
-            limit = reading.limit(track, at, sign)
-            assert line.speed_limit(position) == pytest.approx(limit)
-            steep += gradient != 0.0
-            bent += reading.curvature(track, at) != 0.0
-            slow += limit < 60.0
+        places = draw.uniform(0.0, way[0], 40)
+        at = [reading.at(way[1], place) for place in places.tolist()]
+        gradient = np.array([sign * reading.gradient(track, there) for track, there, sign in at])
+        curvature = np.array([sign * reading.curvature(track, there) for track, there, sign in at])
+        limit = np.array([reading.limit(*each) for each in at])
+        assert line.gradient(places) == pytest.approx(gradient, abs=1e-12)
+        assert line.curvature(places) == pytest.approx(curvature, abs=1e-12)
+        assert line.speed_limit(places) == pytest.approx(limit)
+        steep += np.count_nonzero(gradient)
+        bent += np.count_nonzero(curvature)
+        slow += np.count_nonzero(limit < 60.0)
     assert min(steep, bent, slow) > 10
 
 
@@ -216,11 +223,10 @@ def test_track_without_gradients_is_level_as_a_fact_where_that_is_stated(tmp_pat
 
 @needs_osrd
 def test_what_a_network_does_not_hold_of_osrd_is_counted() -> None:
-    path = OSRD / "infras" / "small_infra.json"
-    found = networks_in(path)
+    found = networks_in(OSRD / "infras" / "small_infra.json")
     assert found is not None
     words = found.left_out
-    file = json.loads(path.read_text())
+    file = file_of("small_infra")
     for what, key in (("signals", "signals"), ("detectors", "detectors"),
                       ("neutral sections", "neutral_sections")):  # fmt: skip
         assert f"{what}: {len(file[key])}" in words
@@ -261,12 +267,15 @@ def test_limits_are_those_of_the_direction_and_of_the_category_of_the_train(
         if edge.name not in reading.tracks:
             continue
         line, back = edge.line, edge.line.reversed()
-        for at in draw.uniform(0.0, line.length, 25).tolist():
-            along, against = (reading.limit(edge.name, at, sign, category) for sign in (1, -1))
-            assert line.speed_limit(at) == pytest.approx(along)
-            assert back.speed_limit(line.length - at) == pytest.approx(against)
-            compared += 1
-            differ += along != against
+        places = draw.uniform(0.0, line.length, 25)
+        along, against = (
+            np.array([reading.limit(edge.name, at, sign, category) for at in places.tolist()])
+            for sign in (1, -1)
+        )
+        assert line.speed_limit(places) == pytest.approx(along)
+        assert back.speed_limit(line.length - places) == pytest.approx(against)
+        compared += 25
+        differ += int(np.count_nonzero(along != against))
     assert compared >= 25 or name == "one_line"
     # Of the five, nested_switches alone has limits of one direction.
     assert (differ > 40) is (name == "nested_switches")

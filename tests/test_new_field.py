@@ -30,10 +30,10 @@ from trainlog.mcap.description import topics_table
 from trainlog.replay.curves import curves_of, panels_of
 
 folder = Path(sys.argv[1])
-lines = sample("recorder.csv").read_text("utf-8").splitlines()[:4000]
+lines = sample("recorder.csv").read_text("utf-8").splitlines()[:1500]
 lines[0] += ";Ölstrom [l/min]"
 lines[1:] = [f"{line};{90 + at % 7},0" for at, line in enumerate(lines[1:])]
-lines[2000] = lines[2000].rpartition(";")[0] + ";5000,0"  # beyond its bounds
+lines[800] = lines[800].rpartition(";")[0] + ";5000,0"  # beyond its bounds
 path = folder / "oil.csv"
 path.write_text("\\n".join(lines) + "\\n", "utf-8")
 

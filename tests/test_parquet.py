@@ -56,7 +56,7 @@ def together(pieces: Iterator[Trip]) -> Trip:
 # ---------------------------------------------------------------------------------- round trips
 
 
-@settings(max_examples=50)
+@settings(max_examples=20)
 @given(trip=trips())
 @example(trip=Trip({}, attachments={"timetable.xls": b"\xd0\xcf\x11\xe0"}))
 def test_any_trip_comes_back_to_the_last_bit(
@@ -154,7 +154,7 @@ def test_only_the_topics_and_columns_asked_for_are_read(tmp_path: Path) -> None:
 # ----------------------------------------------------------------------------------- in pieces
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(trips(), st.integers(1, 40))
 def test_pieces_make_the_whole_in_the_order_of_time(
     tmp_path_factory: pytest.TempPathFactory, trip: Trip, rows: int
@@ -309,7 +309,7 @@ def test_damaged_files_are_named(written: Path) -> None:
     refused(LogError, r"train_state.*missing", list, stream_parquet(written))
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(st.data())
 def test_a_flipped_bit_is_found_or_harmless(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

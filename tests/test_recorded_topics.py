@@ -54,7 +54,7 @@ def made(rows: int = 40) -> Trip:
     ),
     st.integers(0, 5),
 )
-@settings(max_examples=40)
+@settings(max_examples=15)
 def test_whatever_a_recorder_has_reads_back_as_it_was(
     tmp_path_factory: pytest.TempPathFactory,
     described: dict[str, dict[str, tuple[str, str]]],

@@ -55,6 +55,7 @@ some_times = st.lists(st.integers(0, 4 * 10**18 + 12 * 10**13), max_size=12).map
 )
 
 
+@settings(max_examples=40)
 @given(drawn)
 def test_at_its_own_times_a_topic_is_what_it_was(frame: pd.DataFrame) -> None:
     again = resampled_frame(frame, pd.DatetimeIndex(frame.index), max_gap=0.001)
@@ -73,6 +74,7 @@ def frames_and_times(draw: st.DrawFn) -> tuple[pd.DataFrame, pd.DatetimeIndex]:
     return frame, every.append(draw(some_times)).sort_values()
 
 
+@settings(max_examples=40)
 @given(frames_and_times(), st.one_of(st.none(), st.floats(1e-9, 1e4)))
 def test_no_value_lies_beyond_its_neighbours_nor_outside_the_record(
     given_: tuple[pd.DataFrame, pd.DatetimeIndex], max_gap: float | None
@@ -139,6 +141,7 @@ def test_a_trip_on_one_clock_keeps_its_events_where_they_were() -> None:
     assert again.metadata == trip.metadata
 
 
+@settings(max_examples=30)
 @given(trips())
 def test_resampling_twice_to_one_clock_changes_nothing_more(trip: Trip) -> None:
     times = clock(0.0, 1.0, 2.5)
@@ -188,7 +191,7 @@ def test_the_clock_may_be_a_topic_or_any_times() -> None:
     assert at.index.name == "time"
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(
     frames(TRAIN_STATE),
     frames(TRAIN_CONTROLS),

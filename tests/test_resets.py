@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from refusals import refused
 
 from estimators.rls import RecursiveLeastSquares, edges_crossed, periods_elapsed, record_with_resets
@@ -48,6 +48,7 @@ def test_time_resets_fall_on_multiples_of_the_period_despite_rounding() -> None:
     assert np.flatnonzero(found).tolist() == list(range(300, 12_001, 300))
 
 
+@settings(max_examples=40)
 @given(
     st.lists(st.floats(0.0, 1_100.0), min_size=2, max_size=40),
     st.integers(1, 39),

@@ -55,7 +55,7 @@ def test_a_covariance_scatters_as_its_degrees_of_freedom_say(noise: NoiseModel) 
     """The logarithm of a variance known from n draws has the variance 2/n."""
     windows = rough(build_windows(recording(duration=1500.0)))
     sizes, freedom = [], []
-    for seed in range(80):
+    for seed in range(40):
         wrong = replace(windows, y=windows.y + drawn_errors(windows, noise, seed))
         fit = regress(wrong, 130e3, 20e3)
         sizes.append(np.linalg.slogdet(fit.covariance / fit.cluster_factor)[1] / 4.0)
@@ -81,8 +81,8 @@ def distance(fit: TripFit) -> float:
 
 
 def test_errors_that_reach_over_several_elements_are_reported_by_the_lines_file() -> None:
-    stated = [on_wrong_map(1000.0, Survey(2e-4, 1000.0), seed) for seed in range(16)]
-    unstated = [on_wrong_map(1000.0, None, seed) for seed in range(16)]
+    stated = [on_wrong_map(1000.0, Survey(2e-4, 1000.0), seed) for seed in range(10)]
+    unstated = [on_wrong_map(1000.0, None, seed) for seed in range(10)]
     assert np.mean([distance(fit) for fit in stated]) < 1.3
     assert np.median([fit.noise["gradient"] for fit in stated]) == pytest.approx(2e-4, rel=0.2)
     curve = powers(20.0) @ TRUE
@@ -138,11 +138,11 @@ def over_one_line(count: int, seed: int, gradients: tuple[str, ...]) -> list[Tri
 def test_the_common_band_covers_whatever_the_lines_errors_are(gradients: tuple[str, ...]) -> None:
     inside, without = [], []
     true = powers(SPEED) @ TRUE
-    for seed in range(100):
+    for seed in range(50):
         fits = over_one_line(20, seed, gradients)
         low, high = combine(fits).band(SPEED)
         inside.append(np.all((low < true) & (true < high)))
-        if seed < 50:
+        if seed < 25:
             low, high = combine([replace(fit, gradients="") for fit in fits]).band(SPEED)
             without.append(np.all((low < true) & (true < high)))
     assert np.mean(inside) >= 0.92

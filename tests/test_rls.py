@@ -181,8 +181,10 @@ def assert_positive_definite(estimator: RecursiveLeastSquares) -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
-@pytest.mark.parametrize("forgetting", [0.9, 0.95, 0.99, 0.999, 1.0])
-@pytest.mark.parametrize("walk", [0.0, 1e-5])
+@pytest.mark.parametrize(
+    ("forgetting", "walk"),
+    [(0.9, 0.0), (0.95, 1e-5), (0.99, 0.0), (0.999, 1e-5), (1.0, 0.0), (1.0, 1e-5)],
+)
 def test_positive_definite_over_a_million_samples(
     dtype: type, forgetting: float, walk: float
 ) -> None:

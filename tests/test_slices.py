@@ -51,6 +51,7 @@ def messages(trip: Trip) -> list[str]:
 
 
 # ------------------------------------------------------------------------------------- by time
+@settings(max_examples=40)
 @given(trips(), instants)
 def test_slices_by_time_partition_a_trip(trip: Trip, at: int) -> None:
     before = trip.between(None, stamp(at))
@@ -61,7 +62,7 @@ def test_slices_by_time_partition_a_trip(trip: Trip, at: int) -> None:
         assert before[name].attrs == after[name].attrs == frame.attrs
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(trips(), instants, instants)
 def test_slicing_and_writing_can_change_places(
     tmp_path_factory: pytest.TempPathFactory, trip: Trip, one: int, other: int
@@ -176,6 +177,7 @@ def rides(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
 limits = st.one_of(st.integers(-20, 20).map(float), st.floats(-1e9, 1e9))
 
 
+@settings(max_examples=40)
 @given(rides(), limits, limits)
 def test_spans_hold_exactly_the_samples_within_the_limits(
     ride: tuple[np.ndarray, np.ndarray], one: float, other: float
@@ -197,6 +199,7 @@ def test_spans_hold_exactly_the_samples_within_the_limits(
         assert spans[-1, 1] <= known[-1]
 
 
+@settings(max_examples=40)
 @given(rides(), limits, limits)
 def test_between_two_samples_the_position_is_on_the_line(
     ride: tuple[np.ndarray, np.ndarray], one: float, other: float
@@ -217,6 +220,7 @@ def test_between_two_samples_the_position_is_on_the_line(
     assert not held[(place < start - slack) | (place > end + slack)].any()
 
 
+@settings(max_examples=40)
 @given(rides(), limits, limits, st.lists(st.integers(0, 15), max_size=4))
 def test_spans_of_pieces_are_those_of_the_whole(
     ride: tuple[np.ndarray, np.ndarray], one: float, other: float, at: list[int]
@@ -229,7 +233,7 @@ def test_spans_of_pieces_are_those_of_the_whole(
     )
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(rides(), limits, limits)
 def test_slicing_by_position_and_writing_can_change_places(
     tmp_path_factory: pytest.TempPathFactory,

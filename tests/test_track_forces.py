@@ -224,6 +224,7 @@ def test_net_limits_hold_for_the_trains_own_acceleration_on_hills() -> None:
     assert checked.braking[0] > 1.4
 
 
+@pytest.mark.usefixtures("unrenewed")
 def test_a_follower_keeps_net_limits() -> None:
     reached = {}
     for train in (NET, replace(NET, acceleration_limits="gross")):

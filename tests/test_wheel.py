@@ -12,15 +12,16 @@ from pathlib import Path
 import pytest
 
 CHECKOUT = Path(__file__).parents[1]
-OUTSIDE = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+INSIDE = ("PYTHONPATH", "PYTHONDONTWRITEBYTECODE")
+OUTSIDE = {key: value for key, value in os.environ.items() if key not in INSIDE}
 """The environment of somebody who knows nothing of the checkout."""
 
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
-    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder)]
-    subprocess.run([*command, str(CHECKOUT)], check=True, capture_output=True, timeout=300)
+    command = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory"]
+    subprocess.run([*command, folder], cwd=CHECKOUT, check=True, capture_output=True, timeout=300)
     (built,) = folder.glob("trainlog-*.whl")
     return built
 
@@ -30,9 +31,8 @@ def environment(folder: Path) -> tuple[Path, Path]:
     venv.create(folder)
     scripts = folder / ("Scripts" if os.name == "nt" else "bin")
     python = scripts / ("python.exe" if os.name == "nt" else "python")
-    code = "import sysconfig; print(sysconfig.get_path('purelib'))"
-    site = subprocess.run([python, "-c", code], check=True, capture_output=True, text=True)
-    return python, Path(site.stdout.strip())
+    base = {"base": str(folder), "platbase": str(folder)}
+    return python, Path(sysconfig.get_path("purelib", "venv", base))
 
 
 def install(python: Path, *arguments: str, timeout: float) -> None:
@@ -55,16 +55,6 @@ def trainlog(python: Path, *arguments: str, cwd: Path) -> str:
 
 
 def installed_works(python: Path, folder: Path) -> None:
-    where = subprocess.run(
-        [python, "-c", "import trainlog; print(trainlog.__file__)"],
-        check=True,
-        capture_output=True,
-        text=True,
-        cwd=folder,
-        env=OUTSIDE,
-    )
-    assert str(CHECKOUT) not in where.stdout
-    assert "plan" in trainlog(python, "--help", cwd=folder)
     trainlog(python, "new", "samples", "-o", "samples", cwd=folder)
     logs = sorted((folder / "samples").glob("*.mcap"))
     assert logs
