@@ -125,6 +125,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.parametrize("place", ["sqlite"], indirect=True)
 @pytest.mark.parametrize("statement", REFUSED)
 def test_what_is_wrong_in_a_statement_is_one_message_with_what_is_known(
     catalogue: Catalogue, statement: str

@@ -46,7 +46,7 @@ from trainlog.railway import (
 
 WHOLE = read_line(sample("CH_StGallen_Wil.line.json"))
 CASES = settings(
-    max_examples=10,
+    max_examples=6,
     # Networks of any lines are large: to look for the smallest takes minutes.
     phases=[Phase.explicit, Phase.reuse, Phase.generate],
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
