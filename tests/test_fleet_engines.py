@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
@@ -103,6 +104,24 @@ def dask_threads(folder: Path) -> Iterator[tuple[str, int]]:
         dashboard_address="127.0.0.1:0", local_directory=str(folder / "scratch"),
     ) as cluster:  # fmt: skip
         yield cluster.scheduler_address, os.getpid()
+
+
+@pytest.mark.parametrize("error", [EOFError, ConnectionRefusedError])
+def test_a_fork_server_that_dies_is_no_interruption_by_the_user(
+    error: type[Exception], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What starting a worker raises then; the update goes on with a server of its own."""
+
+    def refused_by_server(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(engine, "computed", abs)
+    with engine.Processes(1) as processes:
+        monkeypatch.setattr(processes._pool, "submit", refused_by_server)
+        found = processes.submit(-1)  # type: ignore[arg-type]
+        assert isinstance(found.exception(PATIENCE), BrokenProcessPool)
+        processes.renew()
+        assert processes.submit(-1).result(PATIENCE) == 1  # type: ignore[arg-type,comparison-overlap]
 
 
 @pytest.mark.parametrize(

@@ -134,6 +134,10 @@ class InProcess(Engine):
         return future
 
 
+_LOST = (BrokenProcessPool, EOFError, ConnectionError)
+"""Raised where a worker died, or the fork server before it could start one."""
+
+
 class Processes(Engine):
     """Processes of this computer; one that dies is replaced.
 
@@ -173,9 +177,9 @@ class Processes(Engine):
         with _single_threaded():
             try:
                 return self._pool.submit(computed, batch)
-            except BrokenProcessPool as error:
+            except _LOST as error:
                 broken: futures.Future[BatchResult] = futures.Future()
-                broken.set_exception(error)
+                broken.set_exception(BrokenProcessPool(str(error)))
                 return broken
 
     def renew(self) -> None:
@@ -197,10 +201,10 @@ class Processes(Engine):
             while not futures.wait([future], PATIENCE).done:
                 _break_if_dead(self._single)
             return future.result()
-        except BrokenProcessPool:
+        except _LOST as error:
             _end(self._single)
             self._single = None
-            raise
+            raise BrokenProcessPool(str(error)) from error
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         for pool in (self._pool, self._single):
