@@ -321,10 +321,31 @@ def test_faults_show_in_the_physics_from_their_day_on_and_change_nothing_else(
         ("train=flirt-01,wheel-diameter=40%,from=2026-10-02", "not between"),
         ("train=flirt-01,sensor-delay=0.3s,from=October", "is no date"),
         ("train=flirt-01,sensor-delay=-0.3s,from=2026-10-02", "negative"),
+        ("train=flirt-01,sensor-delay=0.3s,from=2026-10-02,to=2026-10-02", "before it begins"),
+        ("train=flirt-01,sensor-delay=0.3s,from=2026-10-02,share=0%", "on 0% of its trips"),
     ],
 )
 def test_a_fault_that_cannot_be_read_is_refused_with_the_reason(words: str, message: str) -> None:
     refused(InputError, message, Fault.of, words)
+
+
+def test_a_fault_goes_again_and_shows_on_its_share_of_the_trips() -> None:
+    words = "train=flirt-01,effort-gain=5%,from=2026-10-02,to=2026-10-05"
+    healthy, sick, loose = (
+        draw_trains(3, 1, [Fault.of(each)] if each else [])[0]
+        for each in ("", words, f"{words},share=30%")
+    )
+    assert healthy.name == "flirt-01"
+    times = [pd.Timestamp(2026, 10, day, hour).value for day in range(1, 8) for hour in range(24)]
+    gains = np.array(
+        [[each.at(time).effort_gain for time in times] for each in (healthy, sick, loose)]
+    )
+    there = (np.array(times) >= times[24]) & (np.array(times) < times[96])
+    assert gains[1] == pytest.approx(gains[0] * np.where(there, 1.05, 1.0))
+    shown = gains[2] > 1.01 * gains[0]
+    assert not shown[~there].any()
+    assert 0.15 < shown[there].mean() < 0.45
+    assert [loose.at(time).effort_gain for time in times] == gains[2].tolist()
 
 
 def test_fleets_that_cannot_be_are_refused(network: Network) -> None:

@@ -319,7 +319,8 @@ def fleet(
         The first day.
     fault : FAULT
         Of a train from a day on, as train=kiss-01,mass=3t,from=2026-10-12; or dragging-brake=2kN,
-        wheel-diameter=1%, effort-gain=5%, sensor-delay=0.3s. May be given several times.
+        wheel-diameter=1%, effort-gain=5%, sensor-delay=0.3s; to=2026-10-20 and share=30% of its
+        trips may follow. May be given several times.
     """
     if count is not None:
         refuse_rivals("--count gives the trips in all", {"--trips-per-day": trips_per_day})

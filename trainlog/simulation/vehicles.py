@@ -2,7 +2,7 @@
 
 A vehicle is more than its file says: it has a running resistance, a mass, brakes, wheels and a
 recorder of its own. Wheels wear and are reprofiled, dirt gathers and is washed off, running gear
-wears; faults come on a day and stay. None of it is stated in a log's metadata.
+wears; faults come on a day, and may go on another. None of it is stated in a log's metadata.
 
 Sizes: air drag is proportional to the air's density and grows with head wind as (v + w)², so that
 15 K are 5 % of it and 1 m/s of wind at 25 m/s 8 %; running gear is stiffer in the cold, by some
@@ -80,7 +80,7 @@ RETURNED = 0.006
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A fault of one train, from a time on.
+    """A fault of one train, from a time on, perhaps to another, on all of its trips or some.
 
     Attributes
     ----------
@@ -91,6 +91,10 @@ class Fault:
         and recorded over true effort, less 1; delay of the recorded efforts [s], added to what
         the train's recorder has.
     start : int [ns since 1970 UTC]
+    end : int, optional [ns since 1970 UTC]
+        From which on it is gone.
+    share : float
+        Of the trips on which it shows, drawn trip by trip.
 
     Examples
     --------
@@ -104,6 +108,8 @@ class Fault:
     kind: FaultKind
     size: float
     start: int
+    end: int | None = None
+    share: float = 1.0
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(FaultKind):
@@ -122,10 +128,20 @@ class Fault:
             raise InputError(
                 f"fault of train '{self.train}': {self.kind} is negative", remedy="give its size"
             )
+        if self.end is not None and self.end <= self.start:
+            raise InputError(
+                f"fault of train '{self.train}': ends before it begins",
+                remedy="give a later to, or none",
+            )
+        if not 0.0 < self.share <= 1.0:
+            raise InputError(
+                f"fault of train '{self.train}': on {self.share:.0%} of its trips",
+                remedy="give a share of more than 0 % and at most 100 %",
+            )
 
     @property
     def words(self) -> str:
-        """Its train, kind, size with its unit, and first day.
+        """Its train, kind, size with its unit, first and last day, and share of the trips.
 
         Examples
         --------
@@ -133,16 +149,25 @@ class Fault:
         >>> fault = trainlog.TrainFault.of("train=flirt-03,dragging-brake=2kN,from=2026-10-12")
         >>> fault.words
         'flirt-03 dragging brake 2000 N from 2026-10-12'
+        >>> of_words = trainlog.TrainFault.of
+        >>> of_words("train=kiss-01,mass=3t,from=2026-10-12,to=2026-10-20,share=30%").words
+        'kiss-01 mass 3000 kg from 2026-10-12 to 2026-10-20 on 30 % of its trips'
         """
         unit = _SHOWN_IN[self.kind]
         scale, _ = factor(unit, MEASURES[self.kind].unit)
-        first = pd.Timestamp(self.start, tz="UTC")
-        when = f"{first:%Y-%m-%d}" if first == first.normalize() else f"{first:%Y-%m-%d %H:%M} UTC"
-        return f"{self.train} {self.kind} {self.size / scale:g} {unit} from {when}"
+        times = [pd.Timestamp(each, tz="UTC") for each in (self.start, self.end) if each]
+        dates = [
+            f"{each:%Y-%m-%d}" if each == each.normalize() else f"{each:%Y-%m-%d %H:%M} UTC"
+            for each in times
+        ]
+        words = f"{self.train} {self.kind} {self.size / scale:g} {unit} from {' to '.join(dates)}"
+        return words + f" on {100.0 * self.share:g} % of its trips" * (self.share < 1.0)
 
     @staticmethod
     def of(words: str) -> Fault:
         """A fault from ``train=flirt-03,dragging-brake=2000N,from=2026-10-12``.
+
+        ``to=2026-10-20`` and ``share=30%`` may follow.
 
         Raises
         ------
@@ -151,19 +176,28 @@ class Fault:
         """
         remedy = "write it as train=flirt-03,dragging-brake=2000N,from=2026-10-12"
         known = {kind.replace(" ", "-"): kind for kind in get_args(FaultKind)}
-        given = keyed(words.split(","), ("train", "from", *known), f"fault '{words}'", remedy)
+        keys = ("train", "from", "to", "share", *known)
+        given = keyed(words.split(","), keys, f"fault '{words}'", remedy)
         faults = [key for key in given if key in known]
         if "train" not in given or "from" not in given or len(faults) != 1:
             raise InputError(f"fault '{words}' needs a train, one fault and from", remedy=remedy)
         kind = known[faults[0]]
-        try:
-            start = int(utc(given["from"]).value)
-        except InputError:
-            raise InputError(
-                f"fault '{words}': '{given['from']}' is no date", remedy=remedy
-            ) from None
+        times = dict[str, int]()
+        for key in [each for each in ("from", "to") if each in given]:
+            try:
+                times[key] = int(utc(given[key]).value)
+            except InputError:
+                raise InputError(
+                    f"fault '{words}': '{given[key]}' is no date", remedy=remedy
+                ) from None
         size = MEASURES[kind].read(given[faults[0]], f"fault '{words}': {faults[0]}")
-        return Fault(given["train"], kind, size, start)
+        share = SHARE.read(given.get("share", "100%"), f"fault '{words}': share")
+        return Fault(given["train"], kind, size, times["from"], times.get("to"), share)
+
+    def shows(self, time: int, generator: np.random.Generator) -> bool:
+        """Whether it shows on the trip that departs at a time [ns since 1970 UTC]."""
+        there = self.start <= time and (self.end is None or time < self.end)
+        return there and (self.share >= 1.0 or generator.random() < self.share)
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,7 +320,11 @@ class FleetTrain:
 
     def _fault(self, kind: FaultKind, time: int) -> float:
         """Size of the faults of a kind that there are at a time."""
-        return sum(each.size for each in self.faults if each.kind == kind and each.start <= time)
+        found = 0.0
+        for number, each in enumerate(self.faults):
+            drawn = np.random.default_rng([self.seed, 34, self.number, number, time])
+            found += each.size * (each.kind == kind and each.shows(time, drawn))
+        return found
 
     def truth(self) -> dict[str, Any]:
         """What the vehicle is, for the file of a fleet's truth."""
@@ -308,6 +346,8 @@ class FleetTrain:
                     "kind": each.kind,
                     "size": each.size,
                     "from": pd.Timestamp(each.start, tz="UTC").isoformat(),
+                    **({"to": pd.Timestamp(each.end, tz="UTC").isoformat()} if each.end else {}),
+                    **({"share": each.share} if each.share < 1.0 else {}),
                 }
                 for each in self.faults
             ],
