@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 
 import pytest
 
 from trainlog.cli import main as cli
+
+Shell = Callable[..., tuple[int, str, str]]
+"""Runs the words of a command: its exit status, standard output and standard error."""
 
 
 def run(

@@ -11,6 +11,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -168,6 +169,16 @@ def remembered(of_all_workers: Path) -> Iterator[None]:
         for dotted in COSTLY:
             patch.setattr(*place_of(dotted), results.of(dotted))
         yield
+
+
+@pytest.fixture
+def shell(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str, str]]:
+    """Runs the words of a command: its exit status, standard output and standard error."""
+    from command import run
+
+    return partial(run, monkeypatch, capsys)
 
 
 @pytest.fixture

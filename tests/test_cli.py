@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command import run
+from command import Shell
 
 import analysis
 from trainlog.cli import demo, terminal
@@ -85,19 +85,14 @@ COMMANDS: dict[str, list[str]] = {
     "kind", ["missing", "empty", "truncated", "foreign", "nonsensical", "folder"]
 )
 def test_bad_files_are_refused_in_one_line(
-    command: str,
-    kind: str,
-    broken: dict[str, Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    command: str, kind: str, broken: dict[str, Path], tmp_path: Path, shell: Shell
 ) -> None:
     bad = broken[kind]
     output = tmp_path / "output"
     words = [
         word.replace("BAD", str(bad)).replace("OUT", str(output)) for word in COMMANDS[command]
     ]
-    status, _, complaint = run(monkeypatch, capsys, *words)
+    status, _, complaint = shell(*words)
     assert status == 2
     assert complaint.count("\n") == 1
     assert complaint.startswith("trainlog: ")
@@ -107,13 +102,8 @@ def test_bad_files_are_refused_in_one_line(
 
 
 @pytest.mark.parametrize("kind", ["missing", "empty", "foreign", "nonsensical"])
-def test_info_refuses_what_is_no_log(
-    kind: str,
-    broken: dict[str, Path],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    status, _, complaint = run(monkeypatch, capsys, "show", broken[kind])
+def test_info_refuses_what_is_no_log(kind: str, broken: dict[str, Path], shell: Shell) -> None:
+    status, _, complaint = shell("show", broken[kind])
     assert (status, complaint.count("\n")) == (2, 1)
     assert broken[kind].name in complaint
 
@@ -126,19 +116,17 @@ def cut(tmp_path: Path) -> Path:
     return tmp_path / "cut.mcap"
 
 
-def test_info_tells_what_is_left_of_a_cut_log(
-    cut: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    status, shown, _ = run(monkeypatch, capsys, "show", cut)
+def test_info_tells_what_is_left_of_a_cut_log(cut: Path, shell: Shell) -> None:
+    status, shown, _ = shell("show", cut)
     assert status == 1  # as `check`: something was found
     assert "/train/state" in shown
     assert "does not end properly" in shown or "byte" in shown
 
 
 def test_what_is_left_of_a_cut_log_is_used_with_a_warning(
-    cut: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    cut: Path, tmp_path: Path, shell: Shell
 ) -> None:
-    status, _, complaint = run(monkeypatch, capsys, "replay", cut, "-o", tmp_path / "cut.rrd")
+    status, _, complaint = shell("replay", cut, "-o", tmp_path / "cut.rrd")
     assert status == 0
     for line in complaint.splitlines():
         assert line.startswith(f"trainlog: warning: {cut}: is damaged: ")
@@ -156,10 +144,8 @@ def test_what_is_left_of_a_cut_log_is_used_with_a_warning(
         ["simulate", "drive", "-o", "x", "--traction", "none"],
     ],
 )
-def test_wrong_words_are_explained_in_one_line(
-    words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    status, _, complaint = run(monkeypatch, capsys, *words)
+def test_wrong_words_are_explained_in_one_line(words: list[str], shell: Shell) -> None:
+    status, _, complaint = shell(*words)
     assert (status, complaint.count("\n")) == (2, 1)
     assert "--help" in complaint
 
@@ -186,15 +172,11 @@ def test_wrong_words_are_explained_in_one_line(
     ],
 )
 def test_a_value_that_cannot_be_is_refused_with_what_can(
-    words: str,
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell
 ) -> None:
     monkeypatch.chdir(tmp_path)
     given = words.replace("LOG", str(sample("nonstop.mcap"))).split()
-    status, shown, complaint = run(monkeypatch, capsys, *given)
+    status, shown, complaint = shell(*given)
     assert (status, shown, complaint.count("\n")) == (2, "", 1)
     assert message in complaint
     assert not list(tmp_path.iterdir())
@@ -211,16 +193,11 @@ def test_a_value_that_cannot_be_is_refused_with_what_can(
 )
 @pytest.mark.parametrize("command", ["simulate drive", "plan"])
 def test_a_line_and_a_train_are_asked_for(
-    command: str,
-    given: list[str],
-    words: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    command: str, given: list[str], words: str, tmp_path: Path, shell: Shell
 ) -> None:
     """The samples are taken by name alone: a plan for the wrong line looks like one for yours."""
     output = tmp_path / ("plan.json" if command == "plan" else "trips")
-    status, shown, complaint = run(monkeypatch, capsys, *command.split(), *given, "-o", output)
+    status, shown, complaint = shell(*command.split(), *given, "-o", output)
     assert (status, shown, complaint.count("\n")) == (2, "", 1)
     assert words in complaint
     assert not list(tmp_path.iterdir())
@@ -235,16 +212,11 @@ def test_a_file_called_sample_is_that_file(tmp_path: Path, monkeypatch: pytest.M
         read_line("sample")
 
 
-def test_a_timetable_that_cannot_be_kept_is_explained(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_timetable_that_cannot_be_kept_is_explained(tmp_path: Path, shell: Shell) -> None:
     parameters = tmp_path / "parameters.json"
-    run(monkeypatch, capsys, "fit", sample("stopping.mcap"), "-o", parameters)
-    status, _, complaint = run(
-        monkeypatch,
-        capsys,
-        *("plan", parameters, *BOTH),
-        *("--running-time", "600", "-o", tmp_path / "trajectory.json"),
+    shell("fit", sample("stopping.mcap"), "-o", parameters)
+    status, _, complaint = shell(
+        *("plan", parameters, *BOTH), *("--running-time", "600", "-o", tmp_path / "trajectory.json")
     )
     assert (status, complaint.count("\n")) == (2, 1)
     assert "600" in complaint
@@ -252,56 +224,46 @@ def test_a_timetable_that_cannot_be_kept_is_explained(
     assert not (tmp_path / "trajectory.json").exists()
 
 
-def test_a_log_is_counted_into_a_map_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_log_is_counted_into_a_map_once(tmp_path: Path, shell: Shell) -> None:
     track = tmp_path / "wil.map"
-    run(monkeypatch, capsys, "map", "update", sample("stopping.mcap"), "--map", track)
+    shell("map", "update", sample("stopping.mcap"), "--map", track)
     first = track.read_bytes()
-    status, shown, _ = run(
-        monkeypatch, capsys, "map", "update", sample("stopping.mcap"), "--map", track
-    )
+    status, shown, _ = shell("map", "update", sample("stopping.mcap"), "--map", track)
     assert status == 0
     assert shown == "0 trips added, 1 held already; the map holds 1 trip of 1 day\n"
     assert track.read_bytes() == first
 
 
-def test_ingest_tells_what_it_repaired(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ingest_tells_what_it_repaired(tmp_path: Path, shell: Shell) -> None:
     known = ("--line", sample(DEFAULT_LINE), "--train", sample(DEFAULT_TRAIN))
     profile = ("--profile", sample("recorder.profile.toml"))
-    status, shown, _ = run(
-        monkeypatch, capsys, "ingest", sample("recorder.csv"), *profile, *known, "-o", tmp_path
-    )
+    status, shown, _ = shell("ingest", sample("recorder.csv"), *profile, *known, "-o", tmp_path)
     assert status == 0
     assert "rows read" in shown
     assert "time_backwards" in shown
-    status, shown, _ = run(monkeypatch, capsys, "show", tmp_path / "recorder.mcap")
+    status, shown, _ = shell("show", tmp_path / "recorder.mcap")
     assert "/train/axles" in shown
 
 
-def test_ingest_of_two_recordings_of_one_name_loses_neither(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ingest_of_two_recordings_of_one_name_loses_neither(tmp_path: Path, shell: Shell) -> None:
     data = sample("gnss.csv").read_bytes()
     for day in ("monday", "tuesday"):
         (tmp_path / day).mkdir()
     (tmp_path / "monday" / "gnss.csv").write_bytes(data)
     (tmp_path / "tuesday" / "gnss.csv").write_bytes(data[: len(data) // 2])
     files = [tmp_path / day / "gnss.csv" for day in ("monday", "tuesday")]
-    status, _, complaint = run(monkeypatch, capsys, "ingest", *files, "-o", tmp_path / "out")
+    status, _, complaint = shell("ingest", *files, "-o", tmp_path / "out")
     assert (status, complaint) == (0, "")
     names = sorted(log.name for log in (tmp_path / "out").iterdir())
     assert names == ["monday_gnss.mcap", "tuesday_gnss.mcap"]
 
 
 def test_a_recording_is_not_overwritten_by_the_log_that_is_made_of_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, shell: Shell
 ) -> None:
     recording = tmp_path / "gnss.mcap"
     recording.write_bytes(sample("gnss.csv").read_bytes())
-    status, _, complaint = run(monkeypatch, capsys, "ingest", recording, "-o", tmp_path)
+    status, _, complaint = shell("ingest", recording, "-o", tmp_path)
     assert status == 2
     assert f"{recording}: would be overwritten" in complaint
     assert recording.read_bytes() == sample("gnss.csv").read_bytes()
@@ -309,38 +271,31 @@ def test_a_recording_is_not_overwritten_by_the_log_that_is_made_of_it(
 
 @pytest.mark.parametrize("command", ["ingest", "estimate", "import", "simulate drive"])
 def test_a_folder_for_results_named_as_a_file_is_refused(
-    command: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    command: str, tmp_path: Path, shell: Shell
 ) -> None:
     given = {"simulate drive": BOTH, "ingest": [sample("gnss.csv")]}.get(
         command, [sample("stopping.mcap")]
     )
     output = tmp_path / "trip.mcap"
-    status, _, complaint = run(monkeypatch, capsys, *command.split(), *given, "-o", output)
+    status, _, complaint = shell(*command.split(), *given, "-o", output)
     assert (status, complaint.count("\n")) == (2, 1)
     assert f"{output}: is the name of a .mcap file, and a folder is needed; name a" in complaint
     assert not output.exists()
 
 
-def test_a_format_can_be_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_format_can_be_named(tmp_path: Path, shell: Shell) -> None:
     words = ("ingest", sample("gnss.csv"), "-o", tmp_path / "out", "--format")
-    status, _, complaint = run(monkeypatch, capsys, *words, "gnns")
+    status, _, complaint = shell(*words, "gnns")
     assert status == 2
     assert "no format 'gnns'" in complaint
-    status, _, complaint = run(monkeypatch, capsys, *words, "gpx")
+    status, _, complaint = shell(*words, "gpx")
     assert status == 2
     assert "gnss.csv" in complaint
-    status, _, _ = run(monkeypatch, capsys, *words, "ublox")
+    status, _, _ = shell(*words, "ublox")
     assert status == 0
 
 
-def test_a_damaged_log_is_reported_once_a_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_damaged_log_is_reported_once_a_command(tmp_path: Path, shell: Shell) -> None:
     log = sample("nonstop.mcap").read_bytes()
     half = tmp_path / "half.mcap"
     half.write_bytes(log[: len(log) // 2])
@@ -349,110 +304,94 @@ def test_a_damaged_log_is_reported_once_a_command(
         ("map", "update", half, "--layer", "dry", "--map", tmp_path / "wil.map"),
         ("replay", half, "-o", tmp_path / "half.rrd"),
     ):
-        status, _, complaint = run(monkeypatch, capsys, *words)
+        status, _, complaint = shell(*words)
         assert status == 0
         assert complaint.count("trainlog: warning: ") == 1, words
         assert complaint.startswith(f"trainlog: warning: {half}: is damaged: ")
 
 
-def test_a_folder_without_logs_is_refused_with_a_remedy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    status, _, complaint = run(monkeypatch, capsys, "fit", tmp_path, "-o", tmp_path / "fit.json")
+def test_a_folder_without_logs_is_refused_with_a_remedy(tmp_path: Path, shell: Shell) -> None:
+    status, _, complaint = shell("fit", tmp_path, "-o", tmp_path / "fit.json")
     assert status == 2
     assert "the folder holds no logs (*.mcap); name another folder, or make logs" in complaint
 
 
-def test_check_goes_on_behind_a_file_that_is_no_log(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_goes_on_behind_a_file_that_is_no_log(tmp_path: Path, shell: Shell) -> None:
     (tmp_path / "a.mcap").touch()
     (tmp_path / "b.mcap").write_bytes(sample("stopping.mcap").read_bytes())
-    status, shown, complaint = run(monkeypatch, capsys, "show", "--check", tmp_path)
+    status, shown, complaint = shell("show", "--check", tmp_path)
     assert status == 1
     assert complaint.count("\n") == 1
     assert "a.mcap, byte 0: is empty" in complaint
     assert "b.mcap: is whole" in shown
 
 
-def test_recover_refuses_two_logs_of_one_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_recover_refuses_two_logs_of_one_name(tmp_path: Path, shell: Shell) -> None:
     (tmp_path / "copy").mkdir()
     copy = tmp_path / "copy" / "stopping.mcap"
     copy.write_bytes(sample("stopping.mcap").read_bytes())
     out = tmp_path / "out"
-    status, _, complaint = run(
-        monkeypatch, capsys, "convert", sample("stopping.mcap"), copy, "-o", out
-    )
+    status, _, complaint = shell("convert", sample("stopping.mcap"), copy, "-o", out)
     assert status == 2
     assert f"{copy}: has the same name as" in complaint
     assert not out.exists()
 
 
-def test_brackets_in_names_and_findings_are_shown(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_brackets_in_names_and_findings_are_shown(tmp_path: Path, shell: Shell) -> None:
     recording = tmp_path / "run [1].csv"
     recording.write_bytes(sample("gnss.csv").read_bytes())
     profile = ("--profile", sample("recorder.profile.toml"))
-    status, shown, _ = run(monkeypatch, capsys, "ingest", recording, *profile, "-o", tmp_path)
+    status, shown, _ = shell("ingest", recording, *profile, "-o", tmp_path)
     assert status == 0
     assert "run [1]: " in shown
     assert "not used: [time] of the profile" in shown
     assert "run [1].mcap" in shown
 
 
-def test_a_recorded_trip_can_be_fitted_and_mapped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recorded_trip_can_be_fitted_and_mapped(tmp_path: Path, shell: Shell) -> None:
     known = ("--line", sample(DEFAULT_LINE), "--train", sample(DEFAULT_TRAIN))
     profile = ("--profile", sample("recorder.profile.toml"), "--set", "load=24000")
     log = tmp_path / "recorder.mcap"
-    run(monkeypatch, capsys, "ingest", sample("recorder.csv"), *profile, *known, "-o", tmp_path)
-    status, _, complaint = run(monkeypatch, capsys, "fit", log, "-o", tmp_path / "fit.json")
+    shell("ingest", sample("recorder.csv"), *profile, *known, "-o", tmp_path)
+    status, _, complaint = shell("fit", log, "-o", tmp_path / "fit.json")
     assert (status, complaint) == (0, "")
     update = ("map", "update", log, "--map", tmp_path / "wil.map")
-    status, _, complaint = run(monkeypatch, capsys, *update)
+    status, _, complaint = shell(*update)
     assert status == 2
     assert "dry or wet" in complaint
-    status, shown, _ = run(monkeypatch, capsys, *update, "--layer", "dry")
+    status, shown, _ = shell(*update, "--layer", "dry")
     assert status == 0
     assert "dry" in shown
 
 
 @pytest.mark.parametrize("fact", ["weather", "=wet", "weather=", "load=heavy", "load=nan"])
-def test_facts_that_make_no_sense_are_refused(
-    fact: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    status, _, complaint = run(
-        monkeypatch, capsys, "ingest", sample("gnss.csv"), "--set", fact, "-o", tmp_path / "out"
+def test_facts_that_make_no_sense_are_refused(fact: str, tmp_path: Path, shell: Shell) -> None:
+    status, _, complaint = shell(
+        "ingest", sample("gnss.csv"), "--set", fact, "-o", tmp_path / "out"
     )
     assert (status, complaint.count("\n")) == (2, 1)
     assert not (tmp_path / "out").exists()
 
 
-def test_help_teaches_every_command(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    status, shown, _ = run(monkeypatch, capsys, "--help")
+def test_help_teaches_every_command(shell: Shell) -> None:
+    status, shown, _ = shell("--help")
     assert status == 0
     for command in ("simulate", "ingest", "show", "fit", "map", "plan", "replay", "demo"):
         assert command in shown
     for words in demo.commands(Path("results")):
         verb = words[:2] if words[0] in ("map", "simulate") else words[:1]
-        status, shown, _ = run(monkeypatch, capsys, *verb, "--help")
+        status, shown, _ = shell(*verb, "--help")
         assert status == 0
         assert "Usage" in shown
 
 
 def test_help_breaks_where_the_terminal_ends_and_gives_an_example(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, shell: Shell
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setattr("typer.rich_utils.MAX_WIDTH", 200)
     for verb in ("fit efforts", "simulate drive", "map update", "map show", "demo", "new line"):
-        _, shown, _ = run(monkeypatch, capsys, *verb.split(), "--help")
+        _, shown, _ = shell(*verb.split(), "--help")
         prose = [line.strip() for line in shown.splitlines()[3:] if not line.startswith(("╭", "│"))]
         example = f"Example: trainlog {verb} "
         assert any(line.startswith(example) for line in prose), verb
@@ -465,11 +404,11 @@ def test_help_breaks_where_the_terminal_ends_and_gives_an_example(
 
 
 def test_a_report_of_what_is_no_folder_of_results_says_what_it_looks_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, shell: Shell
 ) -> None:
-    _, _, complaint = run(monkeypatch, capsys, "report", str(tmp_path / "none"))
+    _, _, complaint = shell("report", str(tmp_path / "none"))
     assert "does not exist; name the folder" in " ".join(complaint.split())
-    _, _, complaint = run(monkeypatch, capsys, "report", str(tmp_path))
+    _, _, complaint = shell("report", str(tmp_path))
     assert "holds no results; they are looked for as" in " ".join(complaint.split())
 
 
@@ -483,30 +422,26 @@ def test_a_report_of_what_is_no_folder_of_results_says_what_it_looks_for(
     ],
 )
 def test_what_a_value_may_be_is_told_in_our_own_words(
-    setting: str, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    setting: str, words: str, shell: Shell
 ) -> None:
-    status, _, complaint = run(monkeypatch, capsys, "plan", *BOTH, "-o", "t.json", "--set", setting)
+    status, _, complaint = shell("plan", *BOTH, "-o", "t.json", "--set", setting)
     assert (status, complaint.count("\n")) == (2, 1)
     assert words in complaint
     assert not re.search("Input should|Value error|valid integer", complaint)
 
 
-def test_a_demo_does_not_run_into_a_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_demo_does_not_run_into_a_file(tmp_path: Path, shell: Shell) -> None:
     (tmp_path / "file").write_text("x")
-    status, _, complaint = run(monkeypatch, capsys, "demo", "-o", str(tmp_path / "file"))
+    status, _, complaint = shell("demo", "-o", str(tmp_path / "file"))
     assert status == 2
     assert "is a file; name a folder with --output" in " ".join(complaint.split())
 
 
 def test_a_folder_for_pictures_of_trips_is_checked_before_the_work(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, shell: Shell
 ) -> None:
     (tmp_path / "file").write_text("x")
-    status, _, complaint = run(
-        monkeypatch,
-        capsys,
+    status, _, complaint = shell(
         "fit",
         str(sample("stopping.mcap")),
         "-o",
@@ -520,13 +455,13 @@ def test_a_folder_for_pictures_of_trips_is_checked_before_the_work(
 
 
 def test_an_interrupted_command_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell
 ) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("trainlog.simulation.drive", interrupted)
-    status, _, complaint = run(monkeypatch, capsys, "simulate", "drive", *BOTH, "-o", tmp_path)
+    status, _, complaint = shell("simulate", "drive", *BOTH, "-o", tmp_path)
     assert status == 130
     assert "interrupted" in complaint
 
@@ -548,30 +483,24 @@ main()
     assert not ended.stdout
 
 
-def test_simulated_logs_are_the_same_for_the_same_seed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_simulated_logs_are_the_same_for_the_same_seed(tmp_path: Path, shell: Shell) -> None:
     for folder in ("a", "b"):
         words = ("simulate", "drive", *BOTH, "--count", "1", "--seed", "3", "-o", tmp_path / folder)
-        run(monkeypatch, capsys, *words)
+        shell(*words)
     logs = [(tmp_path / folder / "trip-01.mcap").read_bytes() for folder in ("a", "b")]
     assert logs[0] == logs[1]
 
 
-def test_fit_writes_what_it_was_made_from(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_fit_writes_what_it_was_made_from(tmp_path: Path, shell: Shell) -> None:
     target = tmp_path / "parameters.json"
-    status, _, _ = run(monkeypatch, capsys, "fit", sample("stopping.mcap"), "-o", target)
+    status, _, _ = shell("fit", sample("stopping.mcap"), "-o", target)
     assert status == 0
     provenance = json.loads(target.read_text("utf-8"))["provenance"]
     assert provenance["inputs"]
     assert target.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_outputs_are_checked_before_any_work(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_outputs_are_checked_before_any_work(tmp_path: Path, shell: Shell) -> None:
     log = tmp_path / "trip.mcap"
     log.write_bytes(sample("nonstop.mcap").read_bytes())
     before = log.read_bytes()
@@ -585,24 +514,20 @@ def test_outputs_are_checked_before_any_work(
         ["estimate", log, "-o", tmp_path],
         ["simulate", "drive", *BOTH, "-o", log],
     ):
-        status, shown, complaint = run(monkeypatch, capsys, *words)
+        status, shown, complaint = shell(*words)
         assert (status, complaint.count("\n"), shown) == (2, 1, "")
     assert log.read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["trip.mcap"]
 
 
-def test_parameters_of_another_train_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_parameters_of_another_train_are_refused(tmp_path: Path, shell: Shell) -> None:
     other = tmp_path / "other.train.json"
     train = sample(DEFAULT_TRAIN).read_text("utf-8")
     other.write_text(train.replace("CH_Stadler_FLIRT_TPF", "OTHER"), "utf-8")
     parameters = tmp_path / "parameters.json"
-    run(monkeypatch, capsys, "fit", sample("stopping.mcap"), "-o", parameters)
-    status, _, complaint = run(
-        monkeypatch,
-        capsys,
-        *("plan", parameters, *LINE, "--train", other, "-o", tmp_path / "t.json"),
+    shell("fit", sample("stopping.mcap"), "-o", parameters)
+    status, _, complaint = shell(
+        *("plan", parameters, *LINE, "--train", other, "-o", tmp_path / "t.json")
     )
     assert status == 2
     assert "observed on train 'CH_Stadler_FLIRT_TPF', not on 'OTHER'" in complaint
@@ -613,14 +538,9 @@ def test_parameters_of_another_train_are_refused(
     [("--weather", "wet"), ("--configurations", "all"), ("--map", "m.map"), ("--late", "9")],
 )
 def test_options_that_contradict_are_refused(
-    words: tuple[str, str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: tuple[str, str], tmp_path: Path, shell: Shell
 ) -> None:
-    status, _, complaint = run(
-        monkeypatch, capsys, "simulate", "drive", *BOTH, *words, "-o", tmp_path / "out"
-    )
+    status, _, complaint = shell("simulate", "drive", *BOTH, *words, "-o", tmp_path / "out")
     assert status == 2
     assert words[0] in " ".join(complaint.split())
     assert not (tmp_path / "out").exists()
@@ -628,16 +548,11 @@ def test_options_that_contradict_are_refused(
 
 @pytest.mark.parametrize("words", [["replay"], ["convert"]])
 def test_a_part_that_holds_nothing_is_told_with_its_file(
-    words: list[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: list[str], tmp_path: Path, shell: Shell
 ) -> None:
     log = sample("nonstop.mcap")
     output = tmp_path / f"part{'.rrd' if words[0] == 'replay' else '.mcap'}"
-    status, _, complaint = run(
-        monkeypatch, capsys, words[0], log, *words[1:], "--km", "900:901", "-o", output
-    )
+    status, _, complaint = shell(words[0], log, *words[1:], "--km", "900:901", "-o", output)
     assert status == 2
     reach = "line 'CH_StGallen_Wil' has no km 900; its kilometres are 0.000 to 29.556"
     assert reach in complaint
@@ -653,76 +568,66 @@ def test_units_in_brackets_are_shown(capsys: pytest.CaptureFixture[str]) -> None
     assert all(each in shown for each in ("made [N]", "speed [m/s]", "trip [a]", "'[/b]'"))
 
 
-def test_help_names_units(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _, shown, _ = run(monkeypatch, capsys, "study", "consist", "--help")
+def test_help_names_units(shell: Shell) -> None:
+    _, shown, _ = shell("study", "consist", "--help")
     assert "km/h" in shown
 
 
-def test_all_problems_of_a_train_file_are_listed_line_by_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_all_problems_of_a_train_file_are_listed_line_by_line(tmp_path: Path, shell: Shell) -> None:
     content = json.loads(sample(DEFAULT_TRAIN).read_text("utf-8"))
     content["mass"]["unit"], content["max_speed"], content["colour"] = "kg", 160, "red"
     light = tmp_path / "light.train.json"
     light.write_text(json.dumps(content))
-    status, out, err = run(
-        monkeypatch, capsys, "simulate", "drive", *LINE, "--train", light, "-o", tmp_path / "trips"
-    )
+    status, out, err = shell("simulate", "drive", *LINE, "--train", light, "-o", tmp_path / "trips")
     assert (status, out) == (2, "")
     lines = err.splitlines()
     assert lines[0] == f"trainlog: {light}: 3 problems"
     assert [line.split(":")[0] for line in lines[1:]] == ["  colour", "  max_speed", "  mass"]
 
 
-def test_a_line_begins_with_a_template_or_a_table(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_line_begins_with_a_template_or_a_table(tmp_path: Path, shell: Shell) -> None:
     target = tmp_path / "my.line.toml"
-    assert run(monkeypatch, capsys, "new", "line", "-o", target) == (0, f"wrote {target}\n", "")
-    status, _, err = run(monkeypatch, capsys, "new", "line", "-o", target)
+    assert shell("new", "line", "-o", target) == (0, f"wrote {target}\n", "")
+    status, _, err = shell("new", "line", "-o", target)
     assert status == 2
     assert "my.line.toml: exists; choose another name" in err
     table = tmp_path / "A-B.csv"
     table.write_text("km;gradient [permil];limit [km/h];station\n0;2;80;A\n9;;;B\n", "utf-8")
     made = tmp_path / "A-B.line.json"
-    status, out, _ = run(monkeypatch, capsys, "new", "line", "--from", table, "-o", made)
+    status, out, _ = shell("new", "line", "--from", table, "-o", made)
     assert (status, out) == (0, f"wrote {made}\n")
     assert json.loads(made.read_text("utf-8"))["length"] == {"value": 9000, "unit": "m"}
     named = tmp_path / "named.line.json"
     words = ("new", "line", "--from", table, "--name", "Aach-Berg", "-o", named)
-    assert run(monkeypatch, capsys, *words)[0] == 0
+    assert shell(*words)[0] == 0
     assert json.loads(named.read_text("utf-8"))["name"] == "Aach-Berg"
     words = ("new", "line", "--name", "Aach-Berg", "-o", tmp_path / "other.line.toml")
-    status, _, err = run(monkeypatch, capsys, *words)
+    status, _, err = shell(*words)
     assert status == 2
     assert "--name Aach-Berg: a template states its own name; leave --name out" in err
 
 
 def test_a_log_that_cannot_be_estimated_does_not_stop_the_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, shell: Shell
 ) -> None:
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs" / "a.mcap").write_bytes(b"no log")
     (tmp_path / "logs" / "b.mcap").write_bytes(sample("nonstop.mcap").read_bytes())
     words = ("estimate", tmp_path / "logs", "-o", tmp_path / "out")
-    status, _, complaint = run(monkeypatch, capsys, *words)
+    status, _, complaint = shell(*words)
     assert status == 1
     assert "a.mcap" in complaint
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["b.mcap"]
 
 
-def test_slip_events_of_all_logs_are_tabled(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_slip_events_of_all_logs_are_tabled(tmp_path: Path, shell: Shell) -> None:
     """One row an event, with units in the names; a log that cannot be analysed is left out."""
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs" / "a.mcap").write_bytes(b"no log")
     (tmp_path / "logs" / "b.mcap").write_bytes(sample("nonstop.mcap").read_bytes())
     table = tmp_path / "slips.csv"
     words = ("estimate", tmp_path / "logs", "-o", tmp_path / "out", "--slips", table)
-    status, out, _ = run(monkeypatch, capsys, *words)
+    status, out, _ = shell(*words)
     assert status == 1
     assert "25 slip events" in out
     found = pd.read_csv(table, parse_dates=["onset", "peak", "release"])
@@ -731,7 +636,7 @@ def test_slip_events_of_all_logs_are_tabled(
     assert (found["peak"] < found["release"]).all()
     np.testing.assert_allclose(found["energy_J"], events["energy"], rtol=1e-6)
     np.testing.assert_allclose(found["creepage"], events["creepage"], rtol=1e-6)
-    status, _, complaint = run(monkeypatch, capsys, *words[:-1], tmp_path / "slips.txt")
+    status, _, complaint = shell(*words[:-1], tmp_path / "slips.txt")
     assert status == 2
     assert "not the name of a .csv file" in complaint
 
@@ -750,11 +655,7 @@ def test_slip_events_of_all_logs_are_tabled(
     ids=lambda words: " ".join(words[:1]),
 )
 def test_a_workbook_is_answered_with_save_as_csv(
-    start: bytes,
-    words: list[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    start: bytes, words: list[str], tmp_path: Path, shell: Shell
 ) -> None:
     book = tmp_path / "book.xlsx"
     book.write_bytes(start + bytes(200))
@@ -762,7 +663,7 @@ def test_a_workbook_is_answered_with_save_as_csv(
         str(book) if word == "BOOK" else word.replace("OUT", str(tmp_path / "out"))
         for word in words
     ]
-    status, _, complaint = run(monkeypatch, capsys, *given)
+    status, _, complaint = shell(*given)
     assert (status, complaint.count("\n")) == (2, 1)
     assert "workbook" in complaint
     assert "save its sheet as CSV" in complaint
@@ -788,15 +689,11 @@ def test_a_file_without_a_version_is_answered_with_it(tmp_path: Path) -> None:
     ],
 )
 def test_options_that_a_mode_ignores_are_refused(
-    words: str,
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell
 ) -> None:
     monkeypatch.chdir(tmp_path)
     given = words.replace("LOG", str(sample("nonstop.mcap"))).split()
-    status, _, complaint = run(monkeypatch, capsys, *given)
+    status, _, complaint = shell(*given)
     assert status == 2
     assert message in complaint
     assert not list(tmp_path.iterdir())

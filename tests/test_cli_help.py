@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import typer
-from command import run
+from command import Shell
 
 from trainlog.cli import main as cli
 from trainlog.cli.commands import FORMER, WORDS
@@ -42,13 +42,13 @@ DIFFERENT = {
 
 @pytest.mark.parametrize("columns", ["80", pytest.param("120", marks=pytest.mark.long)])
 def test_help_of_every_command_fits_the_terminal_and_loses_nothing(
-    columns: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    columns: str, monkeypatch: pytest.MonkeyPatch, shell: Shell
 ) -> None:
     monkeypatch.setenv("COLUMNS", columns)
     found = dict(commands())
     assert len(found) > 35
     for words, command in found.items():
-        status, shown, _ = run(monkeypatch, capsys, *words.split(), "--help")
+        status, shown, _ = shell(*words.split(), "--help")
         assert status == 0
         assert max(map(len, shown.splitlines())) <= int(columns), words
         assert "…" not in shown, words
@@ -86,20 +86,16 @@ def test_every_command_has_an_example_that_parses_and_at_most_twelve_options(
     assert len(own_options(words, command)) <= 12
 
 
-def test_former_names_are_answered_with_the_new_one(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_former_names_are_answered_with_the_new_one(shell: Shell) -> None:
     for former, new in FORMER.items():
-        status, shown, complaint = run(monkeypatch, capsys, *former.split(), "-x")
+        status, shown, complaint = shell(*former.split(), "-x")
         assert (status, shown, complaint.count("\n")) == (2, "", 1), former
         assert f"'{former}' is now 'trainlog {new}'" in complaint
         assert new.split()[0] in WORDS
 
 
-def test_the_help_of_the_program_says_of_each_word_what_its_own_help_does(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    _, shown, _ = run(monkeypatch, capsys, "--help")
+def test_the_help_of_the_program_says_of_each_word_what_its_own_help_does(shell: Shell) -> None:
+    _, shown, _ = shell("--help")
     every = " ".join(shown.replace("│", " ").split())
     program = typer.main.get_command(cli.app)
     for word in WORDS:
@@ -129,10 +125,8 @@ def test_the_same_option_is_the_same_everywhere() -> None:
 
 
 @pytest.mark.parametrize("words", [[], ["map"], ["study"], ["simulate"]])
-def test_a_word_alone_shows_the_help_of_its_commands(
-    words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    status, shown, complaint = run(monkeypatch, capsys, *words)
+def test_a_word_alone_shows_the_help_of_its_commands(words: list[str], shell: Shell) -> None:
+    status, shown, complaint = shell(*words)
     assert (status, complaint) == (0, "")
     assert " ".join(["Usage: trainlog", *words]) in " ".join(shown.split())
 
@@ -153,12 +147,9 @@ def test_a_word_alone_shows_the_help_of_its_commands(
     ],
 )
 def test_wrong_words_are_answered_with_what_was_meant(
-    words: list[str],
-    message: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: list[str], message: str, shell: Shell
 ) -> None:
-    status, shown, complaint = run(monkeypatch, capsys, *words)
+    status, shown, complaint = shell(*words)
     assert (status, shown, complaint.count("\n")) == (2, "", 1)
     assert message in complaint
     assert "--help'" in complaint

@@ -15,7 +15,7 @@ from typing import Any
 
 import jsonschema
 import pytest
-from command import run
+from command import Shell
 
 from trainlog.cli.commands import STATUSES
 from trainlog.formats.samples import copy_samples
@@ -202,10 +202,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def test_every_command_prints_one_object_of_its_documented_form(
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    request: pytest.FixtureRequest,
+    folder: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest, shell: Shell
 ) -> None:
     found: dict[str, Schema] = {}
     renew = request.config.getoption("--renew-golden")
@@ -213,7 +210,7 @@ def test_every_command_prints_one_object_of_its_documented_form(
     monkeypatch.setattr("trainlog.cli.demo.commands", lambda _: STEPS)
     monkeypatch.setattr("trainlog.cli.demo.fleet_commands", lambda *_, **__: STEPS)
     for line in COMMANDS.split("\n")[1:-1]:
-        status, printed, complaint = run(monkeypatch, capsys, *line.split(), "--json")
+        status, printed, complaint = shell(*line.split(), "--json")
         assert status in (0, 1), (line, complaint)
         assert all(each.startswith("trainlog: ") for each in complaint.splitlines()), line
         document = json.loads(printed, parse_constant=pytest.fail)
@@ -272,22 +269,18 @@ def test_the_schemas_state_what_all_commands_have_and_numbers_name_their_unit() 
             assert not [key for key in wrong if key], name
 
 
-def test_an_error_with_json_is_on_standard_error_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_error_with_json_is_on_standard_error_alone(tmp_path: Path, shell: Shell) -> None:
     words = ["fit", tmp_path / "no.mcap", "-o", tmp_path / "p.json", "--json"]
-    status, printed, complaint = run(monkeypatch, capsys, *words)
+    status, printed, complaint = shell(*words)
     assert (status, printed) == (2, "")
     assert complaint.startswith("trainlog: ")
 
 
-def test_quiet_prints_errors_only(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_quiet_prints_errors_only(folder: Path, shell: Shell) -> None:
     (folder / "two").mkdir()
     shutil.copy(folder / "cut.mcap", folder / "two" / "cut.mcap")
     (folder / "two" / "empty.mcap").touch()
-    status, printed, complaint = run(monkeypatch, capsys, "show", "--check", "two", "-q")
+    status, printed, complaint = shell("show", "--check", "two", "-q")
     assert (status, printed) == (1, "")
     assert complaint.count("\n") == 1
     assert "empty.mcap" in complaint

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from advice_law import breaches
-from command import run
+from command import Shell
 from refusals import refused
 
 from analysis.reports.advice import write_driver_advice
@@ -175,17 +175,14 @@ def test_a_place_that_is_stated_to_be_at_a_station_is_less_than_50_m_away(
 
 
 def test_page_and_table_state_the_same(
-    sections: tuple[Trajectory, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    sections: tuple[Trajectory, ...], tmp_path: Path, shell: Shell
 ) -> None:
     files = [tmp_path / f"plan-{number}.json" for number in (1, 2)]
     for section, file in zip(sections, files, strict=True):
         write_trajectory(section, file)
     output = tmp_path / "advice.html"
     words = ("advice", *files, "--departure", "07:12", "-o", output)
-    status, printed, _ = run(monkeypatch, capsys, *words)
+    status, printed, _ = shell(*words)
     assert status == 0
     with output.with_suffix(".csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -213,7 +210,7 @@ def test_page_and_table_state_the_same(
     assert "SHA-256" not in text
     assert "sqp" not in text.lower().split("<script")[0]
     first = output.read_bytes()
-    run(monkeypatch, capsys, *words)
+    shell(*words)
     assert output.read_bytes() == first
 
 
@@ -255,11 +252,7 @@ def test_sections_planned_one_by_one_stand_as_long_as_is_asked_for(
 
 
 def test_a_plan_on_any_line_knows_its_stations_and_limits_without_the_lines_file(
-    sections: tuple[Trajectory, ...],
-    line: Line,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    sections: tuple[Trajectory, ...], line: Line, tmp_path: Path, shell: Shell
 ) -> None:
     """Of a line that is not among the samples; a file of an earlier version asks for it."""
     named = replace(line.reversed(), name="elsewhere")
@@ -273,14 +266,14 @@ def test_a_plan_on_any_line_knows_its_stations_and_limits_without_the_lines_file
     assert kept is not None
     assert line_to_bytes(kept) == line_to_bytes(named)
     words = ("advice", tmp_path / "plan.json", "-o", tmp_path / "advice.html")
-    assert run(monkeypatch, capsys, *words)[0] == 0
+    assert shell(*words)[0] == 0
     with (tmp_path / "advice.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert (rows[0]["station"], rows[-1]["station"]) == ("Wil", "Uzwil")
     assert all(row["permitted_kmh"] for row in rows if row["event"] == "changes")
     early = {name: value for name, value in plan.provenance.items() if name != "line"}
     write_trajectory(replace(plan, provenance=early), tmp_path / "plan.json")
-    assert run(monkeypatch, capsys, *words)[0] == 0
+    assert shell(*words)[0] == 0
     assert "do not hold line &#x27;elsewhere&#x27;" in (tmp_path / "advice.html").read_text("utf-8")
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command import run
+from command import Shell
 
 from analysis.fleet.analyses import ANALYSES
 from analysis.fleet.diff import FleetDiff, Results, Version, compared, parameters_of
@@ -328,10 +328,7 @@ def updated_by(checkout: Path, catalogue: Path, analysis: str) -> str:
 
 @pytest.mark.long
 def test_a_line_broken_in_another_checkout_is_named(
-    place: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    place: Path, tmp_path: Path, shell: Shell
 ) -> None:
     other = copied(
         tmp_path / "other", "analysis/fleet/checks.py",
@@ -341,7 +338,7 @@ def test_a_line_broken_in_another_checkout_is_named(
     shutil.rmtree(other)
     words = ["fleet", "diff", "now", code[:8], "--catalogue", place, "--analysis", "checks"]
     words += ["--workers", 0, "-o", tmp_path / "changes", "--json"]
-    status, printed, complaint = run(monkeypatch, capsys, *words)
+    status, printed, complaint = shell(*words)
     assert (status, complaint) == (1, "")
     found = json.loads(printed)
     assert {(each["estimate"], each["trip"]) for each in found["moved"]} == {
@@ -352,21 +349,16 @@ def test_a_line_broken_in_another_checkout_is_named(
     assert "<h2>" in (tmp_path / "changes" / "diff.html").read_text("utf-8")
     assert len(pd.read_csv(tmp_path / "changes" / "moved.csv")) == 2
     again = ["--catalogue", place, "--analysis", "checks", "--workers", 0]
-    assert run(monkeypatch, capsys, "fleet", "diff", code[:8], "now", *again)[0] == 1
-    assert run(monkeypatch, capsys, "fleet", "diff", "now", "now", *again)[0] == 0
+    assert shell("fleet", "diff", code[:8], "now", *again)[0] == 1
+    assert shell("fleet", "diff", "now", "now", *again)[0] == 0
 
 
 def test_parameters_that_change_the_bins_of_a_map(
-    place: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    place: Path, tmp_path: Path, shell: Shell
 ) -> None:
     words = ("--catalogue", place, "--workers", 0, "--trips", "weather = 'wet'")
     words += ("-o", tmp_path / "changes")
-    status, shown, _ = run(
-        monkeypatch, capsys, "fleet", "diff", "now", "adhesion.bin_length=50", *words
-    )
+    status, shown, _ = shell("fleet", "diff", "now", "adhesion.bin_length=50", *words)
     assert status == 0, "no estimate moved beyond its band"
     assert "nothing moved beyond its band on 1 trip; not compared" in shown
     assert "as the parameters change it: number of bins." in shown
@@ -383,26 +375,15 @@ def test_parameters_that_change_the_bins_of_a_map(
         ("adhesion.bins=3", "has no parameter 'bins'; it has bin_length"),
     ],
 )
-def test_what_is_no_version_is_refused(
-    place: Path,
-    side: str,
-    message: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    status, _, complaint = run(
-        monkeypatch, capsys, "fleet", "diff", "now", side, "--catalogue", place
-    )
+def test_what_is_no_version_is_refused(place: Path, side: str, message: str, shell: Shell) -> None:
+    status, _, complaint = shell("fleet", "diff", "now", side, "--catalogue", place)
     assert (status, complaint.count("\n")) == (2, 1)
     assert message in complaint
 
 
 @pytest.mark.long
 def test_a_wrong_gravity_moves_what_rests_on_gradients(
-    place: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    place: Path, tmp_path: Path, shell: Shell
 ) -> None:
     """Of simulated trips over a hilly line: the mean of noise sizes and bands, by train."""
     trips = tmp_path / "trips"
@@ -416,7 +397,7 @@ def test_a_wrong_gravity_moves_what_rests_on_gradients(
     other = copied(tmp_path / "other", "trainlog/units.py", "GRAVITY = 9.81", "GRAVITY = 9.9")
     words = ("--catalogue", tmp_path / "catalogue", "--analysis", "resistance", "--json")
     code = updated_by(other, tmp_path / "catalogue", "resistance")
-    status, printed, complaint = run(monkeypatch, capsys, "fleet", "diff", "now", code, *words)
+    status, printed, complaint = shell("fleet", "diff", "now", code, *words)
     assert (status, complaint) == (1, "")
     found = json.loads(printed)
     assert "noise_gradient" in {each["estimate"] for each in found["means"]}

@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 import pandas as pd
 import pytest
-from command import run
+from command import Shell
 
 pytest.importorskip("sqlalchemy")
 
@@ -199,14 +199,10 @@ def test_doubts_of_recordings_are_counted(catalogue: Catalogue, page: Page) -> N
 
 
 def test_the_command_writes_one_page_that_asks_for_nothing(
-    place: Path,
-    network: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    place: Path, network: Path, tmp_path: Path, shell: Shell
 ) -> None:
     words = ("report", place, "--network", network, "-o", tmp_path / "fleet.html")
-    status, shown, _ = run(monkeypatch, capsys, *words)
+    status, shown, _ = shell(*words)
     assert status == 0
     assert "fleet.html" in shown
     html = (tmp_path / "fleet.html").read_text("utf-8")
@@ -217,7 +213,7 @@ def test_the_command_writes_one_page_that_asks_for_nothing(
     assert all(each.startswith(("#", "data:")) for each in links)
     assert re.search(r"script-src 'none'|script-src 'sha256-", html)
     wrong = ("report", place, "--trips", "train = 'none'")
-    status, _, complaint = run(monkeypatch, capsys, *wrong, "-o", tmp_path / "a.html")
+    status, _, complaint = shell(*wrong, "-o", tmp_path / "a.html")
     assert (status, complaint.count("\n")) == (2, 1)
     assert "no trip is chosen" in complaint
     assert not (tmp_path / "a.html").exists()

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command import run
+from command import Shell
 from report_folder import SCRIPT, hostile_trip, planned
 
 from analysis.charts import Chart, Curve, Panel, draw_charts, rows_to_draw
@@ -253,7 +253,7 @@ def test_what_is_no_result_is_one_error_and_no_page(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("unpainted_page")
 def test_a_bad_file_of_a_folder_is_stated_by_its_name_with_status_1(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, shell: Shell
 ) -> None:
     pages = []
     for place in ("here", "there"):
@@ -262,7 +262,7 @@ def test_a_bad_file_of_a_folder_is_stated_by_its_name_with_status_1(
         write_trajectory(planned(), folder / "plan.json")
         (folder / "none.mcap").write_text("nothing")
         output = tmp_path / f"{place}.html"
-        status, _, complaint = run(monkeypatch, capsys, "report", folder, "-o", output)
+        status, _, complaint = shell("report", folder, "-o", output)
         assert status == 1
         assert complaint.count("\n") == 1
         assert "not shown: none.mcap: none.mcap" in complaint

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from command import run
+from command import Shell
 from refusals import refused
 
 from trainlog.display import in_speed_unit, in_zone
@@ -22,20 +22,18 @@ def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "settings.toml"
 
 
-def test_settings_are_set_shown_and_taken_back(
-    settings: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_settings_are_set_shown_and_taken_back(settings: Path, shell: Shell) -> None:
     settings.write_text("# mine\nresults = 'out'\n")
-    assert run(monkeypatch, capsys, "settings", "speed", "mph") == (
+    assert shell("settings", "speed", "mph") == (
         0, f"wrote {settings}\n", "",
     )  # fmt: skip
     assert read_settings() == Settings(speed="mph", results="out")
     assert settings.read_text().startswith("# mine\n")
-    status, shown, _ = run(monkeypatch, capsys, "settings")
+    status, shown, _ = shell("settings")
     assert status == 0
     assert all(key in shown for key in MEANINGS)
     assert "mph" in shown
-    run(monkeypatch, capsys, "settings", "--unset", "speed")
+    shell("settings", "--unset", "speed")
     assert read_settings() == Settings(results="out")
 
 
@@ -52,14 +50,10 @@ def test_settings_are_set_shown_and_taken_back(
     ],
 )
 def test_what_is_wrong_is_one_error_with_file_line_and_remedy(
-    text: str,
-    message: str,
-    settings: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    text: str, message: str, settings: Path, shell: Shell
 ) -> None:
     settings.write_text(text)
-    status, _, complaint = run(monkeypatch, capsys, "show", "--check", sample("nonstop.mcap"))
+    status, _, complaint = shell("show", "--check", sample("nonstop.mcap"))
     assert (status, complaint.count("\n")) == (2, 1)
     assert complaint.startswith(f"trainlog: {settings}")
     assert message in complaint
@@ -74,42 +68,36 @@ def test_a_bad_value_is_refused_and_the_file_stays(settings: Path) -> None:
 
 
 def test_units_and_zone_change_what_is_shown_and_no_file(
-    settings: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    settings: Path, tmp_path: Path, shell: Shell
 ) -> None:
     log, made = sample("nonstop.mcap"), tmp_path / "made.json"
     shown, files, printed = [], [], []
     for unit, zone in (("km/h", "UTC"), ("mph", "Europe/Zurich")):
         set_setting("speed", unit)
         set_setting("zone", zone)
-        _, out, _ = run(monkeypatch, capsys, "fit", "coasting", log, "-o", made)
+        _, out, _ = shell("fit", "coasting", log, "-o", made)
         shown.append(out)
         files.append([made.read_bytes(), made.with_suffix(".png").read_bytes()])
-        _, out, _ = run(monkeypatch, capsys, "show", "--check", log, "--json")
+        _, out, _ = shell("show", "--check", log, "--json")
         printed.append(out)
     assert files[0] == files[1]
     assert printed[0] == printed[1]
     assert "speed, km/h" in shown[0]
     assert "speed, mph" in shown[1]
     assert "km/h" not in shown[1]
-    _, out, _ = run(monkeypatch, capsys, "show", log)
+    _, out, _ = shell("show", log)
     assert "2024-10-07 08:00:00.000 to 2024-10-07 08:19:43.100 CEST" in out
 
 
 def test_a_line_that_is_set_is_taken_where_none_is_given(
-    settings: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    settings: Path, tmp_path: Path, shell: Shell
 ) -> None:
     own = tmp_path / "own.line.json"
     own.write_text(sample(DEFAULT_LINE).read_text("utf-8").replace("CH_StGallen_Wil", "OWN"))
     set_setting("line", str(own))
     set_setting("train", "sample")
-    run(monkeypatch, capsys, "simulate", "drive", "--count", "1", "-o", tmp_path / "trips")
-    _, out, _ = run(monkeypatch, capsys, "show", tmp_path / "trips" / "trip-01.mcap")
+    shell("simulate", "drive", "--count", "1", "-o", tmp_path / "trips")
+    _, out, _ = shell("show", tmp_path / "trips" / "trip-01.mcap")
     assert "OWN" in out
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import command
 import pytest
+from command import Shell
 from refusals import refused
 
 import trainlog
@@ -124,19 +124,17 @@ def test_summaries_of_a_fit_are_named_with_the_command_that_takes_them(tmp_path:
 
 
 def test_show_and_replay_name_what_opens_a_recording_of_the_viewer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, shell: Shell
 ) -> None:
     path = tmp_path / "x.rrd"
     path.write_bytes(b"RRF2" + bytes(100))
     for name in ("show", "replay"):
-        status, _, complaint = command.run(monkeypatch, capsys, name, path)
+        status, _, complaint = shell(name, path)
         assert (status, "'rerun FILE' opens" in complaint) == (2, True)
 
 
-def test_the_word_sample_shows_the_samples(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    status, shown, _ = command.run(monkeypatch, capsys, "show", "sample")
+def test_the_word_sample_shows_the_samples(shell: Shell) -> None:
+    status, shown, _ = shell("show", "sample")
     assert (status, "nonstop.mcap" in shown) == (0, True)
 
 
@@ -165,12 +163,7 @@ def test_a_folder_lists_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.parametrize("share", [0.0, 0.4, 0.95])
-def test_a_damaged_log_is_shown_and_ends_with_1(
-    share: float,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_damaged_log_is_shown_and_ends_with_1(share: float, tmp_path: Path, shell: Shell) -> None:
     """By itself, as data, in a folder, and beside what is whole: as `check` ends."""
     whole = sample("nonstop.mcap")
     content = whole.read_bytes()
@@ -178,30 +171,24 @@ def test_a_damaged_log_is_shown_and_ends_with_1(
     cut = tmp_path / "logs" / "cut.mcap"
     cut.write_bytes(content[: int(share * len(content))])
     readable = share > 0.0
-    alone, shown, complaint = command.run(monkeypatch, capsys, "show", cut)
-    assert (
-        alone
-        == command.run(monkeypatch, capsys, "show", "--check", cut)[0]
-        == (1 if readable else 2)
-    )
+    alone, shown, complaint = shell("show", cut)
+    assert alone == shell("show", "--check", cut)[0] == (1 if readable else 2)
     assert ("/train/state" in shown) == readable
     assert readable or "is empty" in complaint
-    assert command.run(monkeypatch, capsys, "show", tmp_path / "logs")[0] == 1
+    assert shell("show", tmp_path / "logs")[0] == 1
     for words in ([cut, whole], [whole, cut]):
-        status, shown, complaint = command.run(monkeypatch, capsys, "show", *words, "--json")
+        status, shown, complaint = shell("show", *words, "--json")
         document = json.loads(shown)
         assert status == document["status"] == 1
         states = {each["file"]: each["whole"] for each in document["logs"]}
         assert states == {str(whole): True} | ({str(cut): False} if readable else {})
         assert complaint.count(str(cut)) == (0 if readable else 1)
-    assert command.run(monkeypatch, capsys, "show", whole, whole)[0] == 0
+    assert shell("show", whole, whole)[0] == 0
 
 
-def test_none_of_several_that_can_be_shown_ends_with_2(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_none_of_several_that_can_be_shown_ends_with_2(tmp_path: Path, shell: Shell) -> None:
     absent = [tmp_path / "a.mcap", tmp_path / "b.line.json"]
-    status, shown, complaint = command.run(monkeypatch, capsys, "show", *absent)
+    status, shown, complaint = shell("show", *absent)
     assert (status, shown) == (2, "")
     assert all(f"{each}: does not exist" in complaint for each in absent)
 
