@@ -14,7 +14,14 @@ import numpy as np
 
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
-from trainlog.formats.files import LOOKED_AT, is_map, mistaken_json, refuse_workbook, stated_format
+from trainlog.formats.files import (
+    LOOKED_AT,
+    head_of,
+    is_map,
+    mistaken_json,
+    refuse_workbook,
+    stated_format,
+)
 from trainlog.formats.railway import read_network, route_of_path
 from trainlog.presentation import WordTable, facts_table, new_table
 
@@ -134,8 +141,6 @@ def contents_of(path: str | Path) -> Contents:
     >>> contents_of("sample_logs/gnss.csv").summary
     'Recording: 6,847 rows read'
     """
-    from trainlog.ingest.registry import head_of
-
     path = Path(path)
     if (named := route_of_path(path)) is not None:
         file, places = named

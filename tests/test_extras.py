@@ -12,7 +12,8 @@ from refusals import refused
 
 from trainlog.errors import MissingExtraError
 from trainlog.extras import EXTRAS, load, require
-from trainlog.formats.samples import sample
+from trainlog.formats.samples import DEFAULT_TRAIN, sample
+from trainlog.mcap import read_log
 
 WITHOUT = """
 import sys
@@ -45,28 +46,56 @@ print(json.dumps(ended))
 SAMPLES = ["--line", "sample", "--train", "sample"]
 
 
-def without_extras(program: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run a program in a Python that has none of the extras' packages."""
-    code = WITHOUT.format(modules=sorted(EXTRAS), program=program)
+def without_extras(program: str, folder: Path, kept: str = "") -> subprocess.CompletedProcess[str]:
+    """Run a program in a Python that has none of the extras' packages but one's."""
+    absent = sorted(module for module, extra in EXTRAS.items() if extra != kept)
+    code = WITHOUT.format(modules=absent, program=program)
     return subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True)
 
 
-def test_logs_are_read_written_and_fitted_without_any_extra(tmp_path: Path) -> None:
+def test_logs_are_read_recorded_converted_and_shown_without_any_extra(tmp_path: Path) -> None:
     log = str(sample("nonstop.mcap"))
+    shown = [log, str(sample("CH_StGallen_Wil.line.json")), str(sample(DEFAULT_TRAIN))]
+    commands = [["show", each] for each in shown]
+    commands += [["convert", "copy.mcap", "-o", "table.parquet"]]
+    commands += [["convert", "table.parquet", "-o", "again.mcap", "--from", "60s"]]
     program = f"""
-import trainlog
+import numpy as np, trainlog
 trip = trainlog.read({log!r})
 trainlog.write(trip, "copy.mcap")
-print(len(trainlog.read("copy.mcap")["/train/state"]) == len(trip["/train/state"]))
-sys.argv = ["trainlog", "fit", "copy.mcap", "-o", "fit.json"]
-from trainlog.cli.main import main
-main()
+assert trainlog.read("copy.mcap") == trip
+with trainlog.record("recorded.mcap") as recording:
+    recording.write("/train/state", 1_700_000_000_000_000_000, speed=3.0)
+assert len(trainlog.read("recorded.mcap")["/train/state"]) == 1
+{COMMANDS.format(commands=commands)}
 """
     ended = without_extras(program, tmp_path)
     assert ended.returncode == 0, ended.stderr
-    assert ended.stdout.startswith("True")
-    assert (tmp_path / "fit.json").exists()
+    assert json.loads(ended.stdout.splitlines()[-1]) == [[0, ""]] * len(commands)
+    assert len(read_log(tmp_path / "again.mcap")["/train/state"]) > 0
 
+
+def test_what_needs_an_extra_names_it_in_python_too(tmp_path: Path) -> None:
+    program = """
+import analysis, estimators, trainlog
+from trainlog.errors import MissingExtraError
+for get in (lambda: analysis.fit, lambda: estimators.SlipDetector, lambda: trainlog.simulate):
+    try:
+        get()
+    except MissingExtraError as error:
+        assert str(error).endswith("pip install 'trainlog[learn]'"), error
+    else:
+        raise AssertionError
+"""
+    ended = without_extras(program, tmp_path)
+    assert ended.returncode == 0, ended.stderr
+
+
+LEARN = (
+    ["fit", str(sample("nonstop.mcap")), "-o", "fitted.json"],
+    ["ingest", str(sample("recorder.csv")), "-o", "logs"],
+    ["demo", "-o", "demo"],
+)
 
 MISSING = (
     (["replay", str(sample("nonstop.mcap")), "-o", "out.rrd"], "replay"),
@@ -77,14 +106,18 @@ MISSING = (
 """Commands that need a package, and its extra."""
 
 
-def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kept", ["", "learn"])
+def test_a_missing_extra_is_one_line_with_the_command_that_installs_it(
+    kept: str, tmp_path: Path
+) -> None:
+    missing = MISSING if kept else [(words, "learn") for words in LEARN]
     (tmp_path / "fit.json").write_text("{}")
     (tmp_path / "out.json").write_text("{}")
-    program = COMMANDS.format(commands=[words for words, _ in MISSING])
-    done = without_extras(program, tmp_path)
+    program = COMMANDS.format(commands=[words for words, _ in missing])
+    done = without_extras(program, tmp_path, kept)
     assert done.returncode == 0, done.stderr
     ended = json.loads(done.stdout.splitlines()[-1])
-    for (status, said), (words, extra) in zip(ended, MISSING, strict=True):
+    for (status, said), (words, extra) in zip(ended, missing, strict=True):
         assert status == 2, words
         (line,) = said.strip().splitlines()
         assert line.endswith(f"which is not installed; pip install 'trainlog[{extra}]'"), words

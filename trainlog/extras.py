@@ -1,10 +1,12 @@
-"""Packages that only an extra installs, such as the viewer and the solvers.
+"""Packages that only an extra installs, such as those that compute, the viewer and the solvers.
 
-Reading and writing logs, identification and maps need none of them.
+Logs are read, written, checked, shown and converted without any of them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
@@ -21,8 +23,11 @@ EXTRAS = {
     "distributed": "dask",
     "dpkt": "recorders",
     "duckdb": "fleet",
+    "filterpy": "learn",
+    "matplotlib": "learn",
     "mpi4py": "mpi",
     "networkx": "fleet",
+    "numba": "learn",
     "piqp": "plan",
     "psycopg": "postgresql",
     "pynmeagps": "recorders",
@@ -30,6 +35,7 @@ EXTRAS = {
     "pyubx2": "recorders",
     "rerun": "replay",
     "rosbags": "recorders",
+    "scipy": "learn",
     "sqlalchemy": "fleet",
     "sqlglot": "fleet",
 }
@@ -58,6 +64,31 @@ def require(*modules: str) -> None:
             raise _missing(module)
 
 
+@contextmanager
+def naming_missing() -> Iterator[None]:
+    """A module of an extra that is missing for what is imported in here is named with its extra.
+
+    Raises
+    ------
+    MissingExtraError
+        In place of the ModuleNotFoundError.
+
+    Examples
+    --------
+    >>> with naming_missing():  # doctest: +ELLIPSIS
+    ...     raise ModuleNotFoundError("No module named 'scipy'", name="scipy.sparse")
+    Traceback (most recent call last):
+    trainlog.errors.MissingExtraError: this needs the package scipy, which is not installed; ...
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        module = str(error.name).partition(".")[0]
+        if module not in EXTRAS:
+            raise
+        raise _missing(module) from error
+
+
 def load(module: str) -> Any:
     """Import a module of an extra.
 
@@ -71,10 +102,8 @@ def load(module: str) -> Any:
     >>> load("rerun").__name__
     'rerun'
     """
-    try:
+    with naming_missing():
         return import_module(module)
-    except ModuleNotFoundError as error:
-        raise _missing(module) from error
 
 
 def _missing(module: str) -> MissingExtraError:

@@ -13,6 +13,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from trainlog.extras import naming_missing
+
 
 def names_for_types(text: str) -> dict[str, tuple[str, str]]:
     r"""Module and name there of each name that a module's text defines for type checkers alone.
@@ -59,7 +61,8 @@ def names_on_first_use(
         if name not in places:
             raise AttributeError(f"module '{package}' has no attribute '{name}'")
         module, defined = places[name]
-        return getattr(import_module(module), defined)
+        with naming_missing():
+            return getattr(import_module(module), defined)
 
     names = sorted(places)
     return names, get, lambda: names

@@ -18,6 +18,7 @@ from trainlog import __version__
 from trainlog.cli.commands import INTERRUPTED, Words
 from trainlog.cli.terminal import console, print_error, print_problems, print_warning
 from trainlog.errors import TrainlogError
+from trainlog.extras import naming_missing
 
 app = typer.Typer(
     cls=Words,
@@ -66,7 +67,8 @@ def main() -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("always", UserWarning)
             warnings.showwarning = _Once()
-            status = run(sys.argv[1:])
+            with naming_missing():
+                status = run(sys.argv[1:])
     except TrainlogError as error:
         print_problems(error)
         status = 2

@@ -599,6 +599,22 @@ def _text(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False, allow_nan=False)
 
 
+HEAD = 65_536
+"""So many bytes of a file are read to find out which format it has."""
+
+
+def head_of(path: Path) -> bytes:
+    """What a file begins with; InputError if it is empty or cannot be read."""
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(HEAD)
+    except OSError as error:
+        refuse_reading(path, error)
+    if not head:
+        raise InputError("is empty", file=path, remedy="was the recorder stopped at once?")
+    return head
+
+
 LOOKED_AT = 4096
 """So many bytes from the beginning show what a file is."""
 

@@ -14,8 +14,6 @@ from itertools import accumulate, combinations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InputError
@@ -665,6 +663,9 @@ class TrackGraph:
 
 def _parts_of(count: int, pairs: Sequence[tuple[int, int]]) -> IntArray:
     """The part of a graph that each of so many nodes belongs to, in the order of the first."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     ends = np.reshape(pairs, (-1, 2)).astype(np.int64).T
     graph = coo_array((np.ones(len(pairs)), tuple(ends)), shape=(count, count))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)

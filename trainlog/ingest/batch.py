@@ -18,7 +18,7 @@ import pandas as pd
 
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError, TrainlogError
-from trainlog.formats.files import output_folder, refuse_workbook, sha256_of
+from trainlog.formats.files import head_of, output_folder, refuse_workbook, sha256_of
 from trainlog.formats.trip_tables import INDEX_FILE
 from trainlog.identity import TripIdentity, identity_of
 from trainlog.ingest.pipeline import (
@@ -32,7 +32,7 @@ from trainlog.ingest.pipeline import (
 )
 from trainlog.ingest.profile import Profile
 from trainlog.ingest.proposal.times import NoRecordingError
-from trainlog.ingest.registry import formats, head_of
+from trainlog.ingest.registry import formats
 from trainlog.ingest.report import Report, report_of
 from trainlog.ingest.routes import NETWORK_INPUT, NetworkRoutes, routes_of
 from trainlog.mcap import describe, write_log

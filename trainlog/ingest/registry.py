@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Literal
 
 from trainlog.errors import InputError
-from trainlog.formats.files import refuse_reading, refuse_workbook
+from trainlog.formats.files import head_of, refuse_workbook
 from trainlog.ingest.foreign import is_mcap, read_foreign
 from trainlog.ingest.gpx import is_gpx, read_gpx
 from trainlog.ingest.mdf import is_mdf, read_mdf
@@ -38,9 +38,6 @@ GROUP = "trainlog.ingest"
 
 FOLDER = "TRAINLOG_PROFILES"
 """Environment variable with the path of a folder of profiles."""
-
-HEAD = 65_536
-"""Bytes of a file that a format may look at to recognise it."""
 
 Reader = Callable[[Path, Profile | None], Recording | Sequence[Recording]]
 
@@ -224,15 +221,3 @@ def format_of(path: Path, name: str | None) -> Format:
         file=path,
         remedy=f"formats: {', '.join(known)}; name one (--format, format=) if you know better",
     )
-
-
-def head_of(path: Path) -> bytes:
-    """What a file begins with; InputError if it is empty or cannot be read."""
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(HEAD)
-    except OSError as error:
-        refuse_reading(path, error)
-    if not head:
-        raise InputError("is empty", file=path, remedy="was the recorder stopped at once?")
-    return head
