@@ -198,6 +198,7 @@ def test_doubts_of_recordings_are_counted(catalogue: Catalogue, page: Page) -> N
     assert float(gaps["largest"]) == pytest.approx(checks["gap_time"].max(), rel=0.01)
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_command_writes_one_page_that_asks_for_nothing(
     place: Path, network: Path, tmp_path: Path, shell: Shell
 ) -> None:
