@@ -84,13 +84,16 @@ def test_twelve_trips_two_recordings_and_the_driven_ones_are_logged(
 
 
 def test_every_log_opens_in_the_official_reader(results: Path) -> None:
-    """Every chunk passes its checksum; of the smallest log every message is met."""
+    """Of one in each folder every chunk passes its checksum; of the smallest all are read."""
     smallest, *_ = every = sorted(logs(results), key=lambda log: log.stat().st_size)
+    of_folders = {log.parent: log for log in every}.values()
     for log in every:
         with log.open("rb") as stream:
             summary = make_reader(stream, validate_crcs=True).get_summary()
             assert summary is not None
             assert summary.statistics.message_count == sum(t.count for t in describe(log).topics)
+            if log not in of_folders:
+                continue
             stream.seek(0)
             records = StreamReader(stream, emit_chunks=True, validate_crcs=True).records
             chunks = [record for record in records if isinstance(record, Chunk)]
@@ -98,10 +101,10 @@ def test_every_log_opens_in_the_official_reader(results: Path) -> None:
             assert all(each.uncompressed_crc != 0 for each in chunks)
             for chunk in chunks:
                 get_chunk_data_stream(chunk, validate_crc=True)
-            if log == smallest:
-                stream.seek(0)
-                reader = make_reader(stream, validate_crcs=True)
-                assert sum(1 for _ in reader.iter_messages()) == summary.statistics.message_count
+    with smallest.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        read = sum(1 for _ in reader.iter_messages())
+        assert read == sum(topic.count for topic in describe(smallest).topics)
 
 
 def test_a_log_is_decoded_by_the_official_reader_to_the_same_values(results: Path) -> None:
