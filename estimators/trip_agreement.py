@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import log_ndtr
+from scipy.special import log_ndtr, ndtr
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 
@@ -52,6 +52,15 @@ SPREAD = 6.0
 APART = 0.12
 """Logarithm of the ratio of two directions from which they are taken to differ."""
 
+LAGS = np.arange(-6, 7)
+"""Bins by which a trip may be placed off the others."""
+
+PLACED = 5.0
+"""Log likelihood ratio to none from which on a lag counts."""
+
+MOST = 60
+"""Of more trips lags are not looked for."""
+
 LASTING, CHANGE = 3, 0.45
 """So many trips after all others, and factors whose logarithms are up to this, are a change of the
 line."""
@@ -85,9 +94,19 @@ class TripRows:
     used_bin: IntArray
     used_log: FloatArray
 
+    def moved(self, lag: FloatArray) -> TripRows:
+        """With each trip so many bins further; what leaves the line is left out."""
+        step = np.rint(lag).astype(np.int64)
+        place, used = self.bin + step[self.trip], self.used_bin + step[self.used_trip]
+        own, levels = ((each >= 0) & (each < self.bins) for each in (place, used))
+        return replace(self, bin=place, used_bin=used)._where(own, levels)
+
     def of(self, trips: BoolArray) -> TripRows:
         """Those of some trips; their numbers stay."""
-        own, used = trips[self.trip], trips[self.used_trip]
+        return self._where(trips[self.trip], trips[self.used_trip])
+
+    def _where(self, own: BoolArray, used: BoolArray) -> TripRows:
+        """Some rows with onsets, and some of what was used."""
         return replace(
             self,
             trip=self.trip[own],
@@ -205,6 +224,106 @@ def factors_of(rows: TripRows, ordinary: BoolArray | None = None) -> tuple[Facto
     return Factors(log, std, doubt, places.astype(np.float64)), level
 
 
+def lags_of(rows: TripRows, factor: FloatArray) -> FloatArray:
+    """Bins by which each trip is placed off the middle of all; 0 where that does not show.
+
+    Each two trips are compared at all lags between them, and the lags are those that fit all pairs
+    best.
+
+    Parameters
+    ----------
+    rows : TripRows
+    factor : (trips,) array
+        Logarithms of the trips' factors.
+    """
+    lag = np.zeros(rows.trips)
+    count = np.bincount(rows.trip, minlength=rows.trips)
+    some = np.flatnonzero(count > 0)
+    if not 2 <= some.size <= MOST:
+        return lag
+    pairs = _pairs(rows, factor, some)
+    pairs = pairs + pairs.transpose(1, 0, 2)[:, :, ::-1]
+    everyone, none = np.arange(some.size), np.zeros(some.size, dtype=np.int64)
+
+    def by_lag(lags: IntArray) -> FloatArray:
+        """Log likelihood of each trip at each lag, the others at theirs, (k, lags)."""
+        apart = np.clip(LAGS[None, :] - lags[:, None], LAGS[0], LAGS[-1]) - LAGS[0]
+        return np.asarray(pairs[:, everyone[:, None], apart].sum(axis=1))
+
+    def total(lags: IntArray) -> float:
+        return 0.5 * float(by_lag(lags)[everyone, lags - LAGS[0]].sum())
+
+    best, most = none, total(none)
+    for reference in everyone:
+        lags = LAGS[np.argmax(pairs[:, reference], axis=1)]
+        lags[reference] = 0
+        for _ in range(ROUNDS):
+            before = lags.copy()
+            for trip in everyone:
+                apart = np.clip(LAGS[None, :] - lags[:, None], LAGS[0], LAGS[-1]) - LAGS[0]
+                value = pairs[trip, everyone[:, None], apart].sum(axis=0)
+                lags[trip] = LAGS[int(np.argmax(value))]
+            if np.array_equal(before, lags):
+                break
+        if (value_of := total(lags)) > most:
+            best, most = lags, value_of
+    # Each row counts once for every other trip.
+    if (most - total(none)) / some.size <= PLACED:
+        return lag
+    best = best - int(np.median(best))
+    # A trip that hardly shows its lag stays as near to the middle as it may be.
+    value = by_lag(best) / some.size
+    near = value >= value.max(axis=1, keepdims=True) - 1.0
+    lag[some] = LAGS[np.argmin(np.where(near, np.abs(LAGS), np.inf), axis=1)]
+    return lag
+
+
+def _pairs(rows: TripRows, factor: FloatArray, trips: IntArray) -> FloatArray:
+    """Log likelihood of onsets of one trip beside another placed before it, (k, k, lags)."""
+    onset, used = (np.full((rows.trips, rows.bins), np.nan) for _ in range(2))
+    onset[rows.trip, rows.bin] = rows.log - factor[rows.trip]
+    used[rows.used_trip, rows.used_bin] = rows.used_log - factor[rows.used_trip]
+    variance = np.zeros((rows.trips, rows.bins))
+    variance[rows.trip, rows.bin] = rows.variance
+    onset, used, variance = (each[trips] for each in (onset, used, variance))
+    found = np.zeros((trips.size, trips.size, LAGS.size))
+    for trip in range(trips.size):
+        own = np.flatnonzero(np.isfinite(onset[trip]))
+        level, error = onset[trip, own], 2.0 * ERROR**2 + variance[trip, own]
+        for number, step in enumerate(LAGS):
+            place = own - step
+            inside = (place >= 0) & (place < rows.bins)
+            there = place[inside]
+            std = np.sqrt(error[inside] + variance[:, there])
+            away = (level[inside] - onset[:, there]) / std
+            value = ASTRAY + (1.0 - OFTEN) * np.exp(-0.5 * away**2) / (np.sqrt(2.0 * np.pi) * std)
+            wide = WIDE * np.sqrt(2.0 * np.pi) * std
+            value += OFTEN * np.exp(-0.5 * (away / WIDE) ** 2) / wide
+            borne = ndtr((level[inside] - used[:, there]) / (np.sqrt(2.0) * ERROR))
+            # Onsets of two trips are met twice.
+            both = 0.5 * np.nan_to_num(np.log(value))
+            both += np.nan_to_num(np.log(ASTRAY + (1.0 - ASTRAY) * borne))
+            found[trip, :, number] = ALIKE * both.sum(axis=1)
+        found[trip, trip] = 0.0
+    return found
+
+
+def _placing_variance(rows: TripRows, level: FloatArray, lag: FloatArray) -> FloatArray:
+    """Variance of log levels, (bins,), if any trip may be the one that is placed right."""
+    if not lag.any():
+        return np.zeros(rows.bins)
+    used = np.full(rows.bins, -np.inf)
+    np.maximum.at(used, rows.used_bin, rows.used_log)
+    whole = np.where(np.isfinite(level), level, np.maximum(used, np.nanmedian(level)))
+    places = np.arange(rows.bins)
+    found = np.zeros(rows.bins)
+    steps, count = np.unique(np.subtract.outer(lag, lag), return_counts=True)
+    for step, share in zip(steps, count / count.sum(), strict=True):
+        moved = np.clip(places + int(step), 0, rows.bins - 1)
+        found += share * (whole[moved] - whole) ** 2
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class Agreement:
     """How the trips of a rail condition go together.
@@ -220,12 +339,20 @@ class Agreement:
         Beside trips of their direction that are not set aside.
     spread : float
         Standard deviation of the logarithm of the others' factors; 0 where errors explain it.
+    lag : (trips,) array
+        Bins by which each is placed off the middle of the others of its direction; 0 where that
+        does not show.
+    placing : (trips, bins) array
+        Variance of the logarithm of the level of a bin by what trips of that direction are placed
+        off one another.
     """
 
     apart: float
     aside: BoolArray
     factors: Factors
     spread: float
+    lag: FloatArray
+    placing: FloatArray
 
 
 def agreement_of(rows: TripRows, second: BoolArray, order: IntArray) -> Agreement:
@@ -242,14 +369,20 @@ def agreement_of(rows: TripRows, second: BoolArray, order: IntArray) -> Agreemen
     apart = _apart(rows, second)
     groups = [~second, second] if apart else [np.ones(rows.trips, dtype=np.bool_)]
     aside = np.zeros(rows.trips, dtype=np.bool_)
-    columns = np.zeros((4, rows.trips))
+    columns, lag = np.zeros((4, rows.trips)), np.zeros(rows.trips)
+    placing = np.zeros((rows.trips, rows.bins))
     for group in groups:
-        found, others = _set_aside(rows.of(group), group, order)
+        own = rows.of(group)
+        lag[group] = lags_of(own, factors_of(own)[0].log)[group]
+        own = own.moved(-lag)
+        found, others, level = _set_aside(own, group, order)
         aside |= others
+        placing[group] = _placing_variance(own, level, lag[group & ~others])
         every = (found.log, found.std, found.doubt, found.places)
         columns[:, group] = np.array(every)[:, group]
     factors = Factors(*columns)
-    return Agreement(apart, aside, factors, _spread(factors, ~aside & (factors.places > 0)))
+    spread = _spread(factors, ~aside & (factors.places > 0))
+    return Agreement(apart, aside, factors, spread, lag, placing)
 
 
 def _apart(rows: TripRows, second: BoolArray) -> float:
@@ -268,10 +401,12 @@ def _apart(rows: TripRows, second: BoolArray) -> float:
     return 0.5 * (sides[0] - sides[1]) if sides[0] * sides[1] < 0.0 else 0.0
 
 
-def _set_aside(rows: TripRows, group: BoolArray, order: IntArray) -> tuple[Factors, BoolArray]:
-    """Factors of some trips, and which of them are of another condition."""
+def _set_aside(
+    rows: TripRows, group: BoolArray, order: IntArray
+) -> tuple[Factors, BoolArray, FloatArray]:
+    """Factors of some trips, which of them are of another condition, and the others' levels."""
     aside = np.zeros(rows.trips, dtype=np.bool_)
-    found, _ = factors_of(rows)
+    found, level = factors_of(rows)
     for _ in range(ROUNDS):
         # Where several are of another condition, one more is no surprise.
         least = DOUBT if aside.sum() < 2 else DOUBT / 2.0
@@ -280,8 +415,8 @@ def _set_aside(rows: TripRows, group: BoolArray, order: IntArray) -> tuple[Facto
         if np.array_equal(new, aside) or 2 * new.sum() >= group.sum():
             break
         aside = new
-        found, _ = factors_of(rows, ~aside)
-    return found, aside
+        found, level = factors_of(rows, ~aside)
+    return found, aside, level
 
 
 def _changed(found: Factors, new: BoolArray, group: BoolArray, order: IntArray) -> BoolArray:

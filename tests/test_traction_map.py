@@ -530,10 +530,13 @@ class Rail:
         for start in self.generator.integers(0, WAY_BINS - 8, WAY_BINS // 30):
             self.log[start : start + 6] = np.log(self.generator.uniform(0.08, 0.12))
 
-    def trip(self, number: int, factor: float = 1.0, direction: str = "forward") -> Evidence:
-        """A trip that finds the rail `factor` times as good."""
+    def trip(
+        self, number: int, factor: float = 1.0, direction: str = "forward", lag: int = 0
+    ) -> Evidence:
+        """A trip that finds the rail `factor` times as good, placed so many bins too far."""
         met = self.log + np.log(factor) + 0.05 * self.generator.standard_normal(WAY_BINS)
         tried = np.log(self.generator.uniform(0.06, 0.24, WAY_BINS))
+        met, tried = np.roll(met, lag), np.roll(tried, lag)
         slips = tried > met
         weight = fixed(np.where(slips, 1.0 / (0.12**2 + 0.03**2), 0.0))
         level = np.searchsorted(np.log(LEVELS), tried, side="right") - 1
@@ -614,6 +617,20 @@ class TestTripsThatDisagree:
         error -= np.median(error)
         assert np.sqrt(np.mean(error**2)) < 0.06
         assert rail.held(layer)[0] > 0.93
+
+    @pytest.mark.parametrize("lags", [[0, 3] * 5, [-4, -3, -2, -1, 0, 0, 1, 2, 3, 4]])
+    def test_the_band_holds_where_trips_are_placed_apart(self, lags: list[int]) -> None:
+        """Every second trip 75 m off; or spots that creep by 25 m a trip."""
+        rail = Rail(6)
+        trips = [rail.trip(number, lag=each) for number, each in enumerate(lags)]
+        track, _ = update(empty_map(WAY), trips)
+        said = [notes[0] for notes in notes_of(track).values() if notes]
+        assert len(said) > 3
+        assert all("slips " in each and "correct its position" in each for each in said)
+        layer = track.layers["wet"]
+        assert rail.held(layer)[0] > 0.93
+        over = (layer.log_mean - rail.log - 1.96 * layer.log_std)[layer.events > 0]
+        assert np.mean(over > 0.0) < 0.03
 
     def test_trips_years_apart_from_the_others_are_set_aside(self) -> None:
         rail = Rail(5)

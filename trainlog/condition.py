@@ -294,37 +294,72 @@ def reconciled(
     if not notes and not apart and (found is None or _all_agree(found)):
         return None
     layers: dict[str, str] = {}
-    pieces: dict[str, list[DailyEvidence]] = {}
+    pieces: dict[str, list[tuple[int, DailyEvidence]]] = {}
     for number, each in enumerate(dated):
-        own = layer
+        own, piece = layer, each.evidence
         if each.direction and (apart or (found is not None and found.apart)):
             own = layer_of(layer, each.direction)
-        piece = each.evidence
-        if found is not None and found.aside[number]:
-            times = float(np.exp(found.factors.log[number]))
-            notes[each.key] = (
-                f"{SET_ASIDE}{times:.2f} times the adhesion of the other '{layer}' trips in"
-                f" {found.factors.places[number]:.0f} bins; is it of that rail condition?"
-            )
-            continue
-        if found is not None and found.apart:
-            notes[each.key] = (
-                f"the directions differ: reverse trips find {np.exp(found.apart):.2f} times the"
-                " adhesion of forward ones; each has its layer"
-            )
-        if found is not None and found.spread:
-            log, std = float(found.factors.log[number]), float(found.factors.std[number])
-            share = found.spread**2 / (found.spread**2 + std**2)
-            piece = piece.scaled(share * log, share * std**2, np.log(track.levels))
-        layers[each.key] = own
-        pieces.setdefault(own, []).append(piece)
+        if found is not None:
+            said = _note_of(track, layer, found, number)
+            notes |= {each.key: said} if said else {}
+            piece = piece.moved(-int(found.lag[number])) if found.lag[number] else piece
+        if not notes.get(each.key, "").startswith(SET_ASIDE):
+            layers[each.key] = own
+            pieces.setdefault(own, []).append((number, piece))
+    evidence = {
+        name: DailyEvidence.total(
+            given if found is None else _corrected(track, found, number, given, every)
+            for number, given in every
+        )
+        for name, every in sorted(pieces.items())
+    }
     none = DailyEvidence.none(track.bins, track.levels.size)
-    evidence = {name: DailyEvidence.total(each) for name, each in sorted(pieces.items())}
     return Reconciled(evidence or {layer: none}, notes, layers)
 
 
+def _note_of(track: TrackConditionMap, layer: str, found: Agreement, number: int) -> str:
+    """What is to be stated of a trip beside the others; empty: nothing."""
+    factors, words = found.factors, []
+    if found.aside[number]:
+        return (
+            f"{SET_ASIDE}{np.exp(factors.log[number]):.2f} times the adhesion of the other"
+            f" '{layer}' trips in {factors.places[number]:.0f} bins; is it of that rail condition?"
+        )
+    if found.apart:
+        words.append(
+            f"the directions differ: reverse trips find {np.exp(found.apart):.2f} times the"
+            " adhesion of forward ones; each has its layer"
+        )
+    if found.lag[number]:
+        away = found.lag[number] * track.bin_length
+        words.append(
+            f"slips {away:+.0f} m from where the others do: moved there, and the band is wider;"
+            " correct its position"
+        )
+    return "; ".join(words)
+
+
+def _corrected(
+    track: TrackConditionMap,
+    found: Agreement,
+    number: int,
+    piece: DailyEvidence,
+    every: Sequence[tuple[int, DailyEvidence]],
+) -> DailyEvidence:
+    """The evidence of a trip beside `every` other of its layer, without the trip's own factor."""
+    placing = found.placing[number]
+    if not found.spread and not placing.any():
+        return piece
+    log, std = float(found.factors.log[number]), float(found.factors.std[number])
+    share = found.spread**2 / (found.spread**2 + std**2)
+    # Trips that are placed wrong do not become right with their number.
+    trips = np.bincount(np.concatenate([each.bin for _, each in every]), minlength=track.bins)
+    variance = share * std**2 + (placing * trips)[piece.bin]
+    return piece.scaled(share * log, variance, np.log(track.levels))
+
+
 def _all_agree(found: Agreement) -> bool:
-    return not (found.apart or found.spread or found.aside.any())
+    return not (found.apart or found.spread or found.aside.any() or found.lag.any())
 
 
 def _misdated(trips: Sequence[TripEvidence]) -> dict[str, str]:

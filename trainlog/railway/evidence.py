@@ -211,19 +211,29 @@ class DailyEvidence:
             **{name: getattr(self, name)[used] for name in (*_USED_KEYS, "used_trips")},
         )
 
-    def scaled(self, log_factor: float, variance: float, log_levels: FloatArray) -> DailyEvidence:
-        """That of a trip with all adhesion divided by a factor, which all onsets have in common.
+    def moved(self, step: int) -> DailyEvidence:
+        """That of a trip that was placed wrong, so many bins further along the line."""
+        place, used = self.bin + step, self.used_bin + step
+        found = replace(self, bin=place, used_bin=used)
+        return found.chosen(*((each >= 0) & (each < self.bins) for each in (place, used)))
+
+    def scaled(
+        self, log_factor: float, variance: FloatArray, log_levels: FloatArray
+    ) -> DailyEvidence:
+        """That of a trip with all adhesion divided by a factor.
 
         Parameters
         ----------
-        log_factor, variance : float
-            Logarithm of the factor, and the variance of its error.
+        log_factor : float
+            Logarithm of the factor.
+        variance : (m,) array
+            Of an error that the onsets have in common, by row.
         log_levels : (k,) array
             Logarithms of the map's levels.
         """
         shift = log_factor * self.weight
         level = np.searchsorted(log_levels, log_levels[self.used_level] - log_factor, "right") - 1
-        moved = replace(
+        found = replace(
             self,
             weighted_log=fixed(self.weighted_log - shift),
             weighted_square=fixed(
@@ -232,7 +242,7 @@ class DailyEvidence:
             common=fixed(self.common + variance * self.weight**2),
             used_level=np.maximum(level, 0).astype(np.int64),
         )
-        return DailyEvidence.total([moved.chosen(self.weight >= 0.0, level >= 0)])
+        return DailyEvidence.total([found.chosen(self.weight >= 0.0, level >= 0)])
 
     @property
     def days(self) -> IntArray:
