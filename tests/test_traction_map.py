@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from gaussian_field import solve_field
 from hypothesis import given, settings, strategies as st
+from refusals import refused
 from rich.console import Console
 from scipy.optimize import minimize
 from scipy.stats import norm
@@ -653,3 +654,16 @@ class TestTripsThatDisagree:
                 found = file.summed(file.trips())
             assert not found.notes
             assert found.evidence["wet"][0] == DailyEvidence.total(each.daily for each in trips)
+
+
+@pytest.mark.parametrize("years", [-40, 26])
+def test_dates_that_no_recorder_had_are_refused(years: int) -> None:
+    """A clock that fell back to 1984, and one that jumped by 26 years on the way."""
+    found = slip(simulate(draw_scenarios(hilly_line(), flirt(), 3, seed=1)[2]))
+    moved = found.time.as_unit("ns").asi8.copy()
+    moved[0 if years < 0 else moved.size // 2 :] += years * 365 * 86_400 * 10**9
+    wrong = replace(found, time=pd.DatetimeIndex(moved, tz="UTC"))
+    refused(
+        LogError, "is dated .*not_before in", evidence_of, wrong, empty_map(hilly_line()), "wet"
+    )
+    assert evidence_of(found, empty_map(hilly_line()), "wet").daily.days.size == 1

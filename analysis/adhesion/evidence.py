@@ -38,6 +38,12 @@ COVARIATE_TOPICS = ("/environment",)
 STEP = 60 * NANOSECONDS
 """Weather is averaged over a trip in steps of a minute."""
 
+EARLIEST = pd.Timestamp("1990-01-01", tz="UTC")
+"""No log of a train's axles is older."""
+
+LONGEST_TRIP = 60 * DAY
+"""A log whose samples lie further apart has a clock that jumped [ns]."""
+
 POSITION_MARGIN = 5.0
 """Samples this close to the edge of a bin [m] bound no maximum: they may belong to the next."""
 
@@ -270,6 +276,7 @@ def evidence_of_parts(
             remedy="record wheel speeds, or name their columns in the profile",
         )
     start, end = _span(clocks)
+    _check_dates(trip, start, end)
     if not sums:
         first, last = (f"{pd.Timestamp(each):%Y-%m-%d %H:%M}" for each in (start, end))
         raise LogError(
@@ -293,6 +300,22 @@ def evidence_of_parts(
         further={name: each.evidence() for name, each in sorted(sums.items()) if name != longest},
         span=(start, end),
     )
+
+
+def _check_dates(trip: str, start: int, end: int) -> None:
+    """Refuse a trip whose dates no recorder can have had: its days would be those of the evidence.
+
+    Raises
+    ------
+    LogError
+    """
+    first, last = (pd.Timestamp(each, tz="UTC") for each in (start, end))
+    if start and (first < EARLIEST or end - start > LONGEST_TRIP):
+        raise LogError(
+            f"trip '{trip}' is dated {first:%Y-%m-%d} to {last:%Y-%m-%d}",
+            remedy="correct the recorder's clock: ingest the recording again with the day before"
+            " which the recorder did not exist in its profile (not_before in [limits])",
+        )
 
 
 def _by_condition(part: SlipAnalysis, layer: str | Weather) -> Iterator[tuple[str, SlipAnalysis]]:
