@@ -59,11 +59,17 @@ PLACED = 5.0
 """Log likelihood ratio to none from which on a lag counts."""
 
 MOST = 60
-"""Of more trips lags are not looked for."""
+"""Of more trips lags are not looked for, nor distributions of factors that are plainly ordinary."""
 
 LASTING, CHANGE = 3, 0.45
 """So many trips after all others, and factors whose logarithms are up to this, are a change of the
 line."""
+
+SURE = 3
+"""Bins in which a trip meets others from which on they show its factor."""
+
+PLAIN = 0.12
+"""Logarithm of a factor up to which a trip is plainly ordinary."""
 
 ROUNDS = 6
 
@@ -197,30 +203,41 @@ def factors_of(rows: TripRows, ordinary: BoolArray | None = None) -> tuple[Facto
         Trips that make the levels where any of them is; default: all.
     """
     makes = np.ones(rows.trips, dtype=np.bool_) if ordinary is None else ordinary
-    own = makes[rows.trip]
-    log = np.zeros(rows.trips)
-    several = np.zeros(rows.trip.size, dtype=np.bool_)
+    own, log = makes[rows.trip], np.zeros(rows.trips)
+    count = np.bincount(rows.bin[own], minlength=rows.bins)
+    # A trip does not judge itself.
+    several = count[rows.bin] - own > 0
+    met = np.bincount(rows.trip[several], minlength=rows.trips)
     for _ in range(ROUNDS):
-        even = rows.log - log[rows.trip]
-        level = median_by(rows.bin[own], even[own], rows.bins)
-        count = np.bincount(rows.bin[own], minlength=rows.bins)
-        # A trip does not judge itself.
-        several = np.isfinite(level)[rows.bin] & (count[rows.bin] - own > 0)
-        likelihood = likelihoods(rows, level, several)
-        posterior = likelihood - 0.5 * (GRID / PRIOR) ** 2
-        weight = np.exp(posterior - posterior.max(axis=1, keepdims=True))
-        weight /= weight.sum(axis=1, keepdims=True)
-        log = weight @ GRID
-        std = np.sqrt(np.maximum(weight @ GRID**2 - log**2, 1e-4))
-        sure = makes & (std < 0.5 * PRIOR)
-        middle = float(np.median(log[sure])) if sure.any() else 0.0
-        log = np.where(std < 0.5 * PRIOR, log - middle, 0.0)
+        level = median_by(rows.bin[own], (rows.log - log[rows.trip])[own], rows.bins)
+        away = (rows.log - level[rows.bin])[several]
+        log = np.nan_to_num(median_by(rows.trip[several], away, rows.trips))
+        sure = makes & (met >= SURE)
+        log = np.where(met >= SURE, log - (np.median(log[sure]) if sure.any() else 0.0), 0.0)
+    above = rows.used_log - level[rows.used_bin]
+    known = np.isfinite(above)
+    used = np.bincount(rows.used_trip[known], minlength=rows.trips)
+    over = np.bincount(rows.used_trip[known], above[known] > PLAIN, minlength=rows.trips)
+    # Of many trips those that are plainly ordinary need no distribution.
+    strange = np.maximum(np.abs(log) / PLAIN, over / np.maximum(0.2 * used, 1.0)) + (met < SURE)
+    asked = np.ones(rows.trips, dtype=np.bool_)
+    if rows.trips > MOST:
+        least = np.partition(strange, rows.trips - MOST)[rows.trips - MOST]
+        asked = (strange > 1.0) & (strange >= least)
+    std = np.where(met >= SURE, ERROR / np.sqrt(ALIKE * np.maximum(met, 1)), PRIOR)
+    some = rows.of(asked)
+    likelihood = likelihoods(some, level, several[asked[rows.trip]])
+    posterior = likelihood - 0.5 * (GRID / PRIOR) ** 2
+    weight = np.exp(posterior - posterior.max(axis=1, keepdims=True))
+    weight /= weight.sum(axis=1, keepdims=True)
+    mean = weight @ GRID
+    std = np.where(asked, np.sqrt(np.maximum(weight @ GRID**2 - mean**2, 1e-4)), std)
+    sure = makes & (std < 0.5 * PRIOR)
+    middle = float(np.median(np.where(asked, mean, log)[sure])) if sure.any() else 0.0
+    log = np.where(std < 0.5 * PRIOR, np.where(asked, mean, log) - middle, 0.0)
     near = np.abs(GRID) <= max(LEAST - 0.05, 0.15)
     doubt = likelihood.max(axis=1) - likelihood[:, near].max(axis=1)
-    used = np.isfinite(level[rows.used_bin])
-    places = np.bincount(rows.trip[several], minlength=rows.trips) + np.bincount(
-        rows.used_trip[used], minlength=rows.trips
-    )
+    places = met + used
     return Factors(log, std, doubt, places.astype(np.float64)), level
 
 
@@ -342,9 +359,9 @@ class Agreement:
     lag : (trips,) array
         Bins by which each is placed off the middle of the others of its direction; 0 where that
         does not show.
-    placing : (trips, bins) array
-        Variance of the logarithm of the level of a bin by what trips of that direction are placed
-        off one another.
+    placing : (2, bins) array
+        Variance of the logarithm of the level of a bin by what trips of the first, and of the
+        second direction are placed off one another.
     """
 
     apart: float
@@ -370,14 +387,15 @@ def agreement_of(rows: TripRows, second: BoolArray, order: IntArray) -> Agreemen
     groups = [~second, second] if apart else [np.ones(rows.trips, dtype=np.bool_)]
     aside = np.zeros(rows.trips, dtype=np.bool_)
     columns, lag = np.zeros((4, rows.trips)), np.zeros(rows.trips)
-    placing = np.zeros((rows.trips, rows.bins))
+    placing = np.zeros((2, rows.bins))
     for group in groups:
         own = rows.of(group)
         lag[group] = lags_of(own, factors_of(own)[0].log)[group]
         own = own.moved(-lag)
         found, others, level = _set_aside(own, group, order)
         aside |= others
-        placing[group] = _placing_variance(own, level, lag[group & ~others])
+        within = [bool((group & ~second).any()), bool((group & second).any())]
+        placing[within] = _placing_variance(own, level, lag[group & ~others])
         every = (found.log, found.std, found.doubt, found.places)
         columns[:, group] = np.array(every)[:, group]
     factors = Factors(*columns)

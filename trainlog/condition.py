@@ -286,9 +286,9 @@ def reconciled(
     """
     notes = _misdated(trips)
     dated = [each for each in trips if each.key not in notes]
+    second = np.array([each.direction == DIRECTIONS[1] for each in dated], dtype=np.bool_)
     found = None
     if len(dated) > 1:
-        second = np.array([each.direction == DIRECTIONS[1] for each in dated])
         order = np.array([each.start for each in dated], dtype=np.int64)
         found = agreement_of(_trip_rows(track, dated), second, order)
     if not notes and not apart and (found is None or _all_agree(found)):
@@ -308,7 +308,9 @@ def reconciled(
             pieces.setdefault(own, []).append((number, piece))
     evidence = {
         name: DailyEvidence.total(
-            given if found is None else _corrected(track, found, number, given, every)
+            given
+            if found is None
+            else _corrected(track, found, number, given, every, second=bool(second[number]))
             for number, given in every
         )
         for name, every in sorted(pieces.items())
@@ -345,9 +347,11 @@ def _corrected(
     number: int,
     piece: DailyEvidence,
     every: Sequence[tuple[int, DailyEvidence]],
+    *,
+    second: bool,
 ) -> DailyEvidence:
     """The evidence of a trip beside `every` other of its layer, without the trip's own factor."""
-    placing = found.placing[number]
+    placing = found.placing[int(second)]
     if not found.spread and not placing.any():
         return piece
     log, std = float(found.factors.log[number]), float(found.factors.std[number])

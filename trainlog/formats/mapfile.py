@@ -52,6 +52,7 @@ from trainlog.railway.condition import (
     PassingSpot,
     TrackConditionMap,
     condition_of_layer,
+    layer_of,
 )
 from trainlog.railway.evidence import DailyEvidence
 from trainlog.version import code_version_of
@@ -101,6 +102,9 @@ _LISTED: dict[str, Any] = {"spots": PassingSpot, "changes": ConditionChange}
 
 _TOGETHER = 200
 """So many pieces of evidence are unpacked at once, and their rows in memory."""
+
+JUDGED = 500
+"""The latest so many trips of a layer are compared with one another."""
 
 _FIRST, _LAST = np.iinfo(np.int64).min, np.iinfo(np.int64).max
 """Days before and after all."""
@@ -653,24 +657,32 @@ class MapFile:
         found, notes = dict[str, tuple[DailyEvidence, str]](), dict[str, str]()
         layers: dict[tuple[str, str], str] = {}
         for layer in sorted({*map(condition_of_layer, known), *pieces}):
-            given = pieces.get(layer, [])
-            start, digest = known.get(layer, (None, ""))
-            made_from = [digest, *sorted(each.digest for each in given)]
-            apart = {name: each for name, each in known.items() if name != layer}
-            apart = {n: each for n, each in apart.items() if condition_of_layer(n) == layer}
-            judged = self._reconciled(layer, given, apart=bool(apart))
+            given = sorted(pieces.get(layer, []), key=lambda piece: (piece.start, piece.key))
+            made_from = sorted(each.digest for each in given)
+            sums = {n: each for n, each in known.items() if condition_of_layer(n) == layer}
+            parted = bool(set(sums) - {layer})
+            judged = self._reconciled(layer, given[-JUDGED:], apart=parted)
             if judged is None:
-                found[layer] = self._added_up(start, given), sha256("\n".join(made_from).encode())
+                start, digest = sums.get(layer, (None, ""))
+                whole = "\n".join([digest, *made_from])
+                found[layer] = self._added_up(start, given), sha256(whole.encode())
                 continue
             notes |= judged.notes
             layers |= {(layer, key): name for key, name in judged.layers.items()}
             made_from += [*sorted(judged.notes.values()), *sorted(judged.layers.values())]
-            sums = {**apart, **({layer: known[layer]} if layer in known else {})}
-            for name in sorted({*judged.evidence, *sums}):
-                own = [each[name] for each in (judged.evidence,) if name in each]
-                own += [sums[name][0]] if name in sums else []
-                whole = [name, sums[name][1] if name in sums else "", *made_from]
-                found[name] = DailyEvidence.total(own), sha256("\n".join(whole).encode())
+            parted = parted or any(name != layer for name in judged.layers.values())
+            earlier: dict[str, list[_Piece]] = {}
+            for piece in given[:-JUDGED]:
+                own = layer_of(layer, piece.direction) if parted and piece.direction else layer
+                layers[layer, piece.key] = own
+                earlier.setdefault(own, []).append(piece)
+            for name in sorted({*judged.evidence, *sums, *earlier}):
+                start, digest = sums.get(name, (None, ""))
+                several = [judged.evidence[name]] if name in judged.evidence else []
+                if start is not None or name in earlier:
+                    several.append(self._added_up(start, earlier.get(name, [])))
+                whole = "\n".join([name, digest, *made_from])
+                found[name] = DailyEvidence.total(several), sha256(whole.encode())
         return Sums(found, notes, layers)
 
     def _reconciled(
