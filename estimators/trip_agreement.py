@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import log_ndtr, ndtr
+from scipy.special import ndtr
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 
@@ -64,6 +64,9 @@ MOST = 60
 LASTING, CHANGE = 3, 0.45
 """So many trips after all others, and factors whose logarithms are up to this, are a change of the
 line."""
+
+SIZES = 10
+"""Classes of the standard deviations of onsets."""
 
 SURE = 3
 """Bins in which a trip meets others from which on they show its factor."""
@@ -164,8 +167,10 @@ def median_by(group: IntArray, values: FloatArray, size: int) -> FloatArray:
     return found
 
 
-def likelihoods(rows: TripRows, level: FloatArray, own: BoolArray) -> FloatArray:
+def likelihoods(rows: TripRows, level: FloatArray, own: BoolArray, error: float) -> FloatArray:
     """Log likelihood of each trip by its factor, (trips, grid).
+
+    Rows count by how far they are off, in steps of the grid: a map has millions of them.
 
     Parameters
     ----------
@@ -174,23 +179,35 @@ def likelihoods(rows: TripRows, level: FloatArray, own: BoolArray) -> FloatArray
         Log level of each bin; NaN where it is not known.
     own : (m,) bool array
         Rows with onsets that count.
+    error : float
+        Standard deviation of a trip's log adhesion about level and factor, beside its own.
     """
+    step, most = float(GRID[1] - GRID[0]), GRID.size
+    off = step * np.arange(-most, most + 1)
+
+    def cells(values: FloatArray) -> IntArray:
+        found: IntArray = np.clip(np.rint(values / step), -most, most).astype(np.int64) + most
+        return found
+
+    std = np.hypot(error, np.sqrt(rows.variance[own]))
+    size = np.minimum((np.log(std / error) / 0.2).astype(np.int64), SIZES - 1)
+    cell = cells((rows.log - level[rows.bin])[own])
+    place = (rows.trip[own] * SIZES + size) * off.size + cell
+    count = np.bincount(place, minlength=rows.trips * SIZES * off.size)
     found = np.zeros((rows.trips, GRID.size))
-    trip, away = rows.trip[own], (rows.log - level[rows.bin])[own]
-    std = np.sqrt(ERROR**2 + rows.variance[own])
-    off = away[:, None] - GRID
-    value = ASTRAY * np.ones(off.shape)
-    for share, width in ((1.0 - OFTEN, std), (OFTEN, WIDE * std)):
-        density = np.exp(-0.5 * (off / width[:, None]) ** 2) / (
-            np.sqrt(2.0 * np.pi) * width[:, None]
-        )
-        value += share * density
-    np.add.at(found, trip, ALIKE * np.log(value))
+    for number, counted in enumerate(count.reshape(rows.trips, SIZES, off.size).swapaxes(0, 1)):
+        width = error * np.exp(0.2 * (number + 0.5 * (number > 0)))
+        away, value = off[:, None] - GRID, ASTRAY
+        for share, wide in ((1.0 - OFTEN, width), (OFTEN, WIDE * width)):
+            height = share / (np.sqrt(2.0 * np.pi) * wide)
+            value = value + height * np.exp(-0.5 * (away / wide) ** 2)
+        found += ALIKE * counted @ np.log(value)
     known = np.isfinite(level[rows.used_bin])
-    over = level[rows.used_bin[known]] - rows.used_log[known]
-    borne = np.exp(log_ndtr((over[:, None] + GRID) / ERROR))
-    np.add.at(found, rows.used_trip[known], ALIKE * np.log(ASTRAY + (1.0 - ASTRAY) * borne))
-    return found
+    cell = cells((level[rows.used_bin] - rows.used_log)[known])
+    place = rows.used_trip[known] * off.size + cell
+    count = np.bincount(place, minlength=rows.trips * off.size).reshape(rows.trips, off.size)
+    borne = ndtr((off[:, None] + GRID) / error)
+    return np.asarray(found + ALIKE * count @ np.log(ASTRAY + (1.0 - ASTRAY) * borne))
 
 
 def factors_of(rows: TripRows, ordinary: BoolArray | None = None) -> tuple[Factors, FloatArray]:
@@ -214,6 +231,12 @@ def factors_of(rows: TripRows, ordinary: BoolArray | None = None) -> tuple[Facto
         log = np.nan_to_num(median_by(rows.trip[several], away, rows.trips))
         sure = makes & (met >= SURE)
         log = np.where(met >= SURE, log - (np.median(log[sure]) if sure.any() else 0.0), 0.0)
+    left = np.abs(rows.log - level[rows.bin] - log[rows.trip])
+    # The median of few is near each of them.
+    left = (left * np.sqrt(count / np.maximum(count - 1.0, 0.5))[rows.bin])[several]
+    error = ERROR
+    if left.size >= SURE:
+        error = float(np.clip(np.quantile(left, 0.7) / 1.04, ERROR, PRIOR))
     above = rows.used_log - level[rows.used_bin]
     known = np.isfinite(above)
     used = np.bincount(rows.used_trip[known], minlength=rows.trips)
@@ -224,9 +247,9 @@ def factors_of(rows: TripRows, ordinary: BoolArray | None = None) -> tuple[Facto
     if rows.trips > MOST:
         least = np.partition(strange, rows.trips - MOST)[rows.trips - MOST]
         asked = (strange > 1.0) & (strange >= least)
-    std = np.where(met >= SURE, ERROR / np.sqrt(ALIKE * np.maximum(met, 1)), PRIOR)
+    std = np.where(met >= SURE, error / np.sqrt(ALIKE * np.maximum(met, 1)), PRIOR)
     some = rows.of(asked)
-    likelihood = likelihoods(some, level, several[asked[rows.trip]])
+    likelihood = likelihoods(some, level, several[asked[rows.trip]], error)
     posterior = likelihood - 0.5 * (GRID / PRIOR) ** 2
     weight = np.exp(posterior - posterior.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
@@ -291,7 +314,9 @@ def lags_of(rows: TripRows, factor: FloatArray) -> FloatArray:
     # A trip that hardly shows its lag stays as near to the middle as it may be.
     value = by_lag(best) / some.size
     near = value >= value.max(axis=1, keepdims=True) - 1.0
-    lag[some] = LAGS[np.argmin(np.where(near, np.abs(LAGS), np.inf), axis=1)]
+    best = LAGS[np.argmin(np.where(near, np.abs(LAGS), np.inf), axis=1)]
+    if np.abs(best).max() > 1 and (total(best) - total(none)) / some.size > PLACED:
+        lag[some] = best
     return lag
 
 
