@@ -414,8 +414,7 @@ class TestWhatTheRecorderLacks:
 
     def test_the_load(self, heavy: Seen) -> None:
         """The motion shows it: the adhesion is right, within a band that is stated."""
-        known = {n: v for n, v in heavy.trip.metadata.items() if n != "load"}
-        found = slip(replace(heavy.trip, metadata=known))
+        found = slip(of_unknown_load(heavy.trip))
         errors = off(heavy, found)
         assert errors.size > 10
         shift = np.median(errors) - np.median(off(heavy, heavy.found))
@@ -448,10 +447,7 @@ class TestWhatTheRecorderLacks:
         assert len(found.events_frame()) == len(found.events)
 
     def test_how_the_axles_share_the_effort(self, heavy: Seen) -> None:
-        axles = heavy.trip["/train/axles"]
-        bare = axles[[name for name in axles if "effort" not in name]]
-        bare.attrs = axles.attrs
-        found = slip(heavy.trip.with_topic(bare))
+        found = slip(total_only(heavy.trip))
         assert any("only the total effort" in note for note in found.notes)
         assert len(found.events) == pytest.approx(len(heavy.found.events), rel=0.1)
         events = found.events[found.events["measured"]]
@@ -461,10 +457,7 @@ class TestWhatTheRecorderLacks:
         assert stds.mean() > 1.3 * np.mean(heavy.found.events.eval("adhesion_std / adhesion"))
 
     def test_the_efforts_altogether(self, heavy: Seen) -> None:
-        axles = heavy.trip["/train/axles"]
-        bare = axles[[name for name in axles if "effort" not in name]]
-        bare.attrs = axles.attrs
-        found = slip(without(heavy.trip.with_topic(bare), "/train/controls"))
+        found = slip(without(total_only(heavy.trip), "/train/controls"))
         assert np.isnan(found.adhesion).all()
         assert any("no efforts are recorded" in note for note in found.notes)
 
@@ -511,13 +504,7 @@ class TestWhatTheRecorderLacks:
 
     def test_samples(self, heavy: Seen) -> None:
         """At one a second short slips are missed: stated."""
-        names = ("/train/axles", "/train/controls", "/train/state")
-        slow = heavy.trip
-        for name in names:
-            frame = slow[name].iloc[::10]
-            frame.attrs = slow[name].attrs
-            slow = slow.with_topic(frame)
-        found = slip(slow)
+        found = slip(slower(heavy.trip, 10))
         assert any("slips shorter than 2 s may be missed" in note for note in found.notes)
 
 
@@ -622,37 +609,39 @@ class TestEnergyOfSlip:
         assert np.mean(np.abs(error) < 0.1) > 0.9
 
 
-class TestRefusals:
-    def test_no_axles(self, trips: list[Seen]) -> None:
-        refused(LogError, "no topic /train/axles", slip, without(trips[0].trip, "/train/axles"))
+def no_axle_speed(trip: Trip) -> Trip:
+    axles = trip["/train/axles"].copy()
+    axles[[name for name in axles if name.startswith("wheel_speed_")]] = np.nan
+    return trip.with_topic(axles)
 
-    def test_no_position(self, trips: list[Seen]) -> None:
-        refused(LogError, "has no position", slip, without(trips[0].trip, "/train/state"))
 
-    def test_a_train_with_fewer_axles(self, trips: list[Seen]) -> None:
-        train = train_to_bytes(flirt(axles=Axles(count=2)))
-        other = {**trips[0].trip.attachments, TRAIN_ATTACHMENT: train}
-        with pytest.raises(LogError, match="4 axles, train 'flirt' has 2"):
-            slip(replace(trips[0].trip, attachments=other))
+def one_sample(trip: Trip) -> Trip:
+    axles = trip["/train/axles"].iloc[:1]
+    axles.attrs = trip["/train/axles"].attrs
+    return trip.with_topic(axles)
 
-    def test_no_axle_speed(self, trips: list[Seen]) -> None:
-        axles = trips[0].trip["/train/axles"].copy()
-        axles[[name for name in axles if name.startswith("wheel_speed_")]] = np.nan
-        refused(LogError, "holds no axle speed", slip, trips[0].trip.with_topic(axles))
 
-    def test_no_train(self, trips: list[Seen]) -> None:
-        bare = replace(trips[0].trip, attachments={})
-        refused(LogError, r"carries no train\.json", slip, bare)
+def of_two_axles(trip: Trip) -> Trip:
+    train = train_to_bytes(flirt(axles=Axles(count=2)))
+    return replace(trip, attachments={**trip.attachments, TRAIN_ATTACHMENT: train})
 
-    def test_an_empty_recording(self, trips: list[Seen]) -> None:
-        empty = trips[0].trip["/train/axles"].iloc[:1]
-        empty.attrs = trips[0].trip["/train/axles"].attrs
-        refused(LogError, "holds 1 samples", slip, trips[0].trip.with_topic(empty))
 
-    def test_a_load_that_is_no_number(self, trips: list[Seen]) -> None:
-        trip = trips[0].trip
-        with pytest.raises(LogError, match="load 'heavy'"):
-            slip(replace(trip, metadata={**trip.metadata, "load": "heavy"}))
+@pytest.mark.parametrize(
+    ("spoilt", "words"),
+    [
+        (lambda trip: without(trip, "/train/axles"), "no topic /train/axles"),
+        (lambda trip: without(trip, "/train/state"), "has no position"),
+        (of_two_axles, "4 axles, train 'flirt' has 2"),
+        (no_axle_speed, "holds no axle speed"),
+        (lambda trip: replace(trip, attachments={}), r"carries no train\.json"),
+        (one_sample, "holds 1 samples"),
+        (lambda t: replace(t, metadata={**t.metadata, "load": "heavy"}), "load 'heavy'"),
+    ],
+)
+def test_what_cannot_be_analysed_is_refused(
+    trips: list[Seen], spoilt: Callable[[Trip], Trip], words: str
+) -> None:
+    refused(LogError, words, slip, spoilt(trips[0].trip))
 
 
 class TestEffortsOfUnknownDelay:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
-from scipy.stats import t as t_distribution
+from scipy.special import stdtrit
 
 from estimators.matching import EdgeGraph, LeftOut, best_chain, distances
 from estimators.motion import (
@@ -533,7 +533,7 @@ class OnLine:
         # A size from few independent values is unsure, the more as errors have heavy tails:
         # Student's t in place of the normal.
         freedom = max(float(apart.sum()) / (4.0 * noise.time), LEAST_FREEDOM)
-        self.unsure = float(t_distribution.ppf(0.975, freedom)) / 1.96
+        self.unsure = float(stdtrit(freedom, 0.975)) / 1.96
 
     def _size_along(self, chainage: FloatArray) -> None:
         """Noise along the line alone, from fixes that are left out and predicted by the others.

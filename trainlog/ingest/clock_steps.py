@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.stats import t as t_distribution
+from scipy.special import poch
 
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
 from trainlog.ingest.clock import (
@@ -516,6 +516,12 @@ def _repeated_differently(rows: _Rows, place: int) -> bool:
 # ------------------------------------------------------------------ what the motion shows
 
 
+def _log_density(deviations: FloatArray) -> FloatArray:
+    """Logarithm of the density of Student's t; `scipy.stats`, which has it, loads for long."""
+    size = np.log(poch(0.5 * TAILS, 0.5)) - 0.5 * (np.log(TAILS) + np.log(np.pi))
+    return np.asarray(size - (TAILS + 1) / 2 * np.log1p(deviations * deviations / TAILS))
+
+
 @dataclass(frozen=True, eq=False)
 class _Across:
     """How much further the train came across a place than its speeds show, over several times.
@@ -548,14 +554,14 @@ class _Across:
         """
         std = np.hypot(self.std, self.unseen(abs(lost)))
         expected = self.speed * lost
-        going_on = t_distribution.logpdf((self.excess - expected) / std, TAILS) - np.log(std)
+        going_on = _log_density((self.excess - expected) / std) - np.log(std)
         least = expected - 0.25 * HARDEST * lost**2
         if lost > 2.0 * self.speed / HARDEST:
             least = self.speed**2 / HARDEST
         if lost <= 0.0 or expected - least < self.std.max():
             return np.asarray(going_on)
         outside = np.maximum(least - self.excess, 0.0) + np.maximum(self.excess - expected, 0.0)
-        braking = t_distribution.logpdf(outside / self.std, TAILS) - np.log(expected - least)
+        braking = _log_density(outside / self.std) - np.log(expected - least)
         return np.asarray(np.maximum(going_on, braking + np.log(BRAKED)))
 
 
