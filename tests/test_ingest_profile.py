@@ -15,6 +15,7 @@ from trainlog.errors import InputError
 from trainlog.ingest import ingest, profile_of, read_profile, report_of
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import RunningResistance, Train
+from trainlog.units import _KEPT_IN, _NAMED, _OFFSETS, _registry, _spelled
 
 SAMPLE = Path(__file__).parents[1] / "sample_logs" / "recorder.profile.toml"
 
@@ -440,3 +441,16 @@ def test_what_names_nothing_is_refused(tmp_path: Path, toml: str, message: str) 
     path = tmp_path / "x.toml"
     path.write_text(HEAD + "[columns]\n" + toml + "\n", encoding="utf-8")
     refused(InputError, message, read_profile, path)
+
+
+def test_units_that_need_no_registry_are_converted_as_all_others() -> None:
+    """Those of the profiles that come along; multipliers are tested with the units."""
+    registry = _registry()
+    for unit, si in _KEPT_IN.items():
+        given = registry.Quantity(1.0, registry.parse_units(_spelled(unit)))
+        kinds = (registry.parse_units(_spelled(each)) for each in _NAMED)
+        assert _NAMED[[given.is_compatible_with(each) for each in kinds].index(True)] == si
+    for (unit, si), offset in _OFFSETS.items():
+        source, target = (registry.parse_units(_spelled(each)) for each in (unit, si))
+        shown = [registry.Quantity(each, source).to(target).magnitude for each in (0.0, 1.0)]
+        assert shown == [offset, offset + 1.0]

@@ -71,7 +71,7 @@ def _registry() -> UnitRegistry[Any]:
 _FACTORS = {
     (unit, unit): 1.0
     for unit in (
-        *("%", "1", "A", "deg", "m", "m/s", "m/s^2", "m^2", "s", "kg", "N", "W"),
+        *("%", "1", "A", "deg", "m", "m/s", "m/s^2", "m^2", "s", "kg", "N", "W", "Pa", "K"),
         *("N/(m/s)", "N/(m/s)^2"),
     )
 } | {
@@ -92,8 +92,23 @@ _FACTORS = {
     ("ms", "s"): 0.001,
     ("min", "s"): 60.0,
     ("h", "s"): 3600.0,
+    ("mm", "m"): 0.001,
+    ("mm/s", "m/s"): 0.001,
+    ("deg/s", "rad/s"): 0.017453292519943295,
+    ("rad", "deg"): 57.29577951308232,
+    ("rad", "1"): 1.0,
+    ("standard_gravity", "m/s^2"): 9.80665,
+    ("kWh", "J"): 3600000.0,
 }
 """Multipliers of the units in trainlog's own files: reading these must not wait for all others."""
+
+_OFFSETS = {("degC", "K"): 273.15}
+"""Offsets of such units."""
+
+_KEPT_IN = {"rad": "1", "km": "m", "km/h": "m/s", "kW": "W", "kWh": "J"} | {
+    unit: unit for unit in ("1", "m/s", "W", "Pa")
+}
+"""SI units in which such units are kept."""
 
 
 @cache
@@ -118,6 +133,8 @@ def factor(unit: str, si: str) -> tuple[float, float]:
     """
     if (unit, si) in _FACTORS:
         return _FACTORS[unit, si], 0.0
+    if (unit, si) in _OFFSETS:
+        return 1.0, _OFFSETS[unit, si]
     registry = _registry()
     try:
         source = registry.parse_units(_spelled(unit))
@@ -157,6 +174,8 @@ def si_unit(unit: str) -> str:
     >>> si_unit("1/km"), si_unit("kohm"), si_unit("mm^2/s")
     ('1/m', 'ohm', 'm^2/s')
     """
+    if unit in _KEPT_IN:
+        return _KEPT_IN[unit]
     registry = _registry()
     try:
         given = registry.Quantity(1.0, registry.parse_units(_spelled(unit)))
