@@ -47,7 +47,7 @@ def residual(plant: ConsistPlant, state: ConsistState, before: float) -> float:
     nonlinearity=st.sampled_from([-20.0, 0.0, 200.0]),
     slack=st.sampled_from([0.0, 0.02]),
     demands=st.lists(
-        st.tuples(st.floats(0.0, 1.0), st.booleans(), st.integers(1, 40)), min_size=3, max_size=12
+        st.tuples(st.floats(0.0, 1.0), st.booleans(), st.integers(1, 20)), min_size=3, max_size=8
     ),
 )
 def test_energy_is_accounted_for(
