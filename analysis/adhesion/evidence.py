@@ -25,7 +25,7 @@ from trainlog.formats.railway import line_of
 from trainlog.identity import COLUMNS, TripIdentity, identity_of
 from trainlog.mcap import read_log
 from trainlog.mcap.reader import identity_of_log, stretches
-from trainlog.railway.condition import TrackConditionMap
+from trainlog.railway.condition import DIRECTIONS, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence, fixed
 from trainlog.railway.line import Line
 from trainlog.railway.weather import Weather, check_condition, stated_condition, sun_elevation
@@ -43,6 +43,9 @@ EARLIEST = pd.Timestamp("1990-01-01", tz="UTC")
 
 LONGEST_TRIP = 60 * DAY
 """A log whose samples lie further apart has a clock that jumped [ns]."""
+
+ONE_WAY = 0.8
+"""Share of its places that a trip in one direction lies between its ends."""
 
 POSITION_MARGIN = 5.0
 """Samples this close to the edge of a bin [m] bound no maximum: they may belong to the next."""
@@ -188,8 +191,6 @@ def with_details(
     """As `evidence_of_parts`, with the drive, the steps and the weather of the trip."""
     found = evidence_of_parts(parts, track, layer, sha256=sha256)
     details = found.details | covariates(trip, found.span, weather)
-    if LINE_ATTACHMENT in trip.attachments and line_of(trip).name == track.line:
-        details["direction"] = trip.metadata.get("direction", "forward")
     return replace(found, recorded=recorded, steps=len(trip.provenance), details=details)
 
 
@@ -264,9 +265,11 @@ def evidence_of_parts(
     """
     sums: dict[str, _Sums] = {}
     trip, details, clocks = "", dict[str, Any](), []
+    places: list[FloatArray] = []
     for part in parts:
         trip, details = part.trip, joined_details(details, part.details)
         clocks.append(part.time.as_unit("ns").asi8[[0, -1] if part.time.size else []])
+        places.append(part.position[np.isfinite(part.position)])
         for condition, seen in _by_condition(part, layer):
             sums.setdefault(condition, _Sums(track)).add(seen)
     left_out = sums.pop("", None)
@@ -286,6 +289,8 @@ def evidence_of_parts(
     if left_out is not None:
         words = f"rail condition not known for {left_out.seconds / 60.0:.0f} min: left out"
         details = joined_details(details, {"notes": [words]})
+    if direction := _direction_of(np.concatenate(places)):
+        details = details | {"direction": direction}
     # Of two that held equally long the first by name.
     longest = min(sums, key=lambda name: (-sums[name].seconds, name))
     return Evidence(
@@ -300,6 +305,16 @@ def evidence_of_parts(
         further={name: each.evidence() for name, each in sorted(sums.items()) if name != longest},
         span=(start, end),
     )
+
+
+def _direction_of(position: FloatArray) -> str:
+    """The direction in which a trip passed most of its places (n,); empty if it ran both ways."""
+    if position.size < 2:
+        return ""
+    way = float(position[-1] - position[0])
+    if abs(way) < ONE_WAY * float(np.ptp(position)):
+        return ""
+    return DIRECTIONS[0] if way > 0.0 else DIRECTIONS[1]
 
 
 def _check_dates(trip: str, start: int, end: int) -> None:
