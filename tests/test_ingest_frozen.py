@@ -188,19 +188,19 @@ def found_frozen(frame: pd.DataFrame, column: str, length: float, rng: np.random
 
 
 @pytest.mark.parametrize(
-    ("column", "least"),
+    ("log", "column", "least"),
     [
-        ("/train/state.speed", 4),
-        ("/train/axles.wheel_speed_2", 4),
-        ("/train/state.position", 4),
-        ("/gnss/motion.speed", 4),
+        ("nonstop", "/train/state.speed", 4),
+        ("stopping", "/train/state.speed", 4),
+        ("stopping", "/train/axles.wheel_speed_2", 4),
+        ("nonstop", "/train/state.position", 4),
+        ("stopping", "/gnss/motion.speed", 4),
         # An outage may leave less than 10 s of it.
-        ("/gnss/fix.latitude", 3),
+        ("nonstop", "/gnss/fix.latitude", 3),
         # An effort of few kN is coarser than its noise and may rest.
-        ("/train/controls.tractive_effort", 3),
+        ("stopping", "/train/controls.tractive_effort", 3),
     ],
 )
-@pytest.mark.parametrize("log", ["nonstop", "stopping"])
 def test_frozen_values_are_found(log: str, column: str, least: int) -> None:
     rng = np.random.default_rng(4)
     frame = sampled(log)

@@ -339,11 +339,11 @@ class TestDamage:
         rng = np.random.default_rng(1)
         refused = 0
         for whole in (good, without_estimates):
-            for place in rng.choice(len(whole), 200, replace=False):
+            for place in rng.choice(len(whole), 80, replace=False):
                 data = bytearray(whole)
                 data[place] ^= 1 << int(rng.integers(8))
                 refused += self.check(bytes(data), whole)
-        assert refused > 30
+        assert refused > 12
 
     def test_truncation(self, good: bytes) -> None:
         for end in range(0, len(good) - 1, 1_021):

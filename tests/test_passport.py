@@ -25,7 +25,7 @@ from trainlog.formats.declared import thing_from_bytes, thing_to_bytes
 from trainlog.formats.railway import passport_of, recorded_load, with_passport
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
 from trainlog.railway import Passport, Quantity
-from trainlog.railway.adhesion import AdhesionCharacteristic, CreepCurve, polach_curve
+from trainlog.railway.adhesion import AdhesionCharacteristic, polach_curve
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.trip import Trip
 
@@ -74,8 +74,8 @@ def test_a_stated_load_that_the_motion_contradicts_is_stated_by_the_fit() -> Non
 
 @pytest.mark.parametrize(
     "rail",
-    [None, CreepCurve(a=4.0, b=40.0, c=0.4, d=0.4, variable="creepage"), polach_curve("wet")],
-    ids=["slip speed", "soft over creepage", "Polach, wet"],
+    [None, polach_curve("wet")],
+    ids=["slip speed", "Polach, wet"],
 )
 def test_creep_of_unrecorded_wheels_is_in_the_band_of_the_delay(
     rail: AdhesionCharacteristic | None,
