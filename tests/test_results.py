@@ -32,6 +32,7 @@ from trainlog.arrays import same_values
 from trainlog.catalogue import open_catalogue
 from trainlog.cli.terminal import as_json_text
 from trainlog.declaration import Declared
+from trainlog.display import text_of_cell
 from trainlog.formats.railway import write_parameters
 from trainlog.ingest import ingest_all, propose_profile
 from trainlog.presentation import Presented
@@ -236,7 +237,7 @@ def test_every_table_of_a_result_is_the_same_read_again_from_csv(results) -> Non
                     if isinstance(value, float) and np.isfinite(value):
                         assert float(row[key]) == value, (kind, table.name, key)
                     elif isinstance(value, str):
-                        assert row[key] == value, (kind, table.name, key)
+                        assert text_of_cell(row[key]) == value, (kind, table.name, key)
 
 
 def test_every_result_with_charts_is_drawn(results) -> None:  # type: ignore[no-untyped-def]
