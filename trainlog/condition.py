@@ -315,8 +315,9 @@ def reconciled(
         )
         for name, every in sorted(pieces.items())
     }
-    none = DailyEvidence.none(track.bins, track.levels.size)
-    return Reconciled(evidence or {layer: none}, notes, layers)
+    if not evidence and not apart:
+        evidence = {layer: DailyEvidence.none(track.bins, track.levels.size)}
+    return Reconciled(evidence, notes, layers)
 
 
 def _note_of(track: TrackConditionMap, layer: str, found: Agreement, number: int) -> str:
