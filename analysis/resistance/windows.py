@@ -322,39 +322,12 @@ def _by_group(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Part:
-    """A part of a trip, made ready.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Seen:
+    """What is known of a trip, or of a part of it, beside its motion.
 
     Attributes
     ----------
-    recording : Recording
-    limited : LimitedSamples
-    masked : dict of str to float [s]
-    duration : float [s]
-    timeline : Timeline
-    slip_unseen : bool
-        Whether wheels may slip without anything that is recorded showing it.
-    wind_recorded : bool
-        Whether the resistance is that of still air.
-    """
-
-    recording: Recording
-    limited: LimitedSamples
-    masked: dict[str, float]
-    duration: float
-    timeline: Timeline
-    slip_unseen: bool = False
-    wind_recorded: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """What a fit needs of a trip.
-
-    Attributes
-    ----------
-    windows : Windows
     limited : LimitedSamples
     masked : dict of str to float [s]
         Time masked, by reason; reasons may overlap.
@@ -366,7 +339,6 @@ class Evidence:
         Whether the resistance is that of still air.
     """
 
-    windows: Windows
     limited: LimitedSamples
     masked: dict[str, float]
     duration: float
@@ -374,34 +346,51 @@ class Evidence:
     slip_unseen: bool = False
     wind_recorded: bool = False
 
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Part(Seen):
+    """A part of a trip, made ready.
+
+    Attributes
+    ----------
+    recording : Recording
+    """
+
+    recording: Recording
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Evidence(Seen):
+    """What a fit needs of a trip.
+
+    Attributes
+    ----------
+    windows : Windows
+    """
+
+    windows: Windows
+
     @staticmethod
     def of(parts: Iterable[Part]) -> Evidence:
         """The evidence of a trip; its parts, one at least, in the order of time."""
         windows: list[Windows] = []
-        limited: list[LimitedSamples] = []
-        lines: list[Timeline] = []
-        masked: dict[str, float] = {}
-        duration, unseen, windy = 0.0, False, True
+        seen: list[Seen] = []
         open_run: Recording | None = None
         for part in parts:
             closed, open_run = _parted(part.recording, open_run)
             windows.append(build_windows(closed))
-            limited.append(part.limited)
-            lines.append(part.timeline)
-            masked = {reason: masked.get(reason, 0.0) + t for reason, t in part.masked.items()}
-            duration += part.duration
-            unseen |= part.slip_unseen
-            windy &= part.wind_recorded
+            # A log of days has more samples than the memory holds.
+            seen.append(Seen(**{item.name: getattr(part, item.name) for item in fields(Seen)}))
         if open_run is not None:
             windows.append(build_windows(open_run))
         return Evidence(
-            Windows.joined(windows),
-            LimitedSamples.joined(limited),
-            masked,
-            duration,
-            _at_a_glance(lines),
-            unseen,
-            windy,
+            windows=Windows.joined(windows),
+            limited=LimitedSamples.joined([part.limited for part in seen]),
+            masked={name: sum(part.masked[name] for part in seen) for name in seen[0].masked},
+            duration=sum(part.duration for part in seen),
+            timeline=_at_a_glance([part.timeline for part in seen]),
+            slip_unseen=any(part.slip_unseen for part in seen),
+            wind_recorded=all(part.wind_recorded for part in seen),
         )
 
 
