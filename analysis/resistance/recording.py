@@ -18,6 +18,7 @@ from trainlog.ingest.report import CLOCK_RULES
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
+from trainlog.spans import runs_of
 from trainlog.trip import LINE_ATTACHMENT, Trip, seconds
 from trainlog.units import GRAVITY
 
@@ -145,6 +146,16 @@ LONGEST_STEP = 1.2
 
 SMOOTHING = 1.0
 """Speed is smoothed in blocks of this length [s]; masks need no finer."""
+
+DEMANDS = {
+    "tractive_effort": "tractive_effort_demand",
+    "dynamic_braking_effort": "braking_effort_demand",
+    "pneumatic_braking_effort": "braking_effort_demand",
+}
+"""What is asked of each effort."""
+
+MOVED = 0.05
+"""Share of the largest demand by which it moves where an effort that rests is not believed."""
 
 POSITION_STEP = 10.0
 """Half the distance over which the effect of a position error is measured [m]."""
@@ -314,7 +325,7 @@ def prepare(
     LogError
         If a topic is missing or time does not increase.
     """
-    trip, _ = without_frozen(trip)
+    trip = _without_repeated(trip)
     state, controls = trip["/train/state"], trip["/train/controls"]
     index = pd.DatetimeIndex(state.index)
     origin = index[0] if origin is None else origin
@@ -375,6 +386,27 @@ def prepare(
     return Prepared(
         recording, index, scale, smooth, position, masks, unseen, shown, wind is not None
     )
+
+
+def _without_repeated(trip: Trip) -> Trip:
+    """The trip without what its recorder repeats; an effort that rests as its demand does stays."""
+    found, _ = without_frozen(trip)
+    before, after = trip["/train/controls"], found["/train/controls"]
+    if after is before:
+        return found
+    kept: dict[str, FloatArray] = {}
+    for column, asked in DEMANDS.items():
+        effort = before[column].to_numpy(np.float64)
+        values = after[column].to_numpy(np.float64).copy()
+        demand = before[asked].to_numpy(np.float64)
+        usual = np.nanmax(np.abs(demand)) if np.isfinite(demand).any() else np.inf
+        for start, stop in runs_of(np.isfinite(effort) & ~np.isfinite(values)):
+            if not np.ptp(demand[start:stop]) > MOVED * usual:
+                values[start:stop] = effort[start:stop]
+        kept[column] = values
+    restored = after.assign(**kept)
+    restored.attrs = before.attrs
+    return found.with_topic(restored)
 
 
 def recorded_head_wind(trip: Trip, index: pd.DatetimeIndex) -> FloatArray | None:
