@@ -386,8 +386,8 @@ def _texts(table: pa.Table, pattern: str, replacement: str) -> pa.Table:
     """A table with the beginnings of its texts replaced."""
     for number, item in enumerate(table.schema):
         if pa.types.is_string(item.type) or pa.types.is_large_string(item.type):
-            told = pc.replace_substring_regex(table.column(number), f"^{pattern}", replacement)
-            table = table.set_column(number, item, told)
+            kept = pc.replace_substring_regex(table.column(number), f"^{pattern}", replacement)
+            table = table.set_column(number, item, kept)
     return table
 
 
