@@ -544,11 +544,11 @@ def _medians_apart(
     One of them must be beyond a share of x, or the other beyond the rest (Boole's inequality): of
     all shares the least bound. The trips of the first deviate `scale` times as much.
     """
-    best = np.ones(x.shape)
+    share = _SHARES[:, None]
     with np.errstate(invalid="ignore"):
-        for share in _SHARES:
-            after = _half_beyond(share * x, window, tail)
-            best = np.fmin(best, after + _half_beyond((1.0 - share) * x / scale, before, tail))
+        after = _half_beyond(share * x, window, tail)
+        rest = _half_beyond((1.0 - share) * x / scale, before, tail)
+    best = np.fmin(np.fmin.reduce(after + rest, axis=0), 1.0)
     return np.where(x > 0.0, best, 1.0)
 
 
@@ -561,10 +561,8 @@ def _half_beyond(x: FloatArray, count: FloatArray | float, tail: float) -> Float
 def _median_beyond(x: FloatArray, uncertain: FloatArray, window: int, tail: float) -> FloatArray:
     """Probability that a median of trips is beyond x, the level known to `uncertain`."""
     half = 0.5 * (window + 1)
-    total = np.zeros(x.shape)
-    for node, weight in zip(_NODES, _WEIGHTS, strict=True):
-        single = beyond(x - node * uncertain, tail)
-        total += weight * betainc(half, half, single)
+    single = beyond(x - _NODES[:, None] * uncertain, tail)
+    total = np.sum(_WEIGHTS[:, None] * betainc(half, half, single), axis=0)
     return np.where(x > 0.0, total, 1.0)
 
 
