@@ -130,7 +130,9 @@ def driven(
             a = min(max((row.speed**2 - v * v) / (2.0 * left), hardest), full)
         else:
             needed = (row.speed**2 - v * v) / (2.0 * left)
-            a = max(min(coasting, needed), hardest) if v > row.speed else min(coasting, 0.0)
+            # Who is to brake if faster lets the train roll up to that speed.
+            rolls = max(wanted, 0.0) if "if faster" in row.words else 0.0
+            a = max(min(coasting, needed), hardest) if v > row.speed else min(coasting, rolls)
             if row.speed == 0.0 and v < 1.5:
                 a = 0.0
         if row.verb != "hold":

@@ -44,10 +44,15 @@ TRAINS = {
 }
 
 
+DEFAULT = {("linear", "hilly"), ("stepped", "level"), ("bumped", "level")}
+"""Each train and each line once; the other pairs are long."""
+
+
 @cache
 def found(train: str, line: str, count: int = 2) -> Trajectory:
     configurations = drawn(TRAINS[train], count, seed=3, spread=0.05)
-    return optimised(LINES[line], TRAINS[train], configurations, reserve=0.1, cells=80)
+    cells = 80 if (train, line) in DEFAULT else 150
+    return optimised(LINES[line], TRAINS[train], configurations, reserve=0.1, cells=cells)
 
 
 def within(train: Train, trajectory: Trajectory) -> FloatArray:
@@ -65,10 +70,6 @@ def within(train: Train, trajectory: Trajectory) -> FloatArray:
             for each, speeds in zip(trajectory.configurations, trajectory.speeds, strict=True)
         ]
     )
-
-
-DEFAULT = {("linear", "hilly"), ("stepped", "level"), ("bumped", "level")}
-"""Each train and each line once; the other pairs are long."""
 
 
 @pytest.mark.parametrize(
