@@ -230,8 +230,8 @@ def solve(
     # PIQP cannot be stopped, Clarabel can.
     if time_left() <= (0.0 if cones else _PACE.get() * unknowns.size):
         raise OutOfTimeError
-    begin = time.monotonic()
-    if not cones and shape in _STATED.get():
+    begin, stated = time.monotonic(), not cones and shape in _STATED.get()
+    if stated:
         found = _by_piqp(unknowns, cost, equal, below, curvature, rough=rough)
         _PACE.set((time.monotonic() - begin) / unknowns.size)
         if found is not None:
@@ -244,8 +244,7 @@ def solve(
     limits = below.matrix(unknowns.size) @ x <= below.right
     program = cp.Problem(cp.Minimize(objective), [equations, limits, *cones])
     status = ""
-    first = not cones and shape not in _STATED.get()
-    for solver in (cp.PIQP, cp.CLARABEL) if first else (cp.CLARABEL,):
+    for solver in (cp.CLARABEL,) if cones or stated else (cp.PIQP, cp.CLARABEL):
         begin, left = time.monotonic(), time_left()
         if left <= 0.0:
             raise OutOfTimeError
