@@ -81,7 +81,10 @@ def lateness(seconds: float) -> str:
     return f"{abs(seconds):.2f} s {'late' if seconds > 0.0 else 'early'}"
 
 
-_FORMULA = re.compile(r"'*[=+\-@\t\r]")
+FORMULA = r"'*[=+\-@\t\r]"
+"""Beginning of a text that a spreadsheet takes for a formula, or that `cell_of` has written."""
+
+_FORMULA = re.compile(FORMULA)
 
 
 def cell_of(text: Any) -> Any:

@@ -29,6 +29,7 @@ import pyarrow.parquet as pq
 
 from trainlog.arrays import IntArray
 from trainlog.declaration import Declared, Must, Whole
+from trainlog.display import FORMULA
 from trainlog.errors import InputError, LogError
 from trainlog.extras import load
 from trainlog.formats.declared import file_content, thing_from_bytes
@@ -166,7 +167,7 @@ class TopicWriter:
         if csv:
             titles = [_title(self._schema.field(name)) for name in (TIME, *self._kinds)]
             together = together.select([TIME, *self._kinds]).rename_columns(titles)
-            together = _texts(together.replace_schema_metadata(), _FORMULA, r"'\1")
+            together = _texts(together.replace_schema_metadata(), f"({FORMULA})", r"'\1")
         if len(together):
             self._file.write_table(together, ROWS)
 
@@ -378,10 +379,6 @@ class _ParquetReader(TopicReader):
         self._file.close()
 
 
-_FORMULA = r"('*[=+\-@\t\r])"
-"""Beginning of a text that a spreadsheet takes for a formula; in CSV an apostrophe is before it."""
-
-
 def _texts(table: pa.Table, pattern: str, replacement: str) -> pa.Table:
     """A table with the beginnings of its texts replaced."""
     for number, item in enumerate(table.schema):
@@ -449,7 +446,7 @@ class _CsvReader(TopicReader):
                 last, count = int(times[-1]), count + len(batch)
                 for first in range(0, len(batch), rows):
                     part = pa.Table.from_batches([batch.slice(first, rows)], self.schema)
-                    yield _texts(part, f"'{_FORMULA}", r"\1")
+                    yield _texts(part, f"'({FORMULA})", r"\1")
 
     def _read(self) -> Any:
         return _named(self._path, "cannot be read", f"correct the row, or {AGAIN}")
