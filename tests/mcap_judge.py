@@ -247,7 +247,7 @@ def messages_in(source: Source, contents) -> Counter[Message]:
     """Every message that the contents of a file lead to."""
     found: Counter[Message] = Counter()
     for place in contents.chunks:
-        content = opened(fetched(source, place), check=True)
+        content = opened(fetched(source, place), place.offset)
         for channel, entries in index_in(source, place).items():
             if channel not in place.counts:
                 continue

@@ -3,15 +3,16 @@
 The summary at the end of a file says it without the messages. Files whose summary is missing,
 damaged or incomplete are gone through record by record. One rule: a chunk whose checksum holds is
 kept. Everything else that cannot be read is one `Loss` with its range of bytes, its messages
-counted where the summary or the message indexes know them. Also how the parts are fetched: chunks,
-message indexes, attachments.
+counted where the summary knows them. Also how the parts are fetched: chunks, message indexes,
+attachments.
 """
 
 from __future__ import annotations
 
 import struct
+from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -19,20 +20,9 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import (
-    AttachmentIndex,
-    Channel,
-    DataEnd,
-    Footer,
-    Header,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-)
+from mcap.records import Channel, DataEnd, Footer, Header, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
-from trainlog.arrays import UintArray
 from trainlog.errors import LogError
 from trainlog.formats.files import LOOKED_AT, mistaken_log
 from trainlog.mcap.account import NOT_CLOSED, Account, Loss, Unfinished
@@ -42,21 +32,21 @@ from trainlog.mcap.records import (
     MESSAGE,
     RECORD_HEAD,
     RECORDING_RECORD,
+    Chunk,
     Index,
     Source,
-    StoredChunk,
     checksum,
+    chunk_at,
     damaged,
+    fills,
+    gone_through,
     index_of,
-    measured,
     opened,
     parsed,
     record_head,
     records,
     shown,
-    stored_chunk,
     stored_index,
-    tally,
 )
 
 MAGIC: bytes = MCAP0_MAGIC
@@ -64,9 +54,6 @@ MAGIC: bytes = MCAP0_MAGIC
 
 _PIECE = 2**22
 """Read at once for a checksum [bytes]."""
-
-_WINDOW = 4096
-"""Read at once while going from record to record [bytes]; most heads are far apart."""
 
 _LONGEST_HEAD = 65_536
 """Longer names and media types of attachments are refused [bytes]."""
@@ -127,6 +114,13 @@ class ChunkPlace(NamedTuple):
         """Number of messages of all channels."""
         return sum(self.counts.values())
 
+    def without(self, channel: int) -> ChunkPlace:
+        """The same without the messages of a channel."""
+        counts, indexes = dict(self.counts), dict(self.indexes)
+        del counts[channel]
+        indexes.pop(channel, None)
+        return self._replace(counts=counts, indexes=indexes)
+
 
 class AttachmentPlace(NamedTuple):
     """Where an attachment stands; `data` and `size` are those of its content.
@@ -163,8 +157,6 @@ class Contents:
     attachments : list of AttachmentPlace
     chunks : list of ChunkPlace
         In the order of the file.
-    statistics : mcap.records.Statistics or None
-        As the file has it.
     data_section : (int, int) or None
         Where the data section ends, and its CRC-32, 0 if the file does not have it; None if the
         file ends without one.
@@ -185,7 +177,6 @@ class Contents:
     metadata: list[Metadata] = field(default_factory=list)
     attachments: list[AttachmentPlace] = field(default_factory=list)
     chunks: list[ChunkPlace] = field(default_factory=list)
-    statistics: Statistics | None = None
     data_section: tuple[int, int] | None = None
     indexed: bool = False
     losses: list[Loss] = field(default_factory=list)
@@ -244,22 +235,28 @@ class Contents:
         return Unfinished(last, period) if period >= 0 else None
 
 
+# ------------------------------------------------------------------------------------ the summary
+
+
 @dataclass
 class Summary:
-    """What the summary at the end of a file says, and where the records are that it lists.
+    """What the summary at the end of a file says.
 
     Attributes
     ----------
     contents : Contents
-        The chunks as they are listed, schemas, channels and statistics.
+        The chunks as they are listed, schemas and channels.
     start : int
         Where the summary begins; the data section ends before it.
+    counts : Counter of int or None
+        Number of messages by channel id, as its statistics say, or its chunks without these.
     listed : list of int
         Where the attachments and metadata begin that it lists.
     """
 
     contents: Contents
     start: int
+    counts: Counter[int] | None = None
     listed: list[int] = field(default_factory=list)
 
     @property
@@ -279,40 +276,42 @@ def summary_of(source: Source) -> Summary | None:
 def _summary(source: Source) -> Summary | None:
     footer_at = source.size - len(MAGIC) - _FOOTER_LENGTH - RECORD_HEAD
     closing = source.read(footer_at, source.size - footer_at) if footer_at > 0 else b""
-    if closing[-len(MAGIC) :] != MAGIC:
+    opening = struct.pack("<BQ", Opcode.FOOTER, _FOOTER_LENGTH)
+    if not closing.startswith(opening) or not closing.endswith(MAGIC):
         return None
-    if closing[:RECORD_HEAD] != struct.pack("<BQ", Opcode.FOOTER, _FOOTER_LENGTH):
-        return None
-    footer = parsed(Footer, memoryview(closing)[RECORD_HEAD : -len(MAGIC)], footer_at)
-    found = Summary(Contents(indexed=True), footer.summary_start)
+    footer = parsed(Footer, closing[RECORD_HEAD : -len(MAGIC)], footer_at)
+    found = Summary(Contents(), footer.summary_start)
     if not len(MAGIC) <= found.data_end < found.start <= footer_at:
         return None
-    data = source.read(found.data_end, footer_at - found.data_end) + closing[: RECORD_HEAD + 16]
-    head = RECORD_HEAD + _DATA_END_LENGTH
-    stored = memoryview(data)[head:]
-    if footer.summary_crc and checksum(stored) != footer.summary_crc:
+    stored = source.read(found.start, footer_at - found.start)
+    if footer.summary_crc and footer.summary_crc != checksum(
+        closing[: RECORD_HEAD + 16], checksum(stored)
+    ):
         return None
-    if data[:RECORD_HEAD] == struct.pack("<BQ", Opcode.DATA_END, _DATA_END_LENGTH):
-        end = parsed(DataEnd, memoryview(data)[RECORD_HEAD:head], found.data_end)
-        found.contents.data_section = (found.data_end, end.data_section_crc)
-    for at, opcode, content in records(stored[: footer_at - found.start]):
-        _collect(opcode, content, found.start + at, found)
+    countable = True
+    for at, opcode, content in records(memoryview(stored)):
+        if opcode == Opcode.CHUNK_INDEX:
+            try:
+                found.contents.chunks.append(_chunk_place(content, found.start + at))
+            except LogError:
+                countable = False
+        elif opcode in DECLARATIONS:
+            found.contents.declare(parsed(KINDS[opcode], content, at))
+        elif opcode == Opcode.STATISTICS:
+            found.counts = _counts(parsed(Statistics, content, at))
+        elif opcode in (Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX):
+            found.listed.append(int.from_bytes(content[:8], "little"))
     found.contents.chunks.sort()
+    chunks = found.contents.chunks
+    countable &= bool(chunks) and all(chunk.indexes for chunk in chunks)
+    if found.counts is None and countable:
+        found.counts = found.contents.counts()
     return found
 
 
-def _collect(opcode: int, content: memoryview, at: int, found: Summary) -> None:
-    """Add one record of the summary to what was found."""
-    if opcode == Opcode.CHUNK_INDEX:
-        found.contents.chunks.append(_chunk_place(content, at))
-    elif opcode in DECLARATIONS:
-        found.contents.declare(parsed(KINDS[opcode], content, at))
-    elif opcode == Opcode.STATISTICS:
-        found.contents.statistics = parsed(Statistics, content, at)
-    elif opcode == Opcode.ATTACHMENT_INDEX:
-        found.listed.append(parsed(AttachmentIndex, content, at).offset)
-    elif opcode == Opcode.METADATA_INDEX:
-        found.listed.append(parsed(MetadataIndex, content, at).offset)
+def _counts(statistics: Statistics) -> Counter[int]:
+    """Number of messages by channel id."""
+    return +Counter(statistics.channel_message_counts)
 
 
 def _chunk_place(index: memoryview, at: int) -> ChunkPlace:
@@ -353,68 +352,10 @@ def _chunk_place(index: memoryview, at: int) -> ChunkPlace:
     )
 
 
-def contents_by_summary(source: Source) -> Contents | None:
-    """What a file holds by its summary; None if that is missing, damaged or incomplete.
-
-    Every byte of the data section must belong to a chunk and its message indexes, as listed, or to
-    a record that is no chunk and no message.
-    """
-    summary = summary_of(source) if source.read(0, len(MAGIC)) == MAGIC else None
-    try:
-        return summary.contents if summary is not None and _complete(source, summary) else None
-    except LogError:
-        return None
+# -------------------------------------------------------------------------------- parts of a file
 
 
-def _complete(source: Source, summary: Summary) -> bool:
-    """Whether a summary leaves out nothing; metadata and attachments are collected meanwhile."""
-    found, data_end = summary.contents, summary.data_end
-    if found.data_section is None:
-        return False
-    spans = [(chunk.offset, chunk.behind) for chunk in found.chunks]
-    limits = [(0, len(MAGIC)), *spans, (data_end, data_end)]
-    for (_, start), (end, _) in pairwise(limits):
-        if start > end:
-            return False
-        for at, opcode, length in heads(source, start, end):
-            if opcode in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.DATA_END, Opcode.FOOTER):
-                return False
-            if opcode == Opcode.ATTACHMENT:
-                found.attachments.append(attachment_place(source, at, RECORD_HEAD + length))
-            elif opcode in (Opcode.METADATA, *DECLARATIONS):
-                content = memoryview(source.read(at + RECORD_HEAD, length))
-                if opcode == Opcode.METADATA:
-                    found.metadata.append(parsed(Metadata, content, at))
-                else:
-                    found.declare(parsed(KINDS[opcode], content, at))
-    counts = found.counts()
-    if not counts.keys() <= found.channels.keys():
-        return False
-    if found.statistics is None:
-        return all(chunk.indexes for chunk in found.chunks)
-    stated = Counter(found.statistics.channel_message_counts)
-    found.expected = found.statistics.message_count
-    return counts == +stated and counts.total() == found.expected
-
-
-def heads(source: Source, start: int, end: int) -> Iterator[tuple[int, int, int]]:
-    """Offset, opcode and length of the content of each record from `start` to `end` of a file.
-
-    Raises
-    ------
-    LogError
-        Where a record leads beyond `end`.
-    """
-    at, base, window = start, start, b""
-    while at < end:
-        if not base <= at <= base + len(window) - RECORD_HEAD:
-            base, window = at, source.read(at, _WINDOW)
-        opcode, length = record_head(window[at - base :][:RECORD_HEAD], at, end)
-        yield at, opcode, length
-        at += RECORD_HEAD + length
-
-
-def fetched(source: Source, place: ChunkPlace) -> StoredChunk:
+def fetched(source: Source, place: ChunkPlace) -> Chunk:
     """The chunk that stands there.
 
     Raises
@@ -422,14 +363,13 @@ def fetched(source: Source, place: ChunkPlace) -> StoredChunk:
     MisplacedError
         If there is no such chunk.
     """
-    record = memoryview(source.read(place.offset, place.length))
     if place.loose:
-        return StoredChunk(place.offset, "", record, place.size, checksum=0)
+        data = source.read(place.offset, place.length)
+        return Chunk(data, place.start, place.end, size=place.size)
     try:
-        if record[:RECORD_HEAD] == struct.pack("<BQ", Opcode.CHUNK, place.length - RECORD_HEAD):
-            chunk = stored_chunk(record[RECORD_HEAD:], place.offset)
-            if (chunk.compression, chunk.size) == (place.compression, place.size):
-                return chunk
+        chunk = chunk_at(source, place.offset, place.length - RECORD_HEAD)
+        if (chunk.compression, chunk.size) == (place.compression, place.size):
+            return chunk
     except LogError as error:
         raise MisplacedError(error.problem, place=error.place, remedy=error.remedy) from error
     raise MisplacedError(
@@ -447,23 +387,16 @@ def fetched_index(source: Source, place: ChunkPlace, channels: Iterable[int]) ->
     LogError
         If it cannot be read, or lists another number of messages than it should.
     """
-    found: Index = {}
     wanted = [channel for channel in channels if channel in place.indexes]
-    if not wanted:
-        return found
-    first = min(place.indexes[channel] for channel in wanted)
-    last = max(
-        place.indexes[channel] + _INDEX_HEAD + 16 * place.counts[channel] for channel in wanted
-    )
-    stored = memoryview(source.read(first, last - first))
+    first = min((place.indexes[channel] for channel in wanted), default=place.behind)
+    stored = memoryview(source.read(first, place.behind - first))
+    found: Index = {}
     for channel in wanted:
         at, size = place.indexes[channel] - first, 16 * place.counts[channel]
         head = struct.pack("<HI", channel, size)
         if stored[at] != Opcode.MESSAGE_INDEX or stored[at + RECORD_HEAD :][:6] != head:
             raise damaged(first + at, "the message index record cannot be read")
-        entries = stored_index(stored[at + RECORD_HEAD :][: 6 + size], first + at)[1]
-        if len(entries):
-            found[channel] = entries
+        found[channel] = stored_index(stored[at + RECORD_HEAD :][: 6 + size], first + at)[1]
     return found
 
 
@@ -478,7 +411,7 @@ def index_in(source: Source, place: ChunkPlace) -> Index:
     if place.indexes:
         with suppress(LogError):
             return fetched_index(source, place, place.counts)
-    index = index_of(opened(fetched(source, place), check=True), place.offset)
+    index = index_of(opened(fetched(source, place), place.offset), place.offset)
     return {channel: entries for channel, entries in index.items() if channel in place.counts}
 
 
@@ -554,7 +487,7 @@ _SEARCHED = 2**22
 """Where the beginning of a file is damaged, a chunk is sought in so much of it [bytes]."""
 
 _SURE = (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.MESSAGE)
-"""Records that have a checksum, or are only taken if another record follows."""
+"""Records that have a checksum, or follow each other."""
 
 _CONVERTED = {b"\x89MCAP0\n": "CRLF to LF", b"\x89MCAP0\r\r\n": "LF to CRLF"}
 """How a file begins whose line ends a program has converted that took it for a text."""
@@ -569,7 +502,11 @@ def contents_of(source: Source) -> Contents:
         If it is not an MCAP file at all.
     """
     check_is_mcap(source)
-    return contents_by_summary(source) or scanned(source)
+    summary = summary_of(source)
+    if summary is not None and summary.counts is not None:
+        with suppress(LogError):
+            return _Scan(source, summary, indexed=True).go()
+    return _Scan(source, summary).go()
 
 
 def contents_used(source: Source, use: Callable[[Contents], _T]) -> tuple[Contents, _T]:
@@ -638,167 +575,180 @@ def scanned(source: Source) -> Contents:
     source : Source
         Of an MCAP file.
     """
-    return _Scan(source).go()
+    return _Scan(source, summary_of(source)).go()
+
+
+# --------------------------------------------------------------------------------------- the scan
 
 
 class _Scan:
-    """One scan: from record to record, and what it found."""
+    """One way through a file: from record to record, and what it found.
 
-    def __init__(self, source: Source) -> None:
+    Parameters
+    ----------
+    source : Source
+    summary : Summary or None
+        Its places and counts say what is lost.
+    indexed : bool
+        Whether the chunks that it lists are taken as they are listed; a LogError then ends the scan
+        at whatever is lost or is not listed.
+    """
+
+    def __init__(self, source: Source, summary: Summary | None, *, indexed: bool = False) -> None:
         self._source = source
         self._finder = Finder(source)
-        self._size = source.size
-        self._summary = summary_of(source)
-        places = []
-        if self._summary is not None:
-            places = [chunk.offset for chunk in self._summary.contents.chunks]
-            places += [*self._summary.listed, self._summary.data_end, self._summary.start]
-        self._places = sorted(places)
+        self._summary = summary
+        self._found = Contents(indexed=indexed, closed=False)
+        self._listed: dict[int, ChunkPlace] = {}
+        self._places: list[int] = []
         """Where records begin that the summary lists."""
-        self._found = Contents(closed=False)
-        self._losses: list[Loss] = []
-        self._sections = [Contents()]
-        """What each file declares and holds: several where files were joined."""
-        self._declared = Contents()
-        """What the summary of the last of them declares."""
-        self._data_end: tuple[int, DataEnd] | None = None
+        if summary is not None:
+            self._listed = {chunk.offset: chunk for chunk in summary.contents.chunks}
+            self._places = sorted([*self._listed, *summary.listed, summary.data_end, summary.start])
+            self._found.schemas = dict(summary.contents.schemas)
+            self._found.channels = dict(summary.contents.channels)
+        self._earlier: list[tuple[int, dict[int, Schema], dict[int, Channel]]] = []
+        """Of files before the last: chunks up to their ends, and what they declare."""
+        self._data_end: tuple[int, int] | None = None
+        """Where the data section ends, and its checksum."""
         self._footer: tuple[int, Footer] | None = None
-        self._read_to = 0
-        """Up to where the summary is read that has no footer."""
-        self._seen: dict[tuple[int, int, int, int], int] = {}
+        self._counts = summary.counts if summary is not None else None
+        self._seen: dict[tuple[int, int, int, int], ChunkPlace] = {}
         self._repeated: list[tuple[ChunkPlace, int]] = []
-        """Chunks that come again, and where they came first."""
+        """Chunks that come again, and where they do."""
 
     def go(self) -> Contents:
-        """Go through the file to its end."""
-        at = min(len(MAGIC), self._size)
-        if self._finder.read(0, len(MAGIC)) != MAGIC:
-            self._lose(0, at, "the file does not begin as an MCAP file does", 0)
-        doubtful = at
-        while at < self._size:
-            kind = self._finder.read(at, 1)[0]
+        """Go through the file to its end.
+
+        Raises
+        ------
+        LogError
+            If the summary was to be gone by and does not say what there is.
+        """
+        found, finder, size = self._found, self._finder, self._source.size
+        at = doubtful = min(len(MAGIC), size)
+        if finder.read(0, len(MAGIC)) != MAGIC:
+            self._lose(0, at, "the file does not begin as an MCAP file does")
+        stop = self._summary.start if found.indexed and self._summary else size
+        while at < stop:
+            if found.indexed and at in self._listed:
+                found.chunks.append(self._listed[at])
+                at = self._listed[at].behind
+                continue
+            kind = finder.read(at, 1)[0]
             try:
                 behind = self._step(at)
                 doubtful = behind if kind in _SURE else at
             except LogError as error:
+                if found.indexed:
+                    raise
                 # Where bytes are missing, the record before may have taken the head of a chunk.
-                doubtful = max(doubtful, *(loss.end for loss in self._losses[-1:]), 0)
-                behind = self._finder.search(doubtful + 1, at)
+                doubtful = max(doubtful, *(loss.end for loss in found.losses[-1:]), 0)
+                behind = finder.search(doubtful + 1, at)
                 if behind < at:
                     at = doubtful
                 else:
                     behind = self._next(at + 1)
-                self._lose(at, behind, error.problem, None)
+                self._lose(at, behind, error.problem)
                 doubtful = behind
             at = behind
-        return self._settled()
+        found.closed |= found.indexed
+        self._settle(stop)
+        if found.indexed and found.losses:
+            raise damaged(found.losses[0].start, found.losses[0].reason)
+        return found
 
     def _next(self, start: int) -> int:
         """Where to go on behind damage."""
-        listed = (at for at in self._places if at >= start and self._finder.follows(at))
-        chunks = self._sections[-1].chunks
-        return self._finder.search(
-            start, next(listed, self._size), messages=bool(chunks) and chunks[-1].loose
-        )
+        number, chunks = bisect_left(self._places, start), self._found.chunks
+        stop = self._places[number] if number < len(self._places) else self._source.size
+        return self._finder.search(start, stop, messages=bool(chunks) and chunks[-1].loose)
 
-    def _lose(self, start: int, end: int, reason: str, messages: int | None) -> None:
+    def _lose(self, start: int, end: int, reason: str, messages: int | None = None) -> None:
         """Note a loss; one that adjoins the last continues it."""
-        last = self._losses[-1] if self._losses else None
+        losses = self._found.losses
+        last = losses[-1] if losses else None
         if last is not None and last.end == start and last.start < last.end and start < end:
             known = last.messages is not None and messages is not None
             both = (last.messages or 0) + (messages or 0) if known else None
-            self._losses[-1] = Loss(last.start, end, last.reason, both)
+            losses[-1] = Loss(last.start, end, last.reason, both)
         else:
-            self._losses.append(Loss(start, end, reason, messages))
+            losses.append(Loss(start, end, reason, messages))
 
     # -------------------------------------------------------------------------------- the records
 
     def _step(self, at: int) -> int:
         """Take the record at `at`; returns where the next begins; LogError if it is damaged."""
-        finder = self._finder
+        finder, found = self._finder, self._found
         if finder.begins(at):
             return self._join(at)
         if finder.read(at, len(MAGIC)) == MAGIC:
+            behind = at + len(MAGIC)
             if self._footer is None:
                 raise damaged(at, NOT_CLOSED)
-            self._found.closed = True
-            return at + len(MAGIC)
-        if self._summary is not None and at == self._summary.start and self._data_end is None:
-            self._data_end = self._summary.data_end, DataEnd(data_section_crc=0)
-            lost = self._losses[-1].end if self._losses else 0
-            if lost < at:
-                start = max(lost, self._summary.data_end)
-                self._lose(start, at, "the data section has no end", 0)
+            if behind < self._source.size and not finder.begins(behind):
+                raise damaged(at, "the file does not end where its footer does")
+            found.closed = True
+            return behind
         opcode, length = finder.head(at)
         end = at + RECORD_HEAD + length
         if opcode == Opcode.CHUNK:
             return self._take_chunk(at, end)
-        if opcode == Opcode.ATTACHMENT:
-            self._take_attachment(at, end)
-        elif opcode == Opcode.MESSAGE:
+        if at in self._listed:
+            raise damaged(at, "there is no chunk where the summary lists one")
+        if opcode == Opcode.MESSAGE:
             self._take_message(at, end)
-        elif opcode <= Opcode.DATA_END:
-            self._take_small(at, opcode, end)
-        else:
-            self._check_end(at, end)
+        elif opcode == Opcode.ATTACHMENT:
+            self._take_attachment(at, end)
+        elif opcode == Opcode.MESSAGE_INDEX:
+            self._pass_index(at, end)
+        elif opcode in KINDS:
+            if end - at > _LONGEST_RECORD:
+                raise damaged(at, f"a record of {end - at:,} bytes begins")
+            self._take(at, parsed(KINDS[opcode], finder.read(at + RECORD_HEAD, length), at))
         return end
 
-    def _check_end(self, at: int, end: int) -> None:
-        """Raise a LogError if a record's length cannot be right, which nothing else vouches for."""
-        if not self._finder.follows(end):
-            raise damaged(at, "a record is longer or shorter than it can be")
-
-    def _take_small(self, at: int, opcode: int, end: int) -> None:
-        if end - at > _LONGEST_RECORD:
-            raise damaged(at, f"a record of {end - at:,} bytes begins")
-        content = memoryview(self._finder.read(at + RECORD_HEAD, end - at - RECORD_HEAD))
-        if opcode == Opcode.MESSAGE_INDEX:
-            self._take_index(at, end, *stored_index(content, at))
-            return
-        record, length = measured(KINDS[opcode], content, at)
-        if length < len(content):
-            self._check_end(at, end)
+    def _take(self, at: int, record: object) -> None:
+        """Take a record that has no checksum of its own."""
+        found = self._found
         if isinstance(record, Schema | Channel):
-            (self._declared if self._data_end else self._sections[-1]).declare(record)
+            found.declare(record)
         elif isinstance(record, Metadata):
-            self._found.metadata.append(record)
-        elif isinstance(record, Statistics):
-            self._found.statistics = record
-            self._read_to = end
+            found.metadata.append(record)
+        elif isinstance(record, Statistics) and self._data_end is not None:
+            # Without a footer no checksum holds for them: they must agree with themselves.
+            counts = _counts(record)
+            self._counts = counts if counts.total() == record.message_count else None
         elif isinstance(record, DataEnd):
             if self._data_end is not None:
                 raise damaged(at, "the data section ends a second time")
-            self._data_end = at, record
+            self._data_end = at, record.data_section_crc
         elif isinstance(record, Footer):
-            behind = end + len(MAGIC)
-            ends = behind == self._size or self._finder.begins(behind)
-            if not ends or self._finder.read(end, len(MAGIC)) != MAGIC:
-                raise damaged(at, "the file does not end where its footer does")
             self._footer = at, record
         elif isinstance(record, Header) and at == len(MAGIC):
-            self._found.profile = record.profile
+            found.profile = record.profile
 
     def _take_attachment(self, at: int, end: int) -> None:
         place = attachment_place(self._source, at, end - at)
-        if place.data + place.size + 4 < end:
-            self._check_end(at, end)
         try:
-            check_attachment(self._source, place)
-        except LogError as error:
-            self._check_end(at, end)
-            self._lose(at, end, error.problem, 0)
-        else:
+            if not self._found.indexed:
+                check_attachment(self._source, place)
             self._found.attachments.append(place)
+        except LogError as error:
+            if not self._finder.follows(end):
+                raise
+            self._lose(at, end, error.problem, 0)
 
     def _take_message(self, at: int, end: int) -> None:
         """Add a message outside of chunks to the run of such messages."""
         if end - at < MESSAGE.size:
             raise damaged(at, "a message is shorter than it can be")
-        if self._data_end is not None:
+        if self._data_end is not None or self._found.indexed:
             raise damaged(at, "a message stands behind the end of the data section")
-        self._check_end(at, end)
+        if not self._finder.follows(end):
+            raise damaged(at, "a record is longer or shorter than it can be")
         _, _, channel, _, time, _ = MESSAGE.unpack(self._finder.read(at, MESSAGE.size))
-        chunks = self._sections[-1].chunks
+        chunks = self._found.chunks
         last = chunks[-1] if chunks else None
         if last is None or not last.loose or last.behind != at or last.length > _LONGEST_RUN:
             last = _run(at, at, time, time, {})
@@ -809,25 +759,26 @@ class _Scan:
 
     def _take_chunk(self, at: int, end: int) -> int:
         """Add a chunk with the message indexes that follow it; returns what is behind them."""
-        index, places, behind = self._indexes(end)
-        section = self._sections[-1]
+        if self._found.indexed:
+            raise damaged(at, "a chunk is not listed")
+        given, places, behind = self._indexes(end)
         try:
-            record = memoryview(self._source.read(at + RECORD_HEAD, end - at - RECORD_HEAD))
-            chunk = stored_chunk(record, at)
-            content = opened(chunk, check=True)
-            held = tally(content, index, at)
-            declared = [parsed(KINDS[opcode], body, at) for opcode, body in held.declared]
+            chunk = chunk_at(self._source, at, end - at - RECORD_HEAD)
+            content = opened(chunk, at)
+            index, declared = (given, []) if fills(content, given) else gone_through(content, at)
         except LogError as error:
-            self._check_end(at, behind)
-            found = self._finder.search(at + 1, behind)
-            counted = bool(index) and found == behind
-            messages = sum(len(entries) for entries in index.values()) if counted else None
-            self._lose(at, found, error.problem, messages)
-            return found
+            if not given or self._finder.search(at + 1, behind) < behind:
+                raise
+            self._lose(at, behind, error.problem)
+            return behind
         for each in declared:
-            section.declare(each)
-        fits = held.listed or not index
-        following = behind if fits else self._finder.search(end, behind)
+            self._found.declare(each)
+        right = given.keys() == index.keys() and all(
+            np.array_equal(index[number], entries) for number, entries in given.items()
+        )
+        following = behind if right or not given else self._finder.search(end, behind)
+        times = np.concatenate([np.empty(0, np.uint64), *(each[:, 0] for each in index.values())])
+        start, last = (int(times.min()), int(times.max())) if index else (0, 0)
         place = ChunkPlace(
             at,
             end - at,
@@ -835,17 +786,17 @@ class _Scan:
             end - len(chunk.data),
             len(chunk.data),
             chunk.size,
-            held.start,
-            held.end,
-            {number: places[number] for number in held.counts} if held.listed else {},
+            start,
+            last,
+            places if right else {},
             behind if following == behind else end,
-            held.counts,
+            {number: len(entries) for number, entries in index.items()},
         )
-        section.chunks.append(place)
-        known = (checksum(content), len(content), held.start, held.end)
-        if held.index and known in self._seen:
-            self._repeated.append((place, self._seen[known]))
-        self._seen.setdefault(known, at)
+        self._found.chunks.append(place)
+        known = (checksum(content), len(content), start, last)
+        if index and known in self._seen:
+            self._repeated.append((self._seen[known], at))
+        self._seen[known] = place
         if following < behind:
             self._lose(end, following, "a message index is damaged", 0)
         return following
@@ -859,216 +810,140 @@ class _Scan:
                 length = self._finder.head(at)[1]
                 content = memoryview(self._finder.read(at + RECORD_HEAD, length))
                 channel, entries = stored_index(content, at)
-                extended = 6 + entries.nbytes < length
-                if channel in places or (
-                    extended and not self._finder.follows(at + RECORD_HEAD + length)
-                ):
+                if channel in places:
                     break
                 if len(entries):
                     index[channel], places[channel] = entries, at
                 at += RECORD_HEAD + length
         return index, places, at
 
-    def _take_index(self, at: int, end: int, channel: int, entries: UintArray) -> None:
+    def _pass_index(self, at: int, end: int) -> None:
         """Pass over a message index that does not follow its chunk at once."""
-        if RECORD_HEAD + 6 + entries.nbytes < end - at:
-            self._check_end(at, end)
-        chunks = self._sections[-1].chunks
-        if not len(entries) or (
-            chunks
-            and channel not in chunks[-1].indexes
-            and chunks[-1].counts.get(channel) == len(entries)
-        ):
-            return
-        self._lose(at, end, "a message index without its chunk", len(entries))
+        content = memoryview(self._finder.read(at + RECORD_HEAD, end - at - RECORD_HEAD))
+        channel, entries = stored_index(content, at)
+        counts = self._found.chunks[-1].counts if self._found.chunks else {}
+        listed = self._found.chunks[-1].indexes if counts else {}
+        if len(entries) and (channel in listed or counts.get(channel) != len(entries)):
+            self._lose(at, end, "a message index without its chunk", len(entries))
 
     def _join(self, at: int) -> int:
         """Another file begins here: the one before is at its end, closed or not."""
         behind = at + len(MAGIC)
         start = at - len(MAGIC) if self._found.closed else at
         self._lose(start, behind, "one file ends here and another begins", 0)
-        self._sections[-1].schemas = self._declared.schemas | self._sections[-1].schemas
-        self._sections[-1].channels = self._declared.channels | self._sections[-1].channels
-        self._sections.append(Contents())
-        self._declared = Contents()
-        self._found.statistics = self._data_end = self._footer = None
-        self._found.closed = False
+        found = self._found
+        self._earlier.append((len(found.chunks), found.schemas, found.channels))
+        found.schemas, found.channels, found.closed = {}, {}, False
+        self._summary = self._data_end = self._footer = None
         return behind
 
     # ------------------------------------------------------------------------------- the account
 
-    def _settled(self) -> Contents:
-        """What was found, each channel as it is declared, each message once."""
+    def _settle(self, stop: int) -> None:
+        """State what is lost up to `stop`, each message once."""
         found = self._found
-        reached = bool(self._losses) and self._losses[-1].end == self._size
+        reached = bool(found.losses) and found.losses[-1].end == stop
         if not found.closed and not reached:
-            self._lose(self._size, self._size, NOT_CLOSED, None)
-        elif self._footer is not None and self._data_end is None and not self._losses:
-            self._lose(self._footer[0], self._footer[0], "the data section has no end", 0)
-        self._check_data_section()
-        holds = self._summary_holds()
-        self._define(trusted=holds and self._footer is not None)
-        if self._data_end is not None and self._is_closed_by(self._data_end[0]):
-            self._losses = [
-                replace(loss, messages=0) if loss.start > self._data_end[0] else loss
-                for loss in self._losses
-            ]
-            if holds:
-                self._reconcile()
-        found.losses = sorted(self._losses, key=lambda each: (each.start, each.end))
-        return found
+            self._lose(stop, stop, NOT_CLOSED)
+        elif self._data_end is None and not found.losses:
+            self._lose(stop, stop, "the data section has no end")
+        end, expected = self._data_end or (0, 0)
+        if self._earlier or any(chunk.offset > end for chunk in found.chunks):
+            end = 0
+        found.data_section = (end, expected) if end else None
+        if not self._intact(end, expected):
+            for place, again in self._repeated:
+                self._drop(place, f"the chunk comes again at byte {again:,}", 0)
+        if found.losses and any(not chunk.loose for chunk in found.chunks):
+            # Other records, damaged, or pieces of damaged chunks: no checksum holds for them.
+            for place in [chunk for chunk in found.chunks if chunk.loose]:
+                self._drop(place, "a message outside of the chunks that the file has", None)
+        self._explain()
+        if end:
+            self._check_summary(end)
+        self._compare()
+        found.losses.sort(key=lambda loss: (loss.start, loss.end))
 
-    def _is_closed_by(self, end: int) -> bool:
-        """Whether the data section of a single file ends there, and no chunk is behind it."""
-        return len(self._sections) == 1 and not any(
-            chunk.offset > end for chunk in self._sections[0].chunks
-        )
-
-    def _check_data_section(self) -> None:
-        """Verify what is outside of the chunks; where it fails, what comes twice counts once."""
-        intact = False
-        if self._data_end is not None and self._is_closed_by(self._data_end[0]):
-            end, expected = self._data_end[0], self._data_end[1].data_section_crc
-            self._found.data_section = end, expected
-            if expected and all(loss.start > end for loss in self._losses):
-                intact = checksum_of(self._source, 0, end) == expected
-                if not intact:
-                    reason = "a record outside of the chunks, or their order, fails the checksum"
-                    if any(chunk.loose for chunk in self._sections[0].chunks):
-                        reason = "a message outside of chunks, or another record, is damaged"
-                    self._losses.append(Loss(end, end, reason))
-        for place, first in () if intact else self._repeated:
-            for section in self._sections:
-                section.chunks = [each for each in section.chunks if each != place]
-            reason = f"the chunk of byte {first:,} comes again"
-            self._losses.append(Loss(place.offset, place.behind, reason, 0))
-        if self._losses and any(not chunk.loose for chunk in self._sections[-1].chunks):
-            self._drop_loose()
-
-    def _drop_loose(self) -> None:
-        """Leave out messages outside of the chunks of a damaged file that keeps them in chunks.
-
-        They are other records, damaged, or pieces of damaged chunks: no checksum holds for them.
-        """
-        for section in self._sections:
-            for chunk in section.chunks:
-                if chunk.loose:
-                    reason = "a message outside of the chunks that the file has"
-                    self._losses.append(Loss(chunk.offset, chunk.behind, reason))
-            section.chunks = [chunk for chunk in section.chunks if not chunk.loose]
-
-    def _summary_holds(self) -> bool:
-        """Whether the summary is as it was written, as far as it is there; a Loss is noted if not.
-
-        That of a file whose end is lost counts as far as it can be read.
-        """
-        if self._data_end is None:
-            return False
-        start = self._data_end[0] + RECORD_HEAD + 4
-        at = self._footer[0] if self._footer is not None else self._read_to
-        if at < start or any(start < loss.end and loss.start < at for loss in self._losses):
-            return False
-        expected = self._footer[1].summary_crc if self._footer is not None else 0
-        if expected and checksum_of(self._source, start, at + RECORD_HEAD + 16) != expected:
-            self._losses.append(Loss(start, at, "the summary fails its checksum", 0))
-            return False
-        return True
-
-    def _define(self, trusted: bool) -> None:
-        """Schemas and channels: of the summary if that is trusted, else of the data section."""
-        found, sections = self._found, self._sections
-        for each in [self._declared, *sections] if trusted else [*sections, self._declared]:
-            found.schemas = each.schemas | found.schemas
-            found.channels = each.channels | found.channels
+    def _explain(self) -> None:
+        """Leave out messages that no channel, or that of another file, explains."""
+        found = self._found
+        for _, schemas, channels in reversed(self._earlier):
+            found.schemas, found.channels = schemas | found.schemas, channels | found.channels
         found.channels = {
             number: channel
             for number, channel in found.channels.items()
             if not channel.schema_id or channel.schema_id in found.schemas
         }
-        for section in sections:
-            whole = trusted and section is sections[-1]
-            for chunk in section.chunks:
-                found.chunks.append(self._explained(chunk, None if whole else section))
+        for place, chunk in enumerate(found.chunks):
+            own = next((each for each in self._earlier if place < each[0]), (0, {}, {}))
+            for number, count in chunk.counts.items():
+                channel = own[2].get(number)
+                if number not in found.channels:
+                    what = "nowhere declared"
+                elif channel is not None and (
+                    channel != found.channels[number]
+                    or own[1].get(channel.schema_id) != found.schema(channel)
+                ):
+                    what = "declared otherwise elsewhere"
+                else:
+                    continue
+                reason = f"{count:,} messages of channel {number}, which is {what}"
+                found.losses.append(Loss(chunk.offset, chunk.offset, reason, count))
+                found.chunks[place] = found.chunks[place].without(number)
 
-    def _explained(self, chunk: ChunkPlace, section: Contents | None) -> ChunkPlace:
-        """The chunk without messages that no channel, or another file's, explains."""
+    def _drop(self, place: ChunkPlace, reason: str, messages: int | None) -> None:
         found = self._found
-        kept = dict(chunk.counts)
-        for number, count in chunk.counts.items():
-            if number not in found.channels:
-                what = "nowhere declared"
-            elif section is not None and not _agree(section, found, number):
-                what = "declared otherwise elsewhere"
-            else:
-                continue
-            reason = f"{count:,} messages of channel {number}, which is {what}"
-            self._losses.append(Loss(chunk.offset, chunk.offset, reason, count))
-            del kept[number]
-        indexes = {number: at for number, at in chunk.indexes.items() if number in kept}
-        return chunk._replace(counts=kept, indexes=indexes)
+        found.chunks = [chunk for chunk in found.chunks if chunk.offset != place.offset]
+        found.losses.append(Loss(place.offset, place.behind, reason, messages))
 
-    def _reconcile(self) -> None:
+    def _intact(self, end: int, expected: int) -> bool:
+        """Whether the data section holds its checksum; by the summary that is verified later."""
+        found = self._found
+        if found.indexed or not end or not expected:
+            return found.indexed
+        if any(loss.start <= end for loss in found.losses):
+            return False
+        if checksum_of(self._source, 0, end) == expected:
+            return True
+        reason = "a record outside of the chunks, or their order, fails the checksum"
+        if any(chunk.loose for chunk in found.chunks):
+            reason = "a message outside of chunks, or another record, is damaged"
+        found.losses.append(Loss(end, end, reason))
+        return False
+
+    def _check_summary(self, end: int) -> None:
+        """Verify a summary that is not where its footer says, behind the data section."""
+        losses = self._found.losses
+        losses[:] = [replace(each, messages=0) if each.start > end else each for each in losses]
+        start = end + RECORD_HEAD + _DATA_END_LENGTH
+        at, footer = self._footer or (start, Footer(0, 0, 0))
+        if self._summary is None and start < at and not any(start < each.end for each in losses):
+            stated = checksum_of(self._source, start, at + RECORD_HEAD + 16)
+            if footer.summary_crc not in (0, stated):
+                losses.append(Loss(start, at, "the summary fails its checksum", 0))
+                self._counts = None
+
+    def _compare(self) -> None:
         """Compare with the summary: how many messages are lost, and in which losses."""
-        found = self._found
-        readable = found.counts().total()
-        listed = self._summary.contents.chunks if self._summary is not None else []
-        held = sum(chunk.messages for chunk in listed)
-        statistics = found.statistics
-        if statistics is not None and (
-            # Without the footer no checksum holds for them: they must agree with themselves.
-            self._footer is not None
-            or statistics.message_count == sum(statistics.channel_message_counts.values())
-        ):
-            found.expected = statistics.message_count
-        elif listed and all(chunk.indexes for chunk in listed):
-            found.expected = held
-        kept = {chunk.offset for chunk in found.chunks if not chunk.loose}
-        if listed and kept <= {chunk.offset for chunk in listed}:
-            self._locate([chunk for chunk in listed if chunk.offset not in kept], held)
-        expected = found.expected
-        if expected is None:
+        found, losses = self._found, self._found.losses
+        if self._counts is None or self._earlier:
             return
-        if not self._losses and expected != readable and self._data_end is not None:
-            reason = f"the summary counts {expected:,} messages and there are {readable:,}"
-            self._losses.append(Loss(self._data_end[0], self._data_end[0], reason))
-        missing = max(0, expected - readable)
-        known = sum(loss.messages or 0 for loss in self._losses)
-        unknown = [number for number, loss in enumerate(self._losses) if loss.messages is None]
-        if known > missing:
-            # What comes twice, or the message indexes of a damaged chunk, count too many.
-            self._losses = [replace(loss, messages=None) for loss in self._losses]
-        elif known == missing or len(unknown) == 1:
-            for number in unknown:
-                self._losses[number] = replace(self._losses[number], messages=missing - known)
-
-    def _locate(self, missing: list[ChunkPlace], held: int) -> None:
-        """Say of each loss which of the chunks were in it that the summary lists."""
-        counted = held == self._found.expected
-        for chunk in missing:
-            if not any(loss.start <= chunk.offset < loss.end for loss in self._losses):
-                reason = "there is no chunk where the summary lists one"
-                self._losses = [
-                    loss
-                    for loss in self._losses
-                    if not chunk.offset <= loss.start < loss.end <= chunk.behind
-                ]
-                starts = [loss.start for loss in self._losses if loss.start > chunk.offset]
-                end = min([chunk.behind, *starts])
-                self._losses.append(Loss(chunk.offset, end, reason))
-        for number, loss in enumerate(self._losses):
-            inside = [chunk for chunk in missing if loss.start <= chunk.offset < loss.end]
-            if counted and loss.start < loss.end:
-                count = sum(chunk.messages for chunk in inside)
-                self._losses[number] = replace(loss, messages=count)
-
-
-def _agree(section: Contents, found: Contents, number: int) -> bool:
-    """Whether a channel means in a section what it means in the whole, or is not declared there."""
-    channel = section.channels.get(number)
-    if channel is None:
-        return True
-    schema = section.schemas.get(channel.schema_id)
-    return channel == found.channels[number] and schema in (None, found.schema(channel))
+        readable, expected = found.counts(), self._counts.total()
+        found.expected = expected
+        if not losses and readable != self._counts:
+            at = self._data_end[0] if self._data_end else 0
+            reason = f"the summary counts {expected:,} messages and there are {readable.total():,}"
+            losses.append(Loss(at, at, reason))
+        kept = {chunk.offset for chunk in found.chunks if not chunk.loose}
+        missing = [chunk for at, chunk in self._listed.items() if at not in kept]
+        if kept <= self._listed.keys() and all(
+            any(loss.start <= chunk.offset < loss.end for loss in losses) for chunk in missing
+        ):
+            for number, loss in enumerate(losses):
+                if loss.start < loss.end:
+                    held = [each for each in missing if loss.start <= each.offset < loss.end]
+                    count = sum(each.messages for each in held)
+                    losses[number] = replace(loss, messages=count)
 
 
 def _run(start: int, end: int, first: int, last: int, counts: dict[int, int]) -> ChunkPlace:
@@ -1080,7 +955,7 @@ def _run(start: int, end: int, first: int, last: int, counts: dict[int, int]) ->
 # ---------------------------------------------------------------- the next record behind damage
 
 _LONGEST = 2**40
-"""No record of a known kind is as long [bytes]."""
+"""No record is as long [bytes]."""
 
 _KEPT = 2**16
 """Kept of the file where it is read in small pieces [bytes]."""
@@ -1089,7 +964,7 @@ _BLOCK = 2**20
 """Searched at once for the next record behind damage [bytes]."""
 
 _FOLLOWING = 3
-"""Behind a message outside of chunks so many records must follow, if it is found by a search."""
+"""So many records must follow each other where a message outside of chunks is found."""
 
 
 class Finder:
@@ -1121,12 +996,11 @@ class Finder:
         head = self.read(at, RECORD_HEAD)
         if len(head) < RECORD_HEAD or head.startswith(MAGIC):
             return True
-        opcode, length = struct.unpack("<BQ", head)
-        if opcode == Opcode.MESSAGE and length < MESSAGE.size - RECORD_HEAD:
-            return False
+        opcode, length = head[0], int.from_bytes(head[1:], "little")
         rest = self.size - at - RECORD_HEAD
-        longest: int = _LONGEST if opcode <= Opcode.DATA_END else rest + 1
-        return bool(opcode > 0 and length < longest)
+        least = MESSAGE.size - RECORD_HEAD if opcode == Opcode.MESSAGE else 0
+        longest = _LONGEST if opcode <= Opcode.DATA_END else rest + 1
+        return opcode > 0 and least <= length < longest
 
     def begins(self, at: int) -> bool:
         """Whether a file begins at `at`."""
@@ -1160,13 +1034,14 @@ class Finder:
             return True
         with suppress(LogError):
             opcode, length = self.head(at)
-            end = at + RECORD_HEAD + length
             if opcode == Opcode.DATA_END:
-                return bool(length == 4 and end < self.size and self.follows(end))
+                return bool(length == _DATA_END_LENGTH and self.follows(at + RECORD_HEAD + length))
             if opcode == Opcode.CHUNK:
-                return self._is_chunk(at, length)
+                chunk = chunk_at(self.source, at, length)
+                index_of(opened(chunk, at), at)
+                return chunk.size > 0
             if opcode == Opcode.ATTACHMENT:
-                place = attachment_place(self.source, at, end - at)
+                place = attachment_place(self.source, at, RECORD_HEAD + length)
                 check_attachment(self.source, place)
                 return any(self.source.read(place.data + place.size, 4))
             for _ in range(_FOLLOWING if opcode == Opcode.MESSAGE else 0):
@@ -1175,14 +1050,3 @@ class Finder:
                 at += RECORD_HEAD + self.head(at)[1]
             return bool(opcode == Opcode.MESSAGE)
         return False
-
-    def _is_chunk(self, at: int, length: int) -> bool:
-        head = self.read(at + RECORD_HEAD, 64)
-        width = int.from_bytes(head[28:32], "little")
-        if head[32 : 32 + width] not in (b"", b"zstd", b"lz4"):
-            return False
-        if int.from_bytes(head[32 + width : 40 + width], "little") != length - 40 - width:
-            return False
-        chunk = stored_chunk(memoryview(self.source.read(at + RECORD_HEAD, length)), at)
-        tally(opened(chunk, check=True), {}, at)
-        return chunk.size > 0

@@ -37,7 +37,6 @@ from trainlog.mcap.contents import (
     attachment_data,
     check_is_mcap,
     fetched,
-    fetched_index,
     scanned,
 )
 from trainlog.mcap.description import LogDescription, describe
@@ -48,16 +47,17 @@ from trainlog.mcap.records import (
     PROVENANCE_RECORD,
     RECORD_HEAD,
     RECOVERY_RECORD,
+    Chunk,
     Index,
     Source,
     checksum,
     in_file,
+    index_of,
     nothing_of,
     opened,
-    tally,
 )
 from trainlog.mcap.tables import topic_channels
-from trainlog.mcap.writer import Chunk, LogWriter, Sink, packed
+from trainlog.mcap.writer import LogWriter, Sink, packed
 from trainlog.topics import EVENTS, RECORDED, TOPICS
 from trainlog.trip import Trip
 from trainlog.version import __version__
@@ -683,21 +683,12 @@ def _attachment(source: Source, place: AttachmentPlace) -> Attachment:
 def _chunk(source: Source, place: ChunkPlace) -> Chunk:
     """The chunk as it is stored, or made again without messages that no channel explains."""
     chunk = fetched(source, place)
-    content = opened(chunk)
-    given = fetched_index(source, place, place.counts) if place.indexes else {}
-    index = tally(content, given, place.offset).index
+    content = opened(chunk, place.offset)
+    index = index_of(content, place.offset)
     kept = {channel: entries for channel, entries in index.items() if channel in place.counts}
     if place.loose or len(kept) < len(index):
         return packed(_only(content, kept))
-    return Chunk(
-        compression=chunk.compression,
-        data=chunk.data,
-        size=chunk.size,
-        checksum=checksum(content),
-        start=place.start,
-        end=place.end,
-        index=kept,
-    )
+    return replace(chunk, start=place.start, end=place.end, index=kept, checksum=checksum(content))
 
 
 def _only(content: bytes, index: Index) -> Chunk:

@@ -456,7 +456,7 @@ def _frames(source: Source, contents: Contents, channels: list[Channel]) -> Fore
         if place.counts.keys().isdisjoint(by_channel):
             continue
         try:
-            content = opened(fetched(source, place), check=True)
+            content = opened(fetched(source, place), place.offset)
             index = index_of(content, place.offset)
         except LogError as error:
             if contents.indexed and isinstance(error, MisplacedError):

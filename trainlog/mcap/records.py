@@ -11,8 +11,8 @@ import struct
 import threading
 from array import array
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from types import TracebackType
@@ -26,17 +26,13 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.records import (
-    AttachmentIndex,
     Channel,
-    ChunkIndex,
     DataEnd,
     Footer,
     Header,
     Metadata,
-    MetadataIndex,
     Schema,
     Statistics,
-    SummaryOffset,
 )
 
 from trainlog.arrays import UintArray
@@ -228,14 +224,10 @@ KINDS: dict[int, Any] = {
     Opcode.CHANNEL: Channel,
     Opcode.METADATA: Metadata,
     Opcode.STATISTICS: Statistics,
-    Opcode.CHUNK_INDEX: ChunkIndex,
-    Opcode.ATTACHMENT_INDEX: AttachmentIndex,
-    Opcode.METADATA_INDEX: MetadataIndex,
-    Opcode.SUMMARY_OFFSET: SummaryOffset,
     Opcode.DATA_END: DataEnd,
     Opcode.FOOTER: Footer,
 }
-"""Records but for chunks, their messages and indexes, and attachments, by opcode."""
+"""Records of which the content is used, but for chunks, their indexes and attachments."""
 
 DECLARATIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 """What explains messages."""
@@ -248,8 +240,11 @@ _HEAD = np.dtype(
 )
 """What is compared of a message with its index."""
 
+_AT_ONCE = 2**18
+"""Longer chunks are read when their heads are right [bytes]."""
+
 _RECORD_HEAD = struct.Struct("<BQ")
-_CHUNK_HEAD = struct.Struct("<QQQII")
+_CHUNK_HEAD = struct.Struct("<BQQQQII")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 
 _R_co = TypeVar("_R_co", covariant=True)
@@ -262,27 +257,34 @@ class _Readable(Protocol[_R_co]):
 
 
 @dataclass(frozen=True)
-class StoredChunk:
-    """A chunk as it stands in the file, or a run of messages outside of chunks as if it were one.
+class Chunk:
+    """A chunk of a file, as it was read or as it will stand there.
 
     Attributes
     ----------
-    offset : int
-        Where its record begins in the file.
+    data : bytes-like
+        Its content: message records (and, in files of other programs, schemas and channels).
+    start, end : int
+        Earliest and latest log time of its messages [ns].
+    index : dict of int to (n, 2) uint64 array
+        Log time and offset of each message by channel id, for the channels it holds.
+    positions : dict of str to (float, float)
+        Least and greatest position [m] by topic, for the topics that have one.
     compression : str
-    data : memoryview
-        Its content as stored.
-    size : int
-        Length of its content when decompressed, as the record says [bytes].
-    checksum : int
-        CRC-32 of its content when decompressed; 0 if the file does not have it.
+        Of `data`: ``"zstd"``, ``"lz4"`` or ``""``.
+    size, checksum : int
+        Length [bytes] and CRC-32 of its content before compression, zero until that is packed; a
+        checksum of zero in a file stands for none.
     """
 
-    offset: int
-    compression: str
-    data: memoryview
-    size: int
-    checksum: int
+    data: bytes | bytearray | memoryview
+    start: int
+    end: int
+    index: Index = field(default_factory=dict)
+    positions: dict[str, tuple[float, float]] = field(default_factory=dict)
+    compression: str = ""
+    size: int = 0
+    checksum: int = 0
 
 
 def records(data: memoryview, start: int = 0) -> Iterator[tuple[int, int, memoryview]]:
@@ -330,69 +332,70 @@ class _Exact(ReadDataStream):  # type: ignore[misc]
         return data
 
 
-def parsed(kind: _Readable[_R_co], content: memoryview, offset: int) -> _R_co:
+def parsed(kind: _Readable[_R_co], content: bytes | memoryview, offset: int) -> _R_co:
     """The record whose content this is, as a class of the mcap package.
+
+    What is behind its fields belongs to a later version of the format, and is passed over.
 
     Raises
     ------
     LogError
         If the content does not parse.
     """
-    return measured(kind, content, offset)[0]
-
-
-def measured(kind: _Readable[_R_co], content: memoryview, offset: int) -> tuple[_R_co, int]:
-    """The record as `parsed`, and how much of the content its fields take [bytes].
-
-    What is behind them belongs to a later version of the format, and is passed over.
-    """
-    stream = _Exact(BytesIO(content))
     try:
-        return kind.read(stream), stream.count
+        return kind.read(_Exact(BytesIO(content)))
     except (McapError, struct.error, ValueError, OverflowError, MemoryError) as error:
         name = getattr(kind, "__name__", "record").lower()
         raise damaged(offset, f"the {name} record cannot be read") from error
 
 
-def stored_chunk(content: memoryview, offset: int) -> StoredChunk:
-    """The chunk whose record's content this is."""
-    try:
-        _, _, size, checksum, width = _CHUNK_HEAD.unpack_from(content)
-        at = _CHUNK_HEAD.size + width
-        compression = str(content[_CHUNK_HEAD.size : at], "utf-8")
-        (length,) = struct.unpack_from("<Q", content, at)
-    except (struct.error, UnicodeDecodeError) as error:
-        raise damaged(offset, "the chunk record cannot be read") from error
-    data = content[at + 8 :]
-    if len(data) != length:
-        raise damaged(offset, "the chunk's length contradicts its record's")
-    return StoredChunk(offset, compression, data, size, checksum)
-
-
-def opened(chunk: StoredChunk, *, check: bool = False) -> bytes:
-    """The chunk's content, decompressed.
-
-    Parameters
-    ----------
-    chunk : StoredChunk
-    check : bool
-        Whether to compare with the chunk's checksum, where it has one.
+def chunk_at(source: Source, offset: int, length: int) -> Chunk:
+    """The chunk whose record begins at `offset` of a file and has a content of `length` bytes.
 
     Raises
     ------
     LogError
-        If it cannot be decompressed, has another length than declared, or fails the check.
+        If there is none; what a damaged length claims is not read.
     """
-    if chunk.size > _LARGEST_CHUNK:
-        raise damaged(chunk.offset, f"a chunk claims to hold {chunk.size:,} bytes")
+    piece = memoryview(source.read(offset, RECORD_HEAD + min(length, _AT_ONCE)))
+    try:
+        opcode, _, start, end, size, expected, width = _CHUNK_HEAD.unpack_from(piece)
+        at = _CHUNK_HEAD.size + width
+        compression = str(piece[_CHUNK_HEAD.size : at], "utf-8")
+        (stored,) = struct.unpack_from("<Q", piece, at)
+    except (struct.error, UnicodeDecodeError) as error:
+        raise damaged(offset, "the chunk record cannot be read") from error
+    if opcode != Opcode.CHUNK or at + 8 + stored != RECORD_HEAD + length:
+        raise damaged(offset, "the chunk's length contradicts its record's")
+    if size > _LARGEST_CHUNK:
+        raise damaged(offset, f"a chunk claims to hold {size:,} bytes")
+    whole = length <= _AT_ONCE
+    data = piece[at + 8 :] if whole else source.read(offset + at + 8, stored)
+    return Chunk(data, start, end, compression=compression, size=size, checksum=expected)
+
+
+def opened(chunk: Chunk, offset: int) -> bytes:
+    """The content of the chunk at `offset` of a file, decompressed, its checksum verified.
+
+    Raises
+    ------
+    LogError
+        If it cannot be decompressed, has another length than declared, or fails its checksum.
+    """
     try:
         content = _decompressed(chunk)
     except (zstandard.ZstdError, RuntimeError, ValueError, MemoryError) as error:
-        raise damaged(chunk.offset, "a chunk cannot be decompressed") from error
+        raise damaged(offset, "a chunk cannot be decompressed") from error
+    if content is None:
+        raise LogError(
+            f"a chunk is compressed as {shown(chunk.compression)}",
+            place=f"byte {offset}",
+            remedy="compress it with zstd or lz4",
+        )
     if len(content) != chunk.size:
-        raise damaged(chunk.offset, "a chunk has another length than it declares")
-    if check and chunk.checksum and checksum(content) != chunk.checksum:
-        raise damaged(chunk.offset, "a chunk fails its checksum")
+        raise damaged(offset, "a chunk has another length than it declares")
+    if chunk.checksum and checksum(content) != chunk.checksum:
+        raise damaged(offset, "a chunk fails its checksum")
     return content
 
 
@@ -406,7 +409,8 @@ class _Decompressor(threading.local):
 _decompressor = _Decompressor()
 
 
-def _decompressed(chunk: StoredChunk) -> bytes:
+def _decompressed(chunk: Chunk) -> bytes | None:
+    """The content; None if the compression is not known."""
     if chunk.compression == "zstd":
         declared = zstandard.get_frame_parameters(chunk.data).content_size
         unknown = (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR)
@@ -422,13 +426,7 @@ def _decompressed(chunk: StoredChunk) -> bytes:
         if not decompressor.eof or decompressor.unused_data:
             raise ValueError("length")
         return content
-    if chunk.compression == "":
-        return bytes(chunk.data)
-    raise LogError(
-        f"a chunk is compressed as {shown(chunk.compression)}",
-        place=f"byte {chunk.offset}",
-        remedy="compress it with zstd or lz4",
-    )
+    return bytes(chunk.data) if chunk.compression == "" else None
 
 
 def stored_index(content: memoryview, offset: int) -> tuple[int, UintArray]:
@@ -459,8 +457,8 @@ def index_of(content: bytes, offset: int) -> Index:
     return gone_through(content, offset)[0]
 
 
-def gone_through(content: bytes, offset: int) -> tuple[Index, list[tuple[int, memoryview]]]:
-    """The message index of a chunk, and opcode and content of its schemas and channels.
+def gone_through(content: bytes, offset: int) -> tuple[Index, list[Schema | Channel]]:
+    """The message index of a chunk, and its schemas and channels.
 
     Parameters and errors as `index_of`.
     """
@@ -474,7 +472,7 @@ def gone_through(content: bytes, offset: int) -> tuple[Index, list[tuple[int, me
                     entries[channel] = array("Q")
                 entries[channel].extend((time, at))
             elif opcode in DECLARATIONS:
-                declared.append((opcode, body))
+                declared.append(parsed(KINDS[opcode], body, offset))
     except (LogError, struct.error) as error:
         raise damaged(offset, "a chunk does not hold one record after the other") from error
     index = {
@@ -482,6 +480,29 @@ def gone_through(content: bytes, offset: int) -> tuple[Index, list[tuple[int, me
         for channel, pairs in entries.items()
     }
     return index, declared
+
+
+def fills(content: bytes, index: Index) -> bool:
+    """Whether the messages that an index lists follow each other and fill a chunk's content."""
+    if not index:
+        return False
+    channel = np.concatenate([np.full(len(each), number) for number, each in index.items()])
+    time, start = np.concatenate(list(index.values())).T
+    order = np.argsort(start, kind="stable")
+    channel, time, start = channel[order], time[order], start[order]
+    if not len(start) or start[0] or int(start[-1]) > len(content) - MESSAGE.size:
+        return False
+    # Every window of the content that is as long as a message's head.
+    size = _HEAD.itemsize
+    windows = np.ndarray((len(content) - size + 1,), f"V{size}", content, 0, (1,))
+    rows = windows[start.astype(np.int64)].view(_HEAD)
+    return bool(
+        np.array_equal(start + rows["length"] + RECORD_HEAD, np.append(start[1:], len(content)))
+        and np.all(rows["length"] >= MESSAGE.size - RECORD_HEAD)
+        and np.all(rows["opcode"] == Opcode.MESSAGE)
+        and np.array_equal(rows["channel"], channel)
+        and np.array_equal(rows["time"], time)
+    )
 
 
 def message_data(content: bytes, offset: int, channel: int) -> tuple[int, bytes] | None:
@@ -497,106 +518,6 @@ def message_data(content: bytes, offset: int, channel: int) -> tuple[int, bytes]
     ):
         return None
     return time, content[offset + MESSAGE.size : end]
-
-
-@dataclass(frozen=True)
-class Tally:
-    """What a chunk holds.
-
-    Attributes
-    ----------
-    index : dict of int to (n, 2) uint64 array
-        Log time and offset of each message by channel id.
-    listed : bool
-        Whether the index that was given lists every message, and nothing else.
-    declared : list of (int, memoryview)
-        Opcode and content of the schemas and channels among the records.
-    """
-
-    index: Index
-    listed: bool
-    declared: list[tuple[int, memoryview]]
-
-    @property
-    def start(self) -> int:
-        """Earliest log time [ns]; zero without messages."""
-        return min((int(entries[:, 0].min()) for entries in self.index.values()), default=0)
-
-    @property
-    def end(self) -> int:
-        """Latest log time [ns]; zero without messages."""
-        return max((int(entries[:, 0].max()) for entries in self.index.values()), default=0)
-
-    @property
-    def counts(self) -> dict[int, int]:
-        """Number of messages by channel id."""
-        return {channel: len(entries) for channel, entries in self.index.items()}
-
-
-def tally(content: bytes, given: Index, offset: int) -> Tally:
-    """Count what a chunk holds.
-
-    Parameters
-    ----------
-    content : bytes
-        The chunk's content, decompressed.
-    given : Index
-        Its message indexes as the file has them; may be empty or wrong.
-    offset : int
-        Where the chunk stands in the file, for errors.
-
-    Raises
-    ------
-    LogError
-        If the content is not one record after the other.
-    """
-    given = {channel: entries for channel, entries in given.items() if len(entries)}
-    with suppress(LogError):
-        declared = _others(content, given) if given else None
-        if declared is not None:
-            return Tally(given, True, declared)
-    index, declared = gone_through(content, offset)
-    return Tally(index, not index and not given, declared)
-
-
-def _others(content: bytes, given: Index) -> list[tuple[int, memoryview]] | None:
-    """The records besides the messages that the index lists; None if it is not exact.
-
-    It is exact if the messages that it lists, and other records between them, fill the chunk.
-    """
-    channel = np.concatenate([np.full(len(each), number) for number, each in given.items()])
-    time, start = np.concatenate(list(given.values())).T
-    if int(start.max()) > len(content) - MESSAGE.size:
-        return None
-    order = np.argsort(start, kind="stable")
-    channel, time, start = channel[order], time[order], start[order].astype(np.int64)
-    # Every window of the content that is as long as a message's head.
-    size = _HEAD.itemsize
-    windows = np.ndarray((len(content) - size + 1,), f"V{size}", content, 0, (1,))
-    rows = windows[start].view(_HEAD)
-    length = rows["length"]
-    if (
-        np.any(length > len(content))
-        or np.any(length < MESSAGE.size - RECORD_HEAD)
-        or np.any(rows["opcode"] != Opcode.MESSAGE)
-        or np.any(rows["channel"] != channel)
-        or np.any(rows["time"] != time)
-    ):
-        return None
-    end = start + RECORD_HEAD + length.astype(np.int64)
-    ends = np.concatenate([[0], end])
-    starts = np.concatenate([start, [len(content)]])
-    if np.any(ends > starts):
-        return None
-    found = []
-    view = memoryview(content)
-    for gap in np.flatnonzero(ends < starts).tolist():
-        for _, opcode, body in records(view[int(ends[gap]) : int(starts[gap])]):
-            if opcode == Opcode.MESSAGE:
-                return None
-            if opcode in DECLARATIONS:
-                found.append((opcode, body))
-    return found
 
 
 _VECTOR = np.zeros(64)

@@ -314,7 +314,7 @@ def _read(source: Source, place: ChunkPlace, channels: Mapping[int, TopicChannel
     """The messages of some channels in a chunk, or what is wrong with it."""
     try:
         chunk = fetched(source, place)
-        content = opened(chunk, check=True)
+        content = opened(chunk, place.offset)
     except LogError as error:
         return error.problem
     ours = [channels[number] for number in place.counts if number in channels]

@@ -53,7 +53,6 @@ from trainlog.mcap.codec import (
     SEQUENCE,
     Codec,
     Entry,
-    Range,
     channel_of,
     codec_for,
     encode_events,
@@ -69,6 +68,7 @@ from trainlog.mcap.records import (
     PROVENANCE_RECORD,
     RECORDING_RECORD,
     TRIP_RECORD,
+    Chunk,
     checksum,
     in_file,
     threads_of,
@@ -346,37 +346,6 @@ def _axles(topic: Topic, frame: pd.DataFrame) -> dict[str, int]:
 
 
 # --------------------------------------------------------------------------------------- chunks
-
-
-@dataclass(frozen=True)
-class Chunk:
-    """A chunk as it will stand in a file.
-
-    Attributes
-    ----------
-    data : bytes-like
-        Its content: message records (and, in files of other programs, schemas and channels).
-    start, end : int
-        Earliest and latest log time of its messages [ns].
-    index : dict of int to (n, 2) uint64 array
-        Log time and offset of each message by channel id, for the channels it holds.
-    positions : dict of str to (float, float)
-        Least and greatest position [m] by topic, for the topics that have one.
-    compression : str
-        Of `data`: ``"zstd"``, ``"lz4"`` or ``""``.
-    size, checksum : int
-        Length [bytes] and CRC-32 of its content before compression, zero until that is `packed`; a
-        checksum of zero in a file stands for none.
-    """
-
-    data: bytes | bytearray | memoryview
-    start: int
-    end: int
-    index: dict[int, UintArray]
-    positions: dict[str, Range] = field(default_factory=dict)
-    compression: str = ""
-    size: int = 0
-    checksum: int = 0
 
 
 class _Compressor(threading.local):
