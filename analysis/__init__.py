@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     )
     from analysis.estimates import with_estimates as with_estimates
     from analysis.fleet.analyses import FleetAnalysis as FleetAnalysis
-    from analysis.fleet.trips import fleet_trips as fleet_trips
     from analysis.fleet.update import (
         UpdateOptions as UpdateOptions,
         fleet_status as fleet_status,
@@ -76,6 +75,7 @@ if TYPE_CHECKING:
         score_map as score_map,
         score_rolling as score_rolling,
     )
+    from analysis.view import TripView as TripView, view_of as view_of, views_of as views_of
 
 if not TYPE_CHECKING:  # type checkers refuse names that are not listed above
     __all__, __getattr__, __dir__ = names_on_first_use(__name__, __file__)

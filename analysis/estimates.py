@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from functools import cache
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from analysis.adhesion.evidence import own_line
 from analysis.adhesion.slip import TOPICS, slip
 from analysis.resistance.fit import estimated_resistance, fit_trip
-from analysis.resistance.logs import fit_log
-from analysis.resistance.recording import LARGEST_SCALE, speed_scale
+from analysis.resistance.recording import LARGEST_SCALE, scale_of
+from analysis.view import TripView, view_of, views_of
 from estimators.motion import smooth_motion
 from trainlog import __version__
 from trainlog.arrays import FloatArray, robust_std
 from trainlog.errors import LogError, TrainlogError
 from trainlog.formats.files import csv_bytes, write_bytes
-from trainlog.mcap import LogWriter
-from trainlog.mcap.reader import stretches
+from trainlog.mcap import LogWriter, read_log
 from trainlog.topics import ESTIMATED_STATE, TRAIN_AXLES
 from trainlog.trip import Trip, frame_of, seconds
 
@@ -40,12 +38,12 @@ LONGEST_STEP = 1.0
 """Time between two samples [s] over which their chainage may be compared with their speed."""
 
 
-def with_estimates(trip: Trip) -> tuple[Trip, tuple[str, ...]]:
+def with_estimates(trip: Trip | TripView) -> tuple[Trip, tuple[str, ...]]:
     """Add what can be estimated of a trip: motion, running resistance, adhesion and slip.
 
     Parameters
     ----------
-    trip : Trip
+    trip : Trip or TripView
         With ``/train/state``; ``/train/controls`` gives the running resistance, ``/train/axles``
         adhesion and slip.
 
@@ -70,29 +68,23 @@ def with_estimates(trip: Trip) -> tuple[Trip, tuple[str, ...]]:
     >>> refusals
     ()
     """
-    return _estimated(trip, lambda: estimated_resistance(fit_trip(trip)))
-
-
-def _estimated(
-    trip: Trip, resistance_of: Callable[[], pd.DataFrame]
-) -> tuple[Trip, tuple[str, ...]]:
-    """`with_estimates`, with running resistance from where it is known."""
     refusals: list[str] = []
     added: list[str] = []
-    result = trip
+    view = view_of(trip)
+    result = view.trip
     for name, estimate in (
         ("state", _state),
-        ("running resistance", lambda _, result: result.with_topic(resistance_of())),
+        ("running resistance", _resistance),
         ("adhesion", _adhesion),
     ):
         try:
-            result = estimate(trip, result)
+            result = estimate(view, result)
             added.append(name)
         except TrainlogError as error:
             refusals.append(f"{name}: {error}")
     if not added:
         raise LogError(
-            f"trip '{trip.name}': nothing can be estimated; {refusals[0]}",
+            f"trip '{view.name}': nothing can be estimated; {refusals[0]}",
             remedy="give a log with /train/state",
         )
     done = result.with_step(
@@ -104,9 +96,7 @@ def _estimated(
 def estimate_log(log: str | Path, output: str | Path) -> tuple[str, ...]:
     """Write a log with what can be estimated of it; see `with_estimates`.
 
-    A log too long for the memory is estimated in stretches: what was learnt of the running
-    resistance goes on from each to the next, as in the whole; the sizes of the noise and the wheel
-    diameters are those of the stretch.
+    Of a log too long for the memory each part is estimated by itself (`analysis.view`).
 
     Returns
     -------
@@ -116,7 +106,7 @@ def estimate_log(log: str | Path, output: str | Path) -> tuple[str, ...]:
     Raises
     ------
     LogError
-        If the log cannot be read, or nothing could be estimated; a stretch of several for which
+        If the log cannot be read, or nothing could be estimated; a part of several for which
         nothing could is written as it was recorded.
     InputError
         If the output cannot be written.
@@ -130,58 +120,35 @@ def estimate_log(log: str | Path, output: str | Path) -> tuple[str, ...]:
     ()
     """
     refusals: list[str] = []
-    resistance_of = cache(lambda: _outcome(lambda: estimated_resistance(fit_log(Path(log)))))
+    metadata = read_log(log, []).metadata
     with LogWriter(output) as writer:
-        for stretch in stretches(log):
+        for view in views_of(log):
             try:
-                if stretch.count == 1:
-                    trip, refused = with_estimates(stretch.trip)
-                else:
-                    trip, refused = _estimated(stretch.trip, _part(resistance_of, stretch.span))
+                trip, refused = with_estimates(view)
             except LogError as error:
-                if stretch.count == 1:
+                if view.count == 1:
                     raise
-                trip, refused = stretch.trip, (str(error),)
-            writer.add(stretch.core(trip))
-            where = "" if stretch.count == 1 else f"part {stretch.number} of {stretch.count}: "
+                trip, refused = view.trip, (str(error),)
+            writer.add(replace(trip, metadata=metadata))
+            where = "" if view.count == 1 else f"part {view.number} of {view.count}: "
             refusals += [f"{where}{reason}" for reason in refused]
     return tuple(refusals)
 
 
-def _outcome(estimate: Callable[[], pd.DataFrame]) -> pd.DataFrame | TrainlogError:
-    """What an estimate gives, or why it gives nothing, for every stretch alike."""
-    try:
-        return estimate()
-    except TrainlogError as error:
-        return error
+def _resistance(view: TripView, result: Trip) -> Trip:
+    """Running resistance as the trip went on."""
+    return result.with_topic(estimated_resistance(fit_trip(view)))
 
 
-def _part(
-    resistance_of: Callable[[], pd.DataFrame | TrainlogError], span: tuple[int, int]
-) -> Callable[[], pd.DataFrame]:
-    """The rows of a whole log's estimate that belong to a stretch of it."""
-
-    def rows() -> pd.DataFrame:
-        found = resistance_of()
-        if isinstance(found, TrainlogError):
-            raise found
-        times = pd.DatetimeIndex(found.index).asi8
-        part = found[(times >= span[0]) & (times <= span[1])]
-        part.attrs = found.attrs
-        return part
-
-    return rows
-
-
-def _state(trip: Trip, result: Trip) -> Trip:
+def _state(view: TripView, result: Trip) -> Trip:
     """Smoothed motion from the wheels' speed and the recorded chainage."""
-    if "/estimates/state" in trip and "/train/state" not in trip:
+    if "/estimates/state" in view.trip and "/train/state" not in view.trip:
         return result
-    state = trip["/train/state"]
+    state = view.trip["/train/state"]
     time = seconds(state)
     speed = state["speed"].to_numpy(dtype=np.float64)
     position = state["position"].to_numpy(dtype=np.float64)
-    scale = speed_scale(trip, time, speed, position)
+    scale = scale_of(view)
     position = without_wheel_error(time, speed, position, scale.factor)
     # The chainage's error is that of the odometer since the last balise: it lasts, so that many
     # samples together say no more than one. White noise of this size says as much.
@@ -279,10 +246,10 @@ def slip_table(logs: Iterable[str | Path]) -> pd.DataFrame:
     """
     found = []
     for log in logs:
-        for stretch in stretches(log, TOPICS):
-            if stretch.count > 1 and TRAIN_AXLES.name not in stretch.trip:
+        for view in views_of(log, TOPICS):
+            if view.count > 1 and len(view.trip[TRAIN_AXLES.name]) < 2:
                 continue
-            part = slip(stretch.trip).part(stretch.span)
+            part = slip(view)
             curves = part.creep_curves()
             units = {**part.events.attrs["units"], **curves.attrs["units"]}
             rows = part.events.join(curves).sort_values(["start", "axle"])
@@ -310,13 +277,13 @@ def write_slip_table(logs: Iterable[str | Path], path: str | Path) -> int:
     return len(table)
 
 
-def _adhesion(trip: Trip, result: Trip) -> Trip:
+def _adhesion(view: TripView, result: Trip) -> Trip:
     """Adhesion in use and slip of every axle, and the slip events in words."""
-    found = slip(trip)
-    events = found.events_frame(own_line(trip))
-    if "/events" in trip:
+    found = slip(view)
+    events = found.events_frame(view.own_line)
+    if "/events" in view.trip:
         attrs = events.attrs
-        events = pd.concat([trip["/events"], events]).sort_index(kind="stable")
+        events = pd.concat([view.trip["/events"], events]).sort_index(kind="stable")
         events.attrs = attrs
     return result.with_topic(found.adhesion_frame()).with_topic(events)
 

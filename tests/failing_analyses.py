@@ -9,25 +9,25 @@ from multiprocessing.connection import Connection
 import pandas as pd
 
 from analysis.fleet.analyses import FleetAnalysis
-from analysis.fleet.trips import FleetTrip
+from analysis.view import TripView
 from trainlog.errors import LogError
 from trainlog.formats.summaries import Column
 
 COLUMNS = (Column("trip", "", "name of the trip", "text"), Column("samples", "1", "", "count"))
 
 
-def _counted(trip: FleetTrip) -> pd.DataFrame:
+def _counted(trip: TripView) -> pd.DataFrame:
     return pd.DataFrame({"trip": [trip.name], "samples": [len(trip.trip["/train/state"])]})
 
 
-def deadly(trip: FleetTrip, name: str) -> pd.DataFrame:
+def deadly(trip: TripView, name: str) -> pd.DataFrame:
     """Ends the worker, as a system that is out of memory does."""
     if trip.name == name:
         os.kill(os.getpid(), signal.SIGKILL)
     return _counted(trip)
 
 
-def deadly_after(trip: FleetTrip, name: str) -> pd.DataFrame:
+def deadly_after(trip: TripView, name: str) -> pd.DataFrame:
     """Ends the worker when it has written half of the result."""
     if trip.name == name:
         Connection._send = half_sent
@@ -40,7 +40,7 @@ def half_sent(self: Connection, data: bytes, *_: object) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def wrong(trip: FleetTrip, name: str) -> pd.DataFrame:
+def wrong(trip: TripView, name: str) -> pd.DataFrame:
     """Fails by a mistake in the analysis, or refuses."""
     if trip.name == name:
         raise ZeroDivisionError("no samples at all")

@@ -23,6 +23,7 @@ from analysis.estimates import with_estimates
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.fit import fit_trip
 from analysis.resistance.recording import Prepared, prepare
+from analysis.view import view_of
 from estimators.adhesion import AdhesionObserver
 from estimators.interface import EstimatorResult
 from estimators.odometry import OdometryFilter
@@ -59,7 +60,7 @@ def trip_of(name: str) -> Trip:
 
 
 def prepared(trip: Trip) -> Prepared:
-    return prepare(trip, line_of(trip), train_of(trip))
+    return prepare(view_of(trip))
 
 
 def reported(result: EstimatorResult) -> dict[str, ArrayLike]:

@@ -19,7 +19,7 @@ from command import run
 from test_cli_help import commands
 
 import trainlog
-from analysis.fleet.trips import fleet_trips
+from analysis.view import views_of
 from trainlog.catalogue import Catalogue, Computation, ResultOutcome, open_catalogue
 from trainlog.catalogue.database import metadata
 from trainlog.cli import main as cli
@@ -466,7 +466,7 @@ def test_of_equal_recordings_the_one_without_damage_counts_and_of_copies_the_fir
     assert not account_of(tmp_path / "damaged.mcap").whole
     with pytest.warns(DamageWarning):
         assert trainlog.read(tmp_path / "damaged.mcap") == trainlog.read(intact)
-    (recorded,) = fleet_trips(tmp_path / "damaged.mcap")
+    (recorded,) = views_of(tmp_path / "damaged.mcap", checked=True)
     assert "fails the checksum" in recorded.damage
     catalogue = where()
     (alone,) = catalogue.add(tmp_path / "damaged.mcap").outcomes

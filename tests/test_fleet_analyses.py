@@ -16,11 +16,12 @@ from refusals import refused
 import trainlog
 from analysis.adhesion.condition_map import empty_map
 from analysis.adhesion.evidence import evidence_of_log, own_line
+from analysis.adhesion.slip import slip
 from analysis.comparison.driven import driven_trip
 from analysis.fleet.analyses import ANALYSES, FleetAnalysis, analyses_named
-from analysis.fleet.trips import TOPICS, FleetTrip, fleet_trips, parts_of
 from analysis.network.edges import EdgeOfLine, Stretch, edges_of, on_edge
 from analysis.resistance.fit import fit_trip
+from analysis.view import TOPICS, TripView, parts_of, view_of, views_of
 from trainlog.errors import InputError, LogError
 from trainlog.formats.mapfile import packed_evidence
 from trainlog.mcap.reader import rows_of_log
@@ -32,8 +33,8 @@ LOGS = ("sample_logs/nonstop.mcap", "sample_logs/stopping.mcap")
 DOCS = Path(__file__).parents[1] / "docs"
 
 
-def one(name: str, trip: FleetTrip | str) -> pd.DataFrame:
-    given = next(fleet_trips(trip)) if isinstance(trip, str) else trip
+def one(name: str, trip: TripView | str) -> pd.DataFrame:
+    given = view_of(trip) if isinstance(trip, str) else trip
     return ANALYSES[name].table(given)
 
 
@@ -54,7 +55,7 @@ def long_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_each_table_has_the_columns_that_are_declared_and_documented() -> None:
     page = (DOCS / "fleet.md").read_text("utf-8")
-    trip = next(fleet_trips(LOGS[0]))
+    trip = view_of(LOGS[0])
     for analysis in ANALYSES.values():
         table = analysis.arrow([("k", analysis.table(trip))])
         assert table.column_names == ["key", *(column.name for column in analysis.columns)]
@@ -76,8 +77,8 @@ def test_the_summary_is_that_of_the_fit(log: str) -> None:
 
 
 def test_a_trip_that_is_refused_has_a_row_with_the_reason() -> None:
-    trip = next(fleet_trips(LOGS[1]))
-    short = FleetTrip(trip.trip.between("2024-10-07T08:01", "2024-10-07T08:03"))
+    trip = view_of(LOGS[1])
+    short = TripView(trip.trip.between("2024-10-07T08:01", "2024-10-07T08:03"))
     row = one("resistance", short).iloc[0]
     assert row["refused"] != ""
     assert "trip-03" in row["message"]
@@ -98,8 +99,8 @@ def test_the_evidence_is_that_of_the_map(log: str) -> None:
 def test_a_trip_without_a_rail_condition_gives_no_evidence() -> None:
     trip = trainlog.read(LOGS[0])
     del trip.metadata["weather"]
-    refused(LogError, "does not state the rail's condition", one, "adhesion", FleetTrip(trip))
-    assert len(one("driving", FleetTrip(trip))) == 1
+    refused(LogError, "does not state the rail's condition", one, "adhesion", TripView(trip))
+    assert len(one("driving", TripView(trip))) == 1
 
 
 @pytest.mark.parametrize("log", LOGS)
@@ -118,7 +119,7 @@ def test_times_and_works_are_those_of_the_trip(log: str) -> None:
 def test_a_trip_against_the_chainage_leaves_its_line_at_its_beginning() -> None:
     trip = trainlog.read(LOGS[0])
     turned = Trip(trip.topics, trip.metadata | {"direction": "reverse"}, (), trip.attachments)
-    row = one("driving", FleetTrip(turned)).iloc[0]
+    row = one("driving", TripView(turned)).iloc[0]
     assert row["direction"] == "reverse"
     assert row["first"] > row["last"]
     assert row["first"] - row["last"] == pytest.approx(row["distance"])
@@ -133,7 +134,7 @@ def test_checks_list_what_is_wrong_with_a_recording() -> None:
     controls = trip["/train/controls"].assign(pneumatic_braking_effort=np.nan)
     controls.attrs = trip["/train/controls"].attrs
     worse = trip.with_topic(state).with_topic(axles).with_topic(controls)
-    sound, row = (one("checks", FleetTrip(each)).iloc[0] for each in (trip, worse))
+    sound, row = (one("checks", TripView(each)).iloc[0] for each in (trip, worse))
     assert (sound["gaps"], sound["frozen"], sound["missing"]) == (0, "", "")
     assert row["gaps"] == 1
     assert row["longest_gap"] == pytest.approx(30.1)
@@ -146,26 +147,21 @@ def test_fixes_beside_the_line_show() -> None:
     trip = trainlog.read(LOGS[1])
     fix = trip["/gnss/fix"].assign(latitude=trip["/gnss/fix"]["latitude"] + 1e-3)
     fix.attrs = trip["/gnss/fix"].attrs
-    sound, row = (one("checks", FleetTrip(t)).iloc[0] for t in (trip, trip.with_topic(fix)))
+    sound, row = (one("checks", TripView(t)).iloc[0] for t in (trip, trip.with_topic(fix)))
     assert sound["fix_beside"] < 5.0 < 50.0 < row["fix_beside"] < 112.0
 
 
 def test_results_are_the_same_bytes_again_and_through_a_pickle() -> None:
     for analysis in ANALYSES.values():
         other: FleetAnalysis = pickle.loads(pickle.dumps(analysis))
-        tables = [
-            each.arrow([("k", each.table(next(fleet_trips(LOGS[0]))))])
-            for each in (analysis, other)
-        ]
+        tables = [each.arrow([("k", each.table(view_of(LOGS[0])))]) for each in (analysis, other)]
         assert tables[0].equals(tables[1])
 
 
 def test_parameters_are_part_of_what_identifies_a_result() -> None:
     coarse = ANALYSES["adhesion"].with_parameters(bin_length=100.0)
     assert coarse.digest != ANALYSES["adhesion"].digest
-    fine, rough = (
-        each.table(next(fleet_trips(LOGS[0]))) for each in (ANALYSES["adhesion"], coarse)
-    )
+    fine, rough = (each.table(view_of(LOGS[0])) for each in (ANALYSES["adhesion"], coarse))
     assert fine["bins"][0] > 2 * rough["bins"][0]
     refused(InputError, "no parameter 'bins'", ANALYSES["adhesion"].with_parameters, bins=3)
     refused(InputError, "no analysis 'energy'", analyses_named, ["energy"])
@@ -173,7 +169,7 @@ def test_parameters_are_part_of_what_identifies_a_result() -> None:
 
 def test_a_long_log_is_parted_where_the_train_turned_back(long_log: Path) -> None:
     held = rows_of_log(long_log, TOPICS)
-    parts = list(fleet_trips(long_log, "digest", rows=held // 2 + 10_000))
+    parts = list(views_of(long_log, TOPICS, sha256="digest", rows=held // 2 + 10_000))
     assert [part.name for part in parts] == ["trip-01 (1 of 2)", "trip-01 (2 of 2)"]
     assert all(part.sha256 == "" for part in parts)
     whole = [driven_trip(log) for log in LOGS]
@@ -187,7 +183,7 @@ def test_parts_of_a_long_log_leave_out_no_sample_and_share_none(long_log: Path) 
     whole = trainlog.read(long_log, ["/train/state", "/train/axles"])
     held = rows_of_log(long_log, TOPICS)
     for rows in (held - 1, held // 3, held // 20):
-        parts = [part.trip for part in fleet_trips(long_log, rows=rows)]
+        parts = [part.trip for part in views_of(long_log, TOPICS, rows=rows)]
         for topic in whole:
             together = pd.concat([part[topic] for part in parts])
             pd.testing.assert_frame_equal(together, whole[topic])
@@ -196,17 +192,17 @@ def test_parts_of_a_long_log_leave_out_no_sample_and_share_none(long_log: Path) 
 
 
 def test_slip_on_a_route_counts_on_its_edges_by_their_chainage() -> None:
-    trip = next(fleet_trips(LOGS[1]))
-    line = trip.own_line
+    trip = view_of(LOGS[1])
+    line, seen_slip = trip.own_line, slip(trip)
     middle = 12_000.0
     edges = (
         EdgeOfLine("first", 20_000.0, (Stretch(0.0, middle, 18_000.0, 6_000.0),)),
         EdgeOfLine("second", 30_000.0, (Stretch(middle, np.inf, 100.0, 100.0 + line.length),)),
     )
     assert edges_of(line)[0].name == line.name
-    seen = [on_edge(trip.slip, edge) for edge in edges]
-    assert sum(each.time.size for each in seen) == np.count_nonzero(trip.slip.position >= 0.0)
-    assert sum(len(each.events) for each in seen) == len(trip.slip.events)
+    seen = [on_edge(seen_slip, edge) for edge in edges]
+    assert sum(each.time.size for each in seen) == np.count_nonzero(seen_slip.position >= 0.0)
+    assert sum(len(each.events) for each in seen) == len(seen_slip.events)
     assert seen[0].position.max() <= 18_000.0
     assert seen[0].position.min() == pytest.approx(6_000.0, abs=5.0)
     assert np.all(np.diff(seen[0].position[np.isfinite(seen[0].position)]) <= 1.0)

@@ -20,7 +20,7 @@ from command import Shell
 from analysis.fleet.analyses import ANALYSES
 from analysis.fleet.diff import FleetDiff, Results, Version, compared, parameters_of
 from analysis.fleet.maps import evidence_of_row
-from analysis.fleet.trips import fleet_trips
+from analysis.view import view_of
 from trainlog.catalogue import Computation
 from trainlog.errors import InputError
 from trainlog.formats.mapfile import packed_evidence
@@ -164,7 +164,7 @@ def adhesion() -> pd.DataFrame:
     """What the two sample trips show of the maximum adhesion."""
     frames = []
     for name in ("nonstop", "stopping"):
-        trip = next(fleet_trips(f"sample_logs/{name}.mcap"))
+        trip = view_of(f"sample_logs/{name}.mcap")
         about = {"key": name, "train": "unit-1", "kind": "unit", "line": trip.line.name}
         frames.append(ANALYSES["adhesion"].table(trip).assign(**about, start=DAY))
     return pd.concat(frames, ignore_index=True)

@@ -403,7 +403,7 @@ def test_too_short_a_span_shows_no_trend_and_no_season() -> None:
 def test_stored_results_of_a_catalogue_show_its_trains(tmp_path: Path) -> None:
     pytest.importorskip("sqlalchemy", reason="needs the extra fleet")
     from analysis.fleet.analyses import ANALYSES
-    from analysis.fleet.trips import fleet_trips
+    from analysis.view import view_of
     from trainlog.catalogue import Computation, ResultOutcome, open_catalogue
 
     with open_catalogue(tmp_path) as catalogue:
@@ -411,7 +411,7 @@ def test_stored_results_of_a_catalogue_show_its_trains(tmp_path: Path) -> None:
         for name in ("resistance", "passport"):
             analysis = ANALYSES[name]
             for row in catalogue.pending(Computation(name, "code")).itertuples():
-                trip = next(fleet_trips(str(row.path)))
+                trip = view_of(str(row.path))
                 table = analysis.arrow([(row.key, analysis.table(trip))])
                 outcome = ResultOutcome(row.key, row.sha256, rows=table.num_rows)
                 catalogue.record(Computation(name, "code"), [outcome], table)
@@ -432,8 +432,8 @@ def test_a_fit_of_chosen_trips_uses_stored_summaries_instead_of_logs(
     pytest.importorskip("sqlalchemy", reason="needs the extra fleet")
     from analysis.fleet import analyses
     from analysis.fleet.analyses import ANALYSES
-    from analysis.fleet.trips import fleet_trips
     from analysis.resistance.logs import fit
+    from analysis.view import view_of
     from trainlog.catalogue import ResultOutcome, open_catalogue
     from trainlog.cli.options import chosen_summaries
 
@@ -442,7 +442,7 @@ def test_a_fit_of_chosen_trips_uses_stored_summaries_instead_of_logs(
     with open_catalogue(tmp_path) as catalogue:
         catalogue.add("sample_logs")
         row = next(catalogue.pending(computation).itertuples())
-        table = analysis.arrow([(row.key, analysis.table(next(fleet_trips(str(row.path)))))])
+        table = analysis.arrow([(row.key, analysis.table(view_of(str(row.path))))])
         outcome = ResultOutcome(row.key, row.sha256, rows=1)
         catalogue.record(computation, [outcome], table)
         every = [Path(path) for path in catalogue.paths()]

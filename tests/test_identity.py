@@ -5,7 +5,6 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from analysis.adhesion import evidence
 from analysis.adhesion.condition_map import adhesion_map, empty_map, merge, update
 from analysis.estimates import estimate_log
 from analysis.geometry.centre_line import geometry_of
-from analysis.resistance import combine, logs
+from analysis.resistance import combine
 from analysis.resistance.coast_down import coast_down
 from analysis.resistance.combination import SAME_DRIVE, each_drive_once
 from analysis.resistance.fit import fit_trip
@@ -139,7 +138,6 @@ def analysed_once() -> Iterator[None]:
         return kept[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(logs, "fit_log", cache(logs.fit_log))
         patch.setattr(evidence, "evidence_of_log", known)
         yield
 

@@ -410,7 +410,7 @@ def test_a_route_over_given_edges() -> None:
 
 def test_evidence_counts_for_the_condition_of_each_edge(tmp_path: Path) -> None:
     from analysis.fleet.analyses import adhesion
-    from analysis.fleet.trips import FleetTrip
+    from analysis.view import TripView
 
     network = Network("cut", (Node("East"), Node("Mid", "junction"), Node("West")), (
         Edge("east", WHOLE.section(0.0, 10_000.0), "East", "Mid"),
@@ -421,12 +421,12 @@ def test_evidence_counts_for_the_condition_of_each_edge(tmp_path: Path) -> None:
     trip = replace(trip, attachments={**trip.attachments, "line.json": line})
     metadata = trip.metadata | {"weather": "dry", "weather_by_edge": '{"east": "wet"}'}
     trainlog.write(replace(trip, metadata=metadata), tmp_path / "trip.mcap")
-    rows = adhesion(FleetTrip(trainlog.read(tmp_path / "trip.mcap")))
+    rows = adhesion(TripView(trainlog.read(tmp_path / "trip.mcap")))
     assert dict(zip(rows["edge"], rows["layer"], strict=True)) == {"east": "wet", "west": "dry"}
     metadata["weather_by_edge"] = "wet"
     trainlog.write(replace(trip, metadata=metadata), tmp_path / "trip.mcap")
     with pytest.raises(InputError, match="is no JSON object of rail conditions"):
-        adhesion(FleetTrip(trainlog.read(tmp_path / "trip.mcap")))
+        adhesion(TripView(trainlog.read(tmp_path / "trip.mcap")))
 
 
 def test_a_trip_on_a_route_is_trips_on_its_edges(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ from analysis.reports.charts import item_of
 from analysis.reports.page import DARK, LIGHT, Commands, Page, Section, drawn, inline
 from analysis.reports.trip import Motion, Zone, known_zone, station_calls
 from analysis.resistance.logs import fit
+from analysis.view import TripView
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.railway import line_of, write_parameters, write_trajectory
 from trainlog.formats.samples import sample
@@ -417,7 +418,7 @@ def test_a_report_of_a_trip_without_a_line_asks_for_it_before_a_fit(tmp_path: Pa
 def test_the_verdict_on_a_recording_gives_its_reasons() -> None:
     trip = read_log(sample("stopping.mcap"))
     assert verdict(trip).level == 0
-    damaged = verdict(trip, "12 messages are lost.")
+    damaged = verdict(TripView(trip, damage="12 messages are lost."))
     assert str(damaged) == "usable with reservations: 12 messages are lost"
     state = trip["/train/state"]
     pause = (state.index < state.index[4_000]) | (state.index > state.index[4_500])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from trainlog.errors import InputError, LogError
 from trainlog.resampling import (
     interpolated,
     joined,
-    joined_pieces,
     regular_clock,
     resampled,
     resampled_frame,
@@ -189,44 +187,6 @@ def test_the_clock_may_be_a_topic_or_any_times() -> None:
     assert at["/train/state.speed"].tolist() == [2.5]
     assert str(at.index.dtype) == "datetime64[ns, UTC]"
     assert at.index.name == "time"
-
-
-@settings(max_examples=30)
-@given(
-    frames(TRAIN_STATE),
-    frames(TRAIN_CONTROLS),
-    st.lists(st.integers(0, 4 * 10**18), max_size=5),
-    st.one_of(st.none(), st.floats(1e-9, 1e4)),
-)
-def test_joined_in_pieces_is_joined_as_a_whole(
-    state: pd.DataFrame, controls: pd.DataFrame, borders: list[int], max_gap: float | None
-) -> None:
-    check_pieces(state, controls, borders, max_gap)
-
-
-def test_instants_that_come_twice_in_both_topics_are_joined_the_same_in_pieces() -> None:
-    state = frame_of(TRAIN_STATE, [0, 0, 0, 1], {"speed": [1.0, 2.0, 3.0, 4.0]})
-    controls = frame_of(TRAIN_CONTROLS, [0, 0, 0], {"lever": [0.0, 1.0, 1.0]})
-    check_pieces(state, controls, [], None)
-
-
-def check_pieces(
-    state: pd.DataFrame, controls: pd.DataFrame, borders: list[int], max_gap: float | None
-) -> None:
-    whole = Trip({}).with_topic(state).with_topic(controls)
-    names = ["/train/state.speed", "/train/controls.lever", "/train/controls.tractive_effort"]
-    # Borders at samples, too, where most can go wrong.
-    ends = sorted([*borders, *state.index.asi8[::3], *controls.index.asi8[::4]])
-    edges = [-1, *ends, 2**63 - 1]
-    pieces = (
-        whole.cut(np.array([[first + 1, last]]))
-        for first, last in itertools.pairwise(edges)
-        if first < last
-    )
-    parts = list(joined_pieces(pieces, names, TRAIN_STATE.name, max_gap=max_gap))
-    expected = joined(whole, names, TRAIN_STATE.name, max_gap=max_gap)
-    pd.testing.assert_frame_equal(pd.concat(parts), expected, check_exact=True)
-    assert all(part.attrs == expected.attrs for part in parts)
 
 
 @pytest.mark.parametrize(

@@ -33,13 +33,12 @@ from analysis.resistance.fit import mass_prior
 from analysis.resistance.plot import timeline_chart
 from analysis.resistance.recording import TripRefusedError, prepare
 from analysis.resistance.windows import build_windows
+from analysis.view import view_of
 from trainlog.errors import InputError, LogError, NotIdentifiableError
 from trainlog.formats.railway import (
-    line_of,
     line_to_bytes,
     read_line,
     read_train,
-    train_of,
     train_to_bytes,
 )
 from trainlog.formats.samples import sample
@@ -186,7 +185,7 @@ def test_wheels_that_roll_have_the_rotating_momentum_of_the_train() -> None:
     columns |= {f"wheel_effort_{axle}": np.zeros(speed.size) for axle in range(1, 5)}
     axles = made.with_topic(frame_of(TRAIN_AXLES, speed.index, columns))
     for one in (made, axles):
-        momentum = prepare(one, LINE, TRAIN).recording.rotating_momentum
+        momentum = prepare(view_of(one)).recording.rotating_momentum
         np.testing.assert_allclose(momentum, TRAIN.rotating_mass * speed, rtol=1e-9)
 
 
@@ -298,19 +297,17 @@ def test_unrecorded_brakes_are_masked_by_their_demand_or_by_deceleration() -> No
         made, "/train/controls", dynamic_braking_effort=np.nan, pneumatic_braking_effort=np.nan
     )
     stated = changed(unknown, "/train/controls", braking_effort_demand=braking)
-    line, train = line_of(made), train_of(made)
-    by_demand = prepare(stated, line, train)
+    by_demand = prepare(view_of(stated))
     hard = braking.to_numpy() > 5000.0
     assert not by_demand.recording.usable[hard].any()
     assert in_band(fit_trip(stated), RESISTANCE)
-    by_deceleration = prepare(unknown, line, train)
+    by_deceleration = prepare(view_of(unknown))
     harder = braking.to_numpy() > 0.3 * 142e3
     assert not by_deceleration.recording.usable[harder].any()
 
 
 def test_gaps_slip_and_friction_braking_are_masked() -> None:
     made = trip(noise=0.02)
-    line, train = line_of(made), train_of(made)
     state, controls = made["/train/state"], made["/train/controls"]
     cut = np.r_[0:3000, 3100 : len(state)]
     gappy = replace(
@@ -318,7 +315,7 @@ def test_gaps_slip_and_friction_braking_are_masked() -> None:
     )
     for frame in gappy.topics.values():
         assert "units" in frame.attrs
-    masked = prepare(gappy, line, train)
+    masked = prepare(view_of(gappy))
     assert masked.masked["gap"] > 0.0
     assert not masked.recording.usable[3000:3010].any()
     windows = build_windows(masked.recording)
@@ -326,16 +323,13 @@ def test_gaps_slip_and_friction_braking_are_masked() -> None:
     assert not np.any((windows.start < after) & (windows.end > before))
     friction = np.zeros(len(controls))
     friction[5000:5100] = 20e3
-    braked = prepare(
-        changed(made, "/train/controls", pneumatic_braking_effort=friction), line, train
-    )
+    braked = prepare(view_of(changed(made, "/train/controls", pneumatic_braking_effort=friction)))
     assert not braked.recording.usable[4990:5110].any()
     assert braked.recording.usable[5130]
     wheels = np.tile(state["speed"].to_numpy()[:, None], (1, 4))
     wheels[7000:7100, 2] += 6.0
-    slipping = prepare(
-        made.with_topic(frame_of(TRAIN_AXLES, state.index, {"wheel_speed": wheels})), line, train
-    )
+    axles = frame_of(TRAIN_AXLES, state.index, {"wheel_speed": wheels})
+    slipping = prepare(view_of(made.with_topic(axles)))
     assert slipping.masked["slip"] == pytest.approx(10.0, abs=1.0)
     assert not slipping.recording.usable[6995:7105].any()
     assert slipping.recording.usable[7130]
@@ -559,7 +553,9 @@ def test_speeds_in_kilometres_an_hour_are_refused() -> None:
 def test_a_log_is_fitted_as_the_trip_that_it_holds(tmp_path: Path) -> None:
     path = sample("nonstop.mcap")
     assert fit_trip(path).beta.tolist() == fit_trip(read_log(path)).beta.tolist()
-    refused(InputError, r"3 \(int\) was given where a Trip or str or Path is", fit_trip, 3)
+    refused(
+        InputError, r"3 \(int\) was given where a Trip or TripView or str or Path is", fit_trip, 3
+    )
     refused(InputError, "is a folder; one trip is expected; give one log", fit_trip, tmp_path)
     for one in (3, [3]):
         refused(InputError, r"3 \(int\) was given", analysis.fit, one)
@@ -596,7 +592,7 @@ def test_slip_is_masked_where_no_axle_speeds_are_recorded() -> None:
 
     def left(trip: Trip) -> tuple[float, float]:
         """Change of the sum of slips in a window [m/s], RMS, and time that is used [s]."""
-        windows = build_windows(prepare(trip, line_of(trip), train).recording)
+        windows = build_windows(prepare(view_of(trip)).recording)
         change = np.interp(windows.end, time, slip) - np.interp(windows.start, time, slip)
         return float(np.sqrt(np.mean(change**2))), float(windows.duration.sum())
 

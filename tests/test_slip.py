@@ -20,7 +20,7 @@ from analysis.adhesion.slip import SlipAnalysis, adhesion_noise, slip, wheel_noi
 from analysis.estimates import estimate_log
 from trainlog.arrays import FloatArray
 from trainlog.errors import LogError
-from trainlog.formats.railway import line_of, line_to_bytes, train_to_bytes
+from trainlog.formats.railway import line_of, line_to_bytes, train_to_bytes, with_passport
 from trainlog.mcap import read_log, write_log
 from trainlog.railway import Axles, Quantity, RunningResistance
 from trainlog.resampling import interpolated
@@ -649,7 +649,7 @@ class TestEffortsOfUnknownDelay:
 
     def analysed(self, each: Seen, delay: float, std: float) -> SlipAnalysis:
         known = replace(passport(each.trip), effort_delay=Quantity(0.0, std, "assumed"))
-        return slip(of_efforts(each.trip, lambda values: late(values, delay)), known)
+        return slip(with_passport(of_efforts(each.trip, lambda v: late(v, delay)), known))
 
     @pytest.mark.parametrize("kind", ["heavy", "quick"])
     def test_the_band_of_the_levels_holds(self, kind: str, request: pytest.FixtureRequest) -> None:

@@ -14,7 +14,7 @@ reached.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from typing import Any
@@ -233,86 +233,6 @@ def joined(
     result = pd.DataFrame(found, index=_named(times), columns=list(found), dtype=np.float64)
     result.attrs = {"units": units}
     return result
-
-
-def joined_pieces(
-    pieces: Iterable[Trip], columns: Sequence[str], on: str, *, max_gap: float | None
-) -> Iterator[pd.DataFrame]:
-    """What `joined` gives, piece by piece, for trips larger than the memory.
-
-    A row waits until every topic is known up to its time, or, past `max_gap`, will not be.
-
-    Parameters
-    ----------
-    pieces : iterable of Trip
-        In the order of time; each with every topic, without rows perhaps.
-    columns : sequence of str
-    on : str
-        Topic whose times are the clock.
-    max_gap : float [s] or None
-
-    Yields
-    ------
-    DataFrame
-        One after the other the rows of ``joined(whole, columns, on, max_gap=max_gap)``.
-
-    Raises
-    ------
-    LogError, InputError
-        As `joined`.
-    """
-    topics = {on, *(name.rpartition(".")[0] for name in columns)}
-    patience = None if max_gap is None else int(max_gap * NANOSECONDS) + 1
-    waiting: Trip | None = None
-    newest = -1
-    for piece in pieces:
-        waiting = _behind(waiting, piece, topics)
-        newest = max([newest, *map(_end, piece.topics.values())])
-        oldest = -1 if patience is None else newest - patience
-        known = min([newest, *(max(_end(waiting[name]), oldest) for name in topics - {on})])
-        ready = int(np.searchsorted(nanoseconds(waiting[on]), known, side="right"))
-        if ready:
-            yield _joined_rows(waiting, columns, on, slice(0, ready), max_gap)
-            waiting = _remaining(waiting, on, ready)
-    if waiting is not None:
-        yield _joined_rows(waiting, columns, on, slice(0, None), max_gap)
-
-
-def _joined_rows(
-    trip: Trip, columns: Sequence[str], on: str, rows: slice, max_gap: float | None
-) -> pd.DataFrame:
-    return joined(trip.with_topic(_kept(trip[on], rows)), columns, on, max_gap=max_gap)
-
-
-def _behind(waiting: Trip | None, piece: Trip, topics: set[str]) -> Trip:
-    """The piece's topics behind the rows that wait."""
-    if waiting is None:
-        return replace(piece, topics={name: piece[name] for name in topics})
-    frames = {}
-    for name in topics:
-        frames[name] = pd.concat([waiting[name], piece[name]])
-        frames[name].attrs = piece[name].attrs
-    return replace(waiting, topics=frames)
-
-
-def _remaining(trip: Trip, on: str, done: int) -> Trip:
-    """The rows that are still needed when the first rows of the clock are done."""
-    reached = nanoseconds(trip[on])[done - 1]
-    frames = {}
-    for name, frame in trip.topics.items():
-        first = int(np.searchsorted(nanoseconds(frame), reached, side="right")) - 1
-        frames[name] = _kept(frame, slice(done if name == on else max(first, 0), None))
-    return replace(trip, topics=frames)
-
-
-def _kept(frame: pd.DataFrame, rows: slice) -> pd.DataFrame:
-    kept = frame.iloc[rows]
-    kept.attrs = frame.attrs
-    return kept
-
-
-def _end(frame: pd.DataFrame) -> int:
-    return int(nanoseconds(frame)[-1]) if len(frame) else -1
 
 
 MOST_INSTANTS = 10**8

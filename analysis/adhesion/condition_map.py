@@ -29,7 +29,7 @@ from trainlog.display import counted
 from trainlog.errors import InputError, LogError, NotRecordedError, TrainlogError
 from trainlog.formats.files import logs_of, refuse_reading, sha256, sha256_of
 from trainlog.formats.mapfile import MapFile, Recording, Refusal, merged, reasons_of
-from trainlog.identity import identity_of, text_of
+from trainlog.identity import text_of
 from trainlog.presentation import Column, Presented, Said, WordTable, new_table
 from trainlog.railway.adhesion import DRY, WET
 from trainlog.railway.condition import BIN_LENGTH, TrackConditionMap
@@ -41,7 +41,7 @@ from trainlog.version import __version__, code_version
 if TYPE_CHECKING:
     from analysis.adhesion.evidence import Evidence
     from analysis.adhesion.map_state import LayerSummary
-    from analysis.given import Given
+    from analysis.view import Given
     from trainlog.railway.weather import Weather
 
 # What analyses logs is imported with the first one that the map does not hold: most of the time of
@@ -315,13 +315,11 @@ def adhesion_map(
     [('dry', 1)]
     """
     from analysis.adhesion.evidence import (
-        COVARIATE_TOPICS,
         evidence,
         evidence_of_log,
         own_line,
     )
-    from analysis.given import each_given
-    from trainlog.mcap import read_log
+    from analysis.view import each_given, trip_of, view_of
     from trainlog.mcap.reader import identity_of_log
 
     if layer is not None:
@@ -330,13 +328,13 @@ def adhesion_map(
     pieces: list[Evidence] = []
     held: list[tuple[str, str]] = []
     for given in each_given(trips):
-        path = None if isinstance(given, Trip) else given
-        trip = given if isinstance(given, Trip) else read_log(given, topics=COVARIATE_TOPICS)
+        path = given if isinstance(given, Path) else None
         try:
+            trip = trip_of(given, [])
             if track is None:
                 track = empty_map(own_line(trip))
             digest = "" if path is None else sha256_of(path)
-            recorded = identity_of(trip) if path is None else identity_of_log(path)
+            recorded = view_of(given).identity if path is None else identity_of_log(path)
             with MapFile.of_map(replace(track, layers={})) as ledger:
                 log = {"trip": trip.name, "sha256": digest}
                 why = ledger.reason(Recording("", log, recorded))
@@ -344,7 +342,7 @@ def adhesion_map(
                 held.append((trip.name, why))
                 continue
             pieces.append(
-                evidence(trip, track, layer=layer, weather=weather)
+                evidence(view_of(given), track, layer=layer, weather=weather)
                 if path is None
                 else evidence_of_log(path, track, layer, weather, sha256=digest)
             )

@@ -9,8 +9,9 @@ their order.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,14 @@ import numpy as np
 import pandas as pd
 
 from analysis.adhesion.slip import TOPICS, SlipAnalysis, joined_details, slip
+from analysis.view import TripView, view_of, views_of
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.condition import setting
 from trainlog.errors import InputError, LogError, NotRecordedError
 from trainlog.formats.railway import line_of
-from trainlog.identity import COLUMNS, TripIdentity, identity_of
+from trainlog.identity import TripIdentity
 from trainlog.mcap import read_log
-from trainlog.mcap.reader import identity_of_log, stretches
+from trainlog.mcap.reader import identity_of_log
 from trainlog.railway.condition import DIRECTIONS, TrackConditionMap
 from trainlog.railway.evidence import DailyEvidence, fixed
 from trainlog.railway.line import Line
@@ -99,7 +101,7 @@ class Evidence:
 
 
 def evidence(
-    trip: Trip,
+    trip: Trip | TripView,
     track: TrackConditionMap,
     *,
     sha256: str = "",
@@ -110,7 +112,7 @@ def evidence(
 
     Parameters
     ----------
-    trip : Trip
+    trip : Trip or TripView
     track : TrackConditionMap
         Whose bins and settings are used; it may be empty (`empty_map`).
     sha256 : str
@@ -127,10 +129,11 @@ def evidence(
         If the rail condition is not known, or slip cannot be analysed
         (`analysis.adhesion.slip.slip`).
     """
-    found = slip(trip)  # what the recording lacks goes before a condition that is not stated
-    condition = condition_of(trip, track, layer, weather)
-    return with_details([found], trip, track, condition, weather, sha256=sha256,
-                        recorded=identity_of(trip))  # fmt: skip
+    view = view_of(trip)
+    found = slip(view)  # what the recording lacks goes before a condition that is not stated
+    condition = condition_of(view.trip, track, layer, weather)
+    return with_details([found], view.trip, track, condition, weather, sha256=sha256,
+                        recorded=view.identity)  # fmt: skip
 
 
 def evidence_of_log(
@@ -141,41 +144,26 @@ def evidence_of_log(
     *,
     sha256: str = "",
 ) -> Evidence:
-    """What the trip of a log says of the maximum adhesion; a long log is analysed in stretches.
+    """What the trip of a log says of the maximum adhesion, of a long log all its parts together.
 
     Parameters and errors are those of `evidence`, for a log.
     """
+    views = views_of(path, (*TOPICS, *COVARIATE_TOPICS))
+    first = next(views)
+    if first.count == 1:
+        return evidence(first, track, sha256=sha256, layer=layer, weather=weather)
     trip = read_log(path, topics=COVARIATE_TOPICS)
-    try:
-        condition = condition_of(trip, track, layer, weather)
-    except LogError:
-        # What the recording lacks goes before a condition that is not stated.
-        next(slips_of_log(path), None)
-        raise
-    identified: list[TripIdentity | None] = []
-
-    def known(stretch: Trip) -> None:
-        """Which drive it is, where the topics that slip needs hold the column for that."""
-        topic, column, _ = COLUMNS[0]
-        frame = stretch.topics.get(topic)
-        if frame is not None and column in frame and bool(frame[column].notna().any()):
-            identified.append(identity_of(stretch))
-
-    found = with_details(slips_of_log(path, known), trip, track, condition, weather, sha256=sha256)
-    return replace(found, recorded=identified[0] if identified else identity_of_log(path))
+    condition = condition_of(trip, track, layer, weather)
+    found = with_details(slips_of(chain([first], views)), trip, track, condition, weather,
+                         sha256=sha256, recorded=identity_of_log(path))  # fmt: skip
+    return replace(found, trip=trip.name)
 
 
-def slips_of_log(path: Path, whole: Callable[[Trip], None] | None = None) -> Iterator[SlipAnalysis]:
-    """The slip analysis of a log; of a long log stretch by stretch.
-
-    `whole` is called with the trip of a log that is not long.
-    """
-    for stretch in stretches(path, TOPICS):
-        if stretch.count == 1 and whole is not None:
-            whole(stretch.trip)
-        # A stretch in which the axles were not recorded has no slip.
-        if stretch.count == 1 or len(stretch.trip["/train/axles"]) > 1:
-            yield slip(stretch.trip).part(stretch.span)
+def slips_of(views: Iterable[TripView]) -> Iterator[SlipAnalysis]:
+    """The slip analysis of a trip, or of each part of it in which axles were recorded."""
+    for view in views:
+        if view.count == 1 or len(view.trip["/train/axles"]) > 1:
+            yield slip(view)
 
 
 def with_details(

@@ -20,8 +20,8 @@ import numpy as np
 import pandas as pd
 
 from analysis.adhesion.axles import SLOW, PoweredAxles, powered_axles
-from analysis.given import Given, trip_of
 from analysis.resistance.passport import passport
+from analysis.view import Given, TripView, view_of
 from estimators.adhesion import smoothed_force
 from estimators.slip import (
     NOISE_MULTIPLE,
@@ -36,12 +36,10 @@ from estimators.slip import (
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted, span
 from trainlog.errors import LogError
-from trainlog.formats.railway import line_of, train_of
-from trainlog.ingest.frozen import without_frozen
+from trainlog.formats.railway import line_of
 from trainlog.ingest.recording import Finding
 from trainlog.presentation import Presented, WordTable, frame_table
 from trainlog.railway.line import Line, in_km
-from trainlog.railway.passport import Passport
 from trainlog.railway.train import Train, axle_loads
 from trainlog.resampling import interpolated
 from trainlog.spans import in_spans, runs_of
@@ -374,15 +372,13 @@ def joined_details(first: dict[str, Any], second: dict[str, Any]) -> dict[str, A
     return both
 
 
-def slip(trip: Given, known: Passport | None = None) -> SlipAnalysis:
+def slip(trip: Given) -> SlipAnalysis:
     """Slip, adhesion in use and slip events of a trip that carries its line and its train.
 
     Parameters
     ----------
     trip : Trip or path
         A trip at hand, or a log, with ``/train/axles`` and a position.
-    known : Passport, optional
-        Default: that of the trip, stored or estimated.
 
     Raises
     ------
@@ -402,9 +398,13 @@ def slip(trip: Given, known: Passport | None = None) -> SlipAnalysis:
     >>> found.adhesion.shape[1], found.events["kind"].unique().tolist()
     (4, ['traction', 'braking'])
     """
-    trip, frozen = without_frozen(trip_of(trip, TOPICS))
-    train, line = train_of(trip), line_of(trip)
-    axles = powered_axles(trip, train, passport(trip) if known is None else known)
+    return view_of(trip, TOPICS).once(_slip)
+
+
+def _slip(view: TripView) -> SlipAnalysis:
+    trip, frozen = view.unfrozen
+    train, line = view.train, view.line
+    axles = powered_axles(trip, train, passport(view))
     noise = wheel_noise(axles.wheel_speed)
     wheels = pd.DataFrame(axles.wheel_speed).interpolate(limit_direction="both").fillna(0.0)
     travelled = _position(trip, axles.clock)

@@ -50,17 +50,17 @@ from analysis.comparison.energy import (
     smooth_speed,
     trip_spread,
 )
-from analysis.given import Given, trip_of
 from analysis.resistance.curve import HEAD_WIND
-from analysis.resistance.fit import TripFit, fit_trip, scale_of
+from analysis.resistance.fit import TripFit, fit_trip
 from analysis.resistance.observed import FitOfTrips, parameter_set
 from analysis.resistance.passport import estimated_passport, with_effort_delay
-from analysis.resistance.recording import LEAST_EFFORT, recorded_head_wind
+from analysis.resistance.recording import LEAST_EFFORT, recorded_head_wind, scale_of
+from analysis.view import Given, TripView, view_of
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import check_kind
-from trainlog.formats.railway import largest_load, recorded_load, train_of, train_to_bytes
+from trainlog.formats.railway import largest_load, recorded_load, train_to_bytes
 from trainlog.presentation import (
     DURATION,
     ENERGY,
@@ -386,10 +386,9 @@ class Inputs:
         return self.mass.value + self.model.train.rotating_mass
 
 
-def inputs_of(trip: Trip, model: ParameterSet | Train, wind_std: float | None) -> Inputs:
+def inputs_of(view: TripView, model: ParameterSet | Train, wind_std: float | None) -> Inputs:
     """The trip and the model as they are compared; errors as `calculate`."""
-    train = train_of(trip)
-    known = estimated_passport(trip)
+    trip, train, known = view.trip, view.train, estimated_passport(view)
     delay = known.motion_delay.value if known.effort_delay.source == "estimated" else 0.0
     # Efforts are corrected here, not once more by a stored passport.
     bare = replace(
@@ -397,7 +396,7 @@ def inputs_of(trip: Trip, model: ParameterSet | Train, wind_std: float | None) -
         attachments={k: v for k, v in trip.attachments.items() if k != "passport.json"},
     )
     driven = driven_trip(bare)
-    scale = scale_of(trip) if "/train/state" in trip else None
+    scale = scale_of(view) if "/train/state" in trip else None
     factor = 1.0 if scale is None else scale.factor
     gain = known.effort_gain if known.effort_gain.known else UNCALIBRATED
     load = recorded_load(trip, train)
@@ -1072,17 +1071,16 @@ def calculate(
         model = model.parameters
     elif isinstance(model, TripFit):
         model = parameter_set([model])
-    whole = trip_of(trip)
+    view = view_of(trip)
     if isinstance(model, Train):
-        whole = replace(
-            whole, attachments={**whole.attachments, TRAIN_ATTACHMENT: train_to_bytes(model)}
-        )
+        attached = {**view.trip.attachments, TRAIN_ATTACHMENT: train_to_bytes(model)}
+        view = TripView(replace(view.trip, attachments=attached))
     if wind_std is not None and not 0.0 <= wind_std < np.inf:
         raise InputError(
             f"a standard deviation of the head wind of {wind_std:g} m/s",
             remedy="give 0 or more, in m/s",
         )
-    inputs = inputs_of(whole, model, wind_std)
+    inputs = inputs_of(view, model, wind_std)
     cells = Cells.of(inputs)
     variants = variants_of(inputs)
     table, speeds, spread = predicted(inputs, cells, variants)

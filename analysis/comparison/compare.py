@@ -38,7 +38,7 @@ from analysis.comparison.causes import CAUSES, GAINED
 from analysis.comparison.driven import UNKNOWN_TIME, DrivenTrip, Stand, driven_trip, planned_trip
 from analysis.comparison.energy import ForceModel, Normalised, normalised_energy
 from analysis.comparison.groups import line_energy
-from analysis.given import Given, each_given
+from analysis.view import Given, each_given
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted, span
 from trainlog.errors import InputError, TrainlogError

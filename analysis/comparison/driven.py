@@ -3,10 +3,7 @@
 Speed, position and cumulated work on one clock (`analysis.comparison.driven`), stands apart from
 the running time.
 
-What a comparison reads of a trip: speed, position and work on one clock.
-
-Long logs are read in pieces, and only the columns that are used; of each piece a sample every
-`SAMPLING` seconds is kept, and work is cumulated over all samples.
+A sample every `SAMPLING` seconds is kept, and work is cumulated over all samples.
 
 Speed and position where they are not recorded: bridged by what else is, or stated as unknown.
 
@@ -19,10 +16,9 @@ known: neither is the work there, and a calculation starts anew behind it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -31,13 +27,18 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from analysis.adhesion.axles import protection_onsets
-from analysis.given import Given, trip_of
+from analysis.view import (
+    LARGEST_SETBACK,
+    SHORTEST_STOP,
+    STANDING_ESTIMATE,
+    Given,
+    TripView,
+    view_of,
+)
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError, LogError
-from trainlog.formats.railway import line_of, passport_of, recorded_load, train_of
-from trainlog.mcap import read_log
-from trainlog.mcap.reader import stream_log
+from trainlog.formats.railway import line_of, passport_of, recorded_load
 from trainlog.railway import Line, Train, Trajectory
 from trainlog.railway.line import STATION_REACH, in_km, km_words, station_at
 from trainlog.railway.passport import Quantity
@@ -47,12 +48,13 @@ from trainlog.resampling import (
     POSITION_SOURCES,
     TimeDistance,
     forward_chainage,
-    joined_pieces,
+    joined,
     planned_time_distance,
 )
 from trainlog.spans import runs_of
 from trainlog.topics import (
     ENVIRONMENT,
+    ESTIMATED_STATE,
     EVENTS,
     GNSS_MOTION,
     REFERENCE,
@@ -323,44 +325,16 @@ def _agreeing(
     return off, values
 
 
-@dataclass(eq=False)
-class Silences:
-    """Stretches in which topics have no rows, watched while a trip is read in pieces."""
-
-    topics: tuple[str, ...]
-    _last: dict[str, int] = field(default_factory=dict)
-    _steps: dict[str, list[int]] = field(default_factory=dict)
-    _usual: dict[str, float] = field(default_factory=dict)
-    _long: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
-
-    def watched(self, pieces: Iterable[Trip]) -> Iterator[Trip]:
-        """The pieces as they are."""
-        for piece in pieces:
-            for name in self.topics:
-                if name in piece and len(piece[name]):
-                    self._watch(name, nanoseconds(piece[name]))
-            yield piece
-
-    def _watch(self, name: str, stamps: IntArray) -> None:
-        before = self._last.get(name)
-        whole = stamps if before is None else np.concatenate(([before], stamps))
-        self._last[name] = int(stamps[-1])
-        steps = np.diff(whole)
-        if not steps.size:
-            return
-        self._usual.setdefault(name, float(np.median(steps)) / NANOSECONDS)
-        long = np.flatnonzero(steps > SHORT_GAP * NANOSECONDS)
-        found = self._long.setdefault(name, [])
-        found += [(int(whole[row]), int(whole[row + 1])) for row in long.tolist()]
-
-    def gaps(self, names: dict[str, str]) -> list[Gap]:
-        """Gaps of each topic; `names` gives what is missing then."""
-        return [
-            Gap(first, last, names[topic])
-            for topic, spans in self._long.items()
-            for first, last in spans
-            if last - first > SILENCE * self._usual[topic] * NANOSECONDS
-        ]
+def _silences(trip: Trip, names: dict[str, str]) -> list[Gap]:
+    """Stretches in which topics have no rows; `names` gives what of each is missing then."""
+    found = []
+    for topic, missing in names.items():
+        stamps = nanoseconds(trip[topic])
+        steps = np.diff(stamps)
+        usual = float(np.median(steps)) if steps.size else 0.0
+        long = np.flatnonzero(steps > max(SHORT_GAP * NANOSECONDS, SILENCE * usual))
+        found += [Gap(int(stamps[row]), int(stamps[row + 1]), missing) for row in long.tolist()]
+    return found
 
 
 def time_in(gaps: Iterable[Gap], stamps: IntArray, position: FloatArray) -> FloatArray:
@@ -379,9 +353,6 @@ def time_in(gaps: Iterable[Gap], stamps: IntArray, position: FloatArray) -> Floa
 SAMPLING = 0.1
 """Least time between two samples that are kept [s]; work is summed over all of them."""
 
-ROWS = 250_000
-"""Rows of a piece."""
-
 _WORKS = {
     "tractive_effort": "traction",
     "dynamic_braking_effort": "dynamic_braking",
@@ -396,7 +367,13 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     TRAIN_SLIP_PROTECTION.name: ("active",),
     TRAIN_SUPPLY.name: ("line_voltage", "line_current"),
 }
-"""What is read beside speed and position, where it is recorded."""
+"""What is taken beside speed and position, where it is recorded."""
+
+TOPICS = (
+    ESTIMATED_STATE.name, TRAIN_STATE.name, *COLUMNS, TRAIN_AXLES.name, GNSS_MOTION.name,
+    EVENTS.name,
+)  # fmt: skip
+"""What is read of a log."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -411,146 +388,77 @@ class Samples:
     gaps: tuple[Gap, ...] = ()
 
 
-def described(given: Given) -> Trip:
-    """The trip; of a log, its topics without rows."""
-    if isinstance(given, Trip):
-        return given
-    never = (pd.Timestamp(0, tz="UTC"), pd.Timestamp(0, tz="UTC"))
-    if Path(given).is_dir():
-        return trip_of(given)  # which refuses it
-    topics = [*dict(_states()), *COLUMNS, TRAIN_AXLES.name, GNSS_MOTION.name]
-    return read_log(given, topics, time=never)
-
-
 def _states() -> list[tuple[str, str]]:
     return [(source[0], source[1]) for source in POSITION_SOURCES[:2]]
 
 
-def samples_of(given: Given, bare: Trip) -> Samples:
+def samples_of(trip: Trip) -> Samples:
     """Speed, position and what else is recorded, on the clock of the position."""
-    present = {
-        topic: [name for name in names if name in bare[topic]]
+    present = [
+        f"{topic}.{name}"
         for topic, names in COLUMNS.items()
-        if topic in bare
-    }
-    present = {topic: names for topic, names in present.items() if names}
+        for name in names
+        if topic in trip and name in trip[topic]
+    ]
     for state, _ in _states():
-        if state not in bare or "position" not in bare[state]:
+        if state not in trip or "position" not in trip[state]:
             continue
-        chosen: dict[str, Iterable[str]] = {state: ["speed", "position"], **present}
-        gathered = _gathered(given, chosen, state, None)
-        if gathered.lacks:
-            bridges = bridged(_around(given, bare, state))
-            gathered = _gathered(given, chosen, state, bridges)
-        if gathered.rows:
-            return gathered.table(state)
+        columns = [f"{state}.speed", f"{state}.position", *present]
+        frame = joined(trip, columns, state, max_gap=None).rename(columns=_short)
+        if not frame["position"].notna().any():
+            continue
+        gaps: tuple[Gap, ...] = ()
+        if frame[["speed", "position"]].isna().any(axis=None):
+            bridges = bridged(_around(trip, state))
+            frame, gaps = bridges.fill(frame), bridges.gaps
+        silent = {state: "sample"}
+        if TRAIN_CONTROLS.name in trip:
+            silent[TRAIN_CONTROLS.name] = "effort"
+        return _thinned(frame, state, (*gaps, *_silences(trip, silent)))
     raise LogError(
-        f"trip '{bare.name}' knows no chainage",
+        f"trip '{trip.name}' knows no chainage",
         place="topics /estimates/state and /train/state",
         remedy="ingest it with its line (--line), which finds the chainage of its fixes",
     )
 
 
-def _gathered(
-    given: Given, chosen: Mapping[str, Iterable[str]], state: str, bridges: Bridges | None
-) -> _Gathered:
-    watched = (state, *(name for name in (TRAIN_CONTROLS.name,) if name in chosen))
-    silences = Silences(watched)
-    found = _Gathered(bridges)
-    for table in joined_pieces(
-        silences.watched(pieces_of(given, chosen)),
-        [f"{topic}.{name}" for topic, names in chosen.items() for name in names],
-        state,
-        max_gap=None,
-    ):
-        found.add(table)
-    found.silent = silences.gaps({state: "sample", TRAIN_CONTROLS.name: "effort"})
-    return found
+def _around(trip: Trip, state: str) -> pd.DataFrame:
+    """Speed and position of a trip, with what may bridge their gaps, every `SAMPLING` seconds."""
+    columns = [f"{state}.speed", f"{state}.position"]
+    axles = trip.topics.get(TRAIN_AXLES.name, pd.DataFrame())
+    columns += [f"{TRAIN_AXLES.name}.{n}" for n in axles if str(n).startswith("wheel_speed")]
+    if GNSS_MOTION.name in trip and "speed" in trip[GNSS_MOTION.name]:
+        columns.append(f"{GNSS_MOTION.name}.speed")
+    table = joined(trip, columns, state, max_gap=SHORT_GAP)
+    return table[_each_tick(nanoseconds(table) / NANOSECONDS)].rename(columns=_short)
 
 
-def _around(given: Given, bare: Trip, state: str) -> pd.DataFrame:
-    """Speed and position of a whole trip, with what may bridge their gaps."""
-    axles = bare.topics.get(TRAIN_AXLES.name, pd.DataFrame())
-    wheels = [str(name) for name in axles if str(name).startswith("wheel_speed")]
-    chosen: dict[str, list[str]] = {state: ["speed", "position"], TRAIN_AXLES.name: wheels}
-    if GNSS_MOTION.name in bare and "speed" in bare[GNSS_MOTION.name]:
-        chosen[GNSS_MOTION.name] = ["speed"]
-    chosen = {topic: names for topic, names in chosen.items() if names}
-    columns = [f"{topic}.{name}" for topic, names in chosen.items() for name in names]
-    kept = []
-    for table in joined_pieces(pieces_of(given, chosen), columns, state, max_gap=SHORT_GAP):
-        ticks = np.floor(nanoseconds(table) / NANOSECONDS / SAMPLING + 1e-6)
-        kept.append(table[np.concatenate(([True], np.diff(ticks) > 0.0))[: len(table)]])
-    return pd.concat(kept).rename(columns=_short)
+def _each_tick(time: FloatArray) -> BoolArray:
+    """The first sample in each `SAMPLING`; times [s] do not decrease."""
+    ticks = np.floor(time / SAMPLING + 1e-6)
+    return np.concatenate(([True], np.diff(ticks) > 0.0))[: time.size]
 
 
-def pieces_of(given: Given, columns: Mapping[str, Iterable[str]]) -> Iterable[Trip]:
-    """Some columns of a trip; of a log, piece by piece."""
-    return [given] if isinstance(given, Trip) else stream_log(given, columns, rows=ROWS)
-
-
-class _Gathered:
-    """Sums a trip that comes in pieces, and keeps a sample every `SAMPLING` seconds."""
-
-    def __init__(self, bridges: Bridges | None = None) -> None:
-        self.rows = 0
-        self.lacks = False
-        self.silent: list[Gap] = []
-        self._bridges = bridges
-        self._origin: pd.Timestamp | None = None
-        self._kept: list[pd.DataFrame] = []
-        self._last: pd.DataFrame | None = None
-        self._totals = pd.Series(dtype=np.float64)
-
-    def add(self, table: pd.DataFrame) -> None:
-        """Add rows; those without position count for the works alone."""
-        frame = table.rename(columns=_short)
-        if frame.empty:
-            return
-        if self._bridges is not None:
-            frame = self._bridges.fill(frame)
-        self.lacks |= bool(frame[["speed", "position"]].isna().any(axis=None))
-        if self._origin is None:
-            self._origin = pd.Timestamp(frame.index[0])
-        time = seconds(frame, self._origin)
-        frame = frame.reset_index(drop=True).assign(time=time)
-        if self._last is not None:
-            frame = pd.concat([self._last, frame], ignore_index=True)
-        sums = _integrals(frame)
-        if self._last is not None:
-            sums = sums.iloc[1:] + self._totals
-            frame = frame.iloc[1:]
-        self._last, self._totals = frame.iloc[-1:], sums.iloc[-1]
-        merged = pd.concat([frame, sums], axis=1)
-        merged = merged[np.isfinite(merged["position"].to_numpy())]
-        if merged.empty:
-            return
-        ticks = np.floor(merged["time"].to_numpy() / SAMPLING + 1e-6)
-        first = np.concatenate(([True], np.diff(ticks) > 0.0))
-        self.rows += int(first.sum())
-        self._kept.append(merged[first])
-
-    def table(self, state: str) -> Samples:
-        """What was gathered."""
-        if self._origin is None or not self._kept:
-            raise LogError("no samples")
-        whole = pd.concat(self._kept, ignore_index=True)
-        # One row each: the first of a piece may repeat the tick of the one before.
-        whole = whole[np.diff(whole["time"].to_numpy(), prepend=-1.0) > 0.0]
-        columns = {name: whole[name].to_numpy(dtype=np.float64) for name in whole.columns}
-        sums = {name[1:]: columns.pop(name) for name in list(columns) if name.startswith("∫")}
-        origin = int(self._origin.as_unit("ns").value)
-        time = columns.pop("time")
-        gaps = (*(() if self._bridges is None else self._bridges.gaps), *self.silent)
-        stamps = origin + np.rint(time * NANOSECONDS).astype(np.int64)
-        if "unknown_effort" in sums:
-            unknown = [each for each in gaps if not each.bridge and each.missing != "position"]
-            silent = time_in(unknown, stamps, columns["position"])
-            for name in ("unknown_effort", "unknown_dynamic_braking", "unknown_pneumatic_braking"):
-                if name in sums:
-                    sums[name] = sums[name] + silent
-        gaps = (*gaps, *_without(columns.get("tractive_effort"), stamps))
-        return Samples(origin, state != TRAIN_STATE.name, time, columns, sums, gaps)
+def _thinned(frame: pd.DataFrame, state: str, gaps: tuple[Gap, ...]) -> Samples:
+    """A sample every `SAMPLING` seconds; rows without position count for the works alone."""
+    origin = pd.Timestamp(frame.index[0])
+    frame = frame.assign(time=seconds(frame, origin)).reset_index(drop=True)
+    whole = pd.concat([frame, _integrals(frame)], axis=1)
+    whole = whole[np.isfinite(whole["position"].to_numpy())]
+    whole = whole[_each_tick(whole["time"].to_numpy())]
+    columns = {name: whole[name].to_numpy(dtype=np.float64) for name in whole.columns}
+    sums = {name[1:]: columns.pop(name) for name in list(columns) if name.startswith("∫")}
+    time = columns.pop("time")
+    stamps = origin.as_unit("ns").value + np.rint(time * NANOSECONDS).astype(np.int64)
+    if "unknown_effort" in sums:
+        unknown = [each for each in gaps if not each.bridge and each.missing != "position"]
+        silent = time_in(unknown, stamps, columns["position"])
+        for name in ("unknown_effort", "unknown_dynamic_braking", "unknown_pneumatic_braking"):
+            if name in sums:
+                sums[name] = sums[name] + silent
+    gaps = (*gaps, *_without(columns.get("tractive_effort"), stamps))
+    estimated = state != TRAIN_STATE.name
+    return Samples(int(origin.as_unit("ns").value), estimated, time, columns, sums, gaps)
 
 
 def _without(effort: FloatArray | None, stamps: IntArray) -> list[Gap]:
@@ -595,14 +503,8 @@ def _integrals(frame: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(found, index=frame.index)
 
 
-SHORTEST_STOP = 5.0
-"""A train that stands for less [s] is creeping, not stopping."""
-
-STANDING_ESTIMATE = 0.3
-"""Estimated speed [m/s] up to which a train stands: satellites' speeds waver at rest."""
-
-NOTED_SETBACK, LARGEST_SETBACK = 2.0, 200.0
-"""Metres by which recorded chainage runs backwards that are stated, and that are refused."""
+NOTED_SETBACK = 2.0
+"""Metres by which recorded chainage runs backwards that are stated."""
 
 SPIKE, SPIKE_SAMPLES = 50.0, 51
 """A position so far [m] off the median of so many around it, less what the speed explains, is no
@@ -815,13 +717,19 @@ def driven_trip(given: Given, line: Line | None = None) -> DrivenTrip:
     >>> [(stand.station, round(stand.duration)) for stand in trip.stands][:2]
     [('St.Gallen', 0), ('Gossau SG', 42)]
     """
-    bare = described(given)
-    travelled = _line_as_travelled(bare, line)
-    train = train_of(bare) if TRAIN_ATTACHMENT in bare.attachments else None
-    table = samples_of(given, bare)
-    mass, gain = _mass_and_gain(bare, train)
-    parts = _Reduction(bare, travelled, train, gain).reduced(table)
-    slips = _onsets(given, parts)
+    view = view_of(given, TOPICS)
+    if line is None:
+        return view.once(_driven)
+    return _driven(view, line)
+
+
+def _driven(view: TripView, line: Line | None = None) -> DrivenTrip:
+    trip = view.trip
+    travelled = _line_as_travelled(trip, line)
+    train = view.train if TRAIN_ATTACHMENT in trip.attachments else None
+    mass, gain = _mass_and_gain(trip, train)
+    parts = _Reduction(trip, travelled, train, gain).reduced(samples_of(trip))
+    slips = _onsets(trip, parts)
     flags = dict(parts.flags)
     if slips is not None and "slip" not in flags:
         since = parts.time - np.append(-np.inf, slips)[np.searchsorted(slips, parts.time, "right")]
@@ -1123,11 +1031,10 @@ def _mass_and_gain(bare: Trip, train: Train | None) -> tuple[Quantity, Quantity]
     return Quantity(train.mass + load.value, load.std, load.source), gain
 
 
-def _onsets(given: Given, trip: DrivenTrip) -> FloatArray | None:
+def _onsets(trip: Trip, driven: DrivenTrip) -> FloatArray | None:
     """When slip protection began to act [s since departure]; None where it is not recorded."""
-    topics = [EVENTS.name, TRAIN_SLIP_PROTECTION.name]
-    onsets = protection_onsets(given if isinstance(given, Trip) else read_log(given, topics))
+    onsets = protection_onsets(trip)
     if onsets is None:
         return None
-    when = (np.asarray(onsets, dtype=np.int64) - trip.departure) / NANOSECONDS
-    return when[(when >= 0.0) & (when <= trip.duration)]
+    when = (np.asarray(onsets, dtype=np.int64) - driven.departure) / NANOSECONDS
+    return when[(when >= 0.0) & (when <= driven.duration)]

@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from analysis.adhesion.axles import protection_onsets
-from analysis.comparison.driven import described, driven_trip, pieces_of
-from analysis.given import Given, each_given
+from analysis.comparison.driven import TOPICS, driven_trip
+from analysis.view import Given, TripView, each_given, trip_of, view_of
 from trainlog.display import counted
 from trainlog.errors import LogError
 from trainlog.formats.railway import line_of, train_of
-from trainlog.mcap import read_log
 from trainlog.presentation import (
     DURATION,
     ENERGY,
@@ -97,11 +96,12 @@ class TripCost:
 RECORDED_PART = "where efforts are recorded"
 """What of an energy is known though efforts are missing."""
 
-Recorded = Trip | Path
-"""A trip, or the log that holds it, which is read in pieces, however long it is."""
+
+Candidate = tuple[Trip, Trip | TripView | Path]
+"""A trip, or its log without rows, and what was given."""
 
 
-def trip_cost(trip: Recorded) -> TripCost:
+def trip_cost(given: Given) -> TripCost:
     """Energy and time of a trip from its recorded efforts and speed.
 
     Parameters
@@ -118,9 +118,8 @@ def trip_cost(trip: Recorded) -> TripCost:
     LogError
         If the trip has no speed, no efforts, or never moves.
     """
-    bare = described(trip)
-    train = train_of(bare)
-    driven = driven_trip(trip)
+    view = view_of(given, (*TOPICS, REFERENCE.name))
+    bare, train, driven = view.trip, view.train, driven_trip(view)
     if "traction" not in driven.sums:
         raise LogError(
             f"trip '{bare.name}' has no recorded efforts: its energy is not known",
@@ -157,27 +156,24 @@ def trip_cost(trip: Recorded) -> TripCost:
         dynamic_braking=dynamic,
         line=line_energy(train, traction, dynamic),
         top_speed=float(driven.speed.max()),
-        slips=_slips(trip),
-        late=_late(trip),
+        slips=_slips(bare),
+        late=_late(bare),
         notes=tuple(notes),
     )
 
 
-def _slips(trip: Recorded) -> int | None:
+def _slips(trip: Trip) -> int | None:
     """How often the slip protection acted; None where that is not recorded."""
-    topics = [EVENTS.name, TRAIN_SLIP_PROTECTION.name]
-    onsets = protection_onsets(trip if isinstance(trip, Trip) else read_log(trip, topics))
+    onsets = protection_onsets(trip)
     return None if onsets is None else len(onsets)
 
 
-def _late(trip: Recorded) -> float | None:
+def _late(trip: Trip) -> float | None:
     """Lateness at the end of the trip."""
-    late = None
-    for piece in pieces_of(trip, {REFERENCE.name: ["lateness"]}):
-        if REFERENCE.name in piece:
-            known = piece[REFERENCE.name]["lateness"].dropna()
-            late = float(known.iloc[-1]) if len(known) else late
-    return late
+    if REFERENCE.name not in trip:
+        return None
+    known = trip[REFERENCE.name]["lateness"].dropna()
+    return float(known.iloc[-1]) if len(known) else None
 
 
 def line_energy(train: Train, traction: float, dynamic_braking: float) -> float:
@@ -185,7 +181,7 @@ def line_energy(train: Train, traction: float, dynamic_braking: float) -> float:
     return traction / train.efficiency_traction - train.efficiency_regeneration * dynamic_braking
 
 
-def fastest_nonstop(trips: Sequence[Recorded], line: Line) -> float:
+def fastest_nonstop(trips: Sequence[Given], line: Line) -> float:
     """Shortest running time [s] among the trips that run the whole line forward without a stop.
 
     Raises
@@ -194,7 +190,9 @@ def fastest_nonstop(trips: Sequence[Recorded], line: Line) -> float:
         If there is no such trip.
     """
     forward = [
-        trip for trip in trips if described(trip).metadata.get("direction", "forward") == "forward"
+        trip
+        for trip in trips
+        if trip_of(trip, []).metadata.get("direction", "forward") == "forward"
     ]
     times = [
         cost.running_time
@@ -227,7 +225,7 @@ class Punctuality:
     slips: int | None
 
 
-def punctuality(followed: Sequence[Recorded]) -> Punctuality:
+def punctuality(followed: Sequence[Given]) -> Punctuality:
     """Lateness and slip of trips that followed a trajectory.
 
     Raises
@@ -236,11 +234,12 @@ def punctuality(followed: Sequence[Recorded]) -> Punctuality:
         If one of them has no reference.
     """
     late, slips = [], list[int | None]()
-    for trip in followed:
+    for given in followed:
+        trip = trip_of(given, [REFERENCE.name, EVENTS.name, TRAIN_SLIP_PROTECTION.name])
         found = _late(trip)
         if found is None:
             raise LogError(
-                f"trip '{described(trip).name}' followed no trajectory: it has no /reference",
+                f"trip '{trip.name}' followed no trajectory: it has no /reference",
                 remedy="give the trips of 'trainlog simulate follow'",
             )
         late.append(found)
@@ -410,8 +409,8 @@ def compare_groups(
     >>> compare_groups(trip, same).pairs[0].traction
     0.0
     """
-    known = [(described(trip), trip) for trip in each_given(drivers)]
-    candidates = [(described(trip), trip) for trip in each_given(followed)]
+    known = [(trip_of(trip, []), trip) for trip in each_given(drivers)]
+    candidates = [(trip_of(trip, []), trip) for trip in each_given(followed)]
     candidates = _that_followed(candidates)
     pairs, remarks, unlike = list[Saving](), list[str](), list[tuple[int, str]]()
     for bare, trip in candidates:
@@ -462,7 +461,9 @@ def _masses(driver: TripCost, followed: TripCost) -> str:
     )
 
 
-def _that_followed(trips: Sequence[tuple[Trip, Recorded]]) -> list[tuple[Trip, Recorded]]:
+def _that_followed(
+    trips: Sequence[Candidate],
+) -> list[Candidate]:
     """The trips, each with its description first, that state the configuration they drove with."""
     remedy = "give trips recorded by 'trainlog simulate follow' or analysis.follow"
     if not trips:
@@ -474,7 +475,7 @@ def _that_followed(trips: Sequence[tuple[Trip, Recorded]]) -> list[tuple[Trip, R
     others = f", nor did {counted(len(trips) - 1, 'other')}" if len(trips) > 1 else ""
     raise LogError(
         f"trip '{first.name}' did not follow a trajectory{others}",
-        file=None if isinstance(recorded, Trip) else recorded,
+        file=recorded if isinstance(recorded, Path) else None,
         remedy=remedy,
     )
 

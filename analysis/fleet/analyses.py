@@ -28,7 +28,7 @@ from trainlog.railway.resistance import LARGEST_STD
 from trainlog.version import code_version, code_version_of
 
 if TYPE_CHECKING:
-    from analysis.fleet.trips import FleetTrip
+    from analysis.view import TripView
     from trainlog.catalogue import Catalogue, Computation
     from trainlog.railway.passport import Quantity
 
@@ -164,9 +164,9 @@ class FleetAnalysis:
 
     Examples
     --------
-    >>> from analysis import fleet_trips
+    >>> from analysis import view_of
     >>> from analysis.fleet.analyses import ANALYSES
-    >>> trip = next(fleet_trips("sample_logs/nonstop.mcap"))
+    >>> trip = view_of("sample_logs/nonstop.mcap")
     >>> found = ANALYSES["resistance"].table(trip)
     >>> len(found), bool(abs(found["mass"][0] - 145e3) < 1e3)
     (1, True)
@@ -177,7 +177,7 @@ class FleetAnalysis:
     run: Run
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
-    def table(self, trip: FleetTrip) -> pd.DataFrame:
+    def table(self, trip: TripView) -> pd.DataFrame:
         """The table of a trip, with the declared columns in their order.
 
         Raises
@@ -242,7 +242,7 @@ class FleetAnalysis:
 
 
 def resistance(
-    trip: FleetTrip,
+    trip: TripView,
     speeds: tuple[float, float] | None = None,
     largest_std: float = LARGEST_STD,
 ) -> pd.DataFrame:
@@ -254,7 +254,7 @@ def resistance(
     digests = {trip.name: trip.sha256}
     try:
         chosen = None if speeds is None else (float(speeds[0]), float(speeds[1]))
-        fit = fit_trip(trip.trip, chosen, largest_std=largest_std, known=trip.passport)
+        fit = fit_trip(trip, chosen, largest_std=largest_std)
     except TripRefusedError as error:
         return summarised(
             [], {trip.name: error}, trains={trip.name: trip.train.name}, digests=digests
@@ -265,11 +265,11 @@ def resistance(
 # ---------------------------------------------------------------------------------- passport
 
 
-def passport_row(trip: FleetTrip) -> pd.DataFrame:
+def passport_row(trip: TripView) -> pd.DataFrame:
     """What is known of the trip's recorder and load, one row."""
-    from analysis.resistance.passport import shared_delay_std
+    from analysis.resistance.passport import passport, shared_delay_std
 
-    found = trip.passport
+    found = passport(trip)
     row: dict[str, Any] = {"trip": trip.name, "findings": "; ".join(found.findings)}
     for name in QUANTITIES:
         each: Quantity = getattr(found, name)
@@ -290,13 +290,14 @@ def passport_row(trip: FleetTrip) -> pd.DataFrame:
 # ---------------------------------------------------------------------------------- adhesion
 
 
-def adhesion(trip: FleetTrip, bin_length: float = BIN_LENGTH) -> pd.DataFrame:
+def adhesion(trip: TripView, bin_length: float = BIN_LENGTH) -> pd.DataFrame:
     """What a trip shows of the maximum adhesion, one row an edge and rail condition.
 
     A trip that never met an edge's limit gives a row there, too: what it used without slip.
     """
     from analysis.adhesion.condition_map import empty_map_of, recording_of
     from analysis.adhesion.evidence import condition_of, with_details
+    from analysis.adhesion.slip import slip
     from analysis.network.edges import edges_of, on_edge
     from trainlog.formats.mapfile import packed_evidence
     from trainlog.identity import text_of
@@ -306,7 +307,7 @@ def adhesion(trip: FleetTrip, bin_length: float = BIN_LENGTH) -> pd.DataFrame:
     conditions = {
         edge.name: condition_of(trip.trip, of_line, edge=edge.name) for edge in edges_of(line)
     }
-    analysis = trip.slip
+    analysis = slip(trip)
     rows = []
     for edge in edges_of(line):
         track = empty_map_of(edge.name, edge.length, bin_length)
@@ -346,14 +347,14 @@ def adhesion(trip: FleetTrip, bin_length: float = BIN_LENGTH) -> pd.DataFrame:
 # ----------------------------------------------------------------------------- driving, checks
 
 
-def driving(trip: FleetTrip) -> pd.DataFrame:
+def driving(trip: TripView) -> pd.DataFrame:
     """Times, energy and losses of a trip, one row an edge."""
     from analysis.fleet.driving import driven_edges
 
     return frame_of(DRIVING, driven_edges(trip))
 
 
-def checks(trip: FleetTrip) -> pd.DataFrame:
+def checks(trip: TripView) -> pd.DataFrame:
     """What of a trip's recording is doubtful, one row."""
     from analysis.fleet.checks import checked
 

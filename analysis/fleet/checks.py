@@ -10,10 +10,9 @@ import numpy as np
 import pandas as pd
 
 from analysis.comparison.driven import SHORT_GAP, SILENCE
-from analysis.fleet.trips import FleetTrip
-from analysis.resistance.recording import speed_scale
+from analysis.resistance.recording import scale_of
+from analysis.view import TripView
 from trainlog.errors import TrainlogError
-from trainlog.ingest.frozen import without_frozen
 from trainlog.ingest.report import STATED, report_of
 from trainlog.railway.geometry import beside, track_of
 from trainlog.resampling import interpolated
@@ -35,26 +34,26 @@ CHANNELS = {
 """What is listed as missing where it is not recorded."""
 
 
-def checked(trip: FleetTrip) -> Mapping[str, Any]:
+def checked(trip: TripView) -> Mapping[str, Any]:
     """What is doubtful of a trip; a row with the names of `CHECKS`.
 
     Examples
     --------
-    >>> from analysis.fleet.trips import fleet_trips
-    >>> row = checked(next(fleet_trips("sample_logs/stopping.mcap")))
+    >>> from analysis.view import view_of
+    >>> row = checked(view_of("sample_logs/stopping.mcap"))
     >>> row["gaps"], row["missing"], row["frozen"]
     (0, '', '')
     """
     doubts: list[str] = []
     recorded = trip.trip
     row: dict[str, Any] = {"trip": trip.name, "damage": trip.damage, "duration": recorded.duration}
-    row |= _gaps(recorded) | _repairs(recorded) | _frozen(recorded)
+    row |= _gaps(recorded) | _repairs(recorded) | _frozen(trip)
     row["missing"] = ", ".join(
         name
         for name, (topic, column) in CHANNELS.items()
         if not _is_recorded(recorded, topic, column)
     )
-    row |= _scale(recorded, doubts) | _beside(trip, doubts)
+    row |= _scale(trip, doubts) | _beside(trip, doubts)
     return row | {"doubts": "; ".join(doubts)}
 
 
@@ -98,23 +97,22 @@ def _repairs(trip: Trip) -> dict[str, Any]:
     }
 
 
-def _frozen(trip: Trip) -> dict[str, Any]:
+def _frozen(trip: TripView) -> dict[str, Any]:
     """Columns that repeat a value while the train moves, by the rule of ingest."""
-    _, found = without_frozen(trip)
+    _, found = trip.unfrozen
     return {
         "frozen": "; ".join(f"{each.column} {each.note}" for each in found),
         "frozen_samples": sum(each.count for each in found),
     }
 
 
-def _scale(trip: Trip, doubts: list[str]) -> dict[str, Any]:
+def _scale(trip: TripView, doubts: list[str]) -> dict[str, Any]:
     """Measured over true speed."""
-    frame = trip.topics.get(TRAIN_STATE.name)
+    frame = trip.trip.topics.get(TRAIN_STATE.name)
     if frame is None or len(frame) < 2:
         return {}
-    speed, position = (frame[name].to_numpy(np.float64) for name in ("speed", "position"))
     try:
-        scale = speed_scale(trip, seconds(frame), speed, position)
+        scale = scale_of(trip)
     except TrainlogError as error:
         doubts.append(error.problem)
         return {}
@@ -125,7 +123,7 @@ def _scale(trip: Trip, doubts: list[str]) -> dict[str, Any]:
     }
 
 
-def _beside(trip: FleetTrip, doubts: list[str]) -> dict[str, Any]:
+def _beside(trip: TripView, doubts: list[str]) -> dict[str, Any]:
     """Where fixes lie beside the line, and along it against the recorded position."""
     frame = trip.trip.topics.get(GNSS_FIX.name)
     if frame is None or not len(frame) or TRAIN_STATE.name not in trip.trip:

@@ -16,9 +16,9 @@ from analysis.comparison.compare import (
     lost_time,
     section_table,
 )
-from analysis.comparison.driven import DrivenTrip, Stand
-from analysis.fleet.trips import FleetTrip
+from analysis.comparison.driven import DrivenTrip, Stand, driven_trip
 from analysis.network.edges import Stretch, edges_of
+from analysis.view import TripView
 from trainlog.arrays import FloatArray
 from trainlog.errors import LogError
 from trainlog.formats.railway import largest_load
@@ -33,7 +33,7 @@ SERVICE_DECELERATION, FULL_LEVER = 0.6, 1.0
 """Deceleration [m/s²] and share of the effort of the shortest run that losses are counted from."""
 
 
-def driven_edges(trip: FleetTrip) -> list[Mapping[str, Any]]:
+def driven_edges(trip: TripView) -> list[Mapping[str, Any]]:
     """What a trip took on each stretch of an edge; rows with the names of `DRIVING`.
 
     Raises
@@ -41,7 +41,7 @@ def driven_edges(trip: FleetTrip) -> list[Mapping[str, Any]]:
     LogError
         If the trip has no chainage, never moves, or runs back and forth.
     """
-    driven = trip.driven
+    driven = driven_trip(trip)
     every = edges_of(trip.line, backwards=trip.backwards)
     stretches = sorted(
         (
@@ -121,11 +121,11 @@ def _belongs(stand: Stand, edges: FloatArray, number: int) -> bool:
     return bool(first < stand.position <= last)
 
 
-def _losses(trip: FleetTrip, sections: Sections) -> tuple[list[dict[str, float]], list[float]]:
+def _losses(trip: TripView, sections: Sections) -> tuple[list[dict[str, float]], list[float]]:
     """Time lost in each section by cause, and the shortest running time; NaN where not known."""
     count = sections.edges.size - 1
     unknown = {f"lost_{cause.replace(' ', '_')}": float("nan") for cause in LOST}
-    driven = trip.driven
+    driven = driven_trip(trip)
     reference = shortest_trip(driven)
     if reference is None:
         return [unknown] * count, [float("nan")] * count

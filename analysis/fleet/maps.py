@@ -215,8 +215,8 @@ def evidence_of_row(data: bytes) -> DailyEvidence:
     Examples
     --------
     >>> from analysis.fleet.analyses import ANALYSES
-    >>> from analysis.fleet.trips import fleet_trips
-    >>> table = ANALYSES["adhesion"].table(next(fleet_trips("sample_logs/nonstop.mcap")))
+    >>> from analysis.view import view_of
+    >>> table = ANALYSES["adhesion"].table(view_of("sample_logs/nonstop.mcap"))
     >>> found = evidence_of_row(table["evidence"][0])
     >>> int(found.events.sum()) == int(table["onsets"][0])
     True

@@ -26,7 +26,7 @@ from trainlog.threads import LINEAR_ALGEBRA
 from trainlog.version import code_version
 
 if TYPE_CHECKING:
-    from analysis.fleet.trips import FleetTrip
+    from analysis.view import TripView
 
 THREADS = (*LINEAR_ALGEBRA, "NUMBA_NUM_THREADS")
 """Environment of a worker: one thread each. Workers share out the processors among trips."""
@@ -196,11 +196,11 @@ def _of_trip(
     job: Job, analyses: Sequence[FleetAnalysis]
 ) -> dict[int, tuple[Outcome, pd.DataFrame | None]]:
     """The outcomes and tables of a trip, by the number of the analysis."""
-    from analysis.fleet.trips import fleet_trips
+    from analysis.view import TOPICS, views_of
 
     gathered = {number: _Gathered() for number in job.analyses}
     try:
-        for trip in fleet_trips(Path(job.path), job.sha256):
+        for trip in views_of(Path(job.path), TOPICS, sha256=job.sha256, checked=True):
             for number, each in gathered.items():
                 _gather(each, analyses[number], trip)
     except Exception as error:  # noqa: BLE001  # what is wrong with one trip stops no other
@@ -210,7 +210,7 @@ def _of_trip(
     return {number: _outcome(job, each) for number, each in gathered.items()}
 
 
-def _gather(gathered: _Gathered, analysis: FleetAnalysis, trip: FleetTrip) -> None:
+def _gather(gathered: _Gathered, analysis: FleetAnalysis, trip: TripView) -> None:
     began = time.perf_counter()
     try:
         frame = analysis.table(trip)

@@ -10,7 +10,6 @@ import analysis.adhesion.condition_map
 import analysis.adhesion.evidence
 import analysis.fleet.checks
 import analysis.fleet.driving
-import analysis.fleet.trips
 import analysis.fleet.work
 import analysis.resistance.combination
 import analysis.resistance.fit  # noqa: F401

@@ -486,10 +486,12 @@ class LogOnEdges:
 
     @cached_property
     def pieces(self) -> list[Any]:
-        """Slip analyses of the stretches of the log."""
-        from analysis.adhesion.evidence import slips_of_log
+        """Slip analyses of the log, or of its parts."""
+        from analysis.adhesion.evidence import slips_of
+        from analysis.adhesion.slip import TOPICS
+        from analysis.view import views_of
 
-        return list(slips_of_log(self.path))
+        return list(slips_of(views_of(self.path, TOPICS)))
 
     def evidence_on(
         self,

@@ -16,8 +16,8 @@ import pandas as pd
 from analysis.adhesion.map_plot import lowest_bins
 from analysis.adhesion.slip import SlipAnalysis
 from analysis.fleet.checks import checked
-from analysis.fleet.trips import FleetTrip
 from analysis.reports.page import Section
+from analysis.view import TripView, view_of
 from trainlog.display import counted
 from trainlog.errors import NotRecordedError
 from trainlog.ingest.report import CLOCK_RULES
@@ -79,14 +79,12 @@ class Verdict:
         return f"{VERDICTS[self.level]}: {'; '.join(self.reasons)}"
 
 
-def verdict(trip: Trip, damage: str = "") -> Verdict:
+def verdict(trip: Trip | TripView) -> Verdict:
     """Whether a recording is good, and what is doubtful about it.
 
     Parameters
     ----------
-    trip : Trip
-    damage : str
-        What of its log is lost; empty if it is whole.
+    trip : Trip or TripView
 
     Examples
     --------
@@ -94,7 +92,8 @@ def verdict(trip: Trip, damage: str = "") -> Verdict:
     >>> verdict(trainlog.read("sample_logs/stopping.mcap")).level
     0
     """
-    row = checked(FleetTrip(trip, damage=damage))
+    view = view_of(trip)
+    trip, row = view.trip, checked(view)
     samples = max(sum(map(len, trip.topics.values())), 1)
     found = [each for each in doubts(row, samples) if each.words]
     if "assumed" in trip.metadata.get("clock", ""):

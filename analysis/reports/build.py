@@ -431,7 +431,8 @@ def _trips(
     for log in logs:
         note(_name(log, folder))
         try:
-            _, trip, judged = recorded_trip(log)
+            _, view, judged = recorded_trip(log)
+            trip = view.trip
             if detailed:
                 shown.append(Section(f"Trip: {log.stem}", _collected(log, "trip", options)))
             elif curve := _speed_curve(trip, lines):
@@ -440,7 +441,7 @@ def _trips(
             problems[_name(log, folder)] = _reason(error, log)
             continue
         try:
-            cost: TripCost | None = trip_cost(trip)
+            cost: TripCost | None = trip_cost(view)
         except TrainlogError:
             cost = None
         begins = options.zone.date(trip.start) if any(map(len, trip.topics.values())) else ""

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from analysis.adhesion.evidence import own_line
 from analysis.adhesion.slip import SlipAnalysis, slip
 from analysis.charts import (
     BLUE,
@@ -29,17 +28,16 @@ from analysis.charts import (
     stations_of,
     worded,
 )
-from analysis.comparison.driven import SHORTEST_STOP
 from analysis.comparison.groups import RECORDED_PART, TripCost, trip_cost
-from analysis.fleet.trips import TOPICS
 from analysis.reports.answers import Verdict, slip_words, summary_section, verdict
 from analysis.reports.page import Part, Section, Warned
+from analysis.view import SHORTEST_STOP, TOPICS, TripView, view_of
 from trainlog.arrays import FloatArray
 from trainlog.display import counted, lateness
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.railway import line_of, passport_of
 from trainlog.ingest.report import report_of
-from trainlog.mcap import describe, read_log
+from trainlog.mcap import describe
 from trainlog.mcap.description import LogDescription, recorded_fields
 from trainlog.presentation import Columns, WordTable, facts_table, kwh, word_table
 from trainlog.railway import Line
@@ -228,7 +226,7 @@ def _stops(motion: Motion, line: Line | None) -> Iterator[StationCall]:
 # -------------------------------------------------------------------------------- the sections
 
 
-def recorded_trip(log: Path) -> tuple[LogDescription, Trip, Verdict]:
+def recorded_trip(log: Path) -> tuple[LogDescription, TripView, Verdict]:
     """A log's description, its trip with the topics that a report shows, and the verdict on it.
 
     Raises
@@ -237,9 +235,10 @@ def recorded_trip(log: Path) -> tuple[LogDescription, Trip, Verdict]:
         If the file is no log, or holds no trip.
     """
     description = describe(log)
-    trip = read_log(log, [name for name in _READ if name in {t.name for t in description.topics}])
+    held = {topic.name for topic in description.topics}
     damage = "" if description.account.whole else description.account.sentence
-    return description, trip, verdict(trip, damage)
+    view = replace(view_of(log, [name for name in _READ if name in held]), damage=damage)
+    return description, view, verdict(view)
 
 
 def trip_sections(log: Path, zone: Zone = Zone()) -> list[Section]:
@@ -250,12 +249,12 @@ def trip_sections(log: Path, zone: Zone = Zone()) -> list[Section]:
     LogError
         If the file is no log, or holds no trip.
     """
-    description, trip, judged = recorded_trip(log)
+    description, view, judged = recorded_trip(log)
+    trip = view.trip
     line = _line(trip)
     motion = Motion.of(trip)
-    damage = "" if description.account.whole else description.account.sentence
-    cost = _tried(lambda: trip_cost(trip))
-    slipped = _tried(lambda: slip(trip))
+    cost = _tried(lambda: trip_cost(view))
+    slipped = _tried(lambda: slip(view))
     sections = [
         summary_section(
             _driven(trip, motion, line, zone, cost),
@@ -267,11 +266,11 @@ def trip_sections(log: Path, zone: Zone = Zone()) -> list[Section]:
         Section("Speed and efforts", _course(trip, zone)),
         Section("Stops and stations", _stops_part(trip, motion, line, zone), folded=True),
         Section("Energy and time", _energy(cost), folded=True),
-        Section("Slip", _slip(slipped, trip, zone), folded=True),
+        Section("Slip", _slip(slipped, view, zone), folded=True),
         Section(
             "Recording",
             [
-                *([Warned(damage)] if damage else []),
+                *([Warned(view.damage)] if view.damage else []),
                 _facts(trip, motion, zone),
                 *_quality(trip),
                 *replace(
@@ -534,14 +533,14 @@ def _energy(cost: object) -> list[Part]:
     return [facts_table("", rows), *cost.notes]
 
 
-def _slip(found: object, trip: Trip, zone: Zone) -> list[Part]:
+def _slip(found: object, view: TripView, zone: Zone) -> list[Part]:
     if isinstance(found, TrainlogError):
         return [f"Not known: {found}."]
     assert isinstance(found, SlipAnalysis)
     parts: list[Part] = [facts_table("", found.summary())]
     if len(found.events):
-        line = own_line(trip)
-        parts.append(_slip_table(found, line, _km_heading(trip, line), zone))
+        line = view.own_line
+        parts.append(_slip_table(found, line, _km_heading(view.trip, line), zone))
     return parts
 
 

@@ -18,7 +18,6 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
-from analysis.given import Given, each_given
 from analysis.resistance.coasting_detection import (
     SPACING,
     TYPICAL,
@@ -38,6 +37,7 @@ from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, SOFTWARE
 from analysis.resistance.curve import powers
 from analysis.resistance.fit import check_speeds
 from analysis.resistance.motion import TOPICS, Motion, motion_of
+from analysis.view import Given, each_given, views_of
 from trainlog.arrays import FloatArray
 from trainlog.display import counted, span
 from trainlog.errors import InputError, NotIdentifiableError
@@ -51,8 +51,7 @@ from trainlog.formats.railway import (
     recorded_load,
     train_of,
 )
-from trainlog.identity import Known, TripIdentity, identity_of, same_drives, text_of
-from trainlog.mcap.reader import stretches
+from trainlog.identity import Known, TripIdentity, same_drives, text_of
 from trainlog.presentation import (
     DURATION,
     NUMBER,
@@ -253,7 +252,7 @@ class Sources:
     ----------
     trips : tuple of Trip
         In order of name; of several of one name the later ones are numbered. A log too long for
-        the memory is read in stretches, each a trip.
+        the memory is several trips.
     line : Line or None
         For trips that carry none.
     digests : dict of str to str
@@ -280,14 +279,11 @@ class Sources:
         found: list[tuple[Trip, str, TripIdentity | None]] = []
         logs: list[Path] = []
         for given in each_given(trips):
-            if isinstance(given, Trip):
-                found.append((given, "", identity_of(given)))
-                continue
-            logs.append(given)
-            digest = sha256_of(given)
-            for stretch in stretches(given, topics):
-                own = identity_of(stretch.core(stretch.trip))
-                found.append((stretch.named(), digest, own))
+            digest = ""
+            if isinstance(given, Path):
+                logs.append(given)
+                digest = sha256_of(given)
+            found += [(v.trip, digest, v.identity) for v in views_of(given, topics)]
         found.sort(key=lambda each: (each[0].name, each[1], text_of(each[2])))
         every = _named_apart([trip for trip, _, _ in found])
         digests = {

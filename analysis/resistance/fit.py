@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from analysis.given import Given, trip_of
 from analysis.resistance.curve import (
     CURVE_COLUMNS,
     HEAD_WIND,
@@ -21,23 +20,26 @@ from analysis.resistance.curve import (
 )
 from analysis.resistance.noise import Expected
 from analysis.resistance.passport import gain_words, passport, with_calibrated_efforts
-from analysis.resistance.power import power_limit
+from analysis.resistance.power import limited_samples, power_limit
 from analysis.resistance.recording import (
+    Prepared,
     Reason,
     SpeedScale,
     Timeline,
     TripRefusedError,
     check_recorded,
-    speed_scale,
+    prepare,
+    scale_of,
+    sound,
 )
 from analysis.resistance.regression import DELAY_STD, Regression, Residuals, Stretch, regress
-from analysis.resistance.windows import Evidence, WindowPoints, Windows, part_of
+from analysis.resistance.windows import WindowPoints, Windows, build_windows
+from analysis.view import Given, TripView, view_of
 from trainlog.arrays import FloatArray
 from trainlog.display import span
 from trainlog.errors import InputError
 from trainlog.formats.files import sha256
-from trainlog.formats.railway import line_of, train_of
-from trainlog.identity import identity_of, text_of
+from trainlog.identity import text_of
 from trainlog.ingest.motion import suspect_efforts
 from trainlog.presentation import (
     MASS,
@@ -54,7 +56,7 @@ from trainlog.railway.passport import Passport
 from trainlog.railway.resistance import LARGEST_STD, RunningResistance
 from trainlog.railway.train import Train
 from trainlog.topics import ESTIMATED_RESISTANCE
-from trainlog.trip import Trip, frame_of, seconds
+from trainlog.trip import frame_of
 from trainlog.units import KMH
 
 TOPICS = ("/train/state", "/train/controls", "/train/axles", "/gnss/motion", "/environment")
@@ -297,7 +299,6 @@ def fit_trip(
     speeds: tuple[float, float] | None = None,
     *,
     largest_std: float = LARGEST_STD,
-    known: Passport | None = None,
 ) -> TripFit:
     """Fit running resistance and mass to a trip.
 
@@ -313,8 +314,6 @@ def fit_trip(
         train allows; default 10 m/s to the line's highest speed that the train can do.
     largest_std : float, optional
         Standard deviation over the curve, at any of these speeds, beyond which a trip is refused.
-    known : Passport, optional
-        Default: that of the trip, stored or estimated.
 
     Returns
     -------
@@ -337,101 +336,16 @@ def fit_trip(
     (True, True)
     """
     check_speeds(speeds)
-    trip = trip_of(trip, TOPICS)
-    check_recorded(trip)
-    line, train = line_of(trip), train_of(trip)
-    scale, origin = scale_of(trip), origin_of(trip)
-    known = effort_passport(trip, known)
-    corrected = with_calibrated_efforts(trip, known)
-    evidence = Evidence.of([part_of(corrected, line, train, scale, origin)])
-    fit = fit_evidence(evidence, known, line, train, scale, origin, speeds, largest_std)
-    return replace(fit, identity=text_of(identity_of(trip)))
-
-
-def effort_passport(trip: Trip, known: Passport | None = None) -> Passport:
-    """The passport of a trip, `known` or its own, whose efforts can be those of its train.
-
-    Raises
-    ------
-    TripRefusedError
-        If no load and no ordinary error of a converter explains the motion under the efforts.
-    """
-    check_efforts(trip)
-    known = passport(trip) if known is None else known
-    gain = known.effort_gain.value
-    if known.effort_over_mass.known and abs(gain - 1.0) > LARGEST_GAIN_ERROR:
-        raise TripRefusedError(
-            "contradiction",
-            f"trip '{trip.name}': the recorded efforts are {gain:.2g} times what the motion needs",
-            place="topic /train/controls",
-            remedy="check their unit and whether they are those of the whole train, and the mass"
-            " in the train's file",
-        )
-    return known
-
-
-def check_efforts(trip: Trip) -> None:
-    """Refuse efforts that are of another unit by the motion.
-
-    Raises
-    ------
-    TripRefusedError
-    """
-    for found in suspect_efforts(trip, train_of(trip)):
-        raise TripRefusedError(
-            "contradiction",
-            f"trip '{trip.name}': {found.note}",
-            place=f"field {found.column}",
-            remedy="ingest the recording again with it",
-        )
-
-
-def origin_of(trip: Trip) -> pd.Timestamp:
-    """From when times of a trip count: its first sample."""
-    return pd.DatetimeIndex(trip["/train/state"].index)[0]
-
-
-def scale_of(trip: Trip) -> SpeedScale:
-    """The scale of a trip's speed."""
-    state = trip["/train/state"]
-    measured, position = (state[name].to_numpy(np.float64) for name in ("speed", "position"))
-    return speed_scale(trip, seconds(state), measured, position)
-
-
-def fit_evidence(
-    evidence: Evidence,
-    known: Passport,
-    line: Line,
-    train: Train,
-    scale: SpeedScale,
-    origin: pd.Timestamp,
-    speeds: tuple[float, float] | None = None,
-    largest_std: float = LARGEST_STD,
-) -> TripFit:
-    """Fit what a trip says; see `fit_trip`, which is this for a trip at hand.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        Of the whole trip, its efforts corrected by the passport.
-    known : Passport
-    line, train
-    scale : SpeedScale
-    origin : Timestamp
-        From which the times of the evidence count.
-    speeds : (float, float) [m/s], optional
-    largest_std : float, optional
-
-    Raises
-    ------
-    TripRefusedError
-        If the trip does not determine the curve.
-    InputError
-        If the speeds are higher than line and train allow.
-    """
-    asked, name = _asked(speeds, line, train), known.trip
-    windows, timeline = evidence.windows, evidence.timeline
-    _check_windows(name, evidence)
+    view = view_of(trip, TOPICS)
+    check_recorded(view.trip)
+    name, line, train, scale = view.name, view.line, view.train, scale_of(view)
+    known = effort_passport(view)
+    corrected = with_calibrated_efforts(sound(view), known)
+    prepared = prepare(view, corrected)
+    origin = prepared.index[0]
+    asked = _asked(speeds, line, train)
+    windows, timeline = build_windows(prepared.recording), prepared.timeline
+    _check_windows(name, windows, prepared)
     mass, mass_std = mass_prior(train)
     estimated = known.effort_delay.source == "estimated"
     delay_std = DELAY_STD if estimated else known.effort_delay.std
@@ -455,7 +369,8 @@ def fit_evidence(
     merged = used.merged()
     ends = np.searchsorted(used.end, merged.end)
     residual = regression.residual
-    limit = power_limit(evidence.limited, train, float(np.hypot(scale.std, gain_std)))
+    samples = limited_samples(corrected, prepared)
+    limit = power_limit(samples, train, float(np.hypot(scale.std, gain_std)))
     return TripFit(
         trip=name,
         train=train.name,
@@ -486,7 +401,7 @@ def fit_evidence(
             residual[1:] @ residual[:-1] / max(float(residual @ residual), 1e-300)
         ),
         windows={"used": used.count, "outlier": int(np.sum(~regression.kept))},
-        masked=evidence.masked,
+        masked=prepared.masked,
         points=_points(merged, windows.select(~regression.kept), regression),
         residuals=Residuals(
             time=used.end,
@@ -504,9 +419,48 @@ def fit_evidence(
             ),
         ),
         passport=known,
-        notes=tuple(filter(None, (SLIP_UNSEEN * evidence.slip_unseen, gain_words(known), *unlike))),
-        wind_recorded=evidence.wind_recorded,
+        notes=tuple(filter(None, (SLIP_UNSEEN * prepared.slip_unseen, gain_words(known), *unlike))),
+        wind_recorded=prepared.wind_recorded,
+        identity=text_of(view.identity),
     )
+
+
+def effort_passport(view: TripView) -> Passport:
+    """The passport of a trip whose efforts can be those of its train.
+
+    Raises
+    ------
+    TripRefusedError
+        If no load and no ordinary error of a converter explains the motion under the efforts.
+    """
+    check_efforts(view)
+    known = passport(view)
+    gain = known.effort_gain.value
+    if known.effort_over_mass.known and abs(gain - 1.0) > LARGEST_GAIN_ERROR:
+        raise TripRefusedError(
+            "contradiction",
+            f"trip '{view.name}': the recorded efforts are {gain:.2g} times what the motion needs",
+            place="topic /train/controls",
+            remedy="check their unit and whether they are those of the whole train, and the mass"
+            " in the train's file",
+        )
+    return known
+
+
+def check_efforts(view: TripView) -> None:
+    """Refuse efforts that are of another unit by the motion.
+
+    Raises
+    ------
+    TripRefusedError
+    """
+    for found in suspect_efforts(view.trip, view.train):
+        raise TripRefusedError(
+            "contradiction",
+            f"trip '{view.name}': {found.note}",
+            place=f"field {found.column}",
+            remedy="ingest the recording again with it",
+        )
 
 
 def estimated_resistance(fit: TripFit) -> pd.DataFrame:
@@ -633,13 +587,13 @@ def _with_gain(beta: FloatArray, covariance: FloatArray, gain_std: float) -> Flo
     return np.asarray(covariance + gain_std**2 * beta[..., :, None] * beta[..., None, :])
 
 
-def _check_windows(name: str, evidence: Evidence) -> None:
-    masked, total = evidence.masked, evidence.duration
-    usable = float(np.sum(evidence.windows.duration))
+def _check_windows(name: str, windows: Windows, prepared: Prepared) -> None:
+    masked, total = prepared.masked, prepared.duration
+    usable = float(np.sum(windows.duration))
     if usable >= SHORTEST_TIME:
         return
     reasons = ", ".join(
-        f"{evidence.timeline.named(reason)} {seconds:.0f} s"
+        f"{prepared.timeline.named(reason)} {seconds:.0f} s"
         for reason, seconds in masked.items()
         if seconds > 0.0
     )
@@ -648,7 +602,7 @@ def _check_windows(name: str, evidence: Evidence) -> None:
         f"trip '{name}': only {usable:.0f} s can be used of {total:.0f} s"
         f" (masked: {reasons or 'nothing'})",
         remedy=f"running resistance needs {SHORTEST_TIME:.0f} s free of friction braking",
-        timeline=evidence.timeline,
+        timeline=prepared.timeline,
     )
 
 

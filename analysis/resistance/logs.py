@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 
-from analysis.given import Given, each_given
 from analysis.resistance.combination import (
     SAME_DRIVE,
     SOFTWARE,
@@ -26,35 +24,22 @@ from analysis.resistance.fit import (
     TOPICS,
     TripFit,
     check_speeds,
-    effort_passport,
-    fit_evidence,
     fit_trip,
-    origin_of,
 )
 from analysis.resistance.observed import COVER, LISTED, check_choice, parameter_set
-from analysis.resistance.passport import with_calibrated_efforts
 from analysis.resistance.recording import (
-    ScaleSamples,
-    SpeedScale,
     TripRefusedError,
-    calibrated,
-    check_recorded,
-    scale_samples,
 )
 from analysis.resistance.regression import diagnosed
-from analysis.resistance.windows import Evidence, part_of, within
+from analysis.view import Given, TripView, each_given, views_of
 from trainlog.display import counted, span
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.formats.files import sha256, sha256_of
-from trainlog.formats.railway import line_of, train_of
+from trainlog.formats.railway import train_of
 from trainlog.formats.summaries import SUFFIX, merged, read_summaries
-from trainlog.identity import text_of
-from trainlog.mcap import read_log
-from trainlog.mcap.reader import identity_of_log, stretches
 from trainlog.presentation import Presented, Said, WordTable, new_table
-from trainlog.railway.passport import Passport
 from trainlog.railway.train import ParameterSet
-from trainlog.trip import Trip, seconds
+from trainlog.trip import Trip
 from trainlog.units import KMH
 
 UNVARIED = frozenset({"not recorded", "contradiction", "gap"})
@@ -196,9 +181,9 @@ class _Read:
     trips: list[TripFit] = field(default_factory=list)
     refused: dict[str, TripRefusedError] = field(default_factory=dict)
 
-    def add(self, given: Trip | Path, speeds: tuple[float, float] | None) -> None:
+    def add(self, given: Trip | TripView | Path, speeds: tuple[float, float] | None) -> None:
         """Fit a trip or a log, or keep a file of summaries."""
-        path = None if isinstance(given, Trip) else given
+        path = given if isinstance(given, Path) else None
         if path is not None and path.suffix == SUFFIX:
             self.earlier.append(read_summaries(path))
             self.held |= set(self.earlier[-1]["sha256"]) - {""}
@@ -207,17 +192,17 @@ class _Read:
         if digest in self.held:
             self.known += 1
             return
-        try:
-            one = fit_trip(given, speeds) if isinstance(given, Trip) else fit_log(given, speeds)
-        except TripRefusedError as error:
-            about = given if isinstance(given, Trip) else read_log(given, [])
-            self.refused[self._label(about.name)] = error
-            refused, trains = {about.name: error}, {about.name: _train_name(about)}
-            digests = {about.name: digest}
-            self.rows.append(summarised([], refused, trains=trains, digests=digests))
-        else:
-            self.trips.append(one)
-            self.rows.append(summarised([one], digests={one.trip: digest}))
+        for view in views_of(given, TOPICS):
+            digests = {view.name: digest}
+            try:
+                one = fit_trip(view, speeds)
+            except TripRefusedError as error:
+                self.refused[self._label(view.name)] = error
+                refused, trains = {view.name: error}, {view.name: _train_name(view.trip)}
+                self.rows.append(summarised([], refused, trains=trains, digests=digests))
+            else:
+                self.trips.append(one)
+                self.rows.append(summarised([one], digests=digests))
         if digest:
             self.held.add(digest)
 
@@ -251,8 +236,9 @@ def fit(
     ----------
     trips : Trip, path, or iterable of them
         Of one train: trips at hand, logs, folders of logs, and files of summaries of earlier fits
-        (``.parquet``). Logs are read one after the other; one that summaries given before it hold
-        is not read, but for its SHA-256. Trips of one drive are used once (`trainlog.identity`).
+        (``.parquet``). Logs are read one after the other, one too long for the memory as several
+        trips (`analysis.view`); one that summaries given before it hold is not read, but for its
+        SHA-256. Trips of one drive are used once (`trainlog.identity`).
     speeds : (float, float) [m/s], optional
         Speeds between which the curve is asked for; see `fit_trip`.
     cover : float
@@ -321,82 +307,6 @@ def fit(
         common=common,
         parameters=replace(parameters, provenance=_provenance(summaries)),
     )
-
-
-def fit_log(path: Path, speeds: tuple[float, float] | None = None) -> TripFit:
-    """Fit the trip of a log, of any length: the windows of all its stretches make one fit.
-
-    What comes out is what `fit_trip` makes of the whole, but for windows at the border between
-    two stretches.
-
-    Parameters
-    ----------
-    path : path
-    speeds : (float, float) [m/s], optional
-        See `fit_trip`.
-
-    Raises
-    ------
-    TripRefusedError, LogError
-        As `fit_trip`.
-    InputError
-        As `trainlog.mcap.read_log`.
-    """
-    parts = stretches(path, TOPICS)
-    first = next(parts)
-    if first.count == 1:
-        return fit_trip(first.trip, speeds)
-    line, train = line_of(first.trip), train_of(first.trip)
-    scale, origin = _calibration(path)
-    known = _first_passport(path)
-    evidence = Evidence.of(
-        part_of(with_calibrated_efforts(part.trip, known), line, train, scale, origin, part.span)
-        for part in chain([first], parts)
-        if _has_samples(part.trip)
-    )
-    fit = fit_evidence(evidence, known, line, train, scale, origin, speeds)
-    return replace(fit, identity=text_of(identity_of_log(path)))
-
-
-def _first_passport(path: Path) -> Passport:
-    """The passport of a long log: the stored one, or that of the first stretch that shows it."""
-    found: Passport | None = None
-    for part in stretches(path, TOPICS):
-        if _has_samples(part.trip):
-            found = effort_passport(part.trip)
-            if found.effort_over_mass.known:
-                return found
-    if found is None:
-        raise LogError("holds no samples", file=path, remedy="record it again")
-    return found
-
-
-def _has_samples(trip: Trip) -> bool:
-    """Whether a part of a trip has anything to be fitted; a trip without any is refused before."""
-    return all(name in trip and len(trip[name]) > 1 for name in TOPICS[:2])
-
-
-def _calibration(path: Path) -> tuple[SpeedScale, pd.Timestamp]:
-    """Speed scale of a long log, and its first sample."""
-    pieces: list[ScaleSamples] = []
-    origin: pd.Timestamp | None = None
-    name = ""
-    refusal: TripRefusedError | None = None
-    for part in stretches(path, TOPICS):
-        try:
-            check_recorded(part.trip, part=part.count > 1)
-        except TripRefusedError as error:
-            refusal = error
-            continue
-        origin, name = origin or origin_of(part.trip), part.trip.name
-        state = part.trip["/train/state"]
-        measured, position = (state[n].to_numpy(np.float64) for n in ("speed", "position"))
-        inside = within(pd.DatetimeIndex(state.index), part.span)
-        time = seconds(state, origin)
-        pieces.append(scale_samples(part.trip, time, measured, position, inside, origin))
-    if origin is None:
-        raise refusal or LogError("holds no samples", file=path, remedy="record it again")
-    return calibrated(name, pieces), origin
 
 
 def _provenance(summaries: pd.DataFrame) -> dict[str, object]:

@@ -31,7 +31,6 @@ import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
-from analysis.given import Given, trip_of
 from analysis.resistance.noise import Expected, NoiseParts
 from analysis.resistance.recording import (
     UNCALIBRATED_SCALE_STD,
@@ -39,24 +38,23 @@ from analysis.resistance.recording import (
     check_recorded,
     prepare,
     recorded_wheels,
-    speed_scale,
+    scale_of,
+    sound,
 )
 from analysis.resistance.regression import BRAKE_SCALE_STD, CLUSTER, DRAG_STD
 from analysis.resistance.windows import Windows, build_windows, effort_impulse, window_width
+from analysis.view import Given, TripView, view_of
 from trainlog.arrays import FloatArray, robust_std
 from trainlog.display import counted
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.railway import (
     largest_load,
-    line_of,
     passport_of,
     recorded_load,
-    train_of,
     with_passport,
 )
 from trainlog.ingest.motion import suspect_efforts
 from trainlog.railway.adhesion import DRY, WET, CreepCurve, creep_coefficients
-from trainlog.railway.line import Line
 from trainlog.railway.passport import Passport, Quantity, Source
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
@@ -191,20 +189,25 @@ def passport(trip: Given, fleet: Iterable[Passport] = ()) -> Passport:
     >>> bool(abs(found.axle_effort_ratio.value - 1.0) < 0.01)
     True
     """
-    trip = trip_of(trip, (*TOPICS, "/environment"))
-    stored = passport_of(trip)
-    return estimated_passport(trip, fleet) if stored is None else stored
+    view = view_of(trip, (*TOPICS, "/environment"))
+    stored = passport_of(view.trip)
+    return estimated_passport(view, fleet) if stored is None else stored
 
 
-def estimated_passport(trip: Trip, fleet: Iterable[Passport] = ()) -> Passport:
+def estimated_passport(trip: Given, fleet: Iterable[Passport] = ()) -> Passport:
     """The passport that a trip's samples and metadata give, whatever is stored; see `passport`."""
-    train = train_of(trip) if TRAIN_ATTACHMENT in trip.attachments else None
+    view, others = view_of(trip, (*TOPICS, "/environment")), tuple(fleet)
+    return _estimated(view, others) if others else view.once(_estimated)
+
+
+def _estimated(view: TripView, fleet: tuple[Passport, ...] = ()) -> Passport:
+    trip = view.trip
+    train = view.train if TRAIN_ATTACHMENT in trip.attachments else None
     findings = [f"{each.column}: {each.note}" for each in suspect_efforts(trip, train)]
-    line = line_of(trip) if LINE_ATTACHMENT in trip.attachments else None
-    prior = _prior(trip, train, tuple(fleet))
+    prior = _prior(trip, train, fleet)
     noise = _speed_noise(trip)
-    scale = _scale(trip, findings)
-    delay, ratio, lead = _delay_and_ratio(trip, line, train, scale, noise)
+    scale = _scale(view, findings)
+    delay, ratio, lead = _delay_and_ratio(view, noise)
     gain, load, mass = _gain_and_load(prior, ratio, train)
     found = Passport(
         trip=trip.name,
@@ -336,28 +339,27 @@ def _gain_and_load(
 
 
 def _delay_and_ratio(
-    trip: Trip,
-    line: Line | None,
-    train: Train | None,
-    scale: SpeedScale,
-    noise: dict[str, Quantity],
+    view: TripView, noise: dict[str, Quantity]
 ) -> tuple[Quantity, Quantity, Quantity]:
     """Delay of the efforts, effort over mass, and the lead by creep that is taken out of the delay.
 
     With the reason where the trip shows none of them.
     """
     try:
-        if line is None or train is None:
-            what = "train" if train is None else "line, whose gradients are needed"
-            raise NotIdentifiableError(f"the trip carries no {what}")
-        check_recorded(trip)
-        motion = _Motion(trip, line, train, scale, noise)
+        for attachment, what in (
+            (TRAIN_ATTACHMENT, "train"),
+            (LINE_ATTACHMENT, "line, whose gradients are needed"),
+        ):
+            if attachment not in view.trip.attachments:
+                raise NotIdentifiableError(f"the trip carries no {what}")
+        check_recorded(view.trip)
+        motion = _Motion(view, noise)
         delay = motion.search()
         return motion.quantities(delay)
     except NotIdentifiableError as error:
-        reason = str(error).removeprefix(f"trip '{trip.name}': ")
+        reason = str(error).removeprefix(f"trip '{view.name}': ")
         none = Quantity(np.nan, np.nan, "assumed", reason)
-        if "/train/controls" not in trip:
+        if "/train/controls" not in view.trip:
             return none, none, NO_LEAD
         return Quantity(0.0, DELAY_STD, "assumed", reason), none, NO_LEAD
 
@@ -365,25 +367,21 @@ def _delay_and_ratio(
 class _Motion:
     """The equation of motion of one trip, for efforts shifted by any delay."""
 
-    def __init__(
-        self,
-        trip: Trip,
-        line: Line,
-        train: Train,
-        scale: SpeedScale,
-        noise: dict[str, Quantity],
-    ) -> None:
-        self._trip, self._line, self._train, self._scale = trip, line, train, scale
+    def __init__(self, view: TripView, noise: dict[str, Quantity]) -> None:
+        self._view, self._train, self._scale = view, view.train, scale_of(view)
         # By it the rotating parts' share of the inertia: half a load off biases the gain by 0.5 %.
-        load = recorded_load(trip, train)
-        self._mass = train.mass + (0.5 * largest_load(train) if load is None else load.value)
-        step = float(np.median(np.diff(seconds(trip["/train/state"]))))
-        self._width = window_width(seconds(trip["/train/state"]))
+        load = recorded_load(view.trip, view.train)
+        self._mass = view.train.mass + (
+            0.5 * largest_load(view.train) if load is None else load.value
+        )
+        time = seconds(view.trip["/train/state"])
+        step = float(np.median(np.diff(time)))
+        self._width = window_width(time)
         self._slipped = False
         self._sampling = SAMPLING * step
         white = noise["/train/state.speed"].value if "/train/state.speed" in noise else np.nan
         per_end = (white if np.isfinite(white) else 0.1) * np.sqrt(step / self._width)
-        self._noise = replace(Expected.on(line).sizes, speed=max(float(per_end), 0.002))
+        self._noise = replace(Expected.on(view.line).sizes, speed=max(float(per_end), 0.002))
 
     def search(self) -> float:
         """The delay [s] of least squares, to about a tenth of a second."""
@@ -440,7 +438,7 @@ class _Motion:
         largest, slip speed over force.
         """
         axles = self._train.axles
-        if recorded_wheels(self._trip) == axles.count or not axles.rotating_mass > 0.0:
+        if recorded_wheels(self._view.trip) == axles.count or not axles.rotating_mass > 0.0:
             return NO_LEAD
         peak = max(used, LEAST_PEAK if self._slipped else WET.peak)
         peaks = np.linspace(min(peak, 0.99), max(min(peak, 0.99), DRY.peak), PEAKS)
@@ -482,8 +480,7 @@ class _Motion:
 
         The last are the changes of the rotating parts' momentum (n,).
         """
-        trip = with_effort_delay(self._trip, delay)
-        prepared = prepare(trip, self._line, self._train, self._scale)
+        prepared = prepare(self._view, with_effort_delay(sound(self._view), delay))
         recording = prepared.recording
         self._slipped = bool(prepared.masks["slip"].any())
         windows = build_windows(recording, self._width)
@@ -685,17 +682,15 @@ def _spread(values: FloatArray) -> float:
     return spread if spread > 0.0 else float(np.sqrt(np.mean(np.minimum(values**2, 1.0))))
 
 
-def _scale(trip: Trip, findings: list[str]) -> SpeedScale:
+def _scale(view: TripView, findings: list[str]) -> SpeedScale:
     """The scale of the train's speed; a contradiction becomes a finding."""
     nothing = SpeedScale(1.0, UNCALIBRATED_SCALE_STD, "nothing")
-    if "/train/state" not in trip or len(trip["/train/state"]) < 2:
+    if "/train/state" not in view.trip or len(view.trip["/train/state"]) < 2:
         return nothing
-    state = trip["/train/state"]
-    speed, position = (state[name].to_numpy(np.float64) for name in ("speed", "position"))
     try:
-        return speed_scale(trip, seconds(state), speed, position)
+        return scale_of(view)
     except NotIdentifiableError as error:
-        findings.append(str(error).removeprefix(f"trip '{trip.name}': "))
+        findings.append(str(error).removeprefix(f"trip '{view.name}': "))
         return nothing
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 from analysis.resistance.recording import Prepared
-from trainlog.arrays import BoolArray, FloatArray, robust_std
+from trainlog.arrays import FloatArray, robust_std
 from trainlog.railway.resistance import EffortCurve
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
@@ -64,15 +63,6 @@ class LimitedSamples:
     speed: FloatArray
     step: float
 
-    @staticmethod
-    def joined(pieces: Sequence[LimitedSamples]) -> LimitedSamples:
-        """Those of the parts of one trip."""
-        return LimitedSamples(
-            np.concatenate([piece.power for piece in pieces]),
-            np.concatenate([piece.speed for piece in pieces]),
-            float(np.median([piece.step for piece in pieces])),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class PowerLimit:
@@ -83,7 +73,7 @@ class PowerLimit:
     time: float
 
 
-def limited_samples(trip: Trip, prepared: Prepared, inside: BoolArray) -> LimitedSamples:
+def limited_samples(trip: Trip, prepared: Prepared) -> LimitedSamples:
     """Where more effort was asked for than was given.
 
     Efforts are averaged; wheels that slip and transients are left out. The wheels' own speed
@@ -95,8 +85,6 @@ def limited_samples(trip: Trip, prepared: Prepared, inside: BoolArray) -> Limite
     ----------
     trip : Trip
     prepared : Prepared
-    inside : (n,) bool array
-        Samples that count.
     """
     controls = trip["/train/controls"]
     index, recording = prepared.index, prepared.recording
@@ -114,7 +102,6 @@ def limited_samples(trip: Trip, prepared: Prepared, inside: BoolArray) -> Limite
         limited &= interpolated(controls, "lever", index) >= FULL_LEVER
     # A limit that lasts: true for the whole averaging time around the sample.
     limited &= _moving_average(limited.astype(np.float64), width) > 0.999
-    limited &= inside
     return LimitedSamples(power[limited], recording.speed[limited], step)
 
 

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 import pandas as pd
 
+from analysis.view import TripView
 from estimators.motion import smooth_motion
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.formats.railway import line_of
-from trainlog.ingest.frozen import without_frozen
 from trainlog.ingest.report import CLOCK_RULES
 from trainlog.railway.line import Line
 from trainlog.railway.train import Train
@@ -192,30 +191,6 @@ class SpeedScale:
 
 
 @dataclass(frozen=True, eq=False)
-class ScaleSamples:
-    """What a part of a trip says about the scale of its speed.
-
-    Attributes
-    ----------
-    own, gnss : (n,) array [m/s]
-        Measured speed, and that of satellites at the same instants.
-    corrections : (m,) array [m]
-        Jumps of the chainage.
-    distance, travelled : float [m]
-        By the chainage, and by the measured speed, where no gap is between two samples.
-    clock_doubtful : bool
-        Whether ingest repaired or suspected the clock of the trip.
-    """
-
-    own: FloatArray
-    gnss: FloatArray
-    corrections: FloatArray
-    distance: float
-    travelled: float
-    clock_doubtful: bool = False
-
-
-@dataclass(frozen=True, eq=False)
 class Recording:
     """What the regression needs of a trip, on one clock; all (n,) arrays.
 
@@ -295,41 +270,111 @@ class Prepared:
         step = np.gradient(self.recording.time)
         return {reason: float(np.sum(step[mask])) for reason, mask in self.masks.items()}
 
+    @property
+    def duration(self) -> float:
+        """Of the recording [s]."""
+        return float(np.sum(np.gradient(self.recording.time)))
 
-def prepare(
-    trip: Trip,
-    line: Line,
-    train: Train,
-    scale: SpeedScale | None = None,
-    origin: pd.Timestamp | None = None,
-) -> Prepared:
+    @property
+    def timeline(self) -> Timeline:
+        """The trip at a glance."""
+        time = self.recording.time
+        first = np.flatnonzero(np.diff(np.floor(time), prepend=-np.inf) > 0)
+        masks = {reason: np.logical_or.reduceat(mask, first) for reason, mask in self.masks.items()}
+        return Timeline(time[first], self.speed[first], self.position[first], masks, self.slip)
+
+
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """What of a trip does not depend on its efforts; arrays as of `Recording` and `Prepared`."""
+
+    index: pd.DatetimeIndex
+    time: FloatArray
+    scale: SpeedScale
+    speed: FloatArray
+    position: FloatArray
+    smooth: FloatArray
+    acceleration: FloatArray
+    wheels: FloatArray
+    slipping: BoolArray
+    tunnel: FloatArray
+    track: FloatArray
+    track_slope: FloatArray
+    section: IntArray
+    nearest_edge: IntArray
+    wind: FloatArray | None
+
+
+def prepare(view: TripView, corrected: Trip | None = None) -> Prepared:
     """Bring a trip's topics onto one clock and mask what the equation of motion does not cover.
 
     What a recorder repeats while the train moves on is a gap.
 
     Parameters
     ----------
-    trip : Trip
-        With ``/train/state`` and ``/train/controls``; ``/train/axles`` and ``/gnss/motion`` help,
-        and so does a head wind in ``/environment``.
-    line : Line
-        As travelled.
-    train : Train
-    scale : SpeedScale, optional
-        Of the whole trip, where this is a part of it; default: that of this trip.
-    origin : Timestamp, optional
-        Where the recording's time is 0; default: the trip's first sample.
+    view : TripView
+        Of a trip with ``/train/state`` and ``/train/controls``; ``/train/axles`` and
+        ``/gnss/motion`` help, and so does a head wind in ``/environment``.
+    corrected : Trip, optional
+        `sound` with its efforts corrected; default: as they were recorded.
 
     Raises
     ------
     LogError
         If a topic is missing or time does not increase.
     """
-    trip = _without_repeated(trip)
-    state, controls = trip["/train/state"], trip["/train/controls"]
-    index = pd.DatetimeIndex(state.index)
-    origin = index[0] if origin is None else origin
-    time = seconds(state, origin)
+    trip = sound(view) if corrected is None else corrected
+    of, train, controls = view.once(_course), view.train, trip["/train/controls"]
+    index, time = of.index, of.time
+    traction, dynamic, pneumatic = (
+        interpolated(controls, name, index)
+        for name in ("tractive_effort", "dynamic_braking_effort", "pneumatic_braking_effort")
+    )
+    place = np.nan_to_num(of.position)
+    masks = {
+        "gap": _gaps(time, [trip["/train/state"], controls], index[0])
+        | ~np.isfinite(of.speed + of.position + traction),
+        "standstill": ~(of.smooth >= LOWEST_SPEED),
+        "braking": _braking(controls, index, dynamic, pneumatic, of.acceleration + of.track, train),
+        "slip": of.slipping
+        | _protected(time, traction - np.nan_to_num(dynamic), of.wheels.shape[1], train),
+    }
+    bad = widened(time, np.logical_or.reduce(list(masks.values())))
+    speed, traction, dynamic = (np.nan_to_num(a) for a in (of.speed, traction, dynamic))
+    through_air = speed if of.wind is None else speed + of.wind
+    recording = Recording(
+        time=time,
+        speed=speed,
+        air_square=np.asarray(through_air * np.abs(through_air)),
+        effort=traction - dynamic - np.nan_to_num(pneumatic) - of.tunnel * speed**2,
+        braking=dynamic,
+        rotating_momentum=_rotating_momentum(train, speed, of.wheels),
+        track=of.track,
+        track_slope=of.track_slope,
+        section=of.section,
+        nearest_edge=of.nearest_edge,
+        usable=~bad,
+    )
+    shown = "slip" if of.wheels.shape[1] else EFFORT_DIPS
+    if 0 < of.wheels.shape[1] < train.axles.count:
+        shown = f"slip or {EFFORT_DIPS}"
+    return Prepared(
+        recording,
+        index,
+        of.scale,
+        of.smooth,
+        place,
+        masks,
+        _slip_unseen(time, of.wheels.shape[1], train),
+        shown,
+        of.wind is not None,
+    )
+
+
+def _course(view: TripView) -> _Course:
+    trip, line, train = sound(view), view.line, view.train
+    state = trip["/train/state"]
+    index, time = pd.DatetimeIndex(state.index), seconds(state)
     if np.any(np.diff(time) <= 0.0):
         raise LogError(
             f"trip '{trip.name}': time does not increase",
@@ -337,61 +382,39 @@ def prepare(
             remedy="ingest the recording again; that repairs it",
         )
     measured, position = (state[name].to_numpy(np.float64) for name in ("speed", "position"))
-    scale = scale or speed_scale(trip, time, measured, position)
+    scale = scale_of(view)
     speed = measured / scale.factor
     smooth, acceleration = _smoothed(time, speed)
-    traction, dynamic, pneumatic = (
-        interpolated(controls, name, index)
-        for name in ("tractive_effort", "dynamic_braking_effort", "pneumatic_braking_effort")
-    )
     wheels = _wheel_speeds(trip, index) / scale.factor
-    masks = {
-        "gap": _gaps(time, [state, controls], origin) | ~np.isfinite(speed + position + traction),
-        "standstill": ~(smooth >= LOWEST_SPEED),
-        "braking": _braking(
-            controls,
-            index,
-            dynamic,
-            pneumatic,
-            acceleration + line.track_acceleration(np.nan_to_num(position), train.strip_length),
-            train,
-        ),
-        "slip": _slipping(time, wheels, smooth)
-        | _protected(time, traction - np.nan_to_num(dynamic), wheels.shape[1], train),
-    }
-    bad = widened(time, np.logical_or.reduce(list(masks.values())))
-    speed, position, traction = (np.nan_to_num(a) for a in (speed, position, traction))
-    dynamic = np.nan_to_num(dynamic)
-    tunnel = train.tunnel_coefficient(line.tunnel_cross_section(position))
-    section, nearest = gradient_pieces(line, position)
-    wind = recorded_head_wind(trip, index)
-    through_air = speed if wind is None else speed + wind
-    recording = Recording(
-        time=time,
-        speed=speed,
-        air_square=np.asarray(through_air * np.abs(through_air)),
-        effort=traction - dynamic - np.nan_to_num(pneumatic) - tunnel * speed**2,
-        braking=dynamic,
-        rotating_momentum=_rotating_momentum(train, speed, wheels),
-        track=line.track_acceleration(position, train.strip_length),
-        track_slope=track_slope(line, position, train.strip_length),
-        section=section,
-        nearest_edge=nearest,
-        usable=~bad,
-    )
-    unseen = _slip_unseen(time, wheels.shape[1], train)
-    shown = "slip" if wheels.shape[1] else EFFORT_DIPS
-    if 0 < wheels.shape[1] < train.axles.count:
-        shown = f"slip or {EFFORT_DIPS}"
-    return Prepared(
-        recording, index, scale, smooth, position, masks, unseen, shown, wind is not None
+    place = np.nan_to_num(position)
+    section, nearest = gradient_pieces(line, place)
+    return _Course(
+        index,
+        time,
+        scale,
+        speed,
+        position,
+        smooth,
+        acceleration,
+        wheels,
+        _slipping(time, wheels, smooth),
+        train.tunnel_coefficient(line.tunnel_cross_section(place)),
+        line.track_acceleration(place, train.strip_length),
+        track_slope(line, place, train.strip_length),
+        section,
+        nearest,
+        recorded_head_wind(trip, index),
     )
 
 
-def _without_repeated(trip: Trip) -> Trip:
+def sound(view: TripView) -> Trip:
     """The trip without what its recorder repeats; an effort that rests as its demand does stays."""
-    found, _ = without_frozen(trip)
-    before, after = trip["/train/controls"], found["/train/controls"]
+    return view.once(_without_repeated)
+
+
+def _without_repeated(view: TripView) -> Trip:
+    found, _ = view.unfrozen
+    before, after = view.trip["/train/controls"], found["/train/controls"]
     if after is before:
         return found
     kept: dict[str, FloatArray] = {}
@@ -429,14 +452,8 @@ def recorded_head_wind(trip: Trip, index: pd.DatetimeIndex) -> FloatArray | None
     return np.full(wind.size, wind[known].mean())
 
 
-def check_recorded(trip: Trip, *, part: bool = False) -> None:
+def check_recorded(trip: Trip) -> None:
     """Refuse a trip that lacks what no fit can do without.
-
-    Parameters
-    ----------
-    trip : Trip
-    part : bool
-        Whether it is a part of a longer one: a train may coast throughout a part.
 
     Raises
     ------
@@ -457,7 +474,7 @@ def check_recorded(trip: Trip, *, part: bool = False) -> None:
             place=f"topic {topic}",
             remedy="running resistance needs speed, chainage and tractive effort",
         )
-    if not part and not (trip["/train/controls"]["tractive_effort"].fillna(0.0) != 0.0).any():
+    if not (trip["/train/controls"]["tractive_effort"].fillna(0.0) != 0.0).any():
         raise TripRefusedError(
             "not recorded",
             f"trip '{trip.name}': the recorded tractive effort is 0 throughout",
@@ -473,6 +490,17 @@ def check_recorded(trip: Trip, *, part: bool = False) -> None:
         )
 
 
+def scale_of(view: TripView) -> SpeedScale:
+    """`speed_scale` of a trip's ``/train/state``."""
+    return view.once(_scale)
+
+
+def _scale(view: TripView) -> SpeedScale:
+    state = view.trip["/train/state"]
+    speed, position = (state[name].to_numpy(np.float64) for name in ("speed", "position"))
+    return speed_scale(view.trip, seconds(state), speed, position)
+
+
 def speed_scale(
     trip: Trip, time: FloatArray, speed: FloatArray, position: FloatArray
 ) -> SpeedScale:
@@ -481,93 +509,75 @@ def speed_scale(
     Where ingest repaired or suspected the clock, distance says nothing about the speed. A scale
     error of 0.3 % shifts a well-determined curve by more than its band; it is taken out where it
     can be and charged to the band where it cannot.
-    """
-    return calibrated(trip.name, [scale_samples(trip, time, speed, position)])
 
-
-def scale_samples(
-    trip: Trip,
-    time: FloatArray,
-    speed: FloatArray,
-    position: FloatArray,
-    inside: BoolArray | None = None,
-    origin: pd.Timestamp | None = None,
-) -> ScaleSamples:
-    """What a trip, or the samples `inside` a part of it, says about the scale of its speed."""
-    inside = np.ones(time.size, dtype=bool) if inside is None else inside
-    index = pd.DatetimeIndex(trip["/train/state"].index)
-    origin = index[0] if origin is None else origin
-    known = np.isfinite(speed)
-    own = gnss = np.zeros(0)
-    if "/gnss/motion" in trip and np.count_nonzero(known) > 1 and inside.any():
-        motion = trip["/gnss/motion"]
-        there, gnss = seconds(motion, origin), motion["speed"].to_numpy(np.float64)
-        own = np.interp(there, time[known], speed[known], left=np.nan, right=np.nan)
-        first, end = np.flatnonzero(inside)[[0, -1]]
-        until = time[end + 1] if end + 1 < time.size else np.inf
-        both = (own > 5.0) & (gnss > 5.0)
-        if first > 0:
-            both &= there >= time[first]
-        both &= there < until
-        own, gnss = own[both], gnss[both]
-    both = known & np.isfinite(position)
-    t, v, s = time[both], speed[both], position[both]
-    took = np.diff(t)
-    pairs = inside[both][:-1]
-    if took.size:
-        pairs = pairs & (took <= max(LONGEST_STEP, 3.0 * float(np.median(took))))
-    travelled = 0.5 * (v[1:] + v[:-1]) * took
-    steps = np.diff(s) - travelled
-    corrections = steps[(np.abs(steps) > 0.5) & pairs]
-    distance = float(np.sum(np.diff(s)[pairs]))
-    doubtful = any(f"repair.{rule}" in trip.metadata for rule in CLOCK_RULES)
-    way = float(np.sum(travelled[pairs]))
-    return ScaleSamples(own, gnss, corrections, distance, way, doubtful)
-
-
-def calibrated(trip: str, pieces: Sequence[ScaleSamples]) -> SpeedScale:
-    """The speed scale that the parts of the trip of this name say together.
+    Parameters
+    ----------
+    trip : Trip
+    time, speed, position : (n,) array [s], [m/s], [m]
+        Since the first sample of ``/train/state``; NaN what is missing.
 
     Raises
     ------
     TripRefusedError
         If the speed differs from satellites or chainage by more than any wheel does.
     """
-    scale = _measured_scale(pieces)
+    known = np.isfinite(speed)
+    scale = SpeedScale(1.0, UNCALIBRATED_SCALE_STD, "nothing")
+    if "/gnss/motion" in trip and np.count_nonzero(known) > 1:
+        scale = _scale_by_satellites(trip, time[known], speed[known]) or scale
+    if scale.source == "nothing":
+        both = known & np.isfinite(position)
+        scale = _scale_by_distance(time[both], speed[both], position[both]) or scale
     if not 1.0 / LARGEST_SCALE <= scale.factor <= LARGEST_SCALE:
         against = "satellites" if scale.source == "GNSS speed" else "the chainage"
         raise TripRefusedError(
             "contradiction",
-            f"trip '{trip}': the recorded speed is {scale.factor:.2f} times that of"
+            f"trip '{trip.name}': the recorded speed is {scale.factor:.2f} times that of"
             f" {against}, which no wear of wheels explains",
             place="topic /train/state",
             remedy="check its unit, and that the sensor worked",
         )
-    if scale.source == RECORDED_DISTANCE and any(piece.clock_doubtful for piece in pieces):
+    doubtful = any(f"repair.{rule}" in trip.metadata for rule in CLOCK_RULES)
+    if scale.source == RECORDED_DISTANCE and doubtful:
         return SpeedScale(1.0, UNCALIBRATED_SCALE_STD, "nothing")
     return scale
 
 
-def _measured_scale(pieces: Sequence[ScaleSamples]) -> SpeedScale:
-    """What the parts of a trip say about the scale of its speed, however far from 1."""
-    own = np.concatenate([piece.own for piece in pieces])
-    gnss = np.concatenate([piece.gnss for piece in pieces])
-    if own.size >= 300:
-        rest = own - float(np.median(own / gnss)) * gnss
-        sound = np.abs(rest) < 8.0 * np.median(np.abs(rest)) + 1e-9
-        own, gnss = own[sound], gnss[sound]
-        ratio = float(own @ gnss / (gnss @ gnss))
-        # Twice: neighbouring fixes share part of their error.
-        std = 2.0 * float(np.std(own - ratio * gnss) / np.sqrt(gnss @ gnss))
-        return SpeedScale(ratio, std, "GNSS speed")
-    corrections = np.concatenate([piece.corrections for piece in pieces])
-    distance = sum(piece.distance for piece in pieces)
-    if distance > 5000.0 and corrections.size >= 3:
-        ratio = sum(piece.travelled for piece in pieces) / distance
-        # What was not yet corrected at the end is about as large as one correction.
-        std = float(np.std(corrections)) / distance + 5e-5
-        return SpeedScale(ratio, std, RECORDED_DISTANCE)
-    return SpeedScale(1.0, UNCALIBRATED_SCALE_STD, "nothing")
+def _scale_by_satellites(trip: Trip, time: FloatArray, speed: FloatArray) -> SpeedScale | None:
+    """Recorded speed over that of satellites; None where too few of them are recorded."""
+    motion = trip["/gnss/motion"]
+    there = seconds(motion, pd.DatetimeIndex(trip["/train/state"].index)[0])
+    gnss = motion["speed"].to_numpy(np.float64)
+    own = np.interp(there, time, speed, left=np.nan, right=np.nan)
+    both = (own > 5.0) & (gnss > 5.0)
+    own, gnss = own[both], gnss[both]
+    if own.size < 300:
+        return None
+    rest = own - float(np.median(own / gnss)) * gnss
+    fitting = np.abs(rest) < 8.0 * np.median(np.abs(rest)) + 1e-9
+    own, gnss = own[fitting], gnss[fitting]
+    ratio = float(own @ gnss / (gnss @ gnss))
+    # Twice: neighbouring fixes share part of their error.
+    return SpeedScale(
+        ratio, 2.0 * float(np.std(own - ratio * gnss) / np.sqrt(gnss @ gnss)), "GNSS speed"
+    )
+
+
+def _scale_by_distance(
+    time: FloatArray, speed: FloatArray, position: FloatArray
+) -> SpeedScale | None:
+    """Recorded speed over that of a chainage which is corrected on the way; None if it is not."""
+    took = np.diff(time)
+    pairs = took <= max(LONGEST_STEP, 3.0 * float(np.median(took))) if took.size else took > 0.0
+    travelled = 0.5 * (speed[1:] + speed[:-1]) * took
+    steps = np.diff(position) - travelled
+    corrections = steps[(np.abs(steps) > 0.5) & pairs]
+    distance = float(np.sum(np.diff(position)[pairs]))
+    if not distance > 5000.0 or corrections.size < 3:
+        return None
+    # What was not yet corrected at the end is about as large as one correction.
+    std = float(np.std(corrections)) / distance + 5e-5
+    return SpeedScale(float(np.sum(travelled[pairs])) / distance, std, RECORDED_DISTANCE)
 
 
 def _smoothed(time: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:

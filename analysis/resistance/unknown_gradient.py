@@ -23,12 +23,12 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from analysis.given import Given
 from analysis.resistance.coast_down import Sources, check_not_empty, one_train, with_origin
 from analysis.resistance.coasting_detection import SHORTEST
 from analysis.resistance.coasting_fit import SHORTEST_RANGE
 from analysis.resistance.curve import band_factor, curve_std, powers
 from analysis.resistance.motion import TOPICS, Motion, motion_of, smoothed_over
+from analysis.view import Given
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.railway import CoastDownResult, DragCurve, Identified, line_of

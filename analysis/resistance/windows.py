@@ -15,29 +15,17 @@ a window to either side; the integrals are averaged alike, so that the equation 
 exactly. The averages of one stretch lie side by side, so that every sample of the speed counts:
 windows of 10 s whose ends are averaged over 1 s leave nine tenths of them unused, and a trip on
 long pieces of gradient is then known a fifth less well.
-
-A log too long for the memory is read in parts; the windows of all of them make one fit. A run of
-usable samples that is not at its end where a part ends is carried on to the next one, so that the
-windows are those of the whole.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
-import pandas as pd
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array
 
-from analysis.resistance.power import LimitedSamples, limited_samples
-from analysis.resistance.recording import Prepared, Recording, SpeedScale, Timeline, prepare
+from analysis.resistance.recording import Recording
 from trainlog.arrays import BoolArray, FloatArray, IntArray
-from trainlog.railway.line import Line
-from trainlog.railway.train import Train
-from trainlog.spans import ALWAYS
-from trainlog.trip import Trip
 
 WINDOW = 1.0
 """Length of a window [s]; short beside the time a train takes over a piece of gradient."""
@@ -104,25 +92,6 @@ class Windows:
     def select(self, kept: BoolArray) -> Windows:
         """Some of the windows."""
         return Windows(*(getattr(self, item.name)[kept] for item in fields(self)))
-
-    @staticmethod
-    def joined(parts: Sequence[Windows]) -> Windows:
-        """Windows of several stretches, in order of time, as those of one recording."""
-        if len(parts) == 1:
-            return parts[0]
-        values = {}
-        for item in fields(Windows):
-            pieces = [getattr(part, item.name) for part in parts]
-            if isinstance(pieces[0], csr_array):
-                width = max(piece.shape[1] for piece in pieces)
-                wide = [
-                    csr_array((piece.data, piece.indices, piece.indptr), (piece.shape[0], width))
-                    for piece in pieces
-                ]
-                values[item.name] = vstack(wide, format="csr")
-            else:
-                values[item.name] = np.concatenate(pieces)
-        return Windows(**values)
 
     def merged(self) -> Windows:
         """Neighbours that join made into windows of `MERGED`, or as near as the stretch allows."""
@@ -319,169 +288,4 @@ def _by_group(
     return csr_array(
         ((values * step)[inside], (row[inside], member[inside])),
         shape=(start.size, int(member.max(initial=0)) + 1),
-    )
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Seen:
-    """What is known of a trip, or of a part of it, beside its motion.
-
-    Attributes
-    ----------
-    limited : LimitedSamples
-    masked : dict of str to float [s]
-        Time masked, by reason; reasons may overlap.
-    duration : float [s]
-    timeline : Timeline
-    slip_unseen : bool
-        Whether wheels may slip without anything that is recorded showing it.
-    wind_recorded : bool
-        Whether the resistance is that of still air.
-    """
-
-    limited: LimitedSamples
-    masked: dict[str, float]
-    duration: float
-    timeline: Timeline
-    slip_unseen: bool = False
-    wind_recorded: bool = False
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Part(Seen):
-    """A part of a trip, made ready.
-
-    Attributes
-    ----------
-    recording : Recording
-    """
-
-    recording: Recording
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Evidence(Seen):
-    """What a fit needs of a trip.
-
-    Attributes
-    ----------
-    windows : Windows
-    """
-
-    windows: Windows
-
-    @staticmethod
-    def of(parts: Iterable[Part]) -> Evidence:
-        """The evidence of a trip; its parts, one at least, in the order of time."""
-        windows: list[Windows] = []
-        seen: list[Seen] = []
-        open_run: Recording | None = None
-        for part in parts:
-            closed, open_run = _parted(part.recording, open_run)
-            windows.append(build_windows(closed))
-            # A log of days has more samples than the memory holds.
-            seen.append(Seen(**{item.name: getattr(part, item.name) for item in fields(Seen)}))
-        if open_run is not None:
-            windows.append(build_windows(open_run))
-        return Evidence(
-            windows=Windows.joined(windows),
-            limited=LimitedSamples.joined([part.limited for part in seen]),
-            masked={name: sum(part.masked[name] for part in seen) for name in seen[0].masked},
-            duration=sum(part.duration for part in seen),
-            timeline=_at_a_glance([part.timeline for part in seen]),
-            slip_unseen=any(part.slip_unseen for part in seen),
-            wind_recorded=all(part.wind_recorded for part in seen),
-        )
-
-
-def part_of(
-    trip: Trip,
-    line: Line,
-    train: Train,
-    scale: SpeedScale,
-    origin: pd.Timestamp,
-    span: tuple[int, int] = ALWAYS,
-) -> Part:
-    """The part of a trip in `span` [ns]; samples around it are given too if there are any.
-
-    Parameters
-    ----------
-    trip : Trip
-        See `prepare`.
-    line, train
-    scale : SpeedScale
-        Of the whole trip.
-    origin : Timestamp
-        From which times count.
-    span : (int, int) [ns since 1970 UTC]
-        First and last instant of the part.
-    """
-    prepared = prepare(trip, line, train, scale, origin)
-    inside = within(prepared.index, span)
-    step = np.gradient(prepared.recording.time)
-    return Part(
-        recording=_mapped(lambda values: values[inside], prepared.recording),
-        limited=limited_samples(trip, prepared, inside),
-        masked={
-            reason: float(np.sum(step[mask & inside])) for reason, mask in prepared.masks.items()
-        },
-        duration=float(np.sum(step[inside])),
-        timeline=_timeline(prepared, inside),
-        slip_unseen=prepared.slip_unseen,
-        wind_recorded=prepared.wind_recorded,
-    )
-
-
-def within(index: pd.DatetimeIndex, span: tuple[int, int]) -> BoolArray:
-    """Which instants lie in a span [ns]."""
-    stamps = index.as_unit("ns").asi8
-    return np.asarray((stamps >= span[0]) & (stamps <= span[1]))
-
-
-def _mapped(change: Callable[..., Any], *recordings: Recording) -> Recording:
-    """A recording whose arrays are made of those of others."""
-    names = [item.name for item in fields(Recording)]
-    return Recording(*(change(*(getattr(one, name) for one in recordings)) for name in names))
-
-
-def _parted(recording: Recording, before: Recording | None) -> tuple[Recording, Recording | None]:
-    """A part with the run that came before it, less the run that is still open at its end."""
-    if before is not None:
-        recording = _mapped(lambda *two: np.concatenate(two), before, recording)
-    usable = recording.usable
-    if not usable.size or not usable[-1]:
-        return recording, None
-    stops = np.flatnonzero(~usable)
-    first = int(stops[-1]) + 1 if stops.size else 0
-    return (
-        _mapped(lambda values: values[:first], recording),
-        _mapped(lambda values: values[first:], recording),
-    )
-
-
-def _timeline(prepared: Prepared, inside: BoolArray) -> Timeline:
-    rows = np.flatnonzero(inside)
-    time = prepared.recording.time[rows]
-    if not rows.size:
-        return Timeline(time, time, time, dict.fromkeys(prepared.masks, rows > 0), prepared.slip)
-    first = np.flatnonzero(np.diff(np.floor(time), prepend=-np.inf) > 0)
-    masks = {
-        reason: np.logical_or.reduceat(mask[rows], first) for reason, mask in prepared.masks.items()
-    }
-    kept = rows[first]
-    return Timeline(
-        time[first], prepared.speed[kept], prepared.position[kept], masks, prepared.slip
-    )
-
-
-def _at_a_glance(lines: Sequence[Timeline]) -> Timeline:
-    return Timeline(
-        time=np.concatenate([line.time for line in lines]),
-        speed=np.concatenate([line.speed for line in lines]),
-        position=np.concatenate([line.position for line in lines]),
-        masks={
-            reason: np.concatenate([line.masks[reason] for line in lines])
-            for reason in lines[0].masks
-        },
-        slip=max((line.slip for line in lines), key=len),
     )

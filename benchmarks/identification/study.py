@@ -22,12 +22,12 @@ from monte_carlo import Drawn, Study, draw, trip_of
 from analysis.resistance import combine, fit_trip
 from analysis.resistance.combination import CommonFit, summarised
 from analysis.resistance.curve import band_factor, curve_std, powers
-from analysis.resistance.fit import TripFit, origin_of, scale_of
-from analysis.resistance.recording import TripRefusedError
-from analysis.resistance.windows import Evidence, part_of
+from analysis.resistance.fit import TripFit
+from analysis.resistance.recording import TripRefusedError, prepare
+from analysis.resistance.windows import build_windows
+from analysis.view import view_of
 from estimators.rls import RecursiveLeastSquares
 from trainlog.arrays import FloatArray
-from trainlog.formats.railway import line_of, train_of
 from trainlog.formats.summaries import covariances_of
 from trainlog.trip import Trip
 
@@ -210,9 +210,7 @@ def _differenced(trip: Drawn, study: Study) -> FloatArray:
 
 def _ordinary(trip: Trip) -> FloatArray:
     """Ordinary least squares on windows of ten seconds."""
-    scale, origin = scale_of(trip), origin_of(trip)
-    parts = [part_of(trip, line_of(trip), train_of(trip), scale, origin)]
-    windows = Evidence.of(parts).windows.merged()
+    windows = build_windows(prepare(view_of(trip)).recording).merged()
     size = np.linalg.norm(windows.x, axis=0)
     theta = np.linalg.lstsq(windows.x / size, windows.y, rcond=None)[0] / size
     return np.asarray(theta[1:] / theta[0])

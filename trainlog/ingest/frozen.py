@@ -11,8 +11,6 @@ and the column itself:
 
 from __future__ import annotations
 
-import hashlib
-from collections import OrderedDict
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -79,9 +77,6 @@ STAYED, FIX_STAYED = 15.0, 30.0
 LEAPT, LEAPING = 100.0, 60.0
 """Distance [m] and speed [m/s] of the jump by which a frozen fix shows without a speed."""
 
-
-REMEMBERED = 6
-"""Tables whose answers are kept: those of two trips."""
 
 LEAST_FITTED = 30
 """Windows that it takes to know how efforts accelerate the train."""
@@ -229,7 +224,8 @@ def without_frozen(trip: Trip) -> tuple[Trip, list[Finding]]:
             for name, frame in frames
             for column in frame.columns
         }
-        table, findings = _judged(Table(time, np.arange(time.size, dtype=np.int64), columns))
+        table = Table(time, np.arange(time.size, dtype=np.int64), columns)
+        table, findings = blank_frozen(table, Limits())
         every += findings
         for name, frame in frames if findings else ():
             kept = {column: table.signals[f"{name}.{column}"] for column in frame.columns}
@@ -237,26 +233,6 @@ def without_frozen(trip: Trip) -> tuple[Trip, list[Finding]]:
             found.attrs = frame.attrs
             trip = trip.with_topic(found)
     return trip, every
-
-
-_answers: OrderedDict[bytes, tuple[Table | None, list[Finding]]] = OrderedDict()
-"""The last answers of `_judged`, by what was asked."""
-
-
-def _judged(table: Table) -> tuple[Table, list[Finding]]:
-    """What `blank_frozen` makes of a table: analyses of a trip ask it one after the other."""
-    asked = hashlib.blake2b(table.time.tobytes(), digest_size=16)
-    for name, values in table.signals.items():
-        asked.update(name.encode())
-        asked.update(np.ascontiguousarray(values).data)
-    key = asked.digest()
-    if key not in _answers:
-        cleaned, found = blank_frozen(table, Limits())
-        _answers[key] = (cleaned if found else None, found)
-        if len(_answers) > REMEMBERED:
-            _answers.popitem(last=False)
-    kept, found = _answers[key]
-    return (table if kept is None else kept), found
 
 
 def _without(table: Table, motion: _Motion, frozen: dict[str, BoolArray]) -> Result:

@@ -53,7 +53,6 @@ from trainlog.mcap.tables import TopicChannel, Wanted, frames_in, topic_channels
 from trainlog.spans import ALWAYS, Spans, merged_spans, position_limits, spans_within, time_limits
 from trainlog.topics import RECORDED, SCHEMA_VERSION, TOPICS, Topic, column_field
 from trainlog.trip import NO_POSITION, POSITION_TOPICS, Trip
-from trainlog.units import NANOSECONDS
 
 _MOST_NAMED = 8
 """Topics of a foreign file that an error names."""
@@ -527,98 +526,6 @@ def _cut(frames: _Frames, rows: int) -> Iterator[_Frames]:
         frames = {name: frame.iloc[ends[name] :] for name, frame in frames.items()}
 
 
-# ------------------------------------------------------------------------------ in stretches
-
-ROWS = 750_000
-"""Rows over all topics read up to which a log is one stretch."""
-
-FINER = 5
-"""Of a longer log a stretch has so many times fewer: beside it stands what was made of the rest."""
-
-MARGIN = 60.0
-"""Time that is read before and after a stretch [s]."""
-
-
-@dataclass(frozen=True, eq=False)
-class Stretch:
-    """A part of a trip.
-
-    Attributes
-    ----------
-    trip : Trip
-        The rows of the stretch, and of the margins before and after it. Named as the whole.
-    span : (int, int)
-        First and last instant of the stretch itself [ns since 1970 UTC]; the stretches of a trip
-        share none, and none lies between them.
-    number, count : int
-        Which of how many, from 1.
-    """
-
-    trip: Trip
-    span: tuple[int, int]
-    number: int
-    count: int
-
-    def named(self) -> Trip:
-        """The trip; one of several stretches has its number in the name."""
-        if self.count == 1:
-            return self.trip
-        name = f"{self.trip.name} ({self.number} of {self.count})"
-        return replace(self.trip, metadata={**self.trip.metadata, "trip": name})
-
-    def core(self, trip: Trip) -> Trip:
-        """The rows of the stretch itself in a trip made of it, without the margins."""
-        return trip if self.count == 1 else trip.cut(np.array([self.span], dtype=np.int64))
-
-
-def stretches(
-    path: str | Path, topics: Sequence[str] | None = None, *, rows: int | None = None
-) -> Iterator[Stretch]:
-    """Read a log in stretches, in the order of time.
-
-    Parameters
-    ----------
-    path : path
-    topics : sequence of str, optional
-        Default: all.
-    rows : int, optional
-        A log with so many rows over these topics is one stretch; the stretches of a longer one
-        have `FINER` times fewer, without their margins. Default: `ROWS`.
-
-    Yields
-    ------
-    Stretch
-        One at least.
-
-    Raises
-    ------
-    LogError, InputError
-        As `read_log`.
-
-    Examples
-    --------
-    >>> [part.number for part in stretches("sample_logs/nonstop.mcap", ["/train/state"])]
-    [1]
-    >>> len(list(stretches("sample_logs/nonstop.mcap", ["/train/state"], rows=5_000))) > 1
-    True
-    """
-    borders = _borders(path, topics, rows or ROWS)
-    if not borders:
-        yield Stretch(read_log(path, topics), ALWAYS, 1, 1)
-        return
-    margin = round(MARGIN * NANOSECONDS)
-    edges = [ALWAYS[0], *borders, ALWAYS[1] + 1]
-    bare = read_log(path, [])
-    for number in range(1, len(edges)):
-        first, last = edges[number - 1], edges[number] - 1
-        time = (
-            None if number == 1 else pd.Timestamp(max(first - margin, 0), tz="UTC"),
-            None if number == len(edges) - 1 else pd.Timestamp(last + margin, tz="UTC"),
-        )
-        part = replace(read_log(path, topics, time=time), provenance=bare.provenance)
-        yield Stretch(part, (first, last), number, len(edges) - 1)
-
-
 def rows_of_log(path: str | Path, topics: Sequence[str] | None = None) -> int:
     """How many rows a log has over some topics, or all, by its summary. Errors as `read_log`.
 
@@ -627,34 +534,19 @@ def rows_of_log(path: str | Path, topics: Sequence[str] | None = None) -> int:
     >>> rows_of_log("sample_logs/nonstop.mcap", ["/train/state", "/events"])
     11847
     """
-    return sum(_held(path, topics)[1])
-
-
-def _held(path: str | Path, topics: Sequence[str] | None) -> tuple[list[ChunkPlace], list[int]]:
-    """Chunks of a log in the order of time, and how many rows of the topics each holds."""
     with Source(path) as source, in_file(path):
         contents = contents_of(source)
-        channels = {
-            each.channel.id
-            for each in topic_channels(contents)
-            if topics is None or each.topic.name in topics
-        }
-        chunks = sorted(contents.chunks, key=lambda place: place.start)
-    return chunks, [
-        sum(n for channel, n in each.counts.items() if channel in channels) for each in chunks
-    ]
-
-
-def _borders(path: str | Path, topics: Sequence[str] | None, rows: int) -> list[int]:
-    """Times [ns] at which a log is parted: where chunks begin, so that few are read twice."""
-    chunks, held = _held(path, topics)
-    if sum(held) <= rows:
-        return []
-    count = -(-sum(held) * FINER // rows)
-    before = np.cumsum(held) - held
-    wanted = np.arange(1, count) * (sum(held) / count)
-    firsts = np.unique(np.clip(np.searchsorted(before, wanted), 1, len(chunks) - 1))
-    return sorted({int(chunks[index].start) for index in firsts.tolist()})
+    channels = {
+        each.channel.id
+        for each in topic_channels(contents)
+        if topics is None or each.topic.name in topics
+    }
+    return sum(
+        count
+        for chunk in contents.chunks
+        for channel, count in chunk.counts.items()
+        if channel in channels
+    )
 
 
 Topics = Iterable[str] | Mapping[str, Iterable[str] | None]

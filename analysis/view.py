@@ -1,42 +1,35 @@
-"""Trips as analyses of a fleet take them: a log is read once, whatever is computed from it.
+"""A trip as analyses see it: what several of them need of it is computed once, on demand.
 
-A log that is too long for the memory is parted where the train turned back, where the recording
-paused, and at stands; each part is a trip of its own to the analyses. What is read at once
-does not grow with the log.
+An analysis takes a trip at hand, the path of a log, or a `TripView` that others have used before.
+A log too long for the memory is parted where the train turned back, where the recording paused, and
+at stands: each part is a trip of its own. What is read at once does not grow with the log.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import pandas as pd
 
-from analysis.adhesion.slip import SlipAnalysis, slip
-from analysis.comparison.driven import (
-    LARGEST_SETBACK,
-    SHORTEST_STOP,
-    STANDING_ESTIMATE,
-    DrivenTrip,
-    driven_trip,
-)
-from analysis.given import Given
-from analysis.resistance.passport import passport
 from trainlog.arrays import BoolArray, IntArray
-from trainlog.errors import LogError
+from trainlog.errors import InputError, LogError
+from trainlog.formats.files import check_kind, logs_of
 from trainlog.formats.railway import line_of, train_of
-from trainlog.identity import TripIdentity, identity_of
+from trainlog.identity import COLUMNS, TripIdentity, identity_of
+from trainlog.ingest.frozen import without_frozen
+from trainlog.ingest.recording import Finding
 from trainlog.mcap import DamageWarning, account_of, read_log, stream_log
 from trainlog.mcap.contents import checksum_holds, contents_of
-from trainlog.mcap.reader import rows_of_log
+from trainlog.mcap.reader import identity_of_log, rows_of_log
 from trainlog.mcap.records import Source
 from trainlog.railway.line import Line
-from trainlog.railway.passport import Passport
 from trainlog.railway.train import Train
 from trainlog.spans import ALWAYS, runs_of
 from trainlog.topics import (
@@ -56,18 +49,9 @@ from trainlog.topics import (
 from trainlog.trip import POSITION_TOPICS, Trip
 from trainlog.units import NANOSECONDS
 
-TOPICS = tuple(
-    topic.name
-    for topic in (
-        TRAIN_STATE, TRAIN_CONTROLS, TRAIN_AXLES, TRAIN_SUPPLY, TRAIN_SLIP_PROTECTION,
-        GNSS_FIX, GNSS_MOTION, ENVIRONMENT, REFERENCE, EVENTS, ESTIMATED_STATE,
-    )
-)  # fmt: skip
-"""What is read of each log."""
-
-ROWS = 500_000
-"""Rows over all these topics up to which a log is one trip; the parts of a longer one have at most
-so many, too."""
+ROWS = 1_000_000
+"""Rows over the topics read up to which a log is one trip; the parts of a longer one have at most
+so many, too: 28 hours of one topic at 10 Hz."""
 
 PAUSE = 900.0
 """A recording that pauses for so long [s] goes on as another part of a long log."""
@@ -75,28 +59,72 @@ PAUSE = 900.0
 PIECE = 200_000
 """Rows of a piece, in which the course of a long log is looked through."""
 
+STRIDE = 64
+"""Of so many samples of a long log the time of one is kept."""
+
+SHORTEST_STOP = 5.0
+"""A train that stands for less [s] is creeping, not stopping."""
+
+STANDING_ESTIMATE = 0.3
+"""Estimated speed [m/s] up to which a train stands: satellites' speeds waver at rest."""
+
+LARGEST_SETBACK = 200.0
+"""Metres by which recorded chainage may run backwards on one run."""
+
+TOPICS = tuple(
+    topic.name
+    for topic in (
+        TRAIN_STATE, TRAIN_CONTROLS, TRAIN_AXLES, TRAIN_SUPPLY, TRAIN_SLIP_PROTECTION,
+        GNSS_FIX, GNSS_MOTION, ENVIRONMENT, REFERENCE, EVENTS, ESTIMATED_STATE,
+    )
+)  # fmt: skip
+"""What all analyses together read of a log."""
+
+T = TypeVar("T")
+
 
 @dataclass(eq=False)
-class FleetTrip:
+class TripView:
     """A trip with what several analyses need of it; each is made once, when it is first asked for.
+
+    The trip must not change while its view is in use.
 
     Attributes
     ----------
     trip : Trip
-        With the topics `TOPICS`. That of a part of a long log has its number in the name.
+        That of a part of a long log has its number in the name.
+    path : Path or None
+        Of the log.
     sha256 : str
-        Of the log; empty where there is none, and of a part.
+        Of the log; empty where it is not known, and of a part.
     number, count : int
         Which part of how many, from 1.
     damage : str
-        What of the log is lost; empty if it is whole.
+        What of the log is lost, where that was looked for; empty if it is whole.
+
+    Examples
+    --------
+    >>> view = view_of("sample_logs/nonstop.mcap")
+    >>> view.name, view.train.name, view.line is view.line
+    ('trip-01', 'CH_Stadler_FLIRT_TPF', True)
     """
 
     trip: Trip
+    path: Path | None = None
     sha256: str = ""
     number: int = 1
     count: int = 1
     damage: str = ""
+    _made: dict[Callable[[TripView], Any], Any] = field(default_factory=dict, repr=False)
+
+    def once(self, make: Callable[[TripView], T]) -> T:
+        """What a function makes of the view, computed when it is first asked for.
+
+        What it refuses it refuses each time.
+        """
+        if make not in self._made:
+            self._made[make] = make(self)
+        return cast("T", self._made[make])
 
     @property
     def name(self) -> str:
@@ -124,40 +152,115 @@ class FleetTrip:
         return train_of(self.trip)
 
     @cached_property
-    def passport(self) -> Passport:
-        """As stored with the trip, or estimated."""
-        return passport(self.trip)
-
-    @cached_property
-    def slip(self) -> SlipAnalysis:
-        """Slip of the axles, by the passport."""
-        return slip(self.trip, self.passport)
-
-    @cached_property
-    def driven(self) -> DrivenTrip:
-        """The trip by position."""
-        return driven_trip(self.trip)
-
-    @cached_property
     def identity(self) -> TripIdentity | None:
-        """Which drive it is."""
-        return identity_of(self.trip)
+        """Which drive it is, by all that is recorded of it."""
+        topic, column, _ = COLUMNS[0]
+        frame = self.trip.topics.get(topic)
+        known = frame is not None and column in frame and bool(frame[column].notna().any())
+        whole = self.path is None or self.count > 1 or known
+        return identity_of(self.trip) if whole else identity_of_log(cast("Path", self.path))
+
+    @cached_property
+    def unfrozen(self) -> tuple[Trip, list[Finding]]:
+        """The trip without values that its recorder repeated while the train moved, and these."""
+        return without_frozen(self.trip)
 
 
-def fleet_trips(given: Given, sha256: str = "", *, rows: int = ROWS) -> Iterator[FleetTrip]:
-    """The trip of a log; of a log too long for the memory its parts, one after the other.
+Given = Trip | TripView | str | Path
+"""A trip, its view, the path of a log, or that of a folder of logs."""
+
+_ONE = (Trip, TripView, str, Path)
+
+
+def each_given(trips: Given | Iterable[Given]) -> Iterator[Trip | TripView | Path]:
+    """Trips and paths of files, one after the other; a folder stands for its logs, by name.
+
+    Raises
+    ------
+    InputError
+        If a folder holds no log, or something is neither a trip nor a path.
+
+    Examples
+    --------
+    >>> [path.name for path in each_given("sample_logs")]
+    ['nonstop.mcap', 'stopping.mcap']
+    """
+    for given in trips if isinstance(trips, Iterable) and not isinstance(trips, _ONE) else [trips]:
+        check_kind(given, *_ONE)
+        if isinstance(given, Trip | TripView):
+            yield given
+            continue
+        yield from logs_of(Path(given))
+
+
+def view_of(given: Given, topics: Sequence[str] | None = None) -> TripView:
+    """The view of a trip, read whole where it is a log.
 
     Parameters
     ----------
-    given : Trip or path
+    given : Trip, TripView or path
+    topics : sequence of str, optional
+        What is read of a log; default: everything.
+
+    Raises
+    ------
+    InputError
+        If it is neither a trip nor a path, or the path is that of a folder.
+    LogError
+        If the file is not a log.
+
+    Examples
+    --------
+    >>> view_of("sample_logs/nonstop.mcap", ["/train/state"]).name
+    'trip-01'
+    """
+    check_kind(given, *_ONE)
+    if isinstance(given, TripView):
+        return given
+    if isinstance(given, Trip):
+        return TripView(given)
+    if Path(given).is_dir():
+        raise InputError("is a folder; one trip is expected", file=given, remedy="give one log")
+    return TripView(read_log(given, topics), Path(given))
+
+
+def trip_of(given: Given, topics: Sequence[str] | None = None) -> Trip:
+    """The trip of `view_of`, with its errors.
+
+    Examples
+    --------
+    >>> trip_of("sample_logs/nonstop.mcap", ["/train/state"]).name
+    'trip-01'
+    """
+    return view_of(given, topics).trip
+
+
+def views_of(
+    given: Given,
+    topics: Sequence[str] | None = None,
+    *,
+    sha256: str = "",
+    rows: int | None = None,
+    checked: bool = False,
+) -> Iterator[TripView]:
+    """The view of a trip; of a log too long for the memory those of its parts, one by one.
+
+    Parameters
+    ----------
+    given : Trip, TripView or path
+    topics : sequence of str, optional
+        What is read of a log; default: everything.
     sha256 : str
         Of the log.
-    rows : int
-        Rows over all topics from which on a log is parted.
+    rows : int, optional
+        Rows over these topics from which on a log is parted; default: `ROWS`.
+    checked : bool
+        Whether it is looked for what of the log is lost: `TripView.damage` states it instead of
+        a warning.
 
     Yields
     ------
-    FleetTrip
+    TripView
         One at least.
 
     Raises
@@ -167,29 +270,31 @@ def fleet_trips(given: Given, sha256: str = "", *, rows: int = ROWS) -> Iterator
 
     Examples
     --------
-    >>> [trip.name for trip in fleet_trips("sample_logs/stopping.mcap")]
+    >>> [view.name for view in views_of("sample_logs/stopping.mcap")]
     ['trip-03']
-    >>> [trip.name for trip in fleet_trips("sample_logs/stopping.mcap", rows=40_000)]
+    >>> [view.name for view in views_of("sample_logs/stopping.mcap", rows=60_000)]
     ['trip-03 (1 of 2)', 'trip-03 (2 of 2)']
     """
-    if isinstance(given, Trip):
-        yield FleetTrip(given, sha256)
+    if not isinstance(given, str | Path):
+        yield view_of(given)
         return
-    path = Path(given)
-    held = rows_of_log(path, TOPICS)
-    if held <= rows:
-        trip, damage = _read(path, None)
-        yield FleetTrip(trip, sha256, damage=damage)
+    path, most = Path(given), ROWS if rows is None else rows
+    held = rows_of_log(path, topics)
+    if held <= most:
+        trip, damage = _read(path, topics, None, checked)
+        yield TripView(trip, path, sha256, damage=damage)
         return
-    spans = parts_of(path, held, rows)
+    spans = parts_of(path, held, most)
     count = len(spans)
     for number, span in enumerate(spans, start=1):
-        trip, damage = _read(path, span)
+        trip, damage = _read(path, topics, span, checked)
         named = trip.metadata | {"trip": f"{trip.name} ({number} of {count})"}
-        yield FleetTrip(replace(trip, metadata=named), "", number, count, damage)
+        yield TripView(replace(trip, metadata=named), path, "", number, count, damage)
 
 
-def _read(path: Path, span: tuple[int, int] | None) -> tuple[Trip, str]:
+def _read(
+    path: Path, topics: Sequence[str] | None, span: tuple[int, int] | None, checked: bool
+) -> tuple[Trip, str]:
     """A log, or the part of it in a span of time, and what of the log is lost."""
     time = None
     if span is not None:
@@ -198,11 +303,13 @@ def _read(path: Path, span: tuple[int, int] | None) -> tuple[Trip, str]:
             None if first == ALWAYS[0] else pd.Timestamp(first, tz="UTC"),
             None if last == ALWAYS[1] else pd.Timestamp(last, tz="UTC"),
         )
+    if not checked:
+        return read_log(path, topics, time=time), ""
     damage = ""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         # One thread: the trips of a fleet are what is shared out between processors.
-        trip = read_log(path, TOPICS, time=time, threads=1)
+        trip = read_log(path, topics, time=time, threads=1)
     for each in caught:
         if isinstance(each.message, DamageWarning):
             damage = each.message.account.sentence
@@ -283,10 +390,6 @@ class _Course:
             self._stood = None
 
 
-STRIDE = 64
-"""Of so many samples of a long log the time of one is kept."""
-
-
 def parts_of(path: Path, held: int, rows: int) -> list[tuple[int, int]]:
     """Spans of time [ns] in which a long log is read: they share no instant and leave none out.
 
@@ -301,21 +404,9 @@ def parts_of(path: Path, held: int, rows: int) -> list[tuple[int, int]]:
     Raises
     ------
     LogError
-        If it knows no position, and cannot be parted therefore.
+        If it knows neither position nor speed, and cannot be parted therefore.
     """
-    course, topic = _Course(), ""
-    chosen = {name: ["speed", "position"] for name in POSITION_TOPICS}
-    for piece in stream_log(path, chosen, rows=PIECE):
-        known = [name for name in POSITION_TOPICS if name in piece and len(piece[name])]
-        topic = topic or next((n for n in known if piece[n]["position"].notna().any()), "")
-        if topic and topic in known:
-            course.add(piece[topic], STANDSTILL if topic == TRAIN_STATE.name else STANDING_ESTIMATE)
-    if not topic:
-        raise LogError(
-            f"is too long to be read at once ({held:,} rows) and knows no position",
-            file=path,
-            remedy="cut it into trips (trainlog convert), or ingest it again with its line",
-        )
+    course = _course_of(path, held)
     clock = np.concatenate(course.clock)
     most = max(1, int(rows * course.samples / held))
     cuts: list[int] = []
@@ -333,3 +424,23 @@ def parts_of(path: Path, held: int, rows: int) -> list[tuple[int, int]]:
         (first, second - 1 if number < last else second)
         for number, (first, second) in enumerate(pairwise(edges))
     ]
+
+
+def _course_of(path: Path, held: int) -> _Course:
+    """The course of a long log by its position, else by its speed alone."""
+    by_position = [(name, ("position", "speed")) for name in POSITION_TOPICS]
+    by_speed = [(each.name, ("speed",)) for each in (TRAIN_STATE, GNSS_MOTION)]
+    for topic, columns in (*by_position, *by_speed):
+        course, known = _Course(), False
+        for piece in stream_log(path, {topic: columns}, rows=PIECE):
+            if topic in piece and len(piece[topic]):
+                frame = piece[topic].reindex(columns=["position", "speed"])
+                known = known or bool(frame[columns[0]].notna().any())
+                course.add(frame, STANDSTILL if topic == TRAIN_STATE.name else STANDING_ESTIMATE)
+        if known:
+            return course
+    raise LogError(
+        f"is too long to be read at once ({held:,} rows) and knows neither position nor speed",
+        file=path,
+        remedy="cut it into trips (trainlog convert), or ingest it again with its line",
+    )

@@ -1,0 +1,140 @@
+"""A trip as analyses see it: computed once; a log too long for the memory is several trips."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import analysis.adhesion.slip as slip_module
+import analysis.resistance.motion as motion_module
+import analysis.resistance.passport as passports
+from analysis import view as module
+from analysis.adhesion.condition_map import adhesion_map
+from analysis.adhesion.slip import slip
+from analysis.comparison.driven import driven_trip
+from analysis.estimates import estimate_log
+from analysis.resistance.coast_down import coast_down
+from analysis.resistance.fit import TOPICS, fit_trip
+from analysis.resistance.logs import fit
+from analysis.resistance.passport import passport
+from tests.refusals import refused
+from trainlog.errors import InputError, LogError
+from trainlog.formats.samples import folder
+from trainlog.mcap import LogWriter, read_log, write_log
+from trainlog.mcap.reader import rows_of_log
+from trainlog.topics import GNSS_MOTION, TRAIN_STATE
+from trainlog.trip import Trip
+
+
+@pytest.fixture(scope="module")
+def nonstop() -> Path:
+    return folder() / "nonstop.mcap"
+
+
+@pytest.fixture(scope="module")
+def there_and_back(nonstop: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sample trip twice, an hour apart, as one recording."""
+    trip = read_log(nonstop)
+    path = tmp_path_factory.mktemp("long") / "long.mcap"
+    later = {}
+    for name, frame in trip.topics.items():
+        later[name] = frame.set_axis(frame.index + pd.Timedelta("1h"))
+        later[name].index.name, later[name].attrs = "time", frame.attrs
+    with LogWriter(path) as writer:
+        writer.add(trip)
+        writer.add(Trip(later, trip.metadata, trip.provenance, trip.attachments))
+    return path
+
+
+def test_what_analyses_share_is_computed_once(
+    nonstop: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    search = passports._Motion.search
+
+    def counted(self: passports._Motion) -> float:
+        asked.append("delay")
+        return search(self)
+
+    monkeypatch.setattr(passports._Motion, "search", counted)
+    view = module.view_of(nonstop)
+    known, found = passport(view), slip(view)
+    assert fit_trip(view).passport is known
+    assert slip(view) is found
+    assert driven_trip(view) is driven_trip(view)
+    assert asked == ["delay"]
+    # A trip at hand may change: nothing is kept of it.
+    fit_trip(view.trip)
+    assert asked == ["delay", "delay"]
+
+
+def test_a_long_log_is_fitted_as_several_trips(
+    there_and_back: Path, nonstop: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alone = fit(nonstop)
+    monkeypatch.setattr(module, "ROWS", rows_of_log(nonstop, TOPICS) + 1_000)
+    both = fit(there_and_back)
+    assert [one.trip for one in both.trips] == ["trip-01 (1 of 2)", "trip-01 (2 of 2)"]
+    for one in both.trips:
+        np.testing.assert_allclose(one.beta, alone.trips[0].beta, rtol=1e-6)
+    assert len(both.drives) == 2
+
+
+def test_maps_and_coasting_take_all_parts_of_a_long_log(
+    there_and_back: Path, nonstop: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alone = adhesion_map(nonstop).track
+    coasted = coast_down(nonstop)
+    monkeypatch.setattr(
+        module, "ROWS", rows_of_log(nonstop, (*slip_module.TOPICS, "/environment")) + 1_000
+    )
+    both = adhesion_map(there_and_back).track
+    assert [each["trip"] for each in both.trips] == ["trip-01"]
+    for name, layer in alone.layers.items():
+        np.testing.assert_array_equal(both.layers[name].events, 2 * layer.events)
+    monkeypatch.setattr(module, "ROWS", rows_of_log(nonstop, motion_module.TOPICS) + 1_000)
+    twice = coast_down(there_and_back)
+    assert len(twice.trips) == 2 * len(coasted.trips)
+
+
+def test_estimates_of_a_long_log_keep_what_was_recorded(
+    there_and_back: Path, nonstop: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(module, "ROWS", rows_of_log(nonstop) + 1_000)
+    assert estimate_log(there_and_back, tmp_path / "parts.mcap") == ()
+    parts, recorded = read_log(tmp_path / "parts.mcap"), read_log(there_and_back)
+    assert parts.name == recorded.name
+    for name in ("/train/state", "/train/axles", "/gnss/fix"):
+        pd.testing.assert_frame_equal(parts[name], recorded[name], check_exact=True)
+    estimated = parts["/estimates/state"]
+    assert estimated.index.equals(recorded["/train/state"].index)
+    error = estimated["speed"] - recorded["/truth"]["speed"].to_numpy()
+    assert np.sqrt(np.mean(error**2)) < 0.05
+
+
+def test_a_long_log_without_positions_is_parted_by_its_speed(
+    there_and_back: Path, tmp_path: Path
+) -> None:
+    motion = read_log(there_and_back, [GNSS_MOTION.name])
+    write_log(motion, tmp_path / "speeds.mcap")
+    rows = len(motion[GNSS_MOTION.name])
+    views = list(module.views_of(tmp_path / "speeds.mcap", rows=rows // 2 + 100))
+    assert len(views) == 2
+    together = pd.concat([view.trip[GNSS_MOTION.name] for view in views])
+    pd.testing.assert_frame_equal(together, motion[GNSS_MOTION.name])
+    fixes = read_log(there_and_back, ["/gnss/fix"])
+    write_log(fixes, tmp_path / "fixes.mcap")
+    refused(LogError, "knows neither position nor speed", lambda: next(
+        module.views_of(tmp_path / "fixes.mcap", rows=100)
+    ))  # fmt: skip
+
+
+def test_what_is_no_trip_is_refused(tmp_path: Path) -> None:
+    refused(InputError, "is a folder; one trip is expected", module.view_of, tmp_path)
+    with pytest.raises(InputError):
+        module.view_of(3)  # type: ignore[arg-type]
+    state = read_log(folder() / "nonstop.mcap", [TRAIN_STATE.name])
+    assert module.view_of(state).trip is state
