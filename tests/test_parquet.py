@@ -18,8 +18,8 @@ from refusals import refused
 from tests.mcap_trips import START, assert_same, trip_of, trips
 from trainlog.errors import InputError, LogError
 from trainlog.formats import trip_tables
-from trainlog.formats.trip_tables import folder_writer, read_parquet, stream_parquet, write_parquet
-from trainlog.topics import EVENTS, TOPICS, TRAIN_AXLES, TRAIN_STATE
+from trainlog.formats.trip_tables import folder_writer, read_parquet, write_parquet
+from trainlog.topics import EVENTS, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 
 STATE = frame_of(TRAIN_STATE, START + np.arange(3), {"speed": [1.0, 2.0, 3.0]})
@@ -151,35 +151,6 @@ def test_only_the_topics_and_columns_asked_for_are_read(tmp_path: Path) -> None:
     assert len(some[TRAIN_AXLES.name].columns) == 8
 
 
-# ----------------------------------------------------------------------------------- in pieces
-
-
-@settings(max_examples=10)
-@given(trips(), st.integers(1, 40))
-def test_pieces_make_the_whole_in_the_order_of_time(
-    tmp_path_factory: pytest.TempPathFactory, trip: Trip, rows: int
-) -> None:
-    folder = tmp_path_factory.mktemp("parquet") / "trip.parquet"
-    write_parquet(trip, folder)
-    assert_same(trip, together(stream_parquet(folder, rows=rows)))
-    reached = -1
-    for piece in stream_parquet(folder, rows=rows):
-        times = [at for frame in piece.topics.values() for at in frame.index.asi8]
-        assert all(at > reached for at in times)
-        reached = max(times, default=reached)
-
-
-def test_pieces_are_of_the_size_asked_for(tmp_path: Path) -> None:
-    trip = trip_of(rows=1000)
-    write_parquet(trip, tmp_path / "trip.parquet")
-    sizes = [
-        sum(map(len, piece.topics.values()))
-        for piece in stream_parquet(tmp_path / "trip.parquet", rows=1300)
-    ]
-    assert sum(sizes) == 1000 * len(TOPICS)
-    assert max(sizes) <= 2 * 1300
-
-
 # -------------------------------------------------------------------------------- other programs
 
 
@@ -306,7 +277,7 @@ def test_damaged_files_are_named(written: Path) -> None:
         assert caught.file == state, name
         assert caught.remedy
     state.unlink()
-    refused(LogError, r"train_state.*missing", list, stream_parquet(written))
+    refused(LogError, r"train_state.*missing", read_parquet, written)
 
 
 @settings(max_examples=25)

@@ -15,7 +15,7 @@ from refusals import refused
 from tests.mcap_trips import START, assert_same, trips
 from trainlog.errors import InputError, LogError
 from trainlog.mcap import read_log, write_log
-from trainlog.spans import in_spans, spans_of_pieces, spans_within
+from trainlog.spans import in_spans, spans_within
 from trainlog.topics import ESTIMATED_STATE, EVENTS, TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 
@@ -218,19 +218,6 @@ def test_between_two_samples_the_position_is_on_the_line(
     held = in_spans(every, spans)
     assert held[(place > start + slack) & (place < end - slack)].all()
     assert not held[(place < start - slack) | (place > end + slack)].any()
-
-
-@settings(max_examples=40)
-@given(rides(), limits, limits, st.lists(st.integers(0, 15), max_size=4))
-def test_spans_of_pieces_are_those_of_the_whole(
-    ride: tuple[np.ndarray, np.ndarray], one: float, other: float, at: list[int]
-) -> None:
-    time, position = ride
-    start, end = sorted((one, other))
-    pieces = zip(np.split(time, sorted(at)), np.split(position, sorted(at)), strict=True)
-    np.testing.assert_array_equal(
-        spans_of_pieces(pieces, start, end), spans_within(time, position, start, end)
-    )
 
 
 @settings(max_examples=15)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import BoolArray, IntArray
 from trainlog.errors import InputError, similar
 
 Spans = IntArray
@@ -267,33 +266,6 @@ def spans_within(time: ArrayLike, position: ArrayLike, start: float, end: float)
         )
     )
     return merged_spans(np.concatenate((instants, spans[spans[:, 0] <= spans[:, 1]])))
-
-
-def spans_of_pieces(
-    pieces: Iterable[tuple[IntArray, FloatArray]], start: float, end: float
-) -> Spans:
-    """When a position was within limits, from a recording in pieces; see `spans_within`.
-
-    Parameters
-    ----------
-    pieces : iterable of (time, position)
-        In the order of time.
-    start, end : float [m]
-
-    Returns
-    -------
-    (k, 2) int array
-        As `spans_within` finds them in the whole.
-    """
-    found = [np.empty((0, 2), dtype=np.int64)]
-    before_time, before_position = np.empty(0, dtype=np.int64), np.empty(0)
-    for time, position in pieces:
-        known = np.isfinite(position)
-        times = np.concatenate((before_time, time[known]))
-        positions = np.concatenate((before_position, position[known]))
-        found.append(spans_within(times, positions, start, end))
-        before_time, before_position = times[-1:], positions[-1:]
-    return merged_spans(np.concatenate(found))
 
 
 def merged_spans(spans: Spans) -> Spans:

@@ -41,7 +41,6 @@ from trainlog.formats.files import (
     read_bytes,
     sha256,
 )
-from trainlog.spans import Spans, overlapping, position_limits, spans_of_pieces, time_limits
 from trainlog.topics import (
     RECORDED,
     SCHEMA_VERSION,
@@ -51,7 +50,7 @@ from trainlog.topics import (
     column_field,
     topic_of_frame,
 )
-from trainlog.trip import NO_POSITION, POSITION_TOPICS, Trip
+from trainlog.trip import Trip
 from trainlog.units import NANOSECONDS
 
 INDEX_FILE = "trip.json"
@@ -320,19 +319,7 @@ class TopicReader:
 
     def read(self) -> pa.Table:
         """All rows."""
-        return pa.concat_tables([self.schema.empty_table(), *self.batches(2**31)])
-
-    def batches(self, rows: int, spans: Spans | None = None) -> Iterator[pa.Table]:
-        """Rows in the order of the file, at most so many at a time.
-
-        Parts of the file without any time in the spans may be passed over.
-        """
         raise NotImplementedError
-
-    def spans(self) -> Spans:
-        """First and last time of parts of the file [ns], (k, 2)."""
-        ends = [_times_of(batch)[[0, -1]] for batch in self.batches(2**31) if len(batch)]
-        return np.array(ends, dtype=np.int64).reshape(-1, 2)
 
     def frame(self, table: pa.Table) -> pd.DataFrame:
         """The frame of rows that were read."""
@@ -357,23 +344,12 @@ class _ParquetReader(TopicReader):
         kept = json.loads((schema.metadata or {}).get(b"pandas", b"{}"))
         super().__init__(path, schema, kept.get("attributes", {}), columns)
 
-    def batches(self, rows: int, spans: Spans | None = None) -> Iterator[pa.Table]:
-        held = enumerate(self.spans())
-        groups = [n for n, span in held if spans is None or len(overlapping(spans, span[None]))]
-        missing = sum(self._file.metadata.row_group(n).num_rows for n in groups)
+    def read(self) -> pa.Table:
         with _named(self._path, "is damaged", AGAIN):
-            for batch in self._file.iter_batches(rows, groups, self.schema.names):
-                missing -= len(batch)
-                yield pa.Table.from_batches([batch], self.schema)
-        if missing:
+            found = self._file.read(self.schema.names)
+        if missing := self._file.metadata.num_rows - len(found):
             raise _damaged(self._path, f"{missing} rows are missing")
-
-    def spans(self) -> Spans:
-        column = self._file.schema_arrow.names.index(TIME)
-        groups = map(self._file.metadata.row_group, range(self._file.num_row_groups))
-        times = [group.column(column).statistics for group in groups]
-        ends = [(each.min.value, each.max.value) for each in times]
-        return np.array(ends, dtype=np.int64).reshape(-1, 2)
+        return found
 
     def close(self) -> None:
         self._file.close()
@@ -418,10 +394,9 @@ class _CsvReader(TopicReader):
                 remedy=f"it has {', '.join(self._names)}; {AGAIN}",
             )
 
-    def batches(self, rows: int, spans: Spans | None = None) -> Iterator[pa.Table]:  # noqa: ARG002
-        last, count = np.iinfo(np.int64).min, 0
+    def read(self) -> pa.Table:
         with self._read():
-            reader = pa.csv.open_csv(
+            found = pa.csv.read_csv(
                 self._path,
                 pa.csv.ReadOptions(block_size=BLOCK, column_names=self._names, skip_rows=1),
                 pa.csv.ParseOptions(newlines_in_values=True),
@@ -433,20 +408,15 @@ class _CsvReader(TopicReader):
                     quoted_strings_can_be_null=False,
                 ),
             )
-            for batch in reader:
-                times = _times_of(batch)
-                row = _backward(last, times)
-                if row is not None:
-                    raise LogError(
-                        "time runs backwards",
-                        file=self._path,
-                        place=f"row {count + row + 2}",
-                        remedy="sort the rows by time",
-                    )
-                last, count = int(times[-1]), count + len(batch)
-                for first in range(0, len(batch), rows):
-                    part = pa.Table.from_batches([batch.slice(first, rows)], self.schema)
-                    yield _texts(part, f"'({FORMULA})", r"\1")
+        row = _backward(np.iinfo(np.int64).min, _times_of(found))
+        if row is not None:
+            raise LogError(
+                "time runs backwards",
+                file=self._path,
+                place=f"row {row + 2}",
+                remedy="sort the rows by time",
+            )
+        return _texts(found.cast(self.schema), f"'({FORMULA})", r"\1")
 
     def _read(self) -> Any:
         return _named(self._path, "cannot be read", f"correct the row, or {AGAIN}")
@@ -716,134 +686,6 @@ def read_parquet(folder: str | Path, topics: Selection | None = None) -> Trip:
     with _opened(Path(folder), topics) as (trip, files):
         frames = {name: file.frame(file.read()) for name, file in files.items()}
     return replace(trip, topics=frames)
-
-
-def stream_parquet(
-    folder: str | Path,
-    topics: Selection | None = None,
-    *,
-    time: tuple[Any, Any] | None = None,
-    position: tuple[float | None, float | None] | None = None,
-    rows: int = 1_000_000,
-) -> Iterator[Trip]:
-    """Read a trip piece by piece, in the order of time.
-
-    Every row comes once. A piece has the rows of all topics in one span of time, so that rows of
-    the same time stay together.
-
-    Parameters
-    ----------
-    folder, topics
-        As in `read_parquet`.
-    time, position : (start, end), optional
-        Only rows of this time, and at the times at which the train was within these positions; as
-        in `Trip.between` and `Trip.within`.
-    rows : int
-        A piece has about as many rows, and memory holds about twice as many.
-
-    Yields
-    ------
-    Trip
-        With metadata, provenance and attachments of the whole, and all topics, some perhaps
-        without rows. One piece at least.
-
-    Raises
-    ------
-    LogError, InputError
-        As `read_parquet`.
-    """
-    spans = np.array([time_limits(*(time or (None, None)))], dtype=np.int64)
-    if position is not None:
-        spans = overlapping(spans, _spans_within(Path(folder), position))
-    with _opened(Path(folder), topics) as (trip, files):
-        trip = trip.with_slice(time=time, position=position)
-        batch = max(1, rows // max(1, len(files)))
-        waiting = {
-            name: _Waiting(file.schema, file.batches(batch, spans)) for name, file in files.items()
-        }
-        ends: list[int] = [0]
-        while ends:
-            for each in waiting.values():
-                each.fill()
-            # Up to where every topic has been read nothing more can come.
-            ends = [each.end for each in waiting.values() if each.more]
-            frames = {
-                name: files[name].frame(each.taken(min(ends) if ends else None))
-                for name, each in waiting.items()
-            }
-            yield replace(trip, topics=frames).cut(spans)
-
-
-def _spans_within(folder: Path, position: tuple[float | None, float | None]) -> Spans:
-    """When the train was within two positions."""
-    limits = position_limits(*position)
-    with _opened(folder, {name: ["position"] for name in POSITION_TOPICS}) as (trip, files):
-        for topic in POSITION_TOPICS:
-            if topic in files and any(
-                "position" in rows.column_names and rows["position"].null_count < len(rows)
-                for rows in files[topic].batches(ROWS)
-            ):
-                pieces = (
-                    (_times_of(rows), rows["position"].to_numpy())
-                    for rows in files[topic].batches(ROWS)
-                )
-                return spans_of_pieces(pieces, *limits)
-    raise LogError(
-        f"trip '{trip.name}' does not know where the train was", file=folder, remedy=NO_POSITION
-    )
-
-
-def time_span(folder: str | Path) -> tuple[pd.Timestamp, pd.Timestamp] | None:
-    """Times of the first and the last row of any topic; None if there are no rows.
-
-    Raises
-    ------
-    LogError, InputError
-        As `read_parquet`.
-    """
-    with _opened(Path(folder), None) as (_, files):
-        spans = [file.spans() for file in files.values()]
-    every = np.concatenate([np.empty((0, 2), dtype=np.int64), *spans])
-    if len(every) == 0:
-        return None
-    return pd.Timestamp(every.min(), tz="UTC"), pd.Timestamp(every.max(), tz="UTC")
-
-
-class _Waiting:
-    """Rows of a topic that were read and not yet given out.
-
-    Attributes
-    ----------
-    more : bool
-        Whether the file may have more rows.
-    end : int
-        Time of the last row that was read [ns]; meaningful while there are more.
-    """
-
-    def __init__(self, schema: pa.Schema, batches: Iterator[pa.Table]) -> None:
-        self._batches = batches
-        self._rows = schema.empty_table()
-        self.more, self.end = True, 0
-
-    def fill(self) -> None:
-        """Read on until there are rows before the last time read, or the file ends."""
-        while self.more and not (
-            len(self._rows) and _times_of(self._rows.slice(0, 1))[0] < self.end
-        ):
-            batch = next(self._batches, None)
-            if batch is None:
-                self.more = False
-            elif len(batch):
-                self._rows = pa.concat_tables([self._rows, batch])
-                self.end = int(_times_of(batch)[-1])
-
-    def taken(self, before: int | None) -> pa.Table:
-        """Take out the rows before a time [ns]; all of them if it is None."""
-        count = len(self._rows)
-        if before is not None:
-            count = int(np.searchsorted(_times_of(self._rows), before, side="left"))
-        rows, self._rows = self._rows.slice(0, count), self._rows.slice(count)
-        return rows
 
 
 def trip_index(folder: str | Path) -> TripIndex:

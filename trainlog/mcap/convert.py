@@ -25,8 +25,7 @@ from trainlog.formats.trip_tables import (
     folder_writer,
     mdf_writer,
     read_mdf_trip,
-    stream_parquet,
-    time_span,
+    read_parquet,
     trip_index,
 )
 from trainlog.mcap.account import Account
@@ -161,10 +160,10 @@ def span_of(source: str | Path) -> tuple[pd.Timestamp, pd.Timestamp] | None:
     >>> first < last
     True
     """
-    if Path(source).is_dir():
-        return time_span(source)
-    if Path(source).suffix == MDF:
-        trip = read_mdf_trip(source)
+    source = Path(source)
+    if source.is_dir() or source.suffix == MDF:
+        topics = {each.topic: () for each in trip_index(source).topics} if source.is_dir() else {}
+        trip = read_parquet(source, topics) if source.is_dir() else read_mdf_trip(source)
         return (trip.start, trip.end) if any(map(len, trip.topics.values())) else None
     found = describe(source)
     return None if found.first is None or found.last is None else (found.first, found.last)
@@ -199,16 +198,16 @@ def _pieces(
 ) -> Iterator[Trip]:
     """The source in pieces; what it does not give is added to `left_out`."""
     part: dict[str, Any] = {"time": time, "position": position, "rows": ROWS}
-    if source.is_dir():
-        _check_known([each.topic for each in trip_index(source).topics], topics, source)
-        return stream_parquet(source, topics, **part)
-    if source.suffix == MDF:
-        trip = read_mdf_trip(source)
+    if source.is_dir() or source.suffix == MDF:
+        trip = read_parquet(source) if source.is_dir() else read_mdf_trip(source)
         _check_known([*trip], topics, source)
-        if topics is not None:
-            trip = replace(trip, topics={name: trip[name] for name in trip if name in topics})
         trip = trip if time is None else trip.between(*time)
-        return iter([trip if position is None else trip.within(*position)])
+        try:
+            trip = trip if position is None else trip.within(*position)
+        except LogError as error:
+            raise LogError(error.problem, file=source, remedy=error.remedy) from error
+        chosen = {name: trip[name] for name in trip if topics is None or name in topics}
+        return iter([replace(trip, topics=chosen)])
     description = describe(source)
     held = {topic.name for topic in description.topics}
     _check_known(sorted(held), topics, source)
