@@ -81,6 +81,7 @@ def recording(
         effort=effort,
         braking=nothing,
         rotating_momentum=TRAIN.rotating_mass * speed,
+        tunnel=nothing,
         track=nothing,
         track_slope=nothing,
         section=groups,

@@ -31,6 +31,7 @@ from analysis.resistance.recording import (
     prepare,
     scale_of,
     sound,
+    tunnel_coefficient,
 )
 from analysis.resistance.regression import DELAY_STD, Regression, Residuals, Stretch, regress
 from analysis.resistance.windows import WindowPoints, Windows, build_windows
@@ -76,6 +77,9 @@ LARGEST_GAIN_ERROR = 0.2
 SHORTEST_TIME = 200.0
 """Less usable time than this [s] is too short a trip."""
 
+TUNNEL_LAW_STD = 0.3
+"""Standard deviation of the power of the cross-section by which tunnels resist."""
+
 SLIP_UNSEEN = (
     "slip is not masked: not all axle speeds are recorded, and fewer than two samples a second do"
     " not show it in the efforts; where wheels slip the curve is 2 to 8 % too low at 20 km/h"
@@ -100,6 +104,57 @@ class History:
     speed: FloatArray
     beta: FloatArray
     covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class TunnelResistance:
+    """What the tunnels of a trip add to the quadratic term.
+
+    Attributes
+    ----------
+    sections : (float, float) [m²]
+        Smallest and largest cross-section that the trip ran through.
+    expected : (float, float) [N/(m/s)²]
+        Coefficient that was expected in them.
+    source : str
+        By what it was expected: ``"the train's file"`` or ``"published tunnels"``.
+    factor, std : float
+        The resistance over the expected one, and its standard deviation.
+    """
+
+    sections: tuple[float, float]
+    expected: tuple[float, float]
+    source: str
+    factor: float
+    std: float
+
+    @staticmethod
+    def of(view: TripView, prepared: Prepared, regression: Regression) -> TunnelResistance | None:
+        """Of a trip; None if it ran through no tunnel."""
+        if regression.tunnels is None:
+            return None
+        section = view.line.tunnel_cross_section(prepared.position[prepared.recording.usable])
+        ends = np.array([section[section > 0.0].min(), section.max()])
+        low, high = tunnel_coefficient(view.train, ends).tolist()
+        stated = bool(view.train.tunnel_resistance)
+        factor, std = regression.tunnels
+        law = 0.5 * TUNNEL_LAW_STD * float(np.log(ends[1] / ends[0]))
+        return TunnelResistance(
+            (float(ends[0]), float(ends[1])),
+            (low, high),
+            "the train's file" if stated else "published tunnels",
+            factor,
+            float(np.hypot(std, factor * law)),
+        )
+
+    @property
+    def words(self) -> str:
+        """The coefficient with its band, and what was expected."""
+        said = []
+        for section, expected in sorted(set(zip(self.sections, self.expected, strict=True))):
+            value, half = self.factor * expected, 1.96 * self.std * expected
+            said.append(f"{value:.1f} ± {half:.1f} kg/m in {section:.0f} m²")
+        return f"{', '.join(said)} ({self.factor:.2f} times {self.source})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -165,6 +220,8 @@ class TripFit(DragCurve, Presented):
     wind_recorded : bool
         Whether the curve is that of still air; else it is that of the air of the day
         (`still_air`).
+    tunnels : TunnelResistance or None
+        What tunnels add to the curve, which is that of open track; None: the trip ran through none.
     """
 
     charts_by: ClassVar[str] = "analysis.resistance.plot:trip_fit_charts"
@@ -200,6 +257,7 @@ class TripFit(DragCurve, Presented):
     passport: Passport | None = None
     notes: tuple[str, ...] = ()
     wind_recorded: bool = False
+    tunnels: TunnelResistance | None = None
 
     @property
     def title(self) -> str:
@@ -217,12 +275,14 @@ class TripFit(DragCurve, Presented):
             if time > 0.0
         ]
         notes = {"notes": "; ".join(self.notes)} if self.notes else {}
+        tunnels = {} if self.tunnels is None else {"tunnels": self.tunnels.words}
         low, high = (float(end) / 1e3 for end in self.still_air(self.asked[1]))
         top = f"{low:.1f} to {high:.1f} kN at {KMH * self.asked[1]:.0f} km/h"
         still = {} if self.wind_recorded else {"in still air": f"{top}, no wind is recorded"}
         return {
             "curve": self.words,
             **still,
+            **tunnels,
             "mass": f"{self.mass / 1e3:.1f} ± {1.96 * self.mass_std / 1e3:.1f} t",
             "power": power,
             "speeds": f"{span(self.speed_range, KMH)} km/h, asked for {span(self.asked, KMH)} km/h",
@@ -422,6 +482,7 @@ def fit_trip(
         notes=tuple(filter(None, (SLIP_UNSEEN * prepared.slip_unseen, gain_words(known), *unlike))),
         wind_recorded=prepared.wind_recorded,
         identity=text_of(view.identity),
+        tunnels=TunnelResistance.of(view, prepared, regression),
     )
 
 

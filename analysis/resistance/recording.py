@@ -15,6 +15,7 @@ from trainlog.errors import LogError, NotIdentifiableError
 from trainlog.formats.railway import line_of
 from trainlog.ingest.report import CLOCK_RULES
 from trainlog.railway.line import Line
+from trainlog.railway.resistance import published_tunnel_coefficient
 from trainlog.railway.train import Train
 from trainlog.resampling import interpolated
 from trainlog.spans import runs_of
@@ -204,11 +205,13 @@ class Recording:
         Square of the speed through the air, negative where the wind is faster from behind; that of
         `speed` where no wind is recorded.
     effort : array [N]
-        At the wheel rims: traction less braking less what tunnels add to the resistance.
+        At the wheel rims: traction less braking less `tunnel`.
     braking : array [N]
         Dynamic braking effort, already taken off `effort`.
     rotating_momentum : array [kg m/s]
         Of the rotating parts, as masses at the wheel rims.
+    tunnel : array [N]
+        What tunnels are expected to add to the resistance.
     track : array [m/s²]
         Deceleration by gradient and curves at the train's chainage.
     track_slope : array [m/s² per m]
@@ -227,6 +230,7 @@ class Recording:
     effort: FloatArray
     braking: FloatArray
     rotating_momentum: FloatArray
+    tunnel: FloatArray
     track: FloatArray
     track_slope: FloatArray
     section: IntArray
@@ -347,6 +351,7 @@ def prepare(view: TripView, corrected: Trip | None = None) -> Prepared:
         speed=speed,
         air_square=np.asarray(through_air * np.abs(through_air)),
         effort=traction - dynamic - np.nan_to_num(pneumatic) - of.tunnel * speed**2,
+        tunnel=of.tunnel * speed**2,
         braking=dynamic,
         rotating_momentum=_rotating_momentum(train, speed, of.wheels),
         track=of.track,
@@ -398,13 +403,23 @@ def _course(view: TripView) -> _Course:
         acceleration,
         wheels,
         _slipping(time, wheels, smooth),
-        train.tunnel_coefficient(line.tunnel_cross_section(place)),
+        tunnel_coefficient(train, line.tunnel_cross_section(place)),
         line.track_acceleration(place, train.strip_length),
         track_slope(line, place, train.strip_length),
         section,
         nearest,
         recorded_head_wind(trip, index),
     )
+
+
+def tunnel_coefficient(train: Train, cross_section: FloatArray) -> FloatArray:
+    """Extra quadratic resistance [N/(m/s)²] expected in tunnels of each section [m²].
+
+    That of the train's file; where it states none, the published one.
+    """
+    if train.tunnel_resistance:
+        return train.tunnel_coefficient(cross_section)
+    return published_tunnel_coefficient(cross_section)
 
 
 def sound(view: TripView) -> Trip:

@@ -5,7 +5,8 @@ recursion of `estimators.rls`: its answer after the last window is the generalis
 estimate, its answers on the way are what was known on the way.
 
 Two errors of the recorded efforts are estimated along as nuisances, with a prior: a delay against
-the speed, and a wrong scale of the dynamic brake against traction.
+the speed, and a wrong scale of the dynamic brake against traction. So is the resistance of tunnels
+where a trip runs through any: how many times what is expected of it.
 
 The covariance is that of the noise model, made larger where neighbouring windows err together
 more than the model says (wind, say): the cluster-robust covariance of Liang and Zeger (1986,
@@ -136,6 +137,9 @@ DELAY_STD = 0.05
 BRAKE_SCALE_STD = 0.02
 """Standard deviation of the dynamic brake's recorded effort over that of traction."""
 
+TUNNEL_STD = 0.7
+"""Standard deviation of the resistance that tunnels add, over what is expected of it."""
+
 DRAG_STD = (1.0, 0.1, 0.01)
 """Prior standard deviation of r0, r1, r2 over mass [m/s², 1/s, 1/m]: any train, many times."""
 
@@ -235,6 +239,9 @@ class Regression:
         Column-normalised condition number of the regressors.
     stretches : tuple of Stretch
         Each with a force of its own.
+    tunnels : (float, float), optional
+        Resistance that tunnels add over what is expected of it, and its standard deviation; None:
+        the trip ran through none.
     """
 
     beta: FloatArray
@@ -251,6 +258,7 @@ class Regression:
     kept: BoolArray
     condition: float
     stretches: tuple[Stretch, ...] = ()
+    tunnels: tuple[float, float] | None = None
 
 
 def regress(
@@ -263,7 +271,7 @@ def regress(
     search: bool = False,
     stretches: tuple[Stretch, ...] = (),
 ) -> Regression:
-    """Fit the windows: ``(1/m, r0/m, r1/m, r2/m, delay/m, (brake scale - 1)/m)``.
+    """Fit the windows: ``(1/m, r0/m, r1/m, r2/m, delay/m, (brake scale - 1)/m)``, and more.
 
     Parameters
     ----------
@@ -287,17 +295,21 @@ def regress(
     """
     from scipy.ndimage import maximum_filter1d
 
+    through_tunnels = bool(windows.tunnel.any())
     spread = np.array(
         [mass_std / mass**2, *DRAG_STD, delay_std / mass, BRAKE_SCALE_STD / mass]
+        + [TUNNEL_STD / mass] * through_tunnels
         + [OFFSET_STD] * len(stretches)
     )
+    first_own = spread.size - len(stretches)
     expected = np.append(1.0 / mass, np.zeros(spread.size - 1))
     prior = np.column_stack([np.diag(1.0 / spread), expected / spread])
     kept = np.ones(windows.count, dtype=bool)
     for left in reversed(range(ROUNDS)):
         used = windows.select(kept)
         parts = NoiseParts.of(used, mass)
-        own = [-used.duration * each.inside(used) for each in stretches]
+        own = [-used.tunnel] * through_tunnels
+        own += [-used.duration * each.inside(used) for each in stretches]
         columns = np.column_stack([used.x, used.effort_change, used.braking, *own, used.y])
         likelihood = Likelihood(parts, columns, prior, expected_noise or Expected())
         noise = estimate_noise(likelihood)
@@ -325,7 +337,7 @@ def regress(
     beta, covariance = _history(RecursiveLeastSquares(spread, prior_mean=expected), rows, factor)
     own_force = [
         replace(each, force=float(theta[k] / theta[0]), std=float(np.sqrt(found[k, k]) / theta[0]))
-        for k, each in enumerate(stretches, 6)
+        for k, each in enumerate(stretches, first_own)
     ]
     half = 0.5 * sum(each.force for each in own_force if each.ambiguous)
     beta[:, 0] += half
@@ -347,6 +359,11 @@ def regress(
         kept=kept,
         condition=condition_number(used.x),
         stretches=tuple(own_force),
+        tunnels=(
+            (float(1.0 + theta[6] / theta[0]), float(np.sqrt(factor * found[6, 6]) / theta[0]))
+            if through_tunnels
+            else None
+        ),
     )
 
 

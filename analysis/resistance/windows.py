@@ -54,6 +54,8 @@ class Windows:
         Averaged at the end.
     braking : (n,) array [N s]
         Impulse of the dynamic brake: what a wrong scale of its effort does.
+    tunnel : (n,) array [N s]
+        Impulse of what tunnels are expected to add to the resistance.
     effort_change : (n,) array [N]
         Between the ends: what a delay of the recorded effort does.
     effort_square : (n,) array [N² s²]
@@ -69,6 +71,7 @@ class Windows:
     x: FloatArray
     end_speed: FloatArray
     braking: FloatArray
+    tunnel: FloatArray
     effort_change: FloatArray
     effort_square: FloatArray
     sections: csr_array
@@ -113,6 +116,7 @@ class Windows:
             x=summing @ self.x,
             end_speed=self.end_speed[last],
             braking=summing @ self.braking,
+            tunnel=summing @ self.tunnel,
             effort_change=summing @ self.effort_change,
             effort_square=summing @ self.effort_square,
             sections=summing @ self.sections,
@@ -176,6 +180,7 @@ def build_windows(recording: Recording, width: float | None = None) -> Windows:
                 recording.air_square,
                 recording.track,
                 recording.braking,
+                recording.tunnel,
             ]
         ),
     )
@@ -192,6 +197,7 @@ def build_windows(recording: Recording, width: float | None = None) -> Windows:
         x=np.column_stack([integral[:, 0] - change[:, 1], -integral[:, 1:4]]),
         end_speed=at_end[:, 0],
         braking=integral[:, 5],
+        tunnel=integral[:, 6],
         effort_change=change[:, 2],
         effort_square=(_at(time, squares, end) - _at(time, squares, start))[:, 0],
         sections=_by_group(recording, np.ones(time.size), recording.section, start, end),

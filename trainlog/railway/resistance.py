@@ -42,6 +42,12 @@ TUNNEL_COEFFICIENT = 1.3e-7
 """k_T [1/m]: tunnel resistance is weight times k_T times the tunnel's length, where no coefficient
 of the train itself is known; Amirhosseini et al. (2024), eq. (6), corrected."""
 
+PUBLISHED_TUNNELS = ((27.0, 16.0), (87.0, 2.4))
+"""Cross-section [m²] and extra quadratic resistance [N/(m/s)²] of the narrowest and the widest of
+ten tunnels, from the records of a train's control unit; Hansen, H. S., Nawaz, M. U., Olsson, N.
+(2017), Using operational data to estimate the running resistance of trains: estimation of the
+resistance in a set of Norwegian tunnels, Journal of Rail Transport Planning & Management 7."""
+
 LARGEST_STD = 0.10
 """Standard deviation of a curve, over the curve, up to which it is known at a speed."""
 
@@ -178,6 +184,24 @@ def curve_force_per_weight(
     """
     bend = np.asarray(curvature, dtype=np.float64)
     return np.asarray(specific_curve_resistance(bend, *curve_coefficients(bend, formula)))
+
+
+def published_tunnel_coefficient(cross_section: ArrayLike) -> FloatArray:
+    """Extra quadratic resistance [N/(m/s)²] that was measured in tunnels of each section [m²].
+
+    By the power of the section that joins `PUBLISHED_TUNNELS`; 0 in the open (section 0). That of
+    another train may be the half or the double.
+
+    Examples
+    --------
+    >>> published_tunnel_coefficient([0.0, 27.0, 45.0, 87.0]).round(1).tolist()
+    [0.0, 16.0, 7.0, 2.4]
+    """
+    (narrow, most), (wide, least) = PUBLISHED_TUNNELS
+    power = np.log(most / least) / np.log(wide / narrow)
+    section = np.asarray(cross_section, dtype=np.float64)
+    found = most * (narrow / np.maximum(section, 1e-9)) ** power
+    return np.where(section > 0.0, found, 0.0)
 
 
 def tunnel_force_per_weight(length: ArrayLike) -> FloatArray:

@@ -1,0 +1,117 @@
+"""Resistance in tunnels is learned where a trip runs through any, whatever the file states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.resistance.fit import TripFit, fit_trip
+from analysis.resistance.recording import TripRefusedError
+from analysis.truth import truth_of
+from trainlog.formats.railway import read_line, read_train, train_to_bytes
+from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
+from trainlog.formats.ttobench import read_track, read_train as read_published_train
+from trainlog.railway import Line, Train, Tunnel
+from trainlog.railway.resistance import published_tunnel_coefficient
+from trainlog.simulation import draw_scenarios, simulate
+from trainlog.trip import TRAIN_ATTACHMENT, Trip
+
+PUBLISHED = Path(__file__).parents[2] / "shared" / "data" / "ttobench"
+
+PAIRS = (
+    (None, None),
+    ("CH_Stadelhofen_Altstetten", "CH_Stadler_KISS_SBB"),
+    ("00_reference", "NL_Intercity_VIRM6"),
+)
+
+SHARES = ((0.12, 0.04, 42.0), (0.3, 0.085, 55.0), (0.55, 0.03, 33.0), (0.75, 0.06, 42.0))
+"""Place and length over that of the line, and cross-section [m²], of four tunnels."""
+
+
+def with_tunnels(line: Line) -> Line:
+    length = line.length
+    return replace(
+        line, tunnels=tuple(Tunnel(at * length, long * length, area) for at, long, area in SHARES)
+    )
+
+
+def law(strength: float) -> tuple[tuple[float, float], ...]:
+    """Coefficients by another power of the section than the published ones have."""
+    return tuple((area, strength * 14.0 * (30.0 / area) ** 1.3) for area in (30.0, 42.0, 60.0))
+
+
+def trips(line: Line, train: Train, strength: float, count: int) -> Iterator[tuple[Trip, Train]]:
+    """Trips of a train whose tunnels resist, and of whose tunnels its file states nothing."""
+    true = replace(train, tunnel_resistance=law(strength))
+    shown = train_to_bytes(replace(train, tunnel_resistance=()))
+    for scenario in draw_scenarios(with_tunnels(line), true, count, seed=5):
+        trip = simulate(scenario)
+        yield replace(trip, attachments={**trip.attachments, TRAIN_ATTACHMENT: shown}), true
+
+
+def check(fit: TripFit, trip: Trip, true: Train) -> tuple[bool, bool]:
+    """Whether the bands hold the curve of open track, and the resistance in the tunnels."""
+    truth = truth_of(trip)
+    assert truth is not None
+    speed = np.linspace(12.0, fit.asked[1], 20)
+    low, high = fit.band(speed)
+    curve = truth.resistance(speed)
+    found = fit.tunnels
+    assert found is not None
+    held = []
+    for section, expected in zip(found.sections, found.expected, strict=True):
+        error = found.factor * expected - float(true.tunnel_coefficient(section))
+        held.append(abs(error) < 1.96 * found.std * expected)
+    return bool(np.mean((low <= curve) & (curve <= high)) > 0.9), all(held)
+
+
+@pytest.mark.parametrize("strength", [0.6, 2.0])
+def test_tunnels_spoil_no_curve_and_their_resistance_is_learned(strength: float) -> None:
+    line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
+    for trip, true in trips(line, train, strength, 2):
+        fit = fit_trip(trip)
+        assert check(fit, trip, true) == (True, True)
+        assert "kg/m in 33 m²" in fit.summary()["tunnels"]
+        assert "published tunnels" in fit.summary()["tunnels"]
+
+
+def test_a_trip_without_tunnels_states_none() -> None:
+    fit = fit_trip(sample("nonstop.mcap"))
+    assert fit.tunnels is None
+    assert "tunnels" not in fit.summary()
+
+
+def test_narrower_tunnels_resist_more_and_the_open_track_not() -> None:
+    area = np.linspace(20.0, 100.0, 30)
+    found = published_tunnel_coefficient(area)
+    assert np.all(np.diff(found) < 0.0)
+    assert published_tunnel_coefficient(0.0) == 0.0
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not PUBLISHED.is_dir(), reason="TTOBench is not beside the checkout")
+def test_tunnels_of_three_lines_and_trains() -> None:
+    """Nine in ten bands hold, over three lines, three trains and three strengths."""
+    curves, tunnels = [], []
+    for track, vehicle in PAIRS:
+        if track is None or vehicle is None:
+            line, train = read_line(sample(DEFAULT_LINE)), read_train(sample(DEFAULT_TRAIN))
+        else:
+            line = read_track(PUBLISHED / "tracks" / f"{track}.json")
+            train = read_published_train(PUBLISHED / "trains" / f"{vehicle}.json")
+        for strength in (0.6, 1.0, 2.0):
+            for trip, true in trips(line, train, strength, 4):
+                try:
+                    held = check(fit_trip(trip), trip, true)
+                except TripRefusedError as error:
+                    assert error.reason in ("excitation", "condition", "too short")
+                    continue
+                curves.append(held[0])
+                tunnels.append(held[1])
+    assert len(curves) >= 18
+    assert np.mean(curves) >= 0.9
+    assert np.mean(tunnels) >= 0.9
