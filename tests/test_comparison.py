@@ -23,7 +23,7 @@ from trainlog.cli import main as cli
 from trainlog.errors import InputError
 from trainlog.formats.railway import line_to_bytes
 from trainlog.formats.samples import DEFAULT_LINE, DEFAULT_TRAIN, sample
-from trainlog.mcap import read_log, write_log
+from trainlog.mcap import read_log
 from trainlog.railway import Configuration, Line, StepProfile, Trajectory
 from trainlog.simulation import draw_scenarios, simulate
 from trainlog.simulation.drivers import Habits, Stop, plan
@@ -494,18 +494,6 @@ def test_frames_of_a_comparison_hold_numbers_with_units() -> None:
     assert frame.attrs["units"]["mass_kg"] == "kg"
     assert found.to_frame("sections").attrs["units"]["line_J"] == "J"
     assert found.to_frame("losses")["lost_s"].is_monotonic_decreasing
-
-
-def test_a_long_log_is_read_in_pieces_with_the_same_result(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_log(stopping(), tmp_path / "trip.mcap")
-    whole = driven_trip(stopping())
-    for rows in (3_000, 50_000):
-        monkeypatch.setattr("analysis.comparison.driven.ROWS", rows)
-        found = driven_trip(tmp_path / "trip.mcap")
-        np.testing.assert_allclose(found.running, whole.running, atol=1e-9)
-        np.testing.assert_allclose(found.sums["traction"], whole.sums["traction"], rtol=1e-9)
 
 
 def test_sections_make_up_a_trip_whose_position_is_recorded_in_whole_metres() -> None:
