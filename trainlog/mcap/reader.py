@@ -1,4 +1,4 @@
-"""Reading a trip, or a part of one, from an MCAP file: at once, piece by piece, in stretches.
+"""Reading a trip, or a part of one, from an MCAP file: at once, or piece by piece.
 
 Chunks that cannot hold what is asked for are not read. Where the train was in each chunk is kept in
 the metadata record `POSITIONS_RECORD`, see `trainlog.mcap.codec`. A file without the record is read
@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -20,7 +20,6 @@ import numpy as np
 import pandas as pd
 from mcap.records import Metadata
 
-from trainlog.arrays import IntArray
 from trainlog.errors import InputError, LogError
 from trainlog.identity import COLUMNS, TripIdentity, identity_of
 from trainlog.mcap.account import Account, DamageWarning, Loss
@@ -50,15 +49,20 @@ from trainlog.mcap.records import (
     unusable,
 )
 from trainlog.mcap.tables import TopicChannel, Wanted, frames_in, topic_channels
-from trainlog.spans import ALWAYS, Spans, merged_spans, position_limits, spans_within, time_limits
+from trainlog.spans import (
+    ALWAYS,
+    Spans,
+    merged_spans,
+    overlapping,
+    position_limits,
+    spans_within,
+    time_limits,
+)
 from trainlog.topics import RECORDED, SCHEMA_VERSION, TOPICS, Topic, column_field
-from trainlog.trip import NO_POSITION, POSITION_TOPICS, Trip
+from trainlog.trip import NO_POSITION, POSITION_TOPICS, Trip, nanoseconds
 
 _MOST_NAMED = 8
 """Topics of a foreign file that an error names."""
-
-_LARGEST_GROUP = 2**26
-"""Chunks are read together up to this length when decompressed [bytes]."""
 
 _Frames = dict[str, pd.DataFrame]
 _T = TypeVar("_T")
@@ -126,7 +130,7 @@ def read_log(
     selection = selection_of(topics, time, position)
     with Source(path) as source, in_file(path):
         reading = _Reading(source, selection, threads_of(threads))
-        (frames,) = reading.groups()
+        frames = reading.frames()
         check_readable(reading.contents.account)
     report_losses(path, reading.contents)
     return replace(reading.bare, topics=frames)
@@ -385,20 +389,21 @@ def check_readable(account: Account) -> None:
 def _pieces(path: str | Path, selection: Selection, rows: int) -> Iterator[Trip]:
     with Source(path) as source, in_file(path):
         reading = _Reading(source, selection, threads=2)
-        last = None
-        for frames in reading.groups(rows):
+        last, frames = None, _Frames()
+        for span in reading.parts(rows):
+            frames = reading.frames(span)
             for part in _cut(frames, rows):
                 last = reading.bare
                 yield replace(last, topics=part)
         if last is None or last.provenance != reading.bare.provenance:
             # What is lost shows in a piece without rows, too.
-            yield replace(reading.bare, topics=reading.frames([]))
+            yield replace(reading.bare, topics={name: each[:0] for name, each in frames.items()})
         check_readable(reading.contents.account)
     report_losses(path, reading.contents)
 
 
 class _Reading:
-    """One reading of a part of a file: at once, or some chunks at a time."""
+    """One reading of a part of a file: at once, or one span of time after the other."""
 
     def __init__(self, source: Source, selection: Selection, threads: int) -> None:
         self._source = source
@@ -417,98 +422,64 @@ class _Reading:
         """The trip without its topics; its provenance has the losses met so far."""
         return with_losses(self._bare, self.contents)
 
-    def frames(self, chunks: Sequence[ChunkPlace]) -> _Frames:
-        """The rows that chunks hold."""
-        selection = self._selection
-        found = frames_in(self._source, self.contents, chunks, selection.columns, self._threads)
-        if selection.time is not None or selection.position is not None:
-            found = replace(self._bare, topics=found).cut(self._spans).topics
-        return found
+    def parts(self, rows: int) -> list[tuple[int, int]]:
+        """Spans of time [ns] that follow each other, each with at most `rows` rows.
 
-    def groups(self, rows: int | None = None) -> Iterator[_Frames]:
-        """The rows of all topics that come before all that follow, some chunks at a time.
-
-        Without `rows` all at once, and all of the file is verified if all of it is asked for.
+        Each begins where a chunk does, so that few chunks are read twice; one that holds more rows
+        is a part of its own.
         """
-        done: set[int] = set()
-        waiting: _Frames = {}
-        chunks = self._chunks(done, rows)
-        while True:
-            group = chunks if rows is None else self._group(chunks, rows)
-            try:
-                frames = self.frames(group)
-                if rows is None and self._selection.whole:
-                    check_data_section(self._source, self.contents)
-            except MisplacedError:
-                # What was yielded stays; a scan finds what of the rest there is.
-                self.contents = scanned(self._source)
-                self._bare, self._spans = self._begin(self.contents)
-                chunks = self._chunks(done, rows)
-                continue
-            done.update(place.offset for place in group)
-            chunks = chunks[len(group) :]
-            waiting = {name: _joined(waiting.get(name), frame) for name, frame in frames.items()}
-            if not chunks:
-                break
-            until = min(place.start for place in chunks)
-            ready = {
-                name: frame.iloc[: _times(frame).searchsorted(until)]
-                for name, frame in waiting.items()
-            }
-            waiting = {name: frame.iloc[len(ready[name]) :] for name, frame in waiting.items()}
-            yield ready
-        yield waiting
+        borders, taken = [ALWAYS[0]], 0
+        chunks = chunks_within(self.contents.chunks, self._spans)
+        chunks.sort(key=lambda place: place.start)
+        rows_of = _rows(self.contents, chunks, self._selection.columns)
+        for place, count in zip(chunks, rows_of, strict=True):
+            if taken and taken + count > rows and borders[-1] < place.start <= ALWAYS[1]:
+                borders.append(place.start)
+                taken = 0
+            taken += count
+        return list(zip(borders, [*(each - 1 for each in borders[1:]), ALWAYS[1]], strict=True))
 
-    def _chunks(self, done: set[int], rows: int | None) -> list[ChunkPlace]:
-        """The chunks that are still to be read; in the order of time, if not all at once."""
-        self._channels = {
-            each.channel.id
-            for each in topic_channels(self.contents)
-            if self._selection.columns is None or each.topic.name in self._selection.columns
-        }
-        wanted = [
-            place
-            for place in chunks_within(self.contents.chunks, self._spans)
-            if place.offset not in done and not self._channels.isdisjoint(place.counts)
-        ]
-        if rows is None:
-            return wanted
-        return sorted(wanted, key=lambda place: (place.start, place.offset))
+    def frames(self, span: tuple[int, int] = ALWAYS) -> _Frames:
+        """The rows of a span of time; all of the file is verified if all of it is asked for."""
+        try:
+            return self._frames(span)
+        except MisplacedError:
+            # What was read before stays; a scan finds what of the rest there is.
+            self.contents = scanned(self._source)
+            self._bare, self._spans = self._begin(self.contents)
+            return self._frames(span)
 
-    def _group(self, chunks: Sequence[ChunkPlace], rows: int) -> list[ChunkPlace]:
-        """The first of the chunks, as many as make a piece."""
-        held = size = 0
-        group: list[ChunkPlace] = []
-        for place in chunks:
-            held += sum(count for number, count in place.counts.items() if number in self._channels)
-            size += place.size
-            if group and (held > rows or size > _LARGEST_GROUP):
-                break
-            group.append(place)
-        return group
+    def _frames(self, span: tuple[int, int]) -> _Frames:
+        selection, contents = self._selection, self.contents
+        spans = overlapping(self._spans, np.array([span], dtype=np.int64))
+        chunks = chunks_within(contents.chunks, spans)
+        found = frames_in(self._source, contents, chunks, selection.columns, self._threads)
+        if span == ALWAYS and selection.whole:
+            check_data_section(self._source, contents)
+        if span == ALWAYS and selection.time is None and selection.position is None:
+            return found
+        return replace(self._bare, topics=found).cut(spans).topics
 
 
-def _joined(waiting: pd.DataFrame | None, frame: pd.DataFrame) -> pd.DataFrame:
-    """The rows that wait and those that follow, in the order of time."""
-    if waiting is None or waiting.empty:
-        return frame
-    if frame.empty:
-        return waiting
-    joined = pd.concat([waiting, frame])
-    if not joined.index.is_monotonic_increasing:
-        joined = joined.sort_index(kind="stable")
-    joined.attrs = frame.attrs
-    return joined
-
-
-def _times(frame: pd.DataFrame) -> IntArray:
-    return pd.DatetimeIndex(frame.index).as_unit("ns").asi8
+def _rows(
+    contents: Contents, chunks: Iterable[ChunkPlace], topics: Collection[str] | None
+) -> list[int]:
+    """How many rows of some topics, or all, each chunk holds."""
+    channels = {
+        each.channel.id
+        for each in topic_channels(contents)
+        if topics is None or each.topic.name in topics
+    }
+    return [
+        sum(count for number, count in place.counts.items() if number in channels)
+        for place in chunks
+    ]
 
 
 def _cut(frames: _Frames, rows: int) -> Iterator[_Frames]:
     """The frames in pieces of at most `rows` rows over all of them, in the order of time."""
     while True:
-        times = {name: _times(frame) for name, frame in frames.items()}
+        times = {name: nanoseconds(frame) for name, frame in frames.items()}
         count = sum(len(each) for each in times.values())
         if count <= rows:
             if count:
@@ -526,7 +497,7 @@ def _cut(frames: _Frames, rows: int) -> Iterator[_Frames]:
         frames = {name: frame.iloc[ends[name] :] for name, frame in frames.items()}
 
 
-def rows_of_log(path: str | Path, topics: Sequence[str] | None = None) -> int:
+def rows_of_log(path: str | Path, topics: Collection[str] | None = None) -> int:
     """How many rows a log has over some topics, or all, by its summary. Errors as `read_log`.
 
     Examples
@@ -536,17 +507,7 @@ def rows_of_log(path: str | Path, topics: Sequence[str] | None = None) -> int:
     """
     with Source(path) as source, in_file(path):
         contents = contents_of(source)
-    channels = {
-        each.channel.id
-        for each in topic_channels(contents)
-        if topics is None or each.topic.name in topics
-    }
-    return sum(
-        count
-        for chunk in contents.chunks
-        for channel, count in chunk.counts.items()
-        if channel in channels
-    )
+        return sum(_rows(contents, contents.chunks, topics))
 
 
 Topics = Iterable[str] | Mapping[str, Iterable[str] | None]
@@ -624,22 +585,17 @@ def _spans_by(
 ) -> Spans | None:
     """The same by one topic; None if it knows no position."""
     ranges = position_ranges(contents, topic)
-    if ranges is None or not _in_order(place for place, _ in ranges):
-        runs, known = [_with_topic(contents, topic)], False
+    if ranges is None or any(one.end > other.start for (one, _), (other, _) in pairwise(ranges)):
+        chunks, known = _with_topic(contents, topic), False
     else:
         located = [(place, each) for place, each in ranges if not np.isnan(each[0])]
-        runs, known = _runs_near(located, stretch), bool(located)
-    spans = [np.empty((0, 2), dtype=np.int64)]
-    for run in runs:
-        frame = frames_in(source, contents, run, {topic: frozenset(["position"])}, threads).get(
-            topic
-        )
-        if frame is not None:
-            position = frame["position"].to_numpy()
-            known = known or bool(np.isfinite(position).any())
-            time = pd.DatetimeIndex(frame.index).as_unit("ns").asi8
-            spans.append(spans_within(time, position, *stretch))
-    return merged_spans(np.concatenate(spans)) if known else None
+        chunks, known = _near(located, stretch), bool(located)
+    frames = frames_in(source, contents, chunks, {topic: frozenset(["position"])}, threads)
+    if topic not in frames:
+        return None
+    position = frames[topic]["position"].to_numpy()
+    spans = spans_within(nanoseconds(frames[topic]), position, *stretch)
+    return merged_spans(spans) if known or np.isfinite(position).any() else None
 
 
 def _with_topic(contents: Contents, topic: str) -> list[ChunkPlace]:
@@ -647,16 +603,14 @@ def _with_topic(contents: Contents, topic: str) -> list[ChunkPlace]:
     return [place for place in contents.chunks if not numbers.isdisjoint(place.counts)]
 
 
-def _in_order(places: Iterable[ChunkPlace]) -> bool:
-    """Whether the chunks follow each other in time, so that neighbours are neighbours."""
-    listed = list(places)
-    return all(one.end <= other.start for one, other in pairwise(listed))
-
-
-def _runs_near(
+def _near(
     located: list[tuple[ChunkPlace, Range]], stretch: tuple[float, float]
-) -> list[list[ChunkPlace]]:
-    """Chunks next to each other in which, or between which, the train can have been there."""
+) -> list[ChunkPlace]:
+    """Chunks in which, or between which and the next, the train can have been on a stretch.
+
+    Of two that follow each other and have others between them it was outside of the stretch at the
+    end of the first and, on the same side, at the beginning of the second.
+    """
     if not located:
         return []
     least, greatest = np.array([each for _, each in located]).T
@@ -667,14 +621,7 @@ def _runs_near(
     near = (least <= stretch[1]) & (greatest >= stretch[0])
     near[1:] |= joint
     near[:-1] |= joint
-    runs: list[list[ChunkPlace]] = []
-    for number in np.flatnonzero(near).tolist():
-        # Two chunks with a gap in which the train was not there need not be read together.
-        if number and near[number - 1] and runs:
-            runs[-1].append(located[number][0])
-        else:
-            runs.append([located[number][0]])
-    return runs
+    return [located[number][0] for number in np.flatnonzero(near).tolist()]
 
 
 # --------------------------------------------------------------------------- what is asked for
@@ -803,5 +750,4 @@ def spans_of(source: Source, contents: Contents, selection: Selection, threads: 
     if selection.position is None:
         return np.array([[first, last]], dtype=np.int64)
     spans = spans_in_log(source, contents, selection.stretch, threads)
-    spans = spans[(spans[:, 1] >= first) & (spans[:, 0] <= last)]
-    return np.clip(spans, first, last)
+    return overlapping(spans, np.array([[first, last]], dtype=np.int64))
