@@ -308,8 +308,7 @@ def _read(
     damage = ""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        # One thread: the trips of a fleet are what is shared out between processors.
-        trip = read_log(path, topics, time=time, threads=1)
+        trip = read_log(path, topics, time=time)
     for each in caught:
         if isinstance(each.message, DamageWarning):
             damage = each.message.account.sentence

@@ -112,18 +112,16 @@ def whole_of(path: Path) -> Trip:
     seed=st.integers(0, 5),
     pair=st.tuples(limits, limits),
     chosen=st.sets(st.sampled_from([TRAIN_STATE.name, TRAIN_AXLES.name, EVENTS.name]), min_size=1),
-    threads=st.integers(1, 2),
 )
 def test_a_span_of_time_is_the_slice_of_the_whole(
     seed: int,
     pair: tuple[float | None, float | None],
     chosen: set[str],
-    threads: int,
     logs: Callable[[int], Path],
 ) -> None:
     whole = whole_of(logs(seed))
     span = in_time(whole, pair)
-    part = read_log(logs(seed), chosen, time=span, threads=threads)
+    part = read_log(logs(seed), chosen, time=span)
     expected = whole.between(*span)
     kept = {name: frame for name, frame in expected.topics.items() if name in chosen}
     assert_same(replace(expected, topics=kept), part)
@@ -342,9 +340,7 @@ def test_damage_outside_of_the_part_is_not_met(logs: Callable[[int], Path], tmp_
     assert_same(whole.between(*span), read_log(path, time=span))
 
 
-def test_every_number_of_threads_gives_the_same(logs: Callable[[int], Path]) -> None:
-    for threads in (1, 2, 3):
-        assert_same(read_log(logs(3), threads=threads), read_log(logs(3)))
-        part = read_log(logs(3), {TRAIN_AXLES.name: ["wheel_speed_2"]}, threads=threads)
-        frame = shuttle(3)[TRAIN_AXLES.name][["wheel_speed_2"]]
-        pd.testing.assert_frame_equal(frame, part[TRAIN_AXLES.name], check_freq=False)
+def test_one_column_of_a_topic(logs: Callable[[int], Path]) -> None:
+    part = read_log(logs(3), {TRAIN_AXLES.name: ["wheel_speed_2"]})
+    frame = shuttle(3)[TRAIN_AXLES.name][["wheel_speed_2"]]
+    pd.testing.assert_frame_equal(frame, part[TRAIN_AXLES.name], check_freq=False)

@@ -194,5 +194,3 @@ def test_threads_are_whole_numbers_from_one_on(threads: int, tmp_path: Path) -> 
     with pytest.raises(InputError, match=r"threads is .*whole number from 1 on"):
         write_log(Trip({}), path, threads=threads)
     assert not path.exists()
-    write_log(Trip({}), path)
-    refused(InputError, "threads is", read_log, path, threads=threads)

@@ -47,8 +47,8 @@ def read_plain_column(target: Path) -> None:
 KINDS: dict[str, tuple[Callable[[Trip, Path], None], ...]] = {
     "log": (
         lambda trip, path: write_log(trip, path, threads=1),
-        lambda _, path: read_log(path, threads=1),
-        lambda _, path: read_log(path, {TRAIN_AXLES.name: [COLUMN]}, threads=1),
+        lambda _, path: read_log(path),
+        lambda _, path: read_log(path, {TRAIN_AXLES.name: [COLUMN]}),
     ),
     "Parquet of trainlog": (
         write_parquet,

@@ -6,8 +6,8 @@
 
 The first compares a topic of ten doubles a message, to a DataFrame, with the official reader and
 its protobuf decoder, small-mcap (if it is installed), Rerun's McapReader, Parquet, and with nothing
-but decompressing the same chunks. Times are the least of several runs in turns: processor time with
-one thread, wall clock where threads are compared. Large logs are made in a temporary folder, if
+but decompressing the same chunks. Times are the least of several runs in turns: processor time, and
+wall clock beside Parquet and Rerun. Large logs are made in a temporary folder, if
 there is space, and removed.
 """
 
@@ -76,8 +76,8 @@ def compared(messages: int, repeats: int, folder: Path) -> None:
     if (small := small_mcap(official)) is not None:
         slow["small-mcap"] = small
     fast: dict[str, Callable[[], object]] = {
-        "trainlog, the topic": lambda: read_log(ours, [TOPIC], threads=1),
-        "trainlog, the whole log": lambda: read_log(ours, threads=1),
+        "trainlog, the topic": lambda: read_log(ours, [TOPIC]),
+        "trainlog, the whole log": lambda: read_log(ours),
         "decompress": decompress,
     }
     fast["trainlog, the topic"]()  # loads what is compiled
@@ -87,8 +87,7 @@ def compared(messages: int, repeats: int, folder: Path) -> None:
     seconds |= least(fast, repeats, time.process_time)
     wall = least(
         {
-            "1 thread": lambda: read_log(ours, [TOPIC], threads=1),
-            "2 threads": lambda: read_log(ours, [TOPIC], threads=2),
+            "trainlog": lambda: read_log(ours, [TOPIC]),
             "Parquet": lambda: pd.read_parquet(parquet),
             "Rerun": lambda: rerun(ours),
         },

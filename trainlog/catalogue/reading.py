@@ -18,8 +18,13 @@ from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.formats.files import sha256_of
 from trainlog.formats.railway import line_from_bytes
 from trainlog.identity import COLUMNS, TripIdentity, identity_of
-from trainlog.mcap.contents import Contents, MisplacedError, checksum_holds, contents_used, scanned
-from trainlog.mcap.reader import bare_trip, check_readable, position_span
+from trainlog.mcap.contents import Contents, MisplacedError, contents_used
+from trainlog.mcap.reader import (
+    bare_trip,
+    check_data_section,
+    check_readable,
+    position_span,
+)
 from trainlog.mcap.records import Source, in_file
 from trainlog.mcap.tables import frames_in
 from trainlog.railway.line import Line, in_km
@@ -129,15 +134,13 @@ def read_entry(path: str | Path) -> LogEntry:
     """
     with Source(path) as source, in_file(path):
         contents, (trip, span) = contents_used(source, lambda found: _read(source, found))
-        if not checksum_holds(source, contents):
-            contents = scanned(source)
-            trip, span = _read(source, contents)
         check_readable(contents.account)
     return _entry(trip, span, contents)
 
 
 def _read(source: Source, contents: Contents) -> tuple[Trip, tuple[float, float] | None]:
     """The trip with the column that identifies it alone, and the positions between it was."""
+    check_data_section(source, contents)
     trip = bare_trip(source, contents)
     present = {channel.topic for channel in contents.channels.values()}
     frames: dict[str, Any] = {}
@@ -145,7 +148,7 @@ def _read(source: Source, contents: Contents) -> tuple[Trip, tuple[float, float]
         if topic not in present:
             continue
         chunks = list(contents.chunks)
-        found = frames_in(source, contents, chunks, {topic: frozenset([column])}, 1).get(topic)
+        found = frames_in(source, contents, chunks, {topic: frozenset([column])}).get(topic)
         if found is not None and column in found and found[column].notna().any():
             frames = {topic: found}
             break

@@ -164,7 +164,11 @@ def gather(buffer: bytes, offsets: NDArray[np.integer], form: Layout) -> NDArray
     last = len(buffer) - form.size
     if len(offsets) * form.size > len(buffer) or not 0 <= offsets.min() <= offsets.max() <= last:
         return None
-    rows = _windows(buffer, form.size)[offsets].view(form.record)
+    if len(offsets) * form.size == len(buffer):
+        # They follow each other and fill the chunk.
+        rows = np.frombuffer(buffer, dtype=form.record)
+    else:
+        rows = _windows(buffer, form.size)[offsets].view(form.record)
     return rows if form.matches(rows) else None
 
 

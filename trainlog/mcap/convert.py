@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-import struct
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from mcap.records import Attachment
 
@@ -40,7 +39,7 @@ from trainlog.mcap.contents import (
 )
 from trainlog.mcap.description import LogDescription, describe
 from trainlog.mcap.foreign import frames_of
-from trainlog.mcap.reader import read_log, step_of, stream_log
+from trainlog.mcap.reader import check_readable, read_log, step_of, stream_log
 from trainlog.mcap.records import (
     POSITIONS_RECORD,
     PROVENANCE_RECORD,
@@ -425,24 +424,17 @@ def _joined(trips: list[Trip], paths: list[Path], notes: list[str]) -> Trip:
 
 
 def _windows(descriptions: Sequence[LogDescription]) -> Iterator[tuple[pd.Timestamp, pd.Timestamp]]:
-    """Spans of time, both ends included, with about `ROWS` rows each."""
-    known = [each for each in descriptions if each.first is not None and each.last is not None]
-    if not known:
-        now = pd.Timestamp(0, tz="UTC")
-        yield now, now
-        return
-    first = min(each.first for each in known if each.first is not None).as_unit("ns").value
-    last = max(each.last for each in known if each.last is not None).as_unit("ns").value
-    rate = sum(
-        each.count / max((each.last - each.first).total_seconds(), 1.0)
-        for each in known
-        if each.first is not None and each.last is not None
-    )
-    length = max(int(ROWS / max(rate, 1e-3) * 1e9), 1)
-    for start in range(first, last + 1, length):
-        end = min(start + length - 1, last)
-        yield pd.Timestamp(start, tz="UTC"), pd.Timestamp(end, tz="UTC")
+    """Spans of time, both ends included, with about `ROWS` rows each if these come evenly."""
+    first = min((each.first for each in descriptions if each.first is not None), default=_EPOCH)
+    last = max((each.last for each in descriptions if each.last is not None), default=_EPOCH)
+    start, length = first.as_unit("ns").value, (last - first).as_unit("ns").value + 1
+    count = 1 + sum(each.count for each in descriptions) // ROWS
+    ends = [start + length * number // count for number in range(count + 1)]
+    for begin, end in pairwise(ends):
+        yield pd.Timestamp(begin, tz="UTC"), pd.Timestamp(end - 1, tz="UTC")
 
+
+_EPOCH = pd.Timestamp(0, tz="UTC")
 
 _Spans = dict[str, tuple[pd.Timestamp, pd.Timestamp]]
 
@@ -597,7 +589,8 @@ def recover(path: str | Path, output: str | Path) -> Account:
             check_is_mcap(source)
             contents = scanned(source)
             account = contents.account
-            _check_readable(contents, account)
+            if not contents.attachments:
+                check_readable(account)
         with atomic_write(output) as temporary, temporary.open("wb") as stream:
             sink = Sink(stream, profile=contents.profile)
             with in_file(path):
@@ -619,17 +612,6 @@ def _check_reads(path: Path) -> None:
         raise LogError(
             f"what is readable of it makes no log: {error.problem}", remedy=error.remedy
         ) from error
-
-
-def _check_readable(contents: Contents, account: Account) -> None:
-    if account.whole or account.messages or contents.attachments or contents.metadata:
-        return
-    first = account.losses[0]
-    raise LogError(
-        f"is damaged and nothing of it is readable: {first.reason}",
-        place=f"byte {first.start}",
-        remedy="copy it again from where it was recorded",
-    )
 
 
 def _rebuild(source: Source, contents: Contents, steps: dict[str, str], sink: Sink) -> None:
@@ -692,20 +674,10 @@ def _chunk(source: Source, place: ChunkPlace) -> Chunk:
 
 def _only(content: bytes, index: Index) -> Chunk:
     """A chunk of nothing but the messages that the index lists, in the order they had."""
-    listed = [
-        (int(offset), int(time), channel)
-        for channel, entries in index.items()
-        for time, offset in entries.tolist()
-    ]
-    data = bytearray()
-    moved: dict[int, list[tuple[int, int]]] = {channel: [] for channel in index}
-    for offset, time, channel in sorted(listed):
-        (length,) = struct.unpack_from("<Q", content, offset + 1)
-        moved[channel].append((time, len(data)))
-        data += content[offset : offset + RECORD_HEAD + length]
-    return Chunk(
-        data,
-        min((time for _, time, _ in listed), default=0),
-        max((time for _, time, _ in listed), default=0),
-        {channel: np.array(pairs, dtype=np.uint64) for channel, pairs in moved.items()},
+    view = memoryview(content)
+    data = b"".join(
+        view[at : at + RECORD_HEAD + int.from_bytes(view[at + 1 : at + RECORD_HEAD], "little")]
+        for at in sorted(int(at) for entries in index.values() for at in entries[:, 1])
     )
+    times = [time for entries in index.values() for time in entries[:, 0].tolist()]
+    return Chunk(data, min(times, default=0), max(times, default=0), index_of(data, 0))

@@ -45,7 +45,6 @@ from trainlog.mcap.records import (
     Source,
     in_file,
     shown,
-    threads_of,
     unusable,
 )
 from trainlog.mcap.tables import TopicChannel, Wanted, frames_in, topic_channels
@@ -74,7 +73,6 @@ def read_log(
     *,
     time: tuple[Any, Any] | None = None,
     position: tuple[float | None, float | None] | None = None,
-    threads: int | None = None,
 ) -> Trip:
     """Read a trip, or a part of one, from an MCAP file.
 
@@ -95,8 +93,6 @@ def read_log(
     position : (start, end), optional
         Stretch of the line [m], None for an open end. The same as `Trip.within`: rows of all
         topics at the times at which the train was there.
-    threads : int, optional
-        Default: one a processor, at most four.
 
     Returns
     -------
@@ -129,7 +125,7 @@ def read_log(
     """
     selection = selection_of(topics, time, position)
     with Source(path) as source, in_file(path):
-        reading = _Reading(source, selection, threads_of(threads))
+        reading = _Reading(source, selection)
         frames = reading.frames()
         check_readable(reading.contents.account)
     report_losses(path, reading.contents)
@@ -388,7 +384,7 @@ def check_readable(account: Account) -> None:
 
 def _pieces(path: str | Path, selection: Selection, rows: int) -> Iterator[Trip]:
     with Source(path) as source, in_file(path):
-        reading = _Reading(source, selection, threads=2)
+        reading = _Reading(source, selection)
         last, frames = None, _Frames()
         for span in reading.parts(rows):
             frames = reading.frames(span)
@@ -405,17 +401,16 @@ def _pieces(path: str | Path, selection: Selection, rows: int) -> Iterator[Trip]
 class _Reading:
     """One reading of a part of a file: at once, or one span of time after the other."""
 
-    def __init__(self, source: Source, selection: Selection, threads: int) -> None:
+    def __init__(self, source: Source, selection: Selection) -> None:
         self._source = source
         self._selection = selection
-        self._threads = threads
         self.contents, (self._bare, self._spans) = contents_used(source, self._begin)
 
     def _begin(self, contents: Contents) -> tuple[Trip, Spans]:
         selection = self._selection
         bare = bare_trip(self._source, contents)
         bare = bare.with_slice(time=selection.time, position=selection.position)
-        return bare, spans_of(self._source, contents, selection, self._threads)
+        return bare, spans_of(self._source, contents, selection)
 
     @property
     def bare(self) -> Trip:
@@ -453,7 +448,7 @@ class _Reading:
         selection, contents = self._selection, self.contents
         spans = overlapping(self._spans, np.array([span], dtype=np.int64))
         chunks = chunks_within(contents.chunks, spans)
-        found = frames_in(self._source, contents, chunks, selection.columns, self._threads)
+        found = frames_in(self._source, contents, chunks, selection.columns)
         if span == ALWAYS and selection.whole:
             check_data_section(self._source, contents)
         if span == ALWAYS and selection.time is None and selection.position is None:
@@ -534,9 +529,7 @@ def position_ranges(contents: Contents, topic: str) -> list[tuple[ChunkPlace, Ra
     return found
 
 
-def spans_in_log(
-    source: Source, contents: Contents, stretch: tuple[float, float], threads: int
-) -> Spans:
+def spans_in_log(source: Source, contents: Contents, stretch: tuple[float, float]) -> Spans:
     """When the train was on a stretch of the line.
 
     Raises
@@ -547,7 +540,7 @@ def spans_in_log(
         If something is not as the summary says.
     """
     for topic in POSITION_TOPICS:
-        spans = _spans_by(source, contents, topic, stretch, threads)
+        spans = _spans_by(source, contents, topic, stretch)
         if spans is not None:
             return spans
     raise LogError("does not know where the train was", remedy=NO_POSITION)
@@ -569,7 +562,7 @@ def position_span(source: Source, contents: Contents, topic: str) -> tuple[float
         places = _with_topic(contents, topic)
         for at in range(0, len(places), _AT_ONCE):
             group = places[at : at + _AT_ONCE]
-            frames = frames_in(source, contents, group, {topic: frozenset(["position"])}, threads=1)
+            frames = frames_in(source, contents, group, {topic: frozenset(["position"])})
             position = frames[topic]["position"].to_numpy()
             known = position[np.isfinite(position)]
             if len(known):
@@ -581,7 +574,7 @@ def position_span(source: Source, contents: Contents, topic: str) -> tuple[float
 
 
 def _spans_by(
-    source: Source, contents: Contents, topic: str, stretch: tuple[float, float], threads: int
+    source: Source, contents: Contents, topic: str, stretch: tuple[float, float]
 ) -> Spans | None:
     """The same by one topic; None if it knows no position."""
     ranges = position_ranges(contents, topic)
@@ -590,7 +583,7 @@ def _spans_by(
     else:
         located = [(place, each) for place, each in ranges if not np.isnan(each[0])]
         chunks, known = _near(located, stretch), bool(located)
-    frames = frames_in(source, contents, chunks, {topic: frozenset(["position"])}, threads)
+    frames = frames_in(source, contents, chunks, {topic: frozenset(["position"])})
     if topic not in frames:
         return None
     position = frames[topic]["position"].to_numpy()
@@ -736,7 +729,7 @@ def chunks_within(chunks: Iterable[ChunkPlace], spans: Spans) -> list[ChunkPlace
     return [listed[index] for index in np.flatnonzero(held)]
 
 
-def spans_of(source: Source, contents: Contents, selection: Selection, threads: int) -> Spans:
+def spans_of(source: Source, contents: Contents, selection: Selection) -> Spans:
     """The spans of time that are asked for.
 
     Raises
@@ -749,5 +742,5 @@ def spans_of(source: Source, contents: Contents, selection: Selection, threads: 
     first, last = selection.span
     if selection.position is None:
         return np.array([[first, last]], dtype=np.int64)
-    spans = spans_in_log(source, contents, selection.stretch, threads)
+    spans = spans_in_log(source, contents, selection.stretch)
     return overlapping(spans, np.array([[first, last]], dtype=np.int64))

@@ -1,4 +1,4 @@
-"""From the chunks of a log to the frames of its topics, by several threads.
+"""From the chunks of a log to the frames of its topics.
 
 Messages that fit the layout of their channel go to the columns of a table as arrays; others (of
 other programs, and events) are decoded one by one by the official decoder and joined to it.
@@ -7,8 +7,7 @@ other programs, and events) are decoded one by one by the official decoder and j
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -29,14 +28,8 @@ from trainlog.mcap.records import Index, Source, index_of, message_data, opened,
 from trainlog.topics import EVENTS, GNSS_FIX, TOPICS, Topic, attributes, column_field
 from trainlog.trip import frame_of
 
-_AT_ONCE = 4
-"""Chunks that a thread is given at a time."""
-
 Wanted = Mapping[str, frozenset[str] | None] | None
 """Columns to read by topic, None for all of a topic; None for all topics."""
-
-_Offsets = UintArray | None
-"""Where in a chunk messages begin; None where they follow each other and fill the chunk."""
 
 
 @dataclass
@@ -70,16 +63,11 @@ class TopicChannel:
     def _decoder(self) -> Callable[[bytes], Any]:
         return _decoder_of(self.channel, self.schema)
 
-    def arrays(self, content: bytes, offsets: _Offsets) -> tuple[UintArray, Columns] | None:
+    def arrays(self, content: bytes, offsets: UintArray) -> tuple[UintArray, Columns] | None:
         """Times and columns of messages of a chunk; None if they do not fit the layout."""
         if self.codec is None:
             return None
-        form = self.codec.layout
-        if offsets is not None:
-            rows = gather(content, offsets, form)
-        else:
-            every = np.frombuffer(content, dtype=form.record)
-            rows = every if form.matches(every) else None
+        rows = gather(content, offsets, self.codec.layout)
         columns = None if rows is None else self.codec.columns(rows)
         return None if rows is None or columns is None else (rows[LOG_TIME], columns)
 
@@ -216,7 +204,6 @@ def frames_in(
     contents: Contents,
     chunks: Sequence[ChunkPlace],
     columns: Wanted,
-    threads: int,
 ) -> dict[str, pd.DataFrame]:
     """The frames of some topics as far as the chunks hold them, in the order of the table.
 
@@ -236,7 +223,8 @@ def frames_in(
     }
     work = [place for place in chunks if not channels.keys().isdisjoint(place.counts)]
     tables = _tables(channels.values(), work, columns)
-    for place, found in zip(work, _read_all(source, work, channels, threads), strict=True):
+    for place in work:
+        found = _read(source, place, channels)
         if isinstance(found, str):
             if contents.indexed:
                 raise MisplacedError(found, place=f"byte {place.offset}")
@@ -289,27 +277,6 @@ _Found = list[tuple[int, bool, UintArray, Columns]]
 """Channel, whether its messages fit its layout, their times and columns."""
 
 
-def _read_all(
-    source: Source,
-    chunks: Sequence[ChunkPlace],
-    channels: Mapping[int, TopicChannel],
-    threads: int,
-) -> Iterator[_Found | str]:
-    """What the chunks hold, in order, read by several threads."""
-    if threads == 1 or len(chunks) < 2:
-        yield from (_read(source, place, channels) for place in chunks)
-        return
-    batches = [chunks[at : at + _AT_ONCE] for at in range(0, len(chunks), _AT_ONCE)]
-    with ThreadPoolExecutor(threads) as pool:
-        try:
-            for found in pool.map(
-                lambda batch: [_read(source, place, channels) for place in batch], batches
-            ):
-                yield from found
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
 def _read(source: Source, place: ChunkPlace, channels: Mapping[int, TopicChannel]) -> _Found | str:
     """The messages of some channels in a chunk, or what is wrong with it."""
     try:
@@ -320,9 +287,12 @@ def _read(source: Source, place: ChunkPlace, channels: Mapping[int, TopicChannel
     ours = [channels[number] for number in place.counts if number in channels]
     try:
         with suppress(LogError):
-            return _pieces(content, _offsets(source, place, content, ours), place, ours)
+            index = fetched_index(source, place, [each.channel.id for each in ours])
+            # An index that leads to one message twice leaves out another.
+            if index and all(np.all(each[1:, 1] > each[:-1, 1]) for each in index.values()):
+                return _pieces(content, index, place, ours)
         # An index that does not fit the chunk is made again from the chunk's records.
-        return _pieces(content, _starts(index_of(content, place.offset)), place, ours)
+        return _pieces(content, index_of(content, place.offset), place, ours)
     except LogError as error:
         if chunk.checksum and not isinstance(error, MisplacedError):
             # These are the bytes that were written.
@@ -330,46 +300,17 @@ def _read(source: Source, place: ChunkPlace, channels: Mapping[int, TopicChannel
         return error.problem
 
 
-def _starts(index: Index) -> dict[int, _Offsets]:
-    return {channel: entries[:, 1] for channel, entries in index.items()}
-
-
-def _offsets(
-    source: Source, place: ChunkPlace, content: bytes, channels: Sequence[TopicChannel]
-) -> dict[int, _Offsets]:
-    """Where in the chunk the messages of the channels begin, by channel id."""
-    if len(place.counts) == 1:
-        sole, count = channels[0], place.messages
-        if sole.codec is not None and sole.codec.layout.size * count == len(content):
-            return {sole.channel.id: None}
-    if place.indexes:
-        index = _starts(fetched_index(source, place, [each.channel.id for each in channels]))
-        # An index that leads to one message twice leaves out another.
-        if all(bool(np.all(each[1:] > each[:-1])) for each in index.values() if each is not None):
-            return index
-    return _starts(index_of(content, place.offset))
-
-
 def _pieces(
-    content: bytes,
-    index: dict[int, _Offsets],
-    place: ChunkPlace,
-    channels: Sequence[TopicChannel],
+    content: bytes, index: Index, place: ChunkPlace, channels: Sequence[TopicChannel]
 ) -> _Found:
     """The messages of the channels; those that do not fit their layout are decoded one by one."""
     found: _Found = []
     for each in channels:
         number = each.channel.id
-        offsets = index.get(number, _NOWHERE)
+        offsets = index[number][:, 1] if number in index else _NOWHERE
         piece = each.arrays(content, offsets)
-        if piece is not None:
-            found.append((number, True, *piece))
-            continue
-        if offsets is None:
-            index = _starts(index_of(content, place.offset))
-            offsets = index.get(number)
-        separate = each.decoded(content, _NOWHERE if offsets is None else offsets, place.offset)
-        found.append((number, False, *separate))
+        fits = piece is not None
+        found.append((number, fits, *(piece or each.decoded(content, offsets, place.offset))))
     return found
 
 
