@@ -206,7 +206,7 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
 
 
 def test_overload_is_counted_and_reported(gate: threading.Event, tmp_path: Path) -> None:
-    row = 8 * 3
+    row = 8 * (2 + len(TRAIN_STATE.fields))
     log = trainlog.record(tmp_path / "log.mcap", flush=0.01, queue=100 * row)
     log.write(STATE, START, speed=0.0)
     until(lambda: log._waiting == 0)

@@ -11,14 +11,16 @@ from __future__ import annotations
 
 import atexit
 import errno
+import os
 import struct
 import threading
 import time as clock
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
-from math import isfinite
+from math import isfinite, nan
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -26,18 +28,20 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trainlog.arrays import FloatArray, IntArray
+from trainlog.arrays import IntArray
 from trainlog.errors import InputError, LogError
 from trainlog.formats.files import writing_error
 from trainlog.mcap.codec import HIGHEST_LEVEL, channel_of, codec_for, event_record, schema_of
 from trainlog.mcap.records import RECORDING_RECORD, in_file
 from trainlog.mcap.writer import (
-    Listed,
-    RecordingFile,
-    Samples,
+    Sink,
     Stream,
+    chunks_of,
+    declared,
+    event_stream,
     known_topic,
     metadata_records,
+    plan_of,
 )
 from trainlog.topics import EVENTS, RECORDED, Topic
 from trainlog.trip import Trip, frame_of
@@ -45,6 +49,9 @@ from trainlog.version import __version__
 
 QUEUE = 2**26
 """How much may wait to be written by default [bytes]: seconds of a busy train."""
+
+_UNBOUNDED = 2**62
+"""A period [ns] that no chunk of a recording reaches: it is cut by its flushes."""
 
 _WARNING = 3
 """foxglove.Log.WARNING."""
@@ -180,9 +187,8 @@ class Recording:
         self._early = False
         self._declared: dict[str, Topic] = {}
         self._tables: dict[str, Table] = {}
-        self._forms: dict[tuple[str, ...], Form] = {}
         self._events: list[tuple[int, int, str, str]] = []
-        self._written: dict[str, int] = {}
+        self._written: Counter[str] = Counter()
         self._notes: dict[str, str] = {}
         self._observers: list[Callable[[Trip], object]] = []
         events = self._table(EVENTS.name, {})
@@ -190,8 +196,20 @@ class Recording:
         with in_file(path):
             described = metadata_records(Trip({}, metadata, (step,), attachments))
         described[RECORDING_RECORD] = {"flush": repr(float(flush)), "sync": str(sync).lower()}
-        self._file = RecordingFile(path, sync)
-        self._file.begin((events.schema, events.channel), described, attachments)
+        try:
+            self._file = path.open("xb", buffering=0)
+        except FileExistsError as error:
+            remedy = "choose another name; a recording never overwrites a file"
+            raise InputError("exists already", file=path, remedy=remedy) from error
+        except OSError as error:
+            raise writing_error(path, error) from error
+        try:
+            self._sink = Sink(self._file)
+            self._sink.explain((events.schema, events.channel), described, attachments, 0)
+        except OSError as error:
+            self._file.close()
+            path.unlink(missing_ok=True)
+            raise writing_error(path, error) from error
         self._thread = threading.Thread(target=self._run, name="trainlog.record", daemon=True)
         self._thread.start()
         atexit.register(self.close)
@@ -221,32 +239,23 @@ class Recording:
         UserWarning
             Once, if a topic begins before April 1970, as times in seconds do.
         """
-        form = self._forms.get((topic, *values)) or self._form(topic, values)
+        table = self._tables.get(topic) or self._begun(topic, values)
         with self._lock:
             if self._failure or self._closing:
                 self._refuse()
             try:
-                if form.flat and not INFINITE.isdisjoint(values.values()):
-                    raise ValueError(values)
-                row = (
-                    form.pack(time, form.table.count, *values.values())
-                    if form.flat
-                    else form.row(time, values)
-                )
-                if time < 0:
-                    raise ValueError(time)
-                count = 1
-            except (struct.error, TypeError, ValueError):
+                row, count = table.row(time, values), 1
+            except (struct.error, KeyError, TypeError, ValueError):
                 with in_file(self._path):
-                    row = form.block(time, values)
-                count = len(row) // (8 * (form.width + 2))
+                    row = table.block(time, values)
+                count = len(row) // (8 * table.width)
             if self._waiting >= self._limit:
-                form.table.drop(nanoseconds(topic, time), count)
+                table.drop(nanoseconds(topic, time), count)
                 return
-            form.rows += row
-            form.table.count += count
+            table.rows += row
+            table.count += count
             self._waiting += len(row)
-            early = form.table.count == count and not self._early
+            early = table.count == count and not self._early
             early = early and bool(np.min(nanoseconds(topic, time), initial=_EARLY) < _EARLY)
             self._early |= early
         if early:
@@ -333,7 +342,7 @@ class Recording:
         with self._lock:
             given = {name: table.count for name, table in self._tables.items() if table.count}
             dropped = {name: self._tables[name].dropped for name in given}
-            written = {name: self._written.get(name, 0) for name in given}
+            written = {name: self._written[name] for name in given}
         left = {name: given[name] - dropped[name] - written[name] for name in given}
         return RecordingAccount(
             written,
@@ -441,14 +450,10 @@ class Recording:
             )
         return self._declared.get(name) or known_topic(name)
 
-    def _form(self, topic: str, values: Mapping[str, Any]) -> Form:
-        """The form of samples with these fields, made when the first one comes."""
-        with in_file(self._path):
-            if self._topic(topic) is EVENTS:
-                raise LogError("events are not samples", remedy="record them with event()")
-            with self._lock:
-                form = self._table(topic, values).form(values)
-                return self._forms.setdefault((topic, *values), form)
+    def _begun(self, topic: str, values: Mapping[str, Any]) -> Table:
+        """The table of a topic, made when its first sample comes."""
+        with in_file(self._path), self._lock:
+            return self._table(topic, values)
 
     def _table(self, name: str, values: Mapping[str, Any]) -> Table:
         """The table of a topic; its first sample decides how many axles there are."""
@@ -472,10 +477,7 @@ class Recording:
                 rows, events = self._taken()
             try:
                 streams = self._streams(rows, events)
-                for counts in self._file.put(streams):
-                    with self._lock:
-                        for name, count in counts.items():
-                            self._written[name] = self._written.get(name, 0) + count
+                self._put(streams)
                 if self._observers and streams:
                     self._show(streams, events)
             except MemoryError:
@@ -483,11 +485,28 @@ class Recording:
             except OSError as error:
                 self._fail(error)
 
-    def _taken(self) -> tuple[list[tuple[Form, bytearray]], list[tuple[int, int, str, str]]]:
-        """The samples by their form and the events that have gathered; the queue is empty then."""
-        rows = [(form, form.rows) for form in self._forms.values() if form.rows]
-        for form, _ in rows:
-            form.rows = bytearray()
+    def _put(self, streams: list[Stream]) -> None:
+        """Write streams as chunks; an OSError if the file is no longer at its place, too."""
+        self._sink.declare(*declared(streams))
+        topics = {stream.channel.id: stream.channel.topic for stream in streams}
+        plan = plan_of(streams, period=_UNBOUNDED)
+        for chunk in chunks_of(plan, len(plan)):
+            self._sink.put_chunk(chunk)
+            with self._lock:
+                self._written.update(
+                    {topics[channel]: len(entries) for channel, entries in chunk.index.items()}
+                )
+        if self._sync:
+            os.fsync(self._file.fileno())
+        here, there = os.fstat(self._file.fileno()), self._path.stat()
+        if (here.st_dev, here.st_ino) != (there.st_dev, there.st_ino):
+            raise FileNotFoundError(errno.ENOENT, "another file has taken its place")
+
+    def _taken(self) -> tuple[list[tuple[Table, bytearray]], list[tuple[int, int, str, str]]]:
+        """The samples by topic and the events that have gathered; the queue is empty then."""
+        rows = [(table, table.rows) for table in self._tables.values() if table.rows]
+        for table, _ in rows:
+            table.rows = bytearray()
         events, self._events = self._events, []
         for name, table in self._tables.items():
             if table.gap is not None:
@@ -501,24 +520,21 @@ class Recording:
         return rows, events
 
     def _streams(
-        self, rows: list[tuple[Form, bytearray]], events: list[tuple[int, int, str, str]]
+        self, rows: list[tuple[Table, bytearray]], events: list[tuple[int, int, str, str]]
     ) -> list[Stream]:
         """The streams of what was taken, in the order of their channels."""
-        parts: dict[str, list[tuple[Form, bytearray]]] = {}
-        for form, each in rows:
-            parts.setdefault(form.table.topic.name, []).append((form, each))
-        streams = [self._tables[name].stream(each) for name, each in parts.items()]
+        streams = [table.stream(each) for table, each in rows]
         if events:
             table = self._tables[EVENTS.name]
             first = table.count - len(events)
             numbered = sorted(enumerate(events, start=first), key=lambda each: each[1][0])
             numbers, ordered = zip(*numbered, strict=True)
             streams.append(
-                Stream(
+                event_stream(
                     table.channel,
                     table.schema,
                     np.array([event[0] for event in ordered], dtype=np.int64),
-                    Listed([event_record(table.channel.id, *event) for event in ordered]),
+                    [event_record(table.channel.id, *event) for event in ordered],
                     np.array(numbers, dtype=np.uint64).astype(np.uint32),
                 )
             )
@@ -529,10 +545,9 @@ class Recording:
         topics: dict[str, pd.DataFrame] = {}
         for stream in streams:
             name = stream.channel.topic
-            messages = stream.messages
             columns: dict[str, Any]
-            if isinstance(messages, Samples):
-                columns = dict(zip(messages.codec.names, messages.table, strict=True))
+            if stream.codec is not None:
+                columns = dict(zip(stream.codec.names, stream.table, strict=True))
             else:
                 ordered = sorted(events, key=lambda each: each[0])
                 columns = {
@@ -555,23 +570,39 @@ class Recording:
             self._failure = found
 
     def _end(self) -> None:
-        """Close the file; its closing metadata say what is missing."""
+        """Close the file: with a summary if there is space for it, else behind its last chunk.
+
+        Its closing metadata say what is missing.
+        """
         account = self.account()
         closed = dict(self._notes)
         closed |= {"closed": "whole" if self._failure is None else self._failure.problem}
         closed |= {f"dropped.{name}": str(count) for name, count in account.dropped.items()}
         closed |= {f"lost.{name}": str(count) for name, count in account.waiting.items()}
         try:
-            self._file.end(closed, failed=self._failure is not None)
+            if self._failure is not None:
+                self._cut()
+            self._sink.put_metadata(RECORDING_RECORD, closed)
+            self._sink.finish()
+            if self._sync:
+                os.fsync(self._file.fileno())
         except OSError as error:
+            self._cut()
             if self._failure is None:
                 self._fail(error)
+        finally:
+            self._file.close()
 
+    def _cut(self) -> None:
+        """Take away the part of a record that a failed write may have left."""
+        self._file.truncate(self._sink.position)
+        self._file.seek(self._sink.position)
 
-INFINITE = frozenset((float("inf"), float("-inf")))
 
 _HEAD = 2
 """Words of a row before its values: time and number."""
+
+_INFINITE = frozenset((float("inf"), float("-inf")))
 
 
 def checked_event(time: Any, level: int, message: str, name: str) -> tuple[int, int, str, str]:
@@ -594,96 +625,6 @@ def checked_event(time: Any, level: int, message: str, name: str) -> tuple[int, 
 
 
 @dataclass
-class Form:
-    """The samples of one topic that give the same fields in the same order.
-
-    Attributes
-    ----------
-    table : Table
-    names : tuple of str
-    axles : tuple of int
-        For each field 0, or how many numbers it is for a field with one for each axle.
-    rows : bytearray
-        The samples that wait.
-    pack : callable
-        From time, number and values to the bytes of a row; struct.error if they are not numbers.
-    """
-
-    table: Table
-    names: tuple[str, ...]
-    axles: tuple[int, ...]
-    rows: bytearray = field(default_factory=bytearray)
-
-    def __post_init__(self) -> None:
-        self.width = sum(count or 1 for count in self.axles)
-        self.pack = struct.Struct(f"<qq{self.width}d").pack
-        self.flat = not any(self.axles)
-
-    def row(self, time: int, values: Mapping[str, Any]) -> bytes:
-        """The row of one sample; struct.error, TypeError or ValueError if it is not one."""
-        numbers: list[Any] = []
-        for count, value in zip(self.axles, values.values(), strict=True):
-            if not count:
-                numbers.append(value)
-            elif len(value) == count:
-                numbers.extend(value)
-            else:
-                raise ValueError(count)
-        if not INFINITE.isdisjoint(numbers):
-            raise ValueError(numbers)
-        return self.pack(time, self.table.count, *numbers)
-
-    def block(self, time: Any, values: Mapping[str, Any]) -> bytes:
-        """The rows of a block of samples, or of one whose time is no whole number.
-
-        Raises
-        ------
-        LogError
-            If they do not fit the topic.
-        """
-        times = nanoseconds(self.table.topic.name, time)
-        rows = np.empty((times.size, _HEAD + self.width))
-        rows[:, :_HEAD].view(np.int64)[:, 0] = times
-        rows[:, :_HEAD].view(np.int64)[:, 1] = self.table.count + np.arange(times.size)
-        for (name, value), at, count in zip(
-            values.items(), self._places(), self.axles, strict=True
-        ):
-            shape = times.shape + ((count,) if count else ())
-            try:
-                numbers = np.asarray(value, dtype=np.float64)
-            except (TypeError, ValueError) as error:
-                raise self.table.refusal(f"{name} holds something that is not a number") from error
-            if np.asarray(value).dtype.kind in "US":
-                raise self.table.refusal(f"{name} holds text")
-            if np.any(np.isinf(numbers)):
-                raise self.table.refusal(f"{name} holds an infinite number")
-            if numbers.shape != shape:
-                raise self.table.refusal(
-                    f"{name} has the shape {numbers.shape}, where the time asks for {shape}"
-                )
-            rows[:, at] = numbers.reshape(times.size, count or 1)
-        return rows.tobytes()
-
-    def arrays(self, rows: bytearray) -> tuple[IntArray, IntArray, FloatArray]:
-        """Times, numbers, and a table with a row for each column of the topic, NaN if absent."""
-        words = np.frombuffer(rows, dtype=np.float64).reshape(-1, _HEAD + self.width)
-        head = words[:, :_HEAD].view(np.int64)
-        columns = self.table.codec.names
-        table = np.full((len(columns), len(words)), np.nan)
-        for name, at, count in zip(self.names, self._places(), self.axles, strict=True):
-            first = columns.index(f"{name}_1" if count else name)
-            table[first : first + (count or 1)] = words[:, at].T
-        return head[:, 0].copy(), head[:, 1].copy(), table
-
-    def _places(self) -> Iterator[slice]:
-        """Where the values of each field stand in a row."""
-        at = _HEAD
-        for count in self.axles:
-            yield slice(at, at + (count or 1))
-            at += count or 1
-
-
-@dataclass
 class Table:
     """One topic of a recording.
 
@@ -694,6 +635,8 @@ class Table:
         Of its channel and its schema.
     axles : int
         How many numbers its fields have that have one for each axle; the first sample decides it.
+    rows : bytearray
+        The samples that wait.
     count : int
         How many samples it was given, those dropped included.
     dropped : int
@@ -705,6 +648,7 @@ class Table:
     topic: Topic
     number: int
     axles: int
+    rows: bytearray = field(default_factory=bytearray)
     count: int = 0
     dropped: int = 0
     gap: tuple[int, int, int] | None = None
@@ -714,26 +658,66 @@ class Table:
         self.codec = codec_for(self.topic, self.number, counts)
         self.channel = channel_of(self.topic, self.number, self.number, counts)
         self.schema = schema_of(self.topic, self.number)
+        # Where the values of each field stand in a row: one, or one for each axle.
+        self.places: dict[str, int | slice] = {}
+        self.width = _HEAD
+        for each in self.topic.fields if self.topic is not EVENTS else ():
+            begin = self.width
+            self.width += self.axles if each.per_axle else 1
+            self.places[each.name] = slice(begin, self.width) if each.per_axle else begin
+        self.absent = [nan] * (self.width - _HEAD)
+        self.pack = struct.Struct(f"<qq{len(self.absent)}d").pack
 
-    def form(self, values: Mapping[str, Any]) -> Form:
-        """How samples with these fields are laid down.
+    def row(self, time: int, values: Mapping[str, Any]) -> bytes:
+        """The row of one sample; struct.error, KeyError, TypeError or ValueError if it is none."""
+        numbers: list[Any] = [time, self.count, *self.absent]
+        for name, value in values.items():
+            place = self.places[name]
+            if isinstance(place, slice) and len(value) != self.axles:
+                raise ValueError(name)
+            numbers[place] = value
+        if not values or time < 0 or not _INFINITE.isdisjoint(numbers):
+            raise ValueError(values)
+        return self.pack(*numbers)
+
+    def block(self, time: Any, values: Mapping[str, Any]) -> bytes:
+        """The rows of a block of samples, or of one whose time is no whole number.
 
         Raises
         ------
         LogError
-            If the topic does not have one of the fields.
+            If they do not fit the topic.
         """
+        if self.topic is EVENTS:
+            raise LogError("events are not samples", remedy="record them with event()")
         if not values:
             raise self.refusal("has no values")
-        per_axle = {each.name: each.per_axle for each in self.topic.fields}
-        for name in values:
-            if name not in per_axle:
+        times = nanoseconds(self.topic.name, time)
+        rows = np.full((times.size, self.width), np.nan)
+        rows[:, :_HEAD].view(np.int64)[:, 0] = times
+        rows[:, :_HEAD].view(np.int64)[:, 1] = self.count + np.arange(times.size)
+        for name, value in values.items():
+            if name not in self.places:
                 raise LogError(
                     f"{self.topic.name} has no field {name}",
-                    remedy=f"its fields are {', '.join(per_axle)}",
+                    remedy=f"its fields are {', '.join(self.places)}",
                 )
-        axles = tuple(self.axles if per_axle[name] else 0 for name in values)
-        return Form(self, tuple(values), axles)
+            place = self.places[name]
+            shape = times.shape + ((self.axles,) if isinstance(place, slice) else ())
+            try:
+                numbers = np.asarray(value, dtype=np.float64)
+            except (TypeError, ValueError) as error:
+                raise self.refusal(f"{name} holds something that is not a number") from error
+            if np.asarray(value).dtype.kind in "US":
+                raise self.refusal(f"{name} holds text")
+            if np.any(np.isinf(numbers)):
+                raise self.refusal(f"{name} holds an infinite number")
+            if numbers.shape != shape:
+                raise self.refusal(
+                    f"{name} has the shape {numbers.shape}, where the time asks for {shape}"
+                )
+            rows[:, place] = numbers.reshape(times.size, *shape[times.ndim :])
+        return rows.tobytes()
 
     def refusal(self, problem: str) -> LogError:
         """The error for a sample that does not fit."""
@@ -752,17 +736,16 @@ class Table:
             first, last, before = self.gap or (least, greatest, 0)
             self.gap = min(first, least), max(last, greatest), before + count
 
-    def stream(self, parts: list[tuple[Form, bytearray]]) -> Stream:
+    def stream(self, rows: bytearray) -> Stream:
         """The samples taken, in the order of time, numbered as they arrived."""
-        found = [form.arrays(rows) for form, rows in parts]
-        time = np.concatenate([part[0] for part in found])
-        number = np.concatenate([part[1] for part in found])
-        table = np.concatenate([part[2] for part in found], axis=1)
-        if len(found) > 1 or np.any(np.diff(time) < 0):
-            order = np.lexsort((number, time))
-            time, number, table = time[order], number[order], table[:, order]
+        words = np.frombuffer(rows, dtype=np.float64).reshape(-1, self.width)
+        time, number = words[:, :_HEAD].view(np.int64).T
+        if np.any(np.diff(time) < 0):
+            order = np.argsort(time, kind="stable")
+            time, number, words = time[order], number[order], words[order]
         sequence = (number & 0xFFFFFFFF).astype(np.uint32)
-        return Stream(self.channel, self.schema, time, Samples(self.codec, table), sequence)
+        table = np.ascontiguousarray(words[:, _HEAD:].T)
+        return Stream(self.channel, self.schema, time.copy(), table, self.codec, sequence)
 
 
 def axles_in(topic: Topic, values: Mapping[str, Any]) -> int:

@@ -8,11 +8,8 @@ of the official package.
 
 from __future__ import annotations
 
-import errno
 import json
-import os
 import struct
-import sys
 import threading
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -21,7 +18,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 import pandas as pd
@@ -46,9 +43,9 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from trainlog.arrays import FloatArray, IntArray, UintArray
+from trainlog.arrays import IntArray, UintArray
 from trainlog.errors import InputError, LogError
-from trainlog.formats.files import atomic_write, check_kind, check_written, writing_error
+from trainlog.formats.files import atomic_write, check_kind, check_written
 from trainlog.mcap.codec import (
     SEQUENCE,
     Codec,
@@ -66,7 +63,6 @@ from trainlog.mcap.records import (
     FORMAT_RECORD,
     POSITIONS_RECORD,
     PROVENANCE_RECORD,
-    RECORDING_RECORD,
     TRIP_RECORD,
     Chunk,
     checksum,
@@ -106,80 +102,6 @@ _SEQUENCE_AT = 11
 
 
 @dataclass(frozen=True)
-class Samples:
-    """Messages of one length, as the columns that a codec lays out.
-
-    Attributes
-    ----------
-    codec : Codec
-    table : (columns, n) float64
-        One row a column of the codec, one column a message.
-    """
-
-    codec: Codec
-    table: FloatArray
-
-    @property
-    def sizes(self) -> IntArray:
-        """Length of each message's record [bytes]."""
-        return np.full(self.table.shape[1], self.codec.layout.size, dtype=np.int64)
-
-    def part(self, rows: slice) -> Samples:
-        """Some of the messages."""
-        return replace(self, table=self.table[:, rows])
-
-    def then(self, others: Samples) -> Samples:
-        """These messages and behind them the others."""
-        return replace(self, table=np.concatenate([self.table, others.table], axis=1))
-
-    def put(
-        self,
-        data: NDArray[np.uint8],
-        offsets: IntArray,
-        time: IntArray,
-        sequence: NDArray[np.uint32],
-    ) -> None:
-        """Lay the records out at `offsets` of a chunk."""
-        rows = self.codec.encode(time, self.table)
-        rows[SEQUENCE] = sequence
-        scatter(rows, data.data, offsets)
-
-
-@dataclass(frozen=True)
-class Listed:
-    """Messages that differ in length, each a record already."""
-
-    records: list[bytes]
-
-    @property
-    def sizes(self) -> IntArray:
-        """Length of each message's record [bytes]."""
-        return np.array([len(record) for record in self.records], dtype=np.int64)
-
-    def part(self, rows: slice) -> Listed:
-        """Some of the messages."""
-        return Listed(self.records[rows])
-
-    def then(self, others: Listed) -> Listed:
-        """These messages and behind them the others."""
-        return Listed(self.records + others.records)
-
-    def put(
-        self,
-        data: NDArray[np.uint8],
-        offsets: IntArray,
-        time: IntArray,
-        sequence: NDArray[np.uint32],
-    ) -> None:
-        """Lay the records out at `offsets` of a chunk."""
-        buffer = data.data
-        heads = zip(offsets.tolist(), sequence.tolist(), time.tolist(), strict=True)
-        for record, (at, number, moment) in zip(self.records, heads, strict=True):
-            buffer[at : at + len(record)] = record
-            struct.pack_into("<IQQ", buffer, at + _SEQUENCE_AT, number, moment, moment)
-
-
-@dataclass(frozen=True)
 class Stream:
     """One channel and its messages, oldest first.
 
@@ -189,7 +111,11 @@ class Stream:
     schema : mcap.records.Schema
     time : (n,) int64
         Log time of each message [ns since 1970 UTC], never decreasing.
-    messages : Samples or Listed
+    table : (columns, n) array
+        One row a column of the codec, one column a message. Without a codec one row of objects:
+        messages that differ in length, each a record already (bytes).
+    codec : Codec or None
+        How messages of one length are laid out.
     sequence : (n,) uint32, optional
         Their sequence numbers. Default: for each the number of messages of the channel before its
         chunk, counted from `before`. Counted on within the chunk, they would make a file a
@@ -201,18 +127,25 @@ class Stream:
     channel: Channel
     schema: Schema
     time: IntArray
-    messages: Samples | Listed
+    table: NDArray[Any]
+    codec: Codec | None = None
     sequence: NDArray[np.uint32] | None = None
     before: int = 0
 
+    @property
+    def sizes(self) -> IntArray:
+        """Length of each message's record [bytes]."""
+        if self.codec is not None:
+            return np.full(len(self.time), self.codec.layout.size, dtype=np.int64)
+        return np.array([len(record) for record in self.table[0]], dtype=np.int64)
+
     def behind(self, row: int) -> Stream:
         """The messages from `row` on."""
-        rest = slice(row, None)
         return replace(
             self,
-            time=self.time[rest],
-            messages=self.messages.part(rest),
-            sequence=None if self.sequence is None else self.sequence[rest],
+            time=self.time[row:],
+            table=self.table[:, row:],
+            sequence=None if self.sequence is None else self.sequence[row:],
             before=self.before + row,
         )
 
@@ -222,9 +155,8 @@ class Stream:
             return replace(others, before=self.before)
         if not len(others.time):
             return self
-        # Both are of one channel, so that their messages are of one kind.
-        messages = self.messages.then(others.messages)  # type: ignore[arg-type]
-        return replace(self, time=np.concatenate([self.time, others.time]), messages=messages)
+        time = np.concatenate([self.time, others.time])
+        return replace(self, time=time, table=np.concatenate([self.table, others.table], axis=1))
 
     def put(self, rows: slice, data: NDArray[np.uint8], offsets: IntArray) -> UintArray:
         """Lay messages out in a chunk; returns their entries of its message index."""
@@ -234,8 +166,30 @@ class Stream:
             sequence = np.full(len(time), count, dtype=np.uint32)
         else:
             sequence = self.sequence[rows]
-        self.messages.part(rows).put(data, offsets, time, sequence)
+        if self.codec is not None:
+            records = self.codec.encode(time, self.table[:, rows])
+            records[SEQUENCE] = sequence
+            scatter(records, data.data, offsets)
+        else:
+            buffer = data.data
+            places = zip(offsets.tolist(), sequence.tolist(), time.tolist(), strict=True)
+            for record, (at, *head) in zip(self.table[0, rows], places, strict=True):
+                buffer[at : at + len(record)] = record
+                struct.pack_into("<IQQ", buffer, at + _SEQUENCE_AT, *head, head[1])
         return np.stack([time, offsets], axis=1).view(np.uint64)
+
+
+def event_stream(
+    channel: Channel,
+    schema: Schema,
+    time: IntArray,
+    records: Sequence[bytes],
+    sequence: NDArray[np.uint32] | None = None,
+) -> Stream:
+    """The stream of messages that differ in length."""
+    table = np.empty((1, len(records)), dtype=object)
+    table[0, :] = records
+    return Stream(channel, schema, time, table, sequence=sequence)
 
 
 def topics_of(trip: Trip) -> list[Topic]:
@@ -285,14 +239,11 @@ def stream_of(topic: Topic, frame: pd.DataFrame, number: int) -> Stream:
     """
     time = _time(topic, frame)
     axles = _axles(topic, frame)
-    messages: Samples | Listed
-    if topic is EVENTS:
-        messages = Listed(encode_events(number, frame))
-    else:
-        codec = codec_for(topic, number, axles)
-        messages = Samples(codec, table_of(frame, codec.names))
     channel, schema = channel_of(topic, number, number, axles), schema_of(topic, number)
-    return Stream(channel, schema, time, messages)
+    if topic is EVENTS:
+        return event_stream(channel, schema, time, encode_events(number, frame))
+    codec = codec_for(topic, number, axles)
+    return Stream(channel, schema, time, table_of(frame, codec.names), codec)
 
 
 def _time(topic: Topic, frame: pd.DataFrame) -> IntArray:
@@ -442,7 +393,7 @@ def plan_of(streams: Sequence[Stream], period: int = PERIOD, largest: int = LARG
     if not any(len(stream.time) for stream in streams):
         return Plan(streams)
     time = np.concatenate([stream.time for stream in streams])
-    sizes = np.concatenate([stream.messages.sizes for stream in streams])
+    sizes = np.concatenate([stream.sizes for stream in streams])
     if len(streams) > 1:
         order = np.argsort(time, kind="stable")
         time, sizes = time[order], sizes[order]
@@ -476,8 +427,20 @@ def _cuts(time: IntArray, ends: IntArray, period: int, largest: int) -> IntArray
     return np.array(cuts)
 
 
-_UNBOUNDED = 2**62
-"""A period [ns] that no chunk of a recording reaches: it is cut by its flushes."""
+def chunks_of(plan: Plan, count: int, threads: int = 1) -> Iterator[Chunk]:
+    """The first chunks of a plan, compressed, in order, however many threads make them."""
+    if threads == 1 or count < 2:
+        yield from (packed(plan.chunk(number)) for number in range(count))
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        waiting: deque[Future[Chunk]] = deque()
+        for number in range(count):
+            waiting.append(pool.submit(lambda each: packed(plan.chunk(each)), number))
+            if len(waiting) > 2 * threads:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+
 
 _CHUNK_HEAD = struct.Struct("<BQQQQII")
 """Opcode, length, first and last log time, size, checksum, length of the compression's name."""
@@ -573,7 +536,6 @@ class LogWriter:
         with ExitStack() as opening:
             temporary = opening.enter_context(self._place)
             self._file = opening.enter_context(temporary.open("wb"))
-            self._pool = opening.enter_context(ThreadPoolExecutor(self._threads))
             self._resources = opening.pop_all()
         return self
 
@@ -583,15 +545,12 @@ class LogWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        try:
-            if kind is None:
-                if self._described is None:
-                    self.add(Trip({}))
-                self._write(last=True)
-        except BaseException:
-            self._resources.__exit__(*sys.exc_info())
-            raise
-        self._resources.__exit__(kind, error, trace)
+        with self._resources:
+            if error is not None:
+                raise error
+            if self._described is None:
+                self.add(Trip({}))
+            self._write(last=True)
 
     def add(self, piece: Trip) -> None:
         """Write the next piece.
@@ -646,9 +605,9 @@ class LogWriter:
             self._sink = self._opened(self._file)
         if self._sink is None:
             return
-        self._sink.declare(*_declared(self._pending.values()))
+        self._sink.declare(*declared(self._pending.values()))
         full = len(plan) if last else max(0, len(plan) - 1)
-        for chunk in self._packed(plan, full):
+        for chunk in chunks_of(plan, full, self._threads):
             self._sink.put_chunk(chunk)
         if full:
             self._pending = dict(zip(self._pending, plan.behind(full), strict=True))
@@ -659,114 +618,20 @@ class LogWriter:
                 self._sink.put_metadata(PROVENANCE_RECORD, later)
             self._sink.finish()
 
-    def _packed(self, plan: Plan, chunks: int) -> Iterator[Chunk]:
-        """The first chunks of a plan, in order, however many threads make them."""
-        if self._threads == 1 or chunks < 2:
-            yield from (packed(plan.chunk(number)) for number in range(chunks))
-            return
-        waiting: deque[Future[Chunk]] = deque()
-        for number in range(chunks):
-            waiting.append(self._pool.submit(lambda each: packed(plan.chunk(each)), number))
-            if len(waiting) > 2 * self._threads:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
-
     def _opened(self, file: BinaryIO) -> Sink:
         """The file begun: what explains it comes first, so that a cut file still has it."""
         streams = self._pending.values()
         start = min((int(each.time[0]) for each in streams if len(each.time)), default=0)
         sink = Sink(file)
-        declared = [*(each.schema for each in streams), *(each.channel for each in streams)]
-        sink.explain(declared, self._described or {}, self._attachments, start)
+        explained = [*(each.schema for each in streams), *(each.channel for each in streams)]
+        sink.explain(explained, self._described or {}, self._attachments, start)
         return sink
 
 
-def _declared(streams: Iterable[Stream]) -> Iterator[Schema | Channel]:
+def declared(streams: Iterable[Stream]) -> Iterator[Schema | Channel]:
     """The schema and the channel of each stream."""
     for stream in streams:
         yield from (stream.schema, stream.channel)
-
-
-class RecordingFile:
-    """The file of a recording, readable at any moment; InputError if it exists or cannot be made.
-
-    Parameters
-    ----------
-    path : Path
-    sync : bool
-        Whether each `put` waits until the disk has it.
-    """
-
-    def __init__(self, path: Path, sync: bool) -> None:
-        self._path, self._sync = path, sync
-        try:
-            self._file = path.open("xb", buffering=0)
-        except FileExistsError as error:
-            remedy = "choose another name; a recording never overwrites a file"
-            raise InputError("exists already", file=path, remedy=remedy) from error
-        except OSError as error:
-            raise writing_error(path, error) from error
-
-    def begin(
-        self,
-        declared: tuple[Schema, Channel],
-        described: dict[str, dict[str, str]],
-        attachments: dict[str, bytes],
-    ) -> None:
-        """Write what explains the recording; InputError, and no file, if it cannot be written."""
-        try:
-            self._sink = Sink(self._file)
-            self._sink.explain(declared, described, attachments, 0)
-        except OSError as error:
-            self._file.close()
-            self._path.unlink(missing_ok=True)
-            raise writing_error(self._path, error) from error
-
-    def put(self, streams: list[Stream]) -> Iterator[dict[str, int]]:
-        """Write streams as chunks; for each chunk that is in the file, its messages by topic.
-
-        Raises
-        ------
-        OSError
-            If they cannot be written, or the file is no longer at its place.
-        """
-        self._sink.declare(*_declared(streams))
-        topics = {stream.channel.id: stream.channel.topic for stream in streams}
-        plan = plan_of(streams, period=_UNBOUNDED)
-        for number in range(len(plan)):
-            chunk = packed(plan.chunk(number))
-            self._sink.put_chunk(chunk)
-            yield {topics[channel]: len(entries) for channel, entries in chunk.index.items()}
-        if self._sync:
-            os.fsync(self._file.fileno())
-        here, there = os.fstat(self._file.fileno()), self._path.stat()
-        if (here.st_dev, here.st_ino) != (there.st_dev, there.st_ino):
-            raise FileNotFoundError(errno.ENOENT, "another file has taken its place")
-
-    def end(self, closed: dict[str, str], *, failed: bool) -> None:
-        """Close the file: with its summary if there is space for it, else behind its last chunk.
-
-        `closed` is what the closing metadata state; `failed` whether the last write failed, and may
-        have left a part of a record. OSError if there is no summary.
-        """
-        try:
-            if failed:
-                self._cut()
-            self._sink.put_metadata(RECORDING_RECORD, closed)
-            self._sink.finish()
-            if self._sync:
-                os.fsync(self._file.fileno())
-        except OSError:
-            self._cut()
-            raise
-        finally:
-            self._file.close()
-
-    def _cut(self) -> None:
-        """Take away the part of a record that a failed write may have left."""
-        self._file.truncate(self._sink.position)
-        self._file.seek(self._sink.position)
 
 
 def metadata_records(trip: Trip) -> dict[str, dict[str, str]]:
