@@ -15,17 +15,12 @@ import trainlog
 from tests.mcap_trips import assert_same, trip_of
 from trainlog.cli.main import run
 from trainlog.errors import InputError, LogError
-from trainlog.mcap import convert as module, read_log, write_log
+from trainlog.mcap import read_log, write_log
 from trainlog.mcap.convert import merge
 from trainlog.topics import EVENTS, GNSS_FIX, TRAIN_AXLES, TRAIN_STATE
 from trainlog.trip import Trip
 
 STATE = TRAIN_STATE.name
-
-
-@pytest.fixture(autouse=True)
-def small_windows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "ROWS", 150)
 
 
 @pytest.fixture
@@ -125,10 +120,7 @@ def test_what_logs_disagree_on_is_left_out_and_attachments_are_kept(
     ]
 
 
-def test_the_commands_cut_and_merge(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(module, "ROWS", 20_000)
+def test_the_commands_cut_and_merge(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = "sample_logs/nonstop.mcap"
     parts = [str(tmp_path / f"{number}.mcap") for number in range(2)]
     assert run(["convert", log, "-o", parts[0], "--to", "600s"]) == 0

@@ -581,8 +581,7 @@ def _merge(logs: list[Path], output: Path, prefer: Path | None) -> None:
     from trainlog.mcap.convert import merge as write
 
     destination(output, ".mcap")
-    with task("merging", unit="row") as step:
-        done = write(logs, output, prefer=prefer, progress=step)
+    done = write(logs, output, prefer=prefer)
     notes = [f"{counted(count, 'row')} of {name} in two logs alike: kept once"
              for name, count in done.repeated.items() if count]  # fmt: skip
     notes += [f"{count:,} rows of {name} left out for those of {prefer}"

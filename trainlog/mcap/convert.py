@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +54,7 @@ from trainlog.mcap.records import (
     opened,
 )
 from trainlog.mcap.tables import topic_channels
-from trainlog.mcap.writer import LogWriter, Sink, packed
+from trainlog.mcap.writer import LogWriter, Sink, packed, write_log
 from trainlog.topics import EVENTS, RECORDED, TOPICS
 from trainlog.trip import Trip
 from trainlog.version import __version__
@@ -297,7 +296,6 @@ def merge(
     target: str | Path,
     *,
     prefer: str | Path | None = None,
-    progress: Callable[[int], object] | None = None,
 ) -> Merged:
     """Write logs of one trip as one log, in the order of time; whole or not at all.
 
@@ -314,8 +312,6 @@ def merge(
         Ends in ``.mcap``.
     prefer : path, optional
         One of the logs: where it holds a topic at the same time as another, it alone counts.
-    progress : callable, optional
-        Called with the number of rows so far.
 
     Raises
     ------
@@ -341,23 +337,15 @@ def merge(
     paths = [Path(source) for source in sources]
     _check(paths, Path(target), prefer)
     done = Merged()
-    descriptions = [describe(path) for path in paths]
-    for description in descriptions:
-        _check_ours(description)
-    about = _joined([read_log(path, []) for path in paths], paths, done.notes)
+    for path in paths:
+        _check_ours(describe(path))
+    trips = {path: read_log(path) for path in paths}
+    about = _joined([*trips.values()], paths, done.notes)
     first = [] if prefer is None else [Path(prefer)]
     order = [*first, *(path for path in paths if path not in first)]
-    spans = {
-        path: _spans(description) for path, description in zip(paths, descriptions, strict=True)
-    }
-    with LogWriter(target) as writer:
-        for start, end in _windows(descriptions):
-            pieces = {path: read_log(path, time=(start, end)) for path in order}
-            frames = _frames(pieces, spans, prefer is not None, done)
-            writer.add(replace(about, topics=frames))
-            done.rows.update({name: len(frame) for name, frame in frames.items()})
-            if progress is not None:
-                progress(done.rows.total())
+    frames = _frames({path: trips[path] for path in order}, prefer is not None, done)
+    write_log(replace(about, topics=frames), target)
+    done.rows.update({name: len(frame) for name, frame in frames.items()})
     return done
 
 
@@ -423,62 +411,30 @@ def _joined(trips: list[Trip], paths: list[Path], notes: list[str]) -> Trip:
     return Trip({}, metadata, trips[0].provenance, attachments).with_step("merge", **step)
 
 
-def _windows(descriptions: Sequence[LogDescription]) -> Iterator[tuple[pd.Timestamp, pd.Timestamp]]:
-    """Spans of time, both ends included, with about `ROWS` rows each if these come evenly."""
-    first = min((each.first for each in descriptions if each.first is not None), default=_EPOCH)
-    last = max((each.last for each in descriptions if each.last is not None), default=_EPOCH)
-    start, length = first.as_unit("ns").value, (last - first).as_unit("ns").value + 1
-    count = 1 + sum(each.count for each in descriptions) // ROWS
-    ends = [start + length * number // count for number in range(count + 1)]
-    for begin, end in pairwise(ends):
-        yield pd.Timestamp(begin, tz="UTC"), pd.Timestamp(end - 1, tz="UTC")
-
-
-_EPOCH = pd.Timestamp(0, tz="UTC")
-
-_Spans = dict[str, tuple[pd.Timestamp, pd.Timestamp]]
-
-
-def _spans(description: LogDescription) -> _Spans:
-    """Times of the first and the last sample of each topic that has any."""
-    return {
-        topic.name: (topic.first, topic.last)
-        for topic in description.topics
-        if topic.first is not None and topic.last is not None
-    }
-
-
-def _frames(
-    pieces: dict[Path, Trip], spans: dict[Path, _Spans], preferring: bool, done: Merged
-) -> dict[str, pd.DataFrame]:
-    """The frames of one span of time; where logs overlap, those of the first of `pieces`."""
-    names = dict.fromkeys(name for piece in pieces.values() for name in piece)
+def _frames(trips: dict[Path, Trip], preferring: bool, done: Merged) -> dict[str, pd.DataFrame]:
+    """The frames of all logs; where these overlap, those of the first of `trips`."""
+    names = dict.fromkeys(name for trip in trips.values() for name in trip)
     found = {}
-    for name in [*(n for n in TOPICS if n in names), *(n for n in names if n not in TOPICS)]:
-        held = [(path, piece[name]) for path, piece in pieces.items() if name in piece]
-        parts = [held[0]]
-        for path, frame in held[1:]:
-            kept = frame
-            for other, before in parts:
-                if name in spans[other] and name in spans[path]:
-                    both = spans[other][name], spans[path][name]
-                    common = max(span[0] for span in both), min(span[1] for span in both)
-                    kept = _apart(name, common, (other, before), (path, kept), preferring, done)
-            parts.append((path, kept))
+    for name in names:
+        parts: list[tuple[Path, pd.DataFrame]] = []
+        for path, trip in trips.items():
+            if name in trip:
+                kept = trip[name]
+                for before in parts:
+                    kept = _apart(name, before, (path, kept), preferring, done)
+                parts.append((path, kept))
         filled = [frame for _, frame in parts if len(frame)]
-        if len(filled) < 2:
-            found[name] = filled[0] if filled else held[0][1]
-            continue
-        joined = pd.concat(filled)
-        joined = joined.iloc[joined.index.argsort(kind="stable")]
-        joined.attrs = filled[0].attrs
+        joined = filled[0] if filled else parts[0][1]
+        if len(filled) > 1:
+            joined = pd.concat(filled)
+            joined = joined.iloc[joined.index.argsort(kind="stable")]
+            joined.attrs = filled[0].attrs
         found[name] = joined
     return found
 
 
 def _apart(
     name: str,
-    common: tuple[pd.Timestamp, pd.Timestamp],
     first: tuple[Path, pd.DataFrame],
     second: tuple[Path, pd.DataFrame],
     preferring: bool,
@@ -486,7 +442,10 @@ def _apart(
 ) -> pd.DataFrame:
     """The rows of the second log without those of the time that both hold."""
     (path, before), (other, frame) = first, second
-    start, end = common
+    if before.empty or frame.empty:
+        return frame
+    start = max(before.index[0], frame.index[0])
+    end = min(before.index[-1], frame.index[-1])
     if name == EVENTS.name:
         twice = pd.MultiIndex.from_frame(frame.reset_index()).isin(
             pd.MultiIndex.from_frame(before.reset_index())

@@ -14,6 +14,7 @@ import struct
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from keyword import iskeyword
@@ -59,9 +60,6 @@ DEEPEST = 32
 
 LARGEST = 2**25
 """Longer messages are not decoded [bytes]: as objects they would take many times their length."""
-
-_PACKED = 4_096
-"""Numbers of a column that are turned into an array at once, to save memory."""
 
 _MOST_NAMED = 8
 """Topics that an error names."""
@@ -233,69 +231,57 @@ def _wanted(contents: Contents, topics: Iterable[str] | None) -> list[Channel]:
 class _Column:
     """The values of one path; `rows` are the messages that have one."""
 
-    def __init__(self) -> None:
+    def __init__(self, value: Any) -> None:
         self.rows = array("q")
         self.kinds: set[type] = set()
-        self.packed: list[Any] = []
-        self.last: list[Any] = []
+        kinds = {float: "d", int: "q"}
+        # Numbers of one kind take an eighth of the memory in an array.
+        self.values: Any = array(kinds[type(value)]) if type(value) in kinds else []
 
     def add(self, row: int, value: Any) -> None:
-        """Add the value of a message; many numbers of one kind become an array."""
+        """Add the value of a message."""
         self.rows.append(row)
         self.kinds.add(type(value))
-        self.last.append(value)
-        if len(self.last) >= _PACKED and self.kinds <= {int, float} and len(self.kinds) == 1:
-            kind = np.float64 if self.kinds == {float} else np.int64
-            try:
-                self.packed.append(np.array(self.last, dtype=kind))
-            except OverflowError:
-                return
-            self.last = []
-
-    def values(self) -> list[Any]:
-        """All values, as they came."""
-        return [each for piece in self.packed for each in piece.tolist()] + self.last
+        try:
+            self.values.append(value)
+        except (TypeError, OverflowError):
+            self.values = [*self.values, value]
 
     def array(self, count: int) -> Any:
         """The column as an array of `count` rows; None if it holds both numbers and text."""
-        if str in self.kinds:
-            return self._texts(count) if self.kinds == {str} else None
         rows = np.frombuffer(self.rows, dtype=np.int64)
-        whole = None if float in self.kinds else self._whole()
-        if whole is not None:
-            if len(rows) == count:
-                return whole
-            # Nullable kinds leave large numbers exact.
-            names = {"b": "boolean", "i": "Int64", "u": "UInt64"}
-            series: Any = pd.Series(np.zeros(count, dtype=whole.dtype))
-            series = series.astype(names[whole.dtype.kind]).array
-            absent = np.ones(count, dtype=np.bool_)
-            series[rows], absent[rows] = whole, False
-            series[absent] = pd.NA
-            return series
+        if str in self.kinds:
+            return self._texts(rows, count) if self.kinds == {str} else None
+        if float not in self.kinds:
+            for kind, nullable in _WHOLE if self.kinds != {bool} else _FLAGS:
+                with suppress(OverflowError):
+                    whole = np.array(self.values, dtype=kind)
+                    return whole if len(rows) == count else _nullable(whole, rows, count, nullable)
         values = np.full(count, np.nan)
         try:
-            values[rows] = np.concatenate([*self.packed, np.array(self.last, dtype=np.float64)])
+            values[rows] = np.array(self.values, dtype=np.float64)
         except OverflowError:
-            values[rows] = [_as_float(each) for each in self.values()]
+            values[rows] = [_as_float(each) for each in self.values]
         return values
 
-    def _whole(self) -> Any:
-        """Flags or whole numbers, as int64 or uint64; None if they fit none of these."""
-        values = self.values()
-        for kind in (np.bool_,) if self.kinds == {bool} else (np.int64, np.uint64):
-            try:
-                return np.array(values, dtype=kind)
-            except OverflowError:
-                continue
-        return None
-
-    def _texts(self, count: int) -> Any:
+    def _texts(self, rows: IntArray, count: int) -> Any:
         texts: list[str | None] = [None] * count
-        for row, text in zip(self.rows, self.last, strict=True):
+        for row, text in zip(rows.tolist(), self.values, strict=True):
             # JSON can name halves of surrogate pairs, which no file can be written with.
             texts[row] = text if text.isascii() else text.encode("utf-8", "replace").decode()
         return pd.array(texts, dtype="str")
+
+
+_WHOLE: tuple[tuple[Any, str], ...] = ((np.int64, "Int64"), (np.uint64, "UInt64"))
+_FLAGS: tuple[tuple[Any, str], ...] = ((np.bool_, "boolean"),)
+"""Kinds of whole numbers and flags, and those with absent values, which leave them exact."""
+
+
+def _nullable(values: Any, rows: IntArray, count: int, kind: str) -> Any:
+    """A column of `count` rows with the values at some and NA at the others."""
+    column: Any = pd.array([pd.NA] * count, dtype=kind)
+    column[rows] = values
+    return column
 
 
 def _as_float(value: int | float) -> float:
@@ -354,7 +340,7 @@ class Columns:
                 if len(self._columns) >= MOST_COLUMNS:
                     self._skip("", _TOO_MANY)
                     return
-                column = self._columns[path] = _Column()
+                column = self._columns[path] = _Column(value)
             elif column.rows and column.rows[-1] == self._count:
                 self._skip(path, _TWICE)
                 return
