@@ -25,7 +25,7 @@ import struct
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -48,7 +48,6 @@ from trainlog.arrays import FloatArray, IntArray, UintArray
 from trainlog.errors import InputError, LogError
 from trainlog.mcap.records import MESSAGE, RECORD_HEAD, shown, unusable
 from trainlog.topics import EVENTS, RECORDED, TOPICS, Field, Interpolation, Topic, recorded_topic
-from trainlog.trip import POSITION_TOPICS
 
 SEQUENCE, LOG_TIME, PUBLISH_TIME = "#sequence", "#log_time", "#publish_time"
 """Fields of a record that belong to its head; no field of a protobuf message has such a name."""
@@ -196,24 +195,6 @@ def _windows(buffer: bytes | bytearray | memoryview, size: int) -> NDArray[np.vo
 # --------------------------------------------------------------------------------------- codecs
 
 
-class Codec(Protocol):
-    """What one channel's messages look like."""
-
-    @property
-    def layout(self) -> Layout:
-        """Where the bytes of a message are."""
-
-    @property
-    def names(self) -> list[str]:
-        """The columns that a frame of the channel has in full."""
-
-    def encode(self, time: IntArray, table: FloatArray) -> NDArray[np.void]:
-        """The message records of a table: one row a column of `names`, one column a message."""
-
-    def columns(self, rows: NDArray[np.void]) -> Columns | None:
-        """The columns that message records hold; None if they do not fit after all."""
-
-
 @dataclass(frozen=True)
 class SampleCodec:
     """A ``trainlog.*`` message: one double a field, several for a field with axles.
@@ -336,6 +317,10 @@ def fix_codec(channel: int) -> FixCodec:
         Value("nanoseconds", "<u1", 5),
     ]
     return FixCodec(layout(channel, body))
+
+
+Codec = SampleCodec | FixCodec
+"""What one channel's messages look like."""
 
 
 def codec_of(channel: Channel, schema: Schema) -> Codec | None:
@@ -464,23 +449,10 @@ def decoded(text: str) -> dict[tuple[int, int], Range]:
     return {(offset, start): (least, greatest) for offset, start, least, greatest in entries}
 
 
-def range_in(topic: str, data: NDArray[np.uint8], offsets: IntArray) -> Range | None:
-    """The positions of a topic's messages in a chunk that is being written; None if it has none."""
-    place = _place(topic)
-    if place is None or not len(offsets):
-        return None
-    windows = np.ndarray((len(data) - 7,), "V8", data, 0, (1,))
-    values = windows[offsets + place].view(np.float64)
-    known = values[np.isfinite(values)]
+def range_of(position: FloatArray) -> Range:
+    """The least and the greatest of positions, as far as they are known."""
+    known = position[np.isfinite(position)]
     return (float(known.min()), float(known.max())) if len(known) else (np.nan, np.nan)
-
-
-@cache
-def _place(topic: str) -> int | None:
-    """Where the position stands in a message as this version writes it; None if it has none."""
-    if topic not in POSITION_TOPICS:
-        return None
-    return codec_for(TOPICS[topic], 1, {}).layout.place("position")
 
 
 # --------------------------------------------------------------------------------------- events

@@ -272,12 +272,12 @@ class _Column:
         return pd.array(texts, dtype="str")
 
 
-_WHOLE: tuple[tuple[Any, str], ...] = ((np.int64, "Int64"), (np.uint64, "UInt64"))
-_FLAGS: tuple[tuple[Any, str], ...] = ((np.bool_, "boolean"),)
+_WHOLE: tuple[tuple[Any, Any], ...] = ((np.int64, "Int64"), (np.uint64, "UInt64"))
+_FLAGS: tuple[tuple[Any, Any], ...] = ((np.bool_, "boolean"),)
 """Kinds of whole numbers and flags, and those with absent values, which leave them exact."""
 
 
-def _nullable(values: Any, rows: IntArray, count: int, kind: str) -> Any:
+def _nullable(values: Any, rows: IntArray, count: int, kind: Any) -> Any:
     """A column of `count` rows with the values at some and NA at the others."""
     column: Any = pd.array([pd.NA] * count, dtype=kind)
     column[rows] = values

@@ -23,7 +23,7 @@ from mcap.records import Metadata
 from trainlog.errors import InputError, LogError
 from trainlog.identity import COLUMNS, TripIdentity, identity_of
 from trainlog.mcap.account import Account, DamageWarning, Loss
-from trainlog.mcap.codec import Range, decoded
+from trainlog.mcap.codec import Range, decoded, range_of
 from trainlog.mcap.contents import (
     AttachmentPlace,
     ChunkPlace,
@@ -564,9 +564,7 @@ def position_span(source: Source, contents: Contents, topic: str) -> tuple[float
             group = places[at : at + _AT_ONCE]
             frames = frames_in(source, contents, group, {topic: frozenset(["position"])})
             position = frames[topic]["position"].to_numpy()
-            known = position[np.isfinite(position)]
-            if len(known):
-                ranges.append((group[0], (float(known.min()), float(known.max()))))
+            ranges.append((group[0], range_of(position)))
     known_ranges = [each for _, each in ranges if not np.isnan(each[0])]
     if not known_ranges:
         return None

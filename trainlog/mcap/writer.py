@@ -54,7 +54,7 @@ from trainlog.mcap.codec import (
     codec_for,
     encode_events,
     encoded,
-    range_in,
+    range_of,
     scatter,
     schema_of,
     table_of,
@@ -78,7 +78,7 @@ from trainlog.topics import (
     column_field,
     topic_of_frame,
 )
-from trainlog.trip import Trip
+from trainlog.trip import POSITION_TOPICS, Trip
 
 PERIOD = 60 * 10**9
 """Longest time that one chunk of a derived file spans [ns]: a minute of a trip is what a damaged
@@ -358,11 +358,11 @@ class Plan:
         }
         start = min(int(stream.time[rows.start]) for stream, rows, _ in parts)
         end = max(int(stream.time[rows.stop - 1]) for stream, rows, _ in parts)
-        ranges = {
-            stream.channel.topic: range_in(stream.channel.topic, data, offsets[rows])
-            for stream, rows, offsets in parts
+        positions = {
+            stream.channel.topic: range_of(stream.table[stream.codec.names.index("position"), rows])
+            for stream, rows, _ in parts
+            if stream.codec is not None and stream.channel.topic in POSITION_TOPICS
         }
-        positions = {topic: each for topic, each in ranges.items() if each is not None}
         return Chunk(data.data, start, end, index, positions)
 
     def behind(self, number: int) -> list[Stream]:
