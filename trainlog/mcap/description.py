@@ -38,9 +38,9 @@ _TIME = "%Y-%m-%d %H:%M:%S"
 _AT_ONCE = 2**20
 """Messages whose times are held at a time."""
 
-_MOST_DIFFERENT = 2**20
-"""Intervals of so many different lengths are kept to the nanosecond; of more, only the first
-twelve binary digits, 0.02 %, are kept apart."""
+_DIFFERENT = 1000
+"""Intervals are kept apart by whole microseconds [ns]: those of a clock that runs unevenly would
+else all be different."""
 
 
 @dataclass(frozen=True)
@@ -406,14 +406,11 @@ class _Intervals:
         self.first = self.first if self.count else int(time[0])
         self.count += len(time) - bool(self.count)
         self.last = int(time[-1])
-        lengths, numbers = np.unique(np.diff(time), return_counts=True)
+        intervals = np.diff(time) // _DIFFERENT * _DIFFERENT
+        lengths, numbers = np.unique(intervals, return_counts=True)
         self.lengths, self.numbers = _merged(
             np.concatenate([self.lengths, lengths]), np.concatenate([self.numbers, numbers])
         )
-        if len(self.lengths) > _MOST_DIFFERENT:
-            digits = np.frexp(self.lengths.astype(np.float64))[1]
-            shift = np.maximum(digits - 12, 0).astype(np.uint64)
-            self.lengths, self.numbers = _merged(self.lengths >> shift << shift, self.numbers)
 
     @property
     def median(self) -> float:

@@ -150,14 +150,15 @@ def stream_log(
     path, topics, time, position
         As for `read_log`.
     rows : int
-        Most rows of a piece, over all topics.
+        Most rows of a piece, over all topics, but for one that is a single chunk of the log or
+        touches chunks that overlap.
 
     Yields
     ------
     Trip
         With every topic, without rows perhaps, and the metadata, provenance and attachments of the
         whole; the provenance of the last says what is lost. There is at least one. Messages of the
-        same instant are in the same piece, if they are no more than `rows`.
+        same instant are in the same piece.
 
     Raises
     ------
@@ -385,15 +386,9 @@ def check_readable(account: Account) -> None:
 def _pieces(path: str | Path, selection: Selection, rows: int) -> Iterator[Trip]:
     with Source(path) as source, in_file(path):
         reading = _Reading(source, selection)
-        last, frames = None, _Frames()
         for span in reading.parts(rows):
             frames = reading.frames(span)
-            for part in _cut(frames, rows):
-                last = reading.bare
-                yield replace(last, topics=part)
-        if last is None or last.provenance != reading.bare.provenance:
-            # What is lost shows in a piece without rows, too.
-            yield replace(reading.bare, topics={name: each[:0] for name, each in frames.items()})
+            yield replace(reading.bare, topics=frames)
         check_readable(reading.contents.account)
     report_losses(path, reading.contents)
 
@@ -469,27 +464,6 @@ def _rows(
         sum(count for number, count in place.counts.items() if number in channels)
         for place in chunks
     ]
-
-
-def _cut(frames: _Frames, rows: int) -> Iterator[_Frames]:
-    """The frames in pieces of at most `rows` rows over all of them, in the order of time."""
-    while True:
-        times = {name: nanoseconds(frame) for name, frame in frames.items()}
-        count = sum(len(each) for each in times.values())
-        if count <= rows:
-            if count:
-                yield frames
-            return
-        merged = np.sort(np.concatenate(list(times.values())))
-        ends = {name: int(each.searchsorted(merged[rows])) for name, each in times.items()}
-        if not any(ends.values()):
-            # More messages of one instant than a piece may have.
-            left = rows
-            for name, each in times.items():
-                ends[name] = min(left, int(each.searchsorted(merged[0], side="right")))
-                left -= ends[name]
-        yield {name: frame.iloc[: ends[name]] for name, frame in frames.items()}
-        frames = {name: frame.iloc[ends[name] :] for name, frame in frames.items()}
 
 
 def rows_of_log(path: str | Path, topics: Collection[str] | None = None) -> int:
