@@ -23,7 +23,7 @@ from clock_steps import (
     table_profile,
 )
 from hypothesis import given, settings, strategies as st
-from recorder_files import Drive, nmea_lines
+from recorder_files import Drive
 
 from trainlog.errors import InputError
 from trainlog.ingest import ingest, profile_of, report_of
@@ -352,30 +352,6 @@ def test_old_dates_of_a_receiver_are_suspected(tmp_path: Path) -> None:
     )
     trip = ingest(case.path, profile=stated)
     assert trip.start == pd.Timestamp(case.truth[0], tz="UTC")
-
-
-@pytest.mark.parametrize("step", [-2, 2])
-def test_sentences_that_learn_the_time_one_after_the_other(tmp_path: Path, step: int) -> None:
-    """For 20 s the receiver's RMC have the new clock and its GGA the old one."""
-    run = drive("hilly", 5.0, 900)
-    row = np.arange(900)
-    old = run.time - step * 1_000_000_000
-    lines = []
-    for kind, set_at in (("RMC", 302), ("GGA", 402)):
-        clock = np.where(row < set_at, old, run.time)
-        lines.append(nmea_lines(replace(run, time=clock), (kind,)))
-    path = tmp_path / "log.nmea"
-    path.write_text("\r\n".join(s for pair in zip(*lines, strict=True) for s in pair) + "\r\n")
-    trip = ingest(path)
-    assert report_of(trip).count("clock_step") > 0
-    for topic, column in (("/gnss/motion", "speed"), ("/gnss/fix", "altitude")):
-        frame = trip[topic]
-        known = frame[column].notna().to_numpy()
-        at = frame.index.as_unit("ns").asi8[known]
-        values = run.speed if column == "speed" else run.altitude
-        expected = np.interp(at, run.time, values)
-        assert at.size == 900
-        np.testing.assert_allclose(frame[column].to_numpy()[known], expected, atol=2e-3)
 
 
 DEFECTS = ("lost rows", "gaps", "swaps", "late block", "repeated block", "frozen fix")

@@ -3,10 +3,10 @@
 A clock is set by 1024 weeks where the receiver's week number rolled over, by whole days where it
 had no date before its first fix, by quarters of an hour where the time zone or summer time was
 corrected, by seconds where the receiver learnt the leap seconds or the recorder the time. A step
-back gives times twice. A step forward looks like a gap. How far the train came meanwhile decides:
-what is likelier, that rows are missing, that the clock was set, or both, by distances up to 20 s
-before and after the step, against how they usually depart from the speeds in this recording. Where
-that leaves it open, the step is reported and left as it is.
+back gives times twice. A step forward looks like a gap. How far the train came meanwhile decides
+whether rows are missing or the clock was set: distances over 5 and 20 s before and after the step,
+against how they usually depart from the speeds in this recording. Where that leaves it open, or
+both seem to have happened, the step is reported and left as it is.
 
 Rows of both clocks may be mixed for a while. Then it is the count of rows since the last one before
 and to the first one after that shows by which clock each was written.
@@ -14,12 +14,10 @@ and to the first one after that shows by which clock each was written.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.special import poch
 
 from trainlog.arrays import BoolArray, ComplexArray, FloatArray, IntArray, robust_std
 from trainlog.ingest.clock import (
@@ -44,6 +42,7 @@ from trainlog.ingest.motion import (
     speed_of,
 )
 from trainlog.ingest.profile import Limits
+from trainlog.ingest.receiver import LOSS_DENSITY
 from trainlog.ingest.recording import Finding, Table
 from trainlog.units import DAY, NANOSECONDS
 
@@ -71,9 +70,6 @@ MOST_EDGES = 50
 CHAIN = 15.0
 """Time [s] between two steps that may belong to one setting of the clock."""
 
-LEAST_KIND = 0.2
-"""Share of the rows that a kind of them must have to be judged by itself."""
-
 MOST_MISFITS = 0.05
 """Share of rows between the first and the last step that may fit neither clock."""
 
@@ -90,26 +86,18 @@ ones back are of zones and dates."""
 HARDEST = 0.4
 """Acceleration and braking [m/s²] with which a train may have slowed down, and gone on, unseen."""
 
-WINDOWS = (2.0, 5.0, 10.0, 20.0)
+WINDOWS = 5.0, 20.0
 """Times [s] before and after a step over which distances are compared: a receiver that begins late
-after a gap has caught up within the longest."""
+after a gap has caught up within the longer one."""
 
 SMALLEST_STD = 0.2
 """Standard deviation [m] that no distance undercuts."""
 
-UNSEEN, MOST_UNSEEN = 0.3, 3.0
-"""Least random walk of the speed while no row shows it [m²/s³], and that of an unknown train."""
+LEAST_AROUND = 2
+"""Rows, one a second, without another step that there must be on both sides."""
 
-SETTING_COST, BOTH_COST, SURE = 5.0, 2.0, 1.5
-"""How much likelier (logarithm) missing rows are than a clock that is set forward, beforehand, how
-much likelier that is without missing rows than with them, and how much likelier than everything
-else a setting must be to be undone."""
-
-TAILS = 5
-"""Degrees of freedom of the errors of distances."""
-
-BRAKED = 0.2
-"""Share of gaps in which a train is taken to brake and go on."""
+SURE = 6.0
+"""How much likelier (logarithm) a setting must be than missing rows to be undone."""
 
 
 def undo_clock_steps(table: Table, limits: Limits) -> Result:
@@ -126,8 +114,6 @@ def undo_clock_steps(table: Table, limits: Limits) -> Result:
     shift = _too_early(time, limits)
     shift = shift + _coarse(time + shift, limits)
     shift = shift + _to_last(_seconds(table.at(time + shift))[0])
-    if np.any(np.diff(time + shift) < 0):
-        shift = shift + _by_kind(table.at(time + shift))
     if not shift.any():
         return table, []
     sizes = ", ".join(_size(int(size)) for size in np.unique(shift[shift != 0]))
@@ -145,7 +131,7 @@ def suspect_clock_steps(table: Table, limits: Limits) -> Result:
         marked = np.zeros(len(table), dtype=np.bool_)
         marked[[place + 1 for place, _ in undecided]] = True
         sizes = ", ".join(f"{size:+.2g} s" for _, size in undecided)
-        note = f"{sizes}: a gap or a step of the clock, which the motion leaves open"
+        note = f"{sizes}: a gap, a step of the clock or both, which the motion leaves open"
         findings += table.found("clock_step_suspected", marked, note=note)
     if limits.not_before is None and table.time[-1] < EARLY and has_fix(table) is not None:
         first = np.arange(len(table)) == 0
@@ -327,18 +313,6 @@ class _Rows:
         steps = (np.abs(late) > max(LEAST_STEP, 0.7 * period)) | (np.diff(seconds) < 0.0)
         return cls(table, time, period, usual > 1, late, np.flatnonzero(steps))
 
-    def follow(self, steps: IntArray, level: FloatArray) -> bool:
-        """Whether more rows around steps follow the one before as usual once `level` is undone.
-
-        And whether it is that of two clocks.
-        """
-        part = slice(max(0, int(steps[0]) - 1), int(steps[-1]) + 2)
-        uneven = [
-            np.count_nonzero(np.abs(np.diff(time) - self.period) > 0.5 * self.period)
-            for time in (self.time[part], (self.time - level)[part])
-        ]
-        return bool(uneven[1] < uneven[0]) and np.unique(level).size <= 2
-
     def size(self, before: int, after: int) -> float:
         """How far [s] the clock goes ahead between two rows beyond what their number takes."""
         return float(self.time[after] - self.time[before] - (after - before) * self.period)
@@ -390,45 +364,22 @@ def _seconds(table: Table) -> tuple[IntArray, list[tuple[int, float]]]:
     motion = _Motion.of(rows)
     undecided: list[tuple[int, float]] = []
     for cluster in clusters:
-        mixed = _mixed(rows, motion, cluster)
+        mixed = _mixed(rows, cluster)
         if mixed is not None:
             size, ahead = mixed
             level[cluster[0] + 1 : cluster[-1] + 1] += size * ahead
             level[cluster[-1] + 1 :] += size
             continue
-        found = [(int(place), *_set_by(rows, motion, int(place))) for place in cluster]
-        step = np.zeros(len(table))
-        for place, size, sure in found:
-            step[place + 1 :] += size if sure else 0.0
-        if np.count_nonzero(np.diff(step)) < 2 or rows.follow(cluster, step):
-            level += step
-            undecided += [(place, size) for place, size, sure in found if size and not sure]
+        for place in cluster.tolist():
+            size, sure = _set_by(rows, motion, place)
+            if sure:
+                level[place + 1 :] += size
+            elif size:
+                undecided.append((place, size))
     return np.round(level * NANOSECONDS).astype(np.int64), undecided
 
 
-def _by_kind(table: Table) -> IntArray:
-    """What undoes steps by whole seconds [ns] where rows of two kinds were set one by one.
-
-    Rows are of a kind by the columns that they hold, as the sentences of a receiver are.
-    """
-    none = np.zeros(len(table), dtype=np.int64)
-    held = {np.isfinite(values).tobytes() for values in table.signals.values()}
-    kinds = [np.frombuffer(each, dtype=np.bool_) for each in sorted(held)]
-    kinds = [kind for kind in kinds if LEAST_KIND * kind.size < np.count_nonzero(kind) < kind.size]
-    if len(kinds) < 2 or len(kinds) > 4 or not np.logical_or.reduce(kinds).all():
-        return none
-    found = np.zeros((len(kinds), len(table)), dtype=np.int64)
-    for number, kind in enumerate(kinds):
-        found[number, kind] = _seconds(table.take(np.flatnonzero(kind)))[0]
-    known = np.ma.masked_array(found, ~np.array(kinds))
-    if np.any(known.min(axis=0) != known.max(axis=0)):
-        return none
-    shift = _to_last(np.asarray(known.max(axis=0)))
-    in_order = np.count_nonzero(longest_nondecreasing(table.time + shift))
-    return shift if in_order > np.count_nonzero(longest_nondecreasing(table.time)) else none
-
-
-def _mixed(rows: _Rows, motion: _Motion | None, steps: IntArray) -> tuple[float, IntArray] | None:
+def _mixed(rows: _Rows, steps: IntArray) -> tuple[float, IntArray] | None:
     """By how many seconds the clock was set while rows of both clocks were written in turn.
 
     And which rows from the first step to the last one are by the new clock; None if they are not
@@ -452,117 +403,37 @@ def _mixed(rows: _Rows, motion: _Motion | None, steps: IntArray) -> tuple[float,
         return None
     if np.count_nonzero(np.diff(np.concatenate(([0], ahead, [1])))) < LEAST_CHANGES:
         return None
-    beyond = None if motion is None else motion.beyond(before, after)
-    return (size, ahead) if beyond is None or abs(beyond / size) < 0.4 else None
+    return size, ahead
 
 
 def _set_by(rows: _Rows, motion: _Motion | None, place: int) -> tuple[float, bool]:
     """By how many seconds the clock was set after a row, 0 if it was not; and whether that is sure.
 
-    Three things may have happened: rows are missing, or were written late, and the clock is right;
-    it was set, and no row is missing; it was set, and rows are missing. What the distance across
-    the place exceeds that of the speeds by shows which.
+    What the distance across the place exceeds that of the speeds by is nothing where no row is
+    missing, and the way of a train that went on, or braked and went on, where rows are.
     """
     late = float(rows.late[place])
-    if not -LARGEST[1] < late < LARGEST[0]:
-        return 0.0, False
     seen = None if motion is None else motion.across(place)
-    if seen is None:
-        # A clock that was set back gives its times twice; a single time may be a row too many.
-        repeated = late < -1.5 * rows.period and _repeated_differently(rows, place)
-        return (_rounded(rows, late), True) if repeated else (0.0, False)
-    if late < 0.0 and motion is not None and motion.belongs(rows, place):
+    if seen is None or not -LARGEST[1] < late < LARGEST[0]:
         return 0.0, False
-    lost = max(float(np.median(seen.excess)) / seen.speed, 0.0)
-    lost = rows.period * round(lost / rows.period)
-    gap, none, both = (seen.likelihood(each) for each in (late, 0.0, lost))
-    size, likelier, cost = late, none - gap, SETTING_COST if late > 0.0 else 0.0
-    if np.min(both - none) > BOTH_COST and abs(late - lost) > LEAST_STEP:
-        size, likelier, cost = late - lost, both - gap, cost + BOTH_COST
-    # The time over which it shows best decides, unless another one contradicts, or nothing fits.
-    decides = bool(np.min(likelier) > 0.0) and seen.fits(late - size)
-    gained = float(np.max(likelier[-2:])) - cost if decides else 0.0
-    return (_rounded(rows, size), gained > SURE) if gained > 0.0 else (0.0, False)
-
-
-def _rounded(rows: _Rows, size: float) -> float:
-    """The size of a step [s]; whole seconds where the file gives no others."""
-    return float(round(size)) if rows.whole else size
-
-
-def _repeated_differently(rows: _Rows, place: int) -> bool:
-    """Whether the times between row `place` and the next come twice, with other values.
-
-    A block that was written late goes back too. A clock that was set back gives its times twice.
-    """
-    time, table, usual = rows.time, rows.table, rows.period
-    low, high = time[place + 1] - 0.1 * usual, time[place] + 0.1 * usual
-    capacity = round((high - low) / usual) + 1
-    reach = int(2 * capacity + 10)
-    before = np.arange(max(0, place + 1 - reach), place + 1)
-    after = np.arange(place + 1, min(time.size, place + 1 + reach))
-    before = before[(time[before] >= low) & (time[before] <= high)]
-    after = after[(time[after] >= low) & (time[after] <= high)]
-    if not before.size or not after.size or before.size + after.size < 1.5 * capacity:
-        return False
-    nearest = before[np.abs(time[before][None, :] - time[after][:, None]).argmin(axis=1)]
-    same = np.ones(after.size, dtype=np.bool_)
-    for values in table.signals.values():
-        a, b = values[after], values[nearest]
-        same &= (a == b) | (np.isnan(a) & np.isnan(b))
-    return bool(np.mean(same) < 0.5)
+    excess, std, speed = seen
+    most = least = speed * late
+    if late > 0.0:
+        stops = late > 2.0 * speed / HARDEST
+        least = speed**2 / HARDEST if stops else most - 0.25 * HARDEST * late**2
+    beside = np.maximum(np.maximum(least - excess, excess - most), 0.0)
+    likelier = 0.5 * (beside**2 - excess**2) / std**2
+    if np.any(np.abs(excess) > GATE * std):
+        # Where missing rows do not explain it either, both may have happened.
+        unseen = np.hypot(std, np.sqrt(LOSS_DENSITY * abs(late) ** 3 / 12.0))
+        return (late, False) if np.all(beside > GATE * unseen) else (0.0, False)
+    if np.min(likelier) <= 0.0:
+        return 0.0, False
+    # A file of whole seconds gives no others.
+    return float(round(late)) if rows.whole else late, bool(np.max(likelier) > SURE)
 
 
 # ------------------------------------------------------------------ what the motion shows
-
-
-def _log_density(deviations: FloatArray) -> FloatArray:
-    """Logarithm of the density of Student's t; `scipy.stats`, which has it, loads for long."""
-    size = np.log(poch(0.5 * TAILS, 0.5)) - 0.5 * (np.log(TAILS) + np.log(np.pi))
-    return np.asarray(size - (TAILS + 1) / 2 * np.log1p(deviations * deviations / TAILS))
-
-
-@dataclass(frozen=True, eq=False)
-class _Across:
-    """How much further the train came across a place than its speeds show, over several times.
-
-    Attributes
-    ----------
-    excess, std : (k,) arrays [m]
-        Less what is usual, and its standard deviation where nothing happened.
-    speed : float [m/s]
-        At the place.
-    unseen : callable
-        Standard deviation [m] of a distance from the speeds before and after so many seconds.
-    """
-
-    excess: FloatArray
-    std: FloatArray
-    speed: float
-    unseen: Callable[[float], float]
-
-    def fits(self, lost: float) -> bool:
-        """Whether `lost` seconds without rows explain all that is seen."""
-        std = np.hypot(self.std, self.unseen(abs(lost)))
-        return bool(np.all(np.abs(self.excess - self.speed * lost) < GATE * std))
-
-    def likelihood(self, lost: float) -> FloatArray:
-        """Logarithm of the likelihood that `lost` seconds passed without rows; (k,) array.
-
-        The train goes on as it does where rows show it, or, less likely, it brakes, even to a stop,
-        and goes on. Errors have the tails of Student's t.
-        """
-        std = np.hypot(self.std, self.unseen(abs(lost)))
-        expected = self.speed * lost
-        going_on = _log_density((self.excess - expected) / std) - np.log(std)
-        least = expected - 0.25 * HARDEST * lost**2
-        if lost > 2.0 * self.speed / HARDEST:
-            least = self.speed**2 / HARDEST
-        if lost <= 0.0 or expected - least < self.std.max():
-            return np.asarray(going_on)
-        outside = np.maximum(least - self.excess, 0.0) + np.maximum(self.excess - expected, 0.0)
-        braking = _log_density(outside / self.std) - np.log(expected - least)
-        return np.asarray(np.maximum(going_on, braking + np.log(BRAKED)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -575,29 +446,23 @@ class _Motion:
         Rows that are looked at: one a second, and those around steps.
     time : (k,) array [s]
         Of these rows, by a clock that takes a usual period over each step.
-    points : (k,) array [m]
-        In a plane.
     rest : (k,) array [m]
         Distance less the integral.
-    driven : (k,) array [m]
-        The integral, by the scale of the distance.
     speed : (k,) array [m/s]
-        By the same scale.
+        By the scale of the distance.
     broken : (k,) array of int
         How many steps lie before each row.
-    usual : dict of float to (float, float) [m]
-        Median and standard deviation of what `rest` changes by over so many seconds before and
+    usual : (w, 2) array [m]
+        Median and standard deviation of what `rest` changes by over each of `WINDOWS` before and
         after a place without a step.
     """
 
     rows: IntArray
     time: FloatArray
-    points: ComplexArray
     rest: FloatArray
-    driven: FloatArray
     speed: FloatArray
     broken: IntArray
-    usual: dict[float, tuple[float, float]]
+    usual: FloatArray
 
     @classmethod
     def of(cls, rows: _Rows) -> _Motion | None:
@@ -633,28 +498,32 @@ class _Motion:
         found = agreement(along[later] - along, by_speed, moving)
         if found is None:
             return None
-        driven, pace = found.ratio * driven, found.ratio * speed[nodes]
         motion = cls(
-            nodes, time[nodes], places[nodes], along - driven, driven, pace, broken[nodes], {}
+            nodes,
+            time[nodes],
+            along - found.ratio * driven,
+            found.ratio * speed[nodes],
+            broken[nodes],
+            np.zeros((0, 2)),
         )
         return motion._calibrated()
 
     def _calibrated(self) -> _Motion | None:
-        """With what is usual where no step is."""
+        """With what is usual where no step is; None where that is not known."""
         moving = np.flatnonzero(self.speed > MOVING)
-        usual: dict[float, tuple[float, float]] = {}
+        usual = []
         for window in WINDOWS:
             left, right = self._around(moving, moving, window)
             whole = self.broken[left] == self.broken[right]
             whole &= self.time[right] - self.time[left] > 1.5 * window
             change = (self.rest[right] - self.rest[left])[whole]
             if change.size < ENOUGH:
-                continue
+                return None
             middle = float(np.median(change))
             size = np.abs(change - middle)
             tail = float(np.quantile(size, 0.9)) / 1.64
-            usual[window] = (middle, max(robust_std(size), tail, SMALLEST_STD))
-        return replace(self, usual=usual) if usual else None
+            usual.append((middle, max(robust_std(size), tail, SMALLEST_STD)))
+        return replace(self, usual=np.array(usual))
 
     def _around(
         self, before: IntArray, after: IntArray, window: float
@@ -664,72 +533,25 @@ class _Motion:
         right = np.searchsorted(self.time, self.time[after] + window, side="right") - 1
         return left, right
 
-    def across(self, place: int) -> _Across | None:
-        """What is seen across the step after a row; None where it shows nothing."""
+    def across(self, place: int) -> tuple[FloatArray, FloatArray, float] | None:
+        """How far the train came across the step after a row beyond what its speeds show.
+
+        By window, less what is usual, with its standard deviation [m]; and the speed there [m/s].
+        None where the train stands, or other steps are too close.
+        """
         after = int(np.searchsorted(self.rows, place, side="right"))
         before = after - 1
         if before < 0 or after >= self.rows.size or self.broken[after] != self.broken[before] + 1:
             return None
         speed = 0.5 * float(self.speed[before] + self.speed[after])
-        if speed < MOVING:
+        edges = np.searchsorted(self.broken, self.broken[before])
+        beyond = np.searchsorted(self.broken, self.broken[after], side="right") - 1
+        if speed < MOVING or min(before - edges, beyond - after) < LEAST_AROUND:
             return None
-        found = []
-        for window, (middle, std) in self.usual.items():
-            left, right = self._around(np.array([before]), np.array([after]), window)
-            if (
-                self.broken[left[0]] != self.broken[before]
-                or self.broken[right[0]] != self.broken[after]
-            ):
-                continue
-            found.append((float(self.rest[right[0]] - self.rest[left[0]]) - middle, std))
-        if not found:
-            return None
-        excess, std = np.array(found).T
-        return _Across(excess, std, speed, self._unseen)
-
-    def belongs(self, rows: _Rows, place: int) -> bool:
-        """Whether the row after a step back is where its time says: written late, not set back."""
-        earlier = np.flatnonzero(rows.time[: place + 1] < rows.time[place + 1])
-        if not earlier.size:
-            return False
-        before = earlier[np.argmax(rows.time[earlier])]
-        passed = float(rows.time[place + 1] - rows.time[before])
-        near, there, here = np.searchsorted(self.rows, [before, place, place + 1])
-        if here >= self.rows.size or passed > 2.0 * rows.period:
-            return False
-        came = float(abs(self.points[here] - self.points[near]))
-        std = min(self.usual.values())[1]
-        reach = self.speed[here] * (passed + 1.0)
-        far = float(abs(self.points[here] - self.points[there]))
-        return bool(came < reach + 3.0 * std and far > 2.0 * (reach + 3.0 * std))
-
-    def _unseen(self, lost: float) -> float:
-        """How far [m] the train comes in `lost` seconds beside the mean of the speeds around them.
-
-        As the same is in this recording where rows show it.
-        """
-        least = np.sqrt(UNSEEN * lost**3 / 12.0)
-        later = np.searchsorted(self.time, self.time + lost)
-        known = np.flatnonzero(later < self.time.size)
-        later = later[known]
-        moving = (self.speed[known] > MOVING) & (self.speed[later] > MOVING)
-        known, later = known[moving], later[moving]
-        if known.size < ENOUGH:
-            return float(np.sqrt(MOST_UNSEEN / UNSEEN) * least)
-        mean = 0.5 * (self.speed[later] + self.speed[known])
-        beside = (
-            self.driven[later] - self.driven[known] - mean * (self.time[later] - self.time[known])
-        )
-        return float(max(np.quantile(np.abs(beside), 0.95) / 1.96, least))
-
-    def beyond(self, before: int, after: int) -> float | None:
-        """The time [s] that passed between two rows beyond their count; None if it stands."""
-        first, last = np.searchsorted(self.rows, [before, after])
-        last = min(int(last), self.rows.size - 1)
-        speed = float(np.mean(self.speed[first : last + 1])) if last > first else 0.0
-        if speed <= MOVING:
-            return None
-        return float(self.rest[last] - self.rest[first]) / speed
+        ends = [self._around(np.array([before]), np.array([after]), each) for each in WINDOWS]
+        left, right = (np.concatenate(each) for each in zip(*ends, strict=True))
+        change = self.rest[np.minimum(right, beyond)] - self.rest[np.maximum(left, edges)]
+        return change - self.usual[:, 0], self.usual[:, 1], speed
 
 
 def _along(points: ComplexArray, broken: IntArray, time: FloatArray) -> FloatArray:
