@@ -86,7 +86,7 @@ ones back are of zones and dates."""
 HARDEST = 0.4
 """Acceleration and braking [m/s²] with which a train may have slowed down, and gone on, unseen."""
 
-WINDOWS = 5.0, 20.0
+WINDOWS = 2.0, 20.0
 """Times [s] before and after a step over which distances are compared: a receiver that begins late
 after a gap has caught up within the longer one."""
 
@@ -452,9 +452,9 @@ class _Motion:
         By the scale of the distance.
     broken : (k,) array of int
         How many steps lie before each row.
-    usual : (w, 2) array [m]
-        Median and standard deviation of what `rest` changes by over each of `WINDOWS` before and
-        after a place without a step.
+    usual : (w, 3) array [s], [m], [m]
+        Of `WINDOWS` that are known each, and median and standard deviation of what `rest` changes
+        by over so long before and after a place without a step.
     """
 
     rows: IntArray
@@ -504,7 +504,7 @@ class _Motion:
             along - found.ratio * driven,
             found.ratio * speed[nodes],
             broken[nodes],
-            np.zeros((0, 2)),
+            np.zeros((0, 3)),
         )
         return motion._calibrated()
 
@@ -518,15 +518,15 @@ class _Motion:
             whole &= self.time[right] - self.time[left] > 1.5 * window
             change = (self.rest[right] - self.rest[left])[whole]
             if change.size < ENOUGH:
-                return None
+                continue
             middle = float(np.median(change))
             size = np.abs(change - middle)
             tail = float(np.quantile(size, 0.9)) / 1.64
-            usual.append((middle, max(robust_std(size), tail, SMALLEST_STD)))
-        return replace(self, usual=np.array(usual))
+            usual.append((window, middle, max(robust_std(size), tail, SMALLEST_STD)))
+        return replace(self, usual=np.array(usual)) if usual else None
 
     def _around(
-        self, before: IntArray, after: IntArray, window: float
+        self, before: IntArray, after: IntArray, window: float | FloatArray
     ) -> tuple[IntArray, IntArray]:
         """The rows a time [s] before ones, and after others."""
         left = np.searchsorted(self.time, self.time[before] - window)
@@ -548,10 +548,10 @@ class _Motion:
         beyond = np.searchsorted(self.broken, self.broken[after], side="right") - 1
         if speed < MOVING or min(before - edges, beyond - after) < LEAST_AROUND:
             return None
-        ends = [self._around(np.array([before]), np.array([after]), each) for each in WINDOWS]
-        left, right = (np.concatenate(each) for each in zip(*ends, strict=True))
+        windows, middle, std = self.usual.T
+        left, right = self._around(np.array([before]), np.array([after]), windows)
         change = self.rest[np.minimum(right, beyond)] - self.rest[np.maximum(left, edges)]
-        return change - self.usual[:, 0], self.usual[:, 1], speed
+        return change - middle, std, speed
 
 
 def _along(points: ComplexArray, broken: IntArray, time: FloatArray) -> FloatArray:

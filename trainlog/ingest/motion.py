@@ -52,9 +52,12 @@ CHORD = 20.0
 ENOUGH = 10
 """Samples from which on their median, and how they spread, are known."""
 
-STRONG, CLEAR = 0.5, 0.1
-"""Share of the largest effort, and acceleration [m/s²], from which on an effort shows the mass that
-it moves: gradients change it by a factor of three at most."""
+HALF_SPAN = 2.5
+"""Half of the time [s] over which acceleration is taken."""
+
+LEAST_DRIVEN, DRIVES = 30.0, 0.5
+"""Time in motion [s], and correlation with the acceleration, from which on an effort shows the mass
+that it moves."""
 
 WRONG_UNIT = 1000.0**0.5
 """A mass off by more than this is nearer to one of N taken for kN than to the right one."""
@@ -229,34 +232,70 @@ def agreement(one: FloatArray, other: FloatArray, moving: BoolArray) -> Agreemen
     return Agreement(ratio, robust_std(one[both] - ratio * other[both]))
 
 
-def moved_mass(time: FloatArray, speed: FloatArray, effort: FloatArray, sign: int = 1) -> float:
-    """Mass that an effort moves by itself, the median of where it is strong; NaN if unknown.
+def rate_of(seconds: FloatArray, values: FloatArray) -> FloatArray:
+    """The rate of change of a column over five seconds; NaN without two values."""
+    known = np.isfinite(values)
+    if np.count_nonzero(known) < 2:
+        return np.full(values.size, np.nan)
+    after, before = (
+        np.interp(seconds + by, seconds[known], values[known]) for by in (HALF_SPAN, -HALF_SPAN)
+    )
+    return np.asarray((after - before) / (2.0 * HALF_SPAN))
+
+
+class DrivenMass(NamedTuple):
+    """How an effort goes with the acceleration that follows from it.
+
+    Attributes
+    ----------
+    mass : float
+        Slope of the effort over acceleration, running resistance left free; [kg] where the effort
+        is in newtons. NaN if the train does not move, or accelerate.
+    correlation : float
+        Of effort and acceleration.
+    seconds : float [s]
+        In motion, of each sample at most one.
+    """
+
+    mass: float
+    correlation: float
+    seconds: float
+
+    @property
+    def decides(self) -> bool:
+        """Whether the effort clearly moves the train."""
+        return self.seconds >= LEAST_DRIVEN and abs(self.correlation) >= DRIVES
+
+
+def driven_mass(seconds: FloatArray, effort: FloatArray, speed: FloatArray) -> DrivenMass:
+    """The mass that an effort moves: F = m a + r0 + r1 v + r2 v², by least squares.
 
     Parameters
     ----------
-    time, speed, effort : (n,) array [s], [m/s], [N]
-    sign : {1, -1}
-        -1 of an effort that brakes.
-
-    Returns
-    -------
-    float [kg]
+    seconds : (n,) array [s]
+    effort : (n,) array
+        In any unit, NaN where absent.
+    speed : (n,) array [m/s]
 
     Examples
     --------
-    >>> time = np.arange(0.0, 40.0)
-    >>> float(round(moved_mass(time, 0.5 * time, np.full(40, 75e3))))
-    150000.0
+    >>> time = np.arange(0.0, 200.0)
+    >>> speed = 10.0 + 8.0 * np.sin(time / 20.0)
+    >>> found = driven_mass(time, 60e3 * np.cos(time / 20.0), speed)
+    >>> round(found.mass / 1e3), round(found.correlation, 2)
+    (150, 1.0)
     """
-    known = np.isfinite(speed)
-    if np.count_nonzero(known) < ENOUGH or not np.any(effort > 0.0):
-        return np.nan
-    after, before = (np.interp(time + by, time[known], speed[known]) for by in (2.5, -2.5))
-    gained = sign * (after - before) / 5.0
-    shows = (effort >= STRONG * np.nanmax(effort)) & (np.abs(speed) > MOVING) & (gained > CLEAR)
-    if np.count_nonzero(shows) < ENOUGH:
-        return np.nan
-    return float(np.median(effort[shows] / gained[shows]))
+    rate = rate_of(seconds, speed)
+    known = np.isfinite(effort) & np.isfinite(speed) & np.isfinite(rate) & (speed > MOVING)
+    lasted = float(np.sum(np.minimum(np.diff(seconds, append=seconds[-1]), 1.0)[known]))
+    force, rate, v = effort[known], rate[known], speed[known]
+    if lasted < LEAST_DRIVEN or np.std(force) == 0.0 or np.std(rate) < 0.02:
+        return DrivenMass(np.nan, 0.0, lasted)
+    columns = np.column_stack([rate, np.ones_like(v), v, v * v])
+    scale = np.max(np.abs(columns), axis=0)
+    solution = np.linalg.lstsq(columns / scale, force, rcond=None)[0]
+    correlation = float(np.corrcoef(force, rate)[0, 1])
+    return DrivenMass(float(solution[0] / scale[0]), correlation, lasted)
 
 
 def suspect_efforts(trip: Trip, train: Train | None = None) -> Iterator[Finding]:
@@ -278,8 +317,9 @@ def suspect_efforts(trip: Trip, train: Train | None = None) -> Iterator[Finding]
     # A brake alone may be a small part of what brakes: only the train's own mass judges it.
     for name in EFFORTS if train is not None else EFFORTS[:1]:
         effort = controls[name.rpartition(".")[2]].to_numpy(np.float64)
-        mass = moved_mass(time, speed, effort, 1 if name == EFFORTS[0] else -1)
-        if not mass > 0.0:
+        driven = driven_mass(time, effort, np.abs(speed))
+        mass = driven.mass if name == EFFORTS[0] else -driven.mass
+        if not driven.decides or not mass > 0.0:
             continue
         if train is not None:
             factor = mass / train.mass

@@ -27,6 +27,7 @@ from trainlog.ingest.motion import (
     SPEED,
     WHEEL_SPEED,
     agreement,
+    driven_mass,
     plane,
     scale_of,
     seconds_of,
@@ -99,13 +100,7 @@ FEW = 0.01
 AGAINST = -0.5
 """Correlation of effort and acceleration below which the sign of the effort is wrong."""
 
-LEAST_EFFORT = 0.2
-"""Share of the largest effort from which on acceleration is expected to follow it."""
-
 LEVER = "/train/controls.lever"
-
-LEAST_SECONDS = 60.0
-"""Time [s] with such efforts that it takes to judge their sign."""
 
 
 def refuse_inconsistent(table: Table, limits: Limits) -> Result:
@@ -197,25 +192,11 @@ def _refuse_sign(table: Table) -> None:
 
 
 def _refuse_against(table: Table, speed: FloatArray, push: FloatArray, name: str) -> None:
-    seconds, known = seconds_of(table), np.isfinite(speed)
-    if np.count_nonzero(known) < 3:
-        return
-    ahead, behind = (
-        np.interp(seconds + shift, seconds[known], speed[known]) for shift in (2.5, -2.5)
-    )
-    acceleration = (ahead - behind) / 5.0
-    strong = np.abs(push) >= LEAST_EFFORT * np.max(np.abs(push))
-    strong &= (speed > MOVING) & (np.max(np.abs(push)) > 0.0)
-    held = np.diff(seconds, append=seconds[-1])
-    if float(np.sum(np.minimum(held, 1.0)[strong])) < LEAST_SECONDS:
-        return
-    a, b = acceleration[strong], push[strong]
-    if np.std(a) < 0.05 or np.std(b) == 0.0:
-        return
-    agreement = float(np.corrcoef(a, b)[0, 1])
-    if agreement < AGAINST:
+    driven = driven_mass(seconds_of(table), push, speed)
+    if driven.correlation < AGAINST:
         raise InputError(
-            f"the train slows down whenever {name} would drive it (correlation {agreement:.2f})",
+            f"the train slows down whenever {name} would drive it"
+            f" (correlation {driven.correlation:.2f})",
             remedy="check sign and part of the columns of the efforts and of the lever in the"
             " profile: traction speeds a train up",
         )

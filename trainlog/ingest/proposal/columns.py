@@ -12,6 +12,7 @@ import pyarrow.compute as pc
 
 from trainlog.arrays import FloatArray
 from trainlog.errors import InputError
+from trainlog.ingest.motion import driven_mass, rate_of
 from trainlog.ingest.proposal import roles
 from trainlog.ingest.proposal.layout import Layout, Reading
 from trainlog.ingest.proposal.motion import (
@@ -24,7 +25,6 @@ from trainlog.ingest.proposal.motion import (
     Question,
     Ratio,
     Units,
-    driven_mass,
     positions_of,
     same_motion,
     units_of,
@@ -126,7 +126,9 @@ def _add_driving(work: Work, name: str, speed: str | None, *, known_as_traction:
     signs = _signs(values)
     correlation = 0.0
     if speed is not None:
-        correlation = driven_mass(work.motion, values, np.abs(work.numbers[speed])).correlation
+        correlation = driven_mass(
+            work.motion.seconds, values, np.abs(work.numbers[speed])
+        ).correlation
     if signs.both:
         inverted = correlation < -0.3
         scale = -1.0 if inverted else 1.0
@@ -278,7 +280,7 @@ def place_wheel_efforts(work: Work, names: tuple[str, ...]) -> None:
         if unit and abs(np.log(max(share, 1e-9))) > 0.3:
             other = "not all powered axles, or another unit"
     elif work.speed is not None:
-        driven = driven_mass(work.motion, total, work.speed)
+        driven = driven_mass(work.motion.seconds, total, work.speed)
         mass = {each: driven.mass * factor(each, "N")[0] for each in ("kN", "N")}
         likely = [each for each, value in mass.items() if 1.5e4 < abs(value) < 4e6]
         unit = stated or (likely[0] if driven.decides and likely else "")
@@ -464,7 +466,7 @@ def place_lever(work: Work) -> None:
         return
     correlation = 0.0
     if work.speed is not None:
-        correlation = driven_mass(work.motion, values, work.speed).correlation
+        correlation = driven_mass(work.motion.seconds, values, work.speed).correlation
     turned = correlation < -0.4
     check = (
         f"from {known.min():g} to {known.max():g}, correlation with acceleration {correlation:.2f}"
@@ -530,7 +532,7 @@ def _place_acceleration(work: Work, name: str) -> None:
     if work.speed is None:
         work.left[name] = "an acceleration, and no speed to check it with"
         return
-    rate = work.motion.derivative(work.speed)
+    rate = rate_of(work.motion.seconds, work.speed)
     values = work.numbers[name]
     known = np.isfinite(values) & np.isfinite(rate)
     if np.std(values[known]) == 0.0:

@@ -14,6 +14,7 @@ from scipy.ndimage import median_filter
 
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.ingest.mapping import degrees_of
+from trainlog.ingest.motion import driven_mass, rate_of
 from trainlog.ingest.recording import METRES_PER_DEGREE, NO_TIME
 from trainlog.railway.train import Train
 from trainlog.units import NANOSECONDS, factor
@@ -32,9 +33,6 @@ GAP = 30.0
 
 CHORD = 15.0
 """Time [s] between two fixes whose distance is compared with the distance driven."""
-
-HALF_SPAN = 2.5
-"""Half of the time [s] over which acceleration is taken."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,17 +105,6 @@ class Motion:
         usual = float(np.median(step[step > 0])) if np.any(step > 0) else 1.0
         step = np.where(step > max(GAP, 3.0 * usual), 0.0, step)
         return np.concatenate(([0.0], np.cumsum(step * 0.5 * (filled[1:] + filled[:-1]))))
-
-    def derivative(self, values: FloatArray) -> FloatArray:
-        """The rate of change of a column over five seconds."""
-        known = np.isfinite(values)
-        if np.count_nonzero(known) < 2:
-            return np.full(values.size, np.nan)
-        ends = [
-            np.interp(self.seconds + shift, self.seconds[known], values[known])
-            for shift in (HALF_SPAN, -HALF_SPAN)
-        ]
-        return np.asarray((ends[0] - ends[1]) / (2.0 * HALF_SPAN))
 
 
 def _spread(seconds: FloatArray) -> FloatArray:
@@ -238,57 +225,9 @@ def same_motion(other: FloatArray, speed: FloatArray) -> Ratio:
     return Ratio(float(np.median(ratios[near])), float(np.mean(near)), int(ratios.size))
 
 
-@dataclass(frozen=True, slots=True)
-class Driven:
-    """How an effort goes with the acceleration that follows from it.
-
-    Attributes
-    ----------
-    mass : float
-        Slope of the effort over acceleration, running resistance left free; [kg] where the effort
-        is in newtons.
-    correlation : float
-        Of effort and acceleration while the effort is strong.
-    samples : int
-    """
-
-    mass: float
-    correlation: float
-    samples: int
-
-    @property
-    def decides(self) -> bool:
-        """Whether the effort clearly moves the train."""
-        return self.samples >= 30 and abs(self.correlation) >= 0.5
-
-
-def driven_mass(motion: Motion, effort: FloatArray, speed: FloatArray) -> Driven:
-    """The mass that an effort moves: F = m a + r0 + r1 v + r2 v², by least squares.
-
-    Parameters
-    ----------
-    effort : (n,) array
-        In any unit, NaN where absent.
-    speed : (n,) array [m/s]
-    """
-    acceleration = motion.derivative(speed)
-    known = np.isfinite(effort) & np.isfinite(speed) & np.isfinite(acceleration) & (speed > 1.0)
-    if np.count_nonzero(known) < 30:
-        return Driven(np.nan, 0.0, 0)
-    force, rate, v = effort[known], acceleration[known], speed[known]
-    if np.std(force) == 0.0 or np.std(rate) < 0.02:
-        return Driven(np.nan, 0.0, int(force.size))
-    correlation = float(np.corrcoef(force, rate)[0, 1])
-    columns = np.column_stack([rate, np.ones_like(v), v, v * v])
-    columns /= np.max(np.abs(columns), axis=0)
-    scale = np.max(np.abs(rate))
-    solution = np.linalg.lstsq(columns, force, rcond=None)[0]
-    return Driven(float(solution[0] / scale), correlation, int(force.size))
-
-
 def usual_acceleration(motion: Motion, speed: FloatArray) -> float:
     """The 98th percentile of the size of the acceleration, in the unit of `speed` a second."""
-    rate = motion.derivative(speed)
+    rate = rate_of(motion.seconds, speed)
     known = rate[np.isfinite(rate)]
     return float(np.percentile(np.abs(known), 98)) if known.size else np.nan
 
@@ -403,7 +342,7 @@ def units_of(question: Question) -> Answer:
     from_distance = speed is None and question.position is not None
     if from_distance:
         assert question.position is not None
-        speed = np.abs(motion.derivative(question.position))
+        speed = np.abs(rate_of(motion.seconds, question.position))
     if speed is None:
         return Answer(Units(), {}, _NONE, _NONE, np.nan, 0.0, ())
     known = np.abs(speed[np.isfinite(speed)])
@@ -415,7 +354,7 @@ def units_of(question: Question) -> Answer:
     driven = None
     if question.effort is not None:
         # Speeds above 1 m/s are used: a raw speed is larger, or almost, in every unit.
-        driven = driven_mass(motion, question.effort, np.abs(speed))
+        driven = driven_mass(motion.seconds, question.effort, np.abs(speed))
     measured = _Measured(
         float(np.percentile(known, 99.5)) if known.size else np.nan,
         usual_acceleration(motion, speed),
