@@ -402,6 +402,9 @@ def test_a_route_over_given_edges() -> None:
     assert route.places == ("to B@1.500", "to C@0.200")
     assert [(leg.edge_start, leg.edge_end) for leg in route.legs] == [(1_500.0, 0.0), (1e3, 200.0)]
     assert network.along([("trunk", True), ("to B", True)]).legs == network.route("A", "B").legs
+    # Ends of drawn networks are numpy's numbers.
+    part = network.along([("trunk", True)], start=np.float64(0.0), end=np.float64(500.0))
+    assert part.length == 500.0
     with pytest.raises(InputError, match="begins at 'J', and 'trunk' ends at 'A'"):
         network.along([("trunk", False), ("to B", True)])
     with pytest.raises(InputError, match="does not run along its chainage"):

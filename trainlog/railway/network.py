@@ -588,7 +588,7 @@ class Network(Declared):
             stretches[-1] = (last[0], stretches[-1][1], end)
             places[1] = self._name_of(last[0], end)
         for (name, begin, finish), (_, forward) in zip(stretches, movements, strict=True):
-            if (finish > begin) is not forward:
+            if (finish > begin) != forward:
                 raise InputError(
                     f"a route from km {begin / 1e3:.3f} to km {finish / 1e3:.3f} of edge '{name}'"
                     f" does not run {'along' if forward else 'against'} its chainage",
