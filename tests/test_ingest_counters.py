@@ -148,7 +148,7 @@ def test_a_wrong_unit_is_not_taken_for_a_counter(tmp_path: Path) -> None:
     seconds, speed, distance = motion(700.0)
     wrapped = (distance + 9_000.0) % 10_000.0
     sound = report_of(read_rows(tmp_path, rows_of(seconds, speed, wrapped)))
-    assert "1 times wrapped at 10000 m" in "".join(sound.lines())
+    assert "1 times started anew or wrapped" in "".join(sound.lines())
     with pytest.raises(InputError, match=r"moves 1\d{4} m, .* gives \d+ m; check the units"):
         read_rows(tmp_path, rows_of(seconds, 3.6 * speed, wrapped))
     with pytest.raises(InputError, match=r"/train/state.position falls by .* set sign = -1"):

@@ -136,9 +136,6 @@ MOST_ALONG = 500.0
 LEAST_FREEDOM = 3.0
 """Least number of independent values that the size of errors is taken to rest on."""
 
-LEAST_CALIBRATED = 30
-"""Fixes from which on the band is compared with the distances beside the track."""
-
 OFFSET = 30.0
 """A recorded position further than this [m], and than `GATE` standard deviations, from the chainage
 of the fixes contradicts it."""
@@ -470,7 +467,7 @@ class OnLine:
             settled = turn > 1 and np.abs(position - last).max() < 0.1
             if settled and np.array_equal(np.isfinite(before), fitting):
                 break
-        found = self._smoothed() if motion is None else self._calibrated(motion)
+        found = self._smoothed() if motion is None else motion
         late = LATE_SHARE * self.along_std
         return replace(
             found,
@@ -616,33 +613,12 @@ class OnLine:
         outage = float(np.clip(max(density), *densities))
         self.unmeasured = np.where(apart > LOST_AFTER, max(outage / usual, 1.0), 1.0)
 
-    def _calibrated(self, motion: SmoothedMotion) -> SmoothedMotion:
-        """The motion with bands as wide as the same smoothing errs beside the track.
-
-        A train on rails does not move across them: distances beside the track, smoothed as if they
-        had been driven, should be 0, and so should their rate. Whatever the receiver's errors are
-        like, those along the track are like them.
-        """
-        _, aside = beside(self.track, self.points, motion.position - self.caught_up)
-        fitting = np.isfinite(self.chainage)
-        if np.count_nonzero(fitting) < LEAST_CALIBRATED:
-            return motion
-        across = self._smoothed(np.where(fitting, aside, np.nan), 0.0)
-        rows = np.flatnonzero(fitting & (motion.speed > MOVING))
-        rows = rows if rows.size >= LEAST_CALIBRATED else np.flatnonzero(fitting)
-        return replace(
-            motion,
-            position_std=_widened(across.position[rows], motion.position_std, rows, self.misfit),
-            speed_std=_widened(across.speed[rows], motion.speed_std, rows, 0.0),
-        )
-
     def _smoothed(
         self,
         along: FloatArray | None = None,
-        factor: float = 1.0,
         rows: IntArray | slice = slice(None),
     ) -> SmoothedMotion:
-        """The motion by the chainage, or by other positions and the speeds times a factor."""
+        """The motion by the chainage, or by other positions of some rows."""
         fixes, noise, speeds = self.fixes, self.position_noise, self.speed_noise
         white = np.maximum(noise.white, SMALLEST_NOISE[0]) * np.sqrt(self.position_count)
         speed = np.where(self.judged, np.nan, fixes.speed)
@@ -653,13 +629,13 @@ class OnLine:
         wheels, wheel_std = fixes.wheel_speed, fixes.wheel_speed_std
         if wheels is not None and wheel_std is not None:
             step = float(np.median(np.diff(fixes.seconds[np.isfinite(wheels)])))
-            wheels = (np.where(self.slipping, np.nan, wheels) * factor)[rows]
+            wheels = np.where(self.slipping, np.nan, wheels)[rows]
             # White noise of this size carries as much, taken together, as errors that last.
             wheel_std = (wheel_std * np.sqrt(max(1.0, 2.0 * WHEEL_TIME / step)))[rows]
         lasting = np.hypot(self.unsure * noise.lasting * self.relative, self.late_std)
         return smooth_motion(
             fixes.seconds[rows],
-            speed[rows] * factor,
+            speed[rows],
             speed_white[rows],
             self.chainage[rows] if along is None else along,
             np.hypot(white * self.relative, self.along_std)[rows],
@@ -739,14 +715,6 @@ def _apart(seconds: FloatArray, measured: BoolArray) -> FloatArray:
     after = np.searchsorted(at, np.arange(seconds.size))
     later = seconds[at[np.minimum(after, at.size - 1)]]
     return np.asarray(later - seconds[at[np.maximum(after - 1, 0)]])
-
-
-def _widened(error: FloatArray, std: FloatArray, rows: IntArray, besides: float) -> FloatArray:
-    """Standard deviations that hold 95 % of the errors in the given rows; never smaller ones."""
-    stated = np.hypot(std[rows], besides)
-    factor = float(np.quantile(np.abs(error) / stated, 0.95)) / 1.96
-    more = max(factor**2 - 1.0, 0.0) * float(np.median(stated)) ** 2
-    return np.asarray(np.sqrt(std**2 + more))
 
 
 def _relative_accuracy(stated: FloatArray, aside: FloatArray) -> FloatArray:

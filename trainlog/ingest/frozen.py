@@ -74,9 +74,6 @@ USUAL_FIX_STD = 3.0
 STAYED, FIX_STAYED = 15.0, 30.0
 """Distance [m] from which on a position, or a fix, must have changed."""
 
-LEAPT, LEAPING = 100.0, 60.0
-"""Distance [m] and speed [m/s] of the jump by which a frozen fix shows without a speed."""
-
 
 LEAST_FITTED = 30
 """Windows that it takes to know how efforts accelerate the train."""
@@ -384,28 +381,15 @@ class _Motion:
         first, beyond = self.windows(name)
         least = (STAYED if name == POSITION else FIX_STAYED) + 3.0 * runs.step
         driven = np.zeros(runs.value.size)
-        doubtful = np.zeros(runs.value.size)
-        speeds = {other: pace for other, pace in self.paces().items() if is_speed(other)}
-        for other, pace in speeds.items():
-            resting = np.zeros(pace.size, dtype=np.bool_)
-            if other in self.runs:
-                resting = self._covered(other, self.runs[other].value != 0.0, pace.size)
-            for live in (True, False):
-                usable = (pace > MOVING) & ~self.excluded[other] & (resting != live)
+        for other, pace in self.paces().items():
+            if is_speed(other):
+                resting = np.zeros(pace.size, dtype=np.bool_)
+                if other in self.runs:
+                    resting = self._covered(other, self.runs[other].value != 0.0, pace.size)
+                usable = (pace > MOVING) & ~self.excluded[other] & ~resting
                 total = np.concatenate(([0.0], np.cumsum(np.where(usable, pace * WINDOW, 0.0))))
-                gained = total[beyond] - total[first]
-                if live:
-                    driven = np.maximum(driven, gained)
-                else:
-                    doubtful = np.maximum(doubtful, gained)
-        jumped = np.nan_to_num(runs.after)
-        stayed = driven > least
-        stayed |= (doubtful > least) & (jumped > np.maximum(least, 0.5 * doubtful))
-        if not speeds and name == LATITUDE:
-            following = np.minimum(runs.last + 1, self.seconds.size - 1)
-            took = self.seconds[following] - self.seconds[runs.last]
-            stayed |= (jumped > LEAPT + LEAPING * took) & (runs.usual_repeats <= 2.0)
-        return stayed
+                driven = np.maximum(driven, total[beyond] - total[first])
+        return driven > least
 
     def contradicted(self, name: str) -> BoolArray:
         """Which runs of a speed the other columns contradict, or nothing confirms."""

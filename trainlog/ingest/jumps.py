@@ -1,10 +1,10 @@
 """Values that jump: spikes, places that no train gets to, counters that lose their distance.
 
 A spike is a piece of a column that nothing can have jumped to and back from. A counter is known
-from the distance that it loses: all of it, when it starts anew; a power of ten or 2^16 of its
-steps, or the same distance every time, when it wraps; and whole stretches between two stops, when
-it counts down because the train has turned. Other steps stay and are reported: the chainage of
-another line, a balise, a wheel diameter that was set.
+from the distance that it loses: all of it, or the same distance every time, when it starts anew or
+wraps; and whole stretches between two stops, when it counts down because the train has turned.
+Other steps stay and are reported: the chainage of another line, a balise, a wheel diameter that was
+set.
 """
 
 from __future__ import annotations
@@ -64,27 +64,6 @@ LARGEST_USUAL = 50.0
 
 SPEED_MARGIN, FASTER = 1.2, 10.0
 """How much faster than the recorded speed positions may move, as a factor and beyond it [m/s]."""
-
-MOST_JUMPS = 0.02
-"""Share of steps between positions beyond which it is the recorded speed that is doubted."""
-
-POOR = 3.0
-"""Ratio to the usual accuracy from which on a fix is compared with those around it."""
-
-TURNING = 2.0
-"""Acceleration [m/s²], along and across, by which a train departs from a straight line."""
-
-LONGEST_BETWEEN = 60.0
-"""Time [s] between two good fixes beyond which they do not say where one between them is."""
-
-WRAPS = (1e3, 1e4, 1e5, 1e6)
-"""Distances [m] at which counters of whole kilometres wrap."""
-
-BITS = (8, 12, 16, 20, 24)
-"""Bits of counters that wrap at a power of two of their steps."""
-
-NEAR = 0.02
-"""Share of the distance lost by which it may differ from that of a known counter."""
 
 UNSURE, UNSTEADY = 0.3, 2.0
 """By how much a step may differ from what was driven: as a share of it, and a second [m]."""
@@ -212,8 +191,7 @@ def leaping_fixes(table: Table, limits: Limits, seconds: FloatArray) -> BoolArra
     """Which satellite positions the train cannot have been at.
 
     The recorded speed bounds how far it gets from one to the next, else the largest speed that
-    `limits` allow. A fix whose own accuracy is stated to be much worse than usual is compared with
-    the good ones around it as well.
+    `limits` allow.
     """
     places = plane(table)
     if places is None:
@@ -224,12 +202,7 @@ def leaping_fixes(table: Table, limits: Limits, seconds: FloatArray) -> BoolArra
     usual = min(float(np.median(known)), LARGEST_USUAL) if known.size else FIX_STD
     tolerance = FIX_TOLERANCE + FIX_STDS * usual
     fastest = limits.of(GNSS_SPEED).high
-    rate = _fastest(table, seconds, fastest)
-    leaps = spikes(seconds, places, rate, tolerance)
-    if np.count_nonzero(leaps) > MOST_JUMPS * np.count_nonzero(np.isfinite(places)):
-        leaps = spikes(seconds, places, fastest, tolerance)
-    poor = np.isfinite(places) & (stated > POOR * usual) & ~leaps
-    return leaps | _beside(seconds, places, poor, np.isfinite(places) & ~leaps & ~poor, tolerance)
+    return spikes(seconds, places, _fastest(table, seconds, fastest), tolerance)
 
 
 def _fastest(table: Table, seconds: FloatArray, most: float) -> FloatArray:
@@ -245,30 +218,6 @@ def _fastest(table: Table, seconds: FloatArray, most: float) -> FloatArray:
     return np.minimum(np.interp(seconds, at, bound), most)
 
 
-def _beside(
-    seconds: FloatArray,
-    places: ComplexArray,
-    poor: BoolArray,
-    good: BoolArray,
-    tolerance: float,
-) -> BoolArray:
-    """Which of the poor fixes are further from the way between the good ones than a train gets."""
-    beside = np.zeros(places.size, dtype=np.bool_)
-    asked, known = np.flatnonzero(poor), np.flatnonzero(good)
-    after = np.searchsorted(known, asked)
-    between = (after > 0) & (after < known.size)
-    asked, after = asked[between], after[between]
-    if not asked.size:
-        return beside
-    a, b = known[after - 1], known[after]
-    since, until = seconds[asked] - seconds[a], seconds[b] - seconds[asked]
-    there = (places[a] * until + places[b] * since) / (since + until)
-    allowed = tolerance + 0.5 * TURNING * since * until
-    far = np.abs(places[asked] - there) > allowed
-    beside[asked] = far & (since + until <= LONGEST_BETWEEN)
-    return beside
-
-
 # ------------------------------------------------------------------ counters
 
 
@@ -282,11 +231,9 @@ class _Counter:
     step : (n - 1,) array [m]
         From each sample to the next.
     driven : (n - 1,) array [m]
-        As the speed gives it; NaN where it is not known.
+        As the speed gives it; NaN where it is not known, and over gaps.
     expected : (n - 1,) array [m]
-        The same or, without a speed, by the steps around; 0 over gaps.
-    late : (n - 1,) bool array
-        Steps over gaps.
+        The same, over gaps too; without a speed by the steps around, and 0 over gaps.
     tolerance : (n - 1,) array [m]
         By which the two may differ.
     """
@@ -296,7 +243,6 @@ class _Counter:
     step: FloatArray
     driven: FloatArray
     expected: FloatArray
-    late: BoolArray
     tolerance: FloatArray
 
     @property
@@ -315,9 +261,10 @@ def unwrap_counters(table: Table, limits: Limits) -> Result:
         return table, []
     counter = _counter(table, position, known, limits)
     gained = np.flatnonzero((counter.step - counter.expected) > counter.tolerance)
-    back, words = _losses(counter, counter.lost, gained)
+    back = _losses(counter, gained)
+    words = [f"{back.size} times started anew or wrapped"] if back.size else []
     step = counter.step.copy()
-    step[back] = _went_on(counter, back)
+    step[back] = counter.expected[back]
     down = _counting_down(counter, step)
     if down.any():
         step = np.where(down, -step, step)
@@ -360,37 +307,24 @@ def _counter(table: Table, position: FloatArray, known: BoolArray, limits: Limit
     else:
         expected = median_filter(np.abs(step) / np.maximum(took, 1e-9), STEADY) * took
     late = took > gap_threshold(table.time, limits)
-    driven[late] = np.nan
-    expected = np.where(late, 0.0, expected if recorded is None else np.nan_to_num(driven))
+    expected = np.where(late, 0.0, expected) if recorded is None else np.nan_to_num(driven)
+    driven = np.where(late, np.nan, driven)
     reach = tolerance + rate * took
     sure = tolerance + UNSURE * driven + UNSTEADY * took
     reach = np.where(np.isfinite(driven), np.minimum(sure, reach), reach)
-    return _Counter(seconds, column, step, driven, expected, late, reach)
+    return _Counter(seconds, column, step, driven, expected, reach)
 
 
-def _losses(counter: _Counter, lost: IntArray, gained: IntArray) -> tuple[IntArray, list[str]]:
-    """The steps at which a counter started anew or wrapped, and how many of which there are."""
-    lost = np.array([place for place in lost if _stays(counter, int(place), gained)], np.int64)
-    if not lost.size:
-        return lost, []
-    loss = counter.expected[lost] - counter.step[lost]
-    slack = counter.tolerance[lost] + NEAR * loss
-    modulus = _modulus(counter, lost, loss)
-    begins = np.abs(counter.position[lost + 1]) <= counter.tolerance[lost]
-    anew = begins & np.isnan(modulus) & (loss > LEAST_LOST)
-    same = np.abs(loss[:, None] - loss[None, :]) <= np.minimum(slack[:, None], slack[None, :])
-    often = (same.sum(axis=1) >= 2) & (loss > LEAST_LOST) & np.isnan(modulus)
-    # Of losses of any size those that are alike, and leave a counter at its lowest, are wraps.
-    lowest = counter.position[lost + 1] <= np.min(counter.position) + 2.0 * counter.tolerance[lost]
-    often &= lowest
-    wraps = np.isfinite(modulus) | (often & ~anew)
-    words = []
-    if wraps.any():
-        size = np.where(np.isfinite(modulus), modulus, loss)[wraps]
-        words.append(f"{np.count_nonzero(wraps)} times wrapped at {np.median(size):.6g} m")
-    if anew.any():
-        words.append(f"{np.count_nonzero(anew)} times started anew")
-    return lost[wraps | anew], words
+def _losses(counter: _Counter, gained: IntArray) -> IntArray:
+    """The steps at which a counter fell to 0, or by the same distance each time to its lowest."""
+    lost = [place for place in counter.lost if _stays(counter, int(place), gained)]
+    at = np.array(lost, dtype=np.int64)
+    loss = counter.expected[at] - counter.step[at]
+    at, loss = at[loss > LEAST_LOST], loss[loss > LEAST_LOST]
+    after, slack = counter.position[at + 1], counter.tolerance[at]
+    alike = np.abs(loss[:, None] - loss[None, :]) <= np.minimum(slack[:, None], slack[None, :])
+    lowest = after <= np.min(counter.position) + 2.0 * slack
+    return at[(np.abs(after) <= slack) | (lowest & (alike.sum(axis=1) >= 2))]
 
 
 def _stays(counter: _Counter, place: int, gained: IntArray) -> bool:
@@ -401,41 +335,6 @@ def _stays(counter: _Counter, place: int, gained: IntArray) -> bool:
     soon = gained[np.abs(counter.seconds[gained] - counter.seconds[place]) <= RETURNING]
     back = np.abs(counter.step[soon] - loss) <= np.maximum(counter.tolerance[soon], 0.1 * loss)
     return not bool(back.any())
-
-
-def _modulus(counter: _Counter, lost: IntArray, loss: FloatArray) -> FloatArray:
-    """The distance at which a known counter wraps, where that was lost; else NaN."""
-    size = np.abs(counter.step[counter.step != 0.0])
-    unit = float(np.min(size)) if size.size else 1.0
-    # Steps of decimal digits, whatever the last bits of their differences are.
-    unit = 10.0 ** np.floor(np.log10(unit) + 1e-6) if unit > 0.0 else 1.0
-    known = np.array([*WRAPS, *(2.0**bits * unit * f for bits in BITS for f in (1.0, 10.0))])
-    known = known[known > LEAST_LOST]
-    nearest = np.argmin(np.abs(loss[:, None] - known[None, :]), axis=1)
-    # It wrapped as far on as the train went meanwhile; at a standstill nothing wraps.
-    late, went = counter.late[lost], counter.expected[lost]
-    allowed = np.where(late, counter.tolerance[lost], 2.0 * unit + UNSURE * went)
-    allowed = np.minimum(allowed, NEAR * loss)
-    # The counter was close to its end, or is at its beginning; or it counts from -half to half.
-    before, after = counter.position[lost], counter.position[lost + 1]
-    end = known[nearest]
-    near = counter.tolerance[lost]
-    plausible = (np.abs(before - end) <= near) | (np.abs(before - 0.5 * end) <= near)
-    plausible &= (np.abs(after) <= near) | (np.abs(after + 0.5 * end) <= near)
-    fits = plausible & (np.abs(loss - end) <= allowed) & (late | (went > 0.0))
-    return np.where(fits, end, np.nan)
-
-
-def _went_on(counter: _Counter, back: IntArray) -> FloatArray:
-    """How far the train went where its counter lost the distance."""
-    if not back.size:
-        return np.zeros(0)
-    loss = counter.expected[back] - counter.step[back]
-    modulus = _modulus(counter, back, loss)
-    exact = counter.step[back] + modulus
-    usable = np.isfinite(exact) & (exact >= -1e-6)
-    # Without a modulus the speed says how far; the last bits are those of the counter's steps.
-    return np.where(usable, np.maximum(exact, 0.0), counter.expected[back])
 
 
 def _counting_down(counter: _Counter, step: FloatArray) -> BoolArray:
