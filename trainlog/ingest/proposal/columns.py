@@ -102,7 +102,7 @@ def effort_signs(work: Work, speed: str | None) -> None:
             _add_braking(work, target, braking, other)
     driving = main or both
     if driving is not None:
-        _add_driving(work, driving, speed, known_as_traction=main is not None)
+        _add_driving(work, driving, speed)
 
 
 def _add_braking(work: Work, target: str, name: str, other: str) -> None:
@@ -120,7 +120,7 @@ def _add_braking(work: Work, target: str, name: str, other: str) -> None:
     work.place(target, (name,), "", sign=sign, why=f"braking is {shown}", alternative=other)
 
 
-def _add_driving(work: Work, name: str, speed: str | None, *, known_as_traction: bool) -> None:
+def _add_driving(work: Work, name: str, speed: str | None) -> None:
     """An effort that drives the train, and perhaps brakes it, too."""
     values = work.numbers[name]
     signs = _signs(values)
@@ -145,19 +145,11 @@ def _add_driving(work: Work, name: str, speed: str | None, *, known_as_traction:
         return
     negative = signs.negative > signs.positive
     drives = correlation * (-1.0 if negative else 1.0) > -0.3
+    # A traction that is negative where it drives is written with the sign turned.
+    why = "traction only, negative: sign -1" if negative else "traction only"
+    other = "" if drives else "braking: the train slows down with it"
     sign: Literal[1, -1] = -1 if negative else 1
-    if drives or known_as_traction:
-        # A traction that is negative where it drives is written with the sign turned.
-        why = "traction only, negative: sign -1" if negative else "traction only"
-        other = "" if drives else "braking: the train slows down with it"
-        work.place(roles.TRACTION, (name,), "", sign=sign, why=why, alternative=other)
-        return
-    target = roles.DYNAMIC if roles.DYNAMIC not in work.proposed else roles.PNEUMATIC
-    if target in work.proposed:
-        work.left[name] = "a further braking effort"
-        return
-    why = "the train slows down with it, so it brakes"
-    work.place(target, (name,), "", sign=sign, why=why, alternative="the friction brakes'")
+    work.place(roles.TRACTION, (name,), "", sign=sign, why=why, alternative=other)
 
 
 EFFORTS = {roles.TRACTION: 1.0, roles.DYNAMIC: -1.0, roles.PNEUMATIC: -1.0}
@@ -226,96 +218,28 @@ def add_efforts(work: Work, answer: Answer, stated: Units) -> None:
         )
 
 
-def place_demands(work: Work) -> None:
-    """Efforts asked for: in their stated unit, or that of the efforts."""
+def place_other_efforts(work: Work) -> None:
+    """Efforts asked for and those of axles: in their stated unit, or that of the efforts."""
     main = work.proposed.get(roles.TRACTION) or work.proposed.get(roles.DYNAMIC)
-    for target in (roles.TRACTION_DEMAND, roles.BRAKING_DEMAND):
-        name = work.first(target)
-        if name is None:
+    for target in (roles.TRACTION_DEMAND, roles.BRAKING_DEMAND, roles.WHEEL_EFFORT):
+        axles = target == roles.WHEEL_EFFORT
+        first = None if axles else work.first(target)
+        names = tuple(work.names.get(target, ())) if axles else (first,) if first else ()
+        if not names:
             continue
-        stated = work.stated(name, "force")
+        stated = work.stated(names[0], "force")
         unit = stated or (main.unit if main else "")
-        signs = _signs(work.numbers[name])
-        if not unit or work.meanings[name].unit == "%" or signs.both:
-            work.left[name] = "an effort asked for, without a unit, in per cent, or of both signs"
+        signs = _signs(np.concatenate([work.numbers[name] for name in names]))
+        if not unit or work.meanings[names[0]].unit == "%" or (signs.both and not axles):
+            why = "a further effort, without a unit, in per cent, or of both signs"
+            work.left |= dict.fromkeys(names, why)
             continue
         why = "the file states it" if stated else "the unit of the effort"
+        negative = signs.negative > signs.positive and not axles
         work.place(
-            target, (name,), unit, sign=-1 if signs.negative > signs.positive else 1, why=why,
+            target, names, unit, sign=-1 if negative else 1, why=why,
             alternative="" if stated else "another unit"
         )  # fmt: skip
-
-
-def _net_newtons(work: Work, *, powered: bool) -> FloatArray | None:
-    """The proposed efforts together [N]; `powered`: without the friction brakes."""
-    total = np.zeros(work.motion.order.size)
-    if roles.TRACTION not in work.proposed:
-        return None
-    for target, sign in EFFORTS.items():
-        if target in work.proposed and not (powered and target == roles.PNEUMATIC):
-            each = work.proposed[target]
-            total += sign * factor(each.unit, "N")[0] * np.nan_to_num(_part(work, each))
-    return total
-
-
-def place_wheel_efforts(work: Work, names: tuple[str, ...]) -> None:
-    """Propose the efforts of the axles: their sum is the train's without the friction brakes."""
-    total = np.nansum([work.numbers[name] for name in names], axis=0)
-    stated = work.stated(names[0], "force")
-    net = _net_newtons(work, powered=True)
-    check, other, unit, sign = "", "", stated, 1
-    if net is not None:
-        strong = np.abs(net) > 0.3 * np.max(np.abs(net))
-        fit = float(np.sum(net[strong] * total[strong]) / max(np.sum(total[strong] ** 2), 1e-9))
-        close = {
-            each: abs(np.log(max(abs(fit), 1e-12) / factor(each, "N")[0]))
-            for each in ("N", "kN", "daN")
-        }
-        best = min(close, key=lambda each: close[each])
-        sign = -1 if fit < 0.0 else 1
-        share = abs(fit) / factor(stated or best, "N")[0]
-        check = f"the train's effort is {share:.2f} times their sum"
-        if not stated:
-            unit = best if close[best] < 1.1 else ""
-        if unit and abs(np.log(max(share, 1e-9))) > 0.3:
-            other = "not all powered axles, or another unit"
-    elif work.speed is not None:
-        driven = driven_mass(work.motion.seconds, total, work.speed)
-        mass = {each: driven.mass * factor(each, "N")[0] for each in ("kN", "N")}
-        likely = [each for each, value in mass.items() if 1.5e4 < abs(value) < 4e6]
-        unit = stated or (likely[0] if driven.decides and likely else "")
-        if unit and driven.decides:
-            sign = -1 if driven.correlation < 0.0 else 1
-            check = f"their sum accelerates {abs(driven.mass) * factor(unit, 'N')[0] / 1e3:.0f} t"
-    if not unit:
-        work.left |= dict.fromkeys(
-            names, "efforts of axles without a unit, and nothing to find it from"
-        )
-        return
-    why = "the file states the unit" if stated else "the unit follows from the train's effort"
-    work.place(
-        roles.WHEEL_EFFORT, names, unit, sign=-1 if sign < 0 else 1, why=why, check=check,
-        alternative=other
-    )  # fmt: skip
-
-
-def place_torques(work: Work, names: tuple[str, ...]) -> None:
-    """Torques as wheel efforts: by the factor that makes their sum the train's effort."""
-    net = _net_newtons(work, powered=True)
-    if net is None:
-        work.left |= dict.fromkeys(names, "a torque, and no effort to find its lever arm from")
-        return
-    total = np.nansum([work.numbers[name] for name in names], axis=0)
-    ratio = same_motion(np.abs(net), np.abs(total))
-    if ratio.windows < 20 or ratio.agreement < 0.7:
-        work.left |= dict.fromkeys(names, "a torque that does not follow the train's effort")
-        return
-    work.place(
-        roles.WHEEL_EFFORT, names, "N", float(f"{ratio.value:.5g}"),
-        why="torques, scaled by the train's effort",
-        check=f"the effort is {ratio.value:.4g} N a unit in {ratio.agreement:.0%} of samples",
-        alternative="not all powered axles are recorded"
-    )  # fmt: skip
 
 
 USUAL_SPEEDS = ("km/h", "m/s", "mph", "knot")
@@ -383,18 +307,10 @@ def _speed_unit(work: Work, name: str, ratio: Ratio) -> tuple[str, str, str]:
 
 
 def place_wheels(work: Work) -> None:
-    """Speeds and efforts of the axles."""
+    """Speeds of the axles."""
     names = work.names.get(roles.WHEEL_SPEED, [])
     if names:
         _wheel_speeds(work, tuple(names))
-    names = work.names.get(roles.WHEEL_EFFORT, [])
-    if names:
-        place_wheel_efforts(work, tuple(names))
-    names = work.names.get(roles.TORQUE, [])
-    if names and roles.WHEEL_EFFORT in work.proposed:
-        work.left |= dict.fromkeys(names, "a torque beside the axles' efforts")
-    elif names:
-        place_torques(work, tuple(names))
 
 
 def _wheel_speeds(work: Work, names: tuple[str, ...]) -> None:
@@ -489,7 +405,7 @@ def place_rest(work: Work) -> None:
     """Fields that only their name and unit speak for."""
     done = {
         roles.POSITION, roles.SPEED, roles.GNSS_SPEED, roles.LATITUDE, roles.LONGITUDE,
-        roles.LEVER, roles.WHEEL_SPEED, roles.WHEEL_EFFORT, roles.TORQUE, roles.SIGNED,
+        roles.LEVER, roles.WHEEL_SPEED, roles.WHEEL_EFFORT, roles.SIGNED,
         roles.BRAKING, roles.TRACTION_DEMAND, roles.BRAKING_DEMAND, "/environment.speed_limit",
         *EFFORTS,
     }  # fmt: skip
@@ -657,7 +573,7 @@ def columns_of(
     place_speeds(work)
     place_wheels(work)
     place_lever(work)
-    place_demands(work)
+    place_other_efforts(work)
     place_rest(work)
     work.trips = facts_of(work)
     keep_others(work)
@@ -890,7 +806,7 @@ def _add_speed(
 ) -> None:
     vehicle = {
         roles.POSITION, roles.LEVER, roles.TRACTION, roles.SIGNED, roles.BRAKING, roles.DYNAMIC,
-        roles.WHEEL_SPEED, roles.WHEEL_EFFORT, roles.TORQUE, roles.ACCELERATION,
+        roles.WHEEL_SPEED, roles.WHEEL_EFFORT, roles.ACCELERATION,
     }  # fmt: skip
     target, other = roles.SPEED, ""
     if roles.SPEED not in work.names:

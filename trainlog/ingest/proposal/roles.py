@@ -30,9 +30,6 @@ SIGNED = "effort of both signs"
 BRAKING = "braking effort"
 """Role of a column of braking efforts that does not say of which brake."""
 
-TORQUE = "torque of an axle"
-"""Role of a column that becomes a wheel effort by a factor that only the efforts give."""
-
 _UNPLACED = {
     "temperature": f"{NO_FIELD} a temperature, not stated to be the outside air's",
     "wind": "a wind, not stated to be along the train",
@@ -58,7 +55,7 @@ _RULES: tuple[tuple[str, str, str, str | None, str], ...] = (
     ("distance", "remaining", "", None, "a distance that is left, whose end is not known"),
     ("distance", "", "", POSITION, ""),
     ("lever", "", "", LEVER, ""),
-    ("torque", "", "", TORQUE, ""),
+    ("torque", "", "", None, "a torque: the lever arm is not known"),
     ("effort", "limit", "", None, "the effort that is available, not the one applied"),
     ("effort", "demand wheel", "", None, "an effort that is asked for"),
     ("effort", "demand brake traction", "", None, "an effort that is asked for"),
@@ -141,7 +138,7 @@ def roles_of(meanings: dict[str, Meaning]) -> tuple[dict[str, list[str]], dict[s
         else:
             found.setdefault(role, []).append(name)
     for role, names in found.items():
-        if role in (WHEEL_SPEED, WHEEL_EFFORT, TORQUE):
+        if role in (WHEEL_SPEED, WHEEL_EFFORT):
             names.sort(key=lambda name: meanings[name].index or 0)
         else:
             names.sort(key=lambda name: -meanings[name].coverage)
