@@ -92,12 +92,6 @@ OLDEST = 12.0
 REPLAYED = 3
 """Age [s] from which on a fix of a receiver that is not late throughout is an old one."""
 
-ELSEWHERE = 50.0
-"""Misfit of line and fixes [m] from which on places along the line show nothing of a receiver."""
-
-BEHIND = 4_000.0
-"""Distance [m] behind the train at which old fixes are looked for."""
-
 TURNS = 5
 """Times the fixes are projected and the motion is smoothed."""
 
@@ -164,6 +158,8 @@ class OnLine:
     ----------
     chainage : (n,) array [m]
         NaN where there is none.
+    aside, judged : (n,) bool array
+        Satellite speeds that are not used, by what was known before the motion and by the motion.
     computed : (n,) bool array
         Fixes that the receiver did not measure then: extrapolated, held or replayed ones.
     misplaced : (n,) bool array
@@ -242,11 +238,6 @@ class OnLine:
         return np.asarray(np.isfinite(self.points) & ~np.isfinite(self.chainage))
 
     @property
-    def contradicted(self) -> BoolArray:
-        """Satellite speeds that are not used, (n,)."""
-        return self.aside | self.judged
-
-    @property
     def reasons(self) -> str:
         """Why speeds are not used, in words."""
         counts = self.reasons_aside.copy()
@@ -294,7 +285,7 @@ class OnLine:
         if judged:
             self._put_speeds_back(chainage)
             if self.gated and np.isfinite(driven.distance).all():
-                chainage = self._judge_fixes(chainage, aside, course, std)
+                chainage = self._judge_fixes(chainage, std)
                 course = self._course(chainage)
         aside = np.where(np.isfinite(chainage), aside, np.nan)
         spread = robust_std(aside[~np.isnan(aside)])
@@ -338,22 +329,13 @@ class OnLine:
             inside = (at <= seconds[known[-1]]) & whole & np.isfinite(used)
             self.fixes = replace(self.fixes, speed=np.where(inside, put_back, np.nan))
 
-    def _judge_fixes(
-        self, chainage: FloatArray, aside: FloatArray, course: FloatArray, std: FloatArray
-    ) -> FloatArray:
+    def _judge_fixes(self, chainage: FloatArray, std: FloatArray) -> FloatArray:
         """Where the train was when each fix came [m]; NaN for old and wrong ones.
 
         By the speeds; those of a receiver that is late throughout are brought forward.
         """
         seconds = self.fixes.seconds
         driven = distance_driven(self.fixes, slip_aware=self.slip_aware)
-        if self.misfit > ELSEWHERE:
-            # Places on another line show nothing of the receiver.
-            return chainage
-        # An old place is a place of the track far behind the train.
-        behind = (np.abs(aside) > 3.0 * std) & (self.apart < 3.0 * std)
-        behind &= (self.near < course) & (self.near > course - BEHIND)
-        chainage = np.where(behind, self.near, chainage)
         pace, known = self.fixes.any_speed, np.isfinite(self.fixes.any_speed)
         pace = np.interp(seconds, seconds[known], pace[known])
         step = np.diff(seconds[known], prepend=seconds[known][0])
@@ -892,7 +874,12 @@ def _findings(fixes: Fixes, matched: OnLine) -> tuple[Finding, ...]:
     # A delay of fixes and speeds together concerns every speed.
     late = np.isfinite(fixes.speed) & (matched.common_delay.value > 0.0)
     counts = (
-        ("contradicted", matched.contradicted | late, "/gnss/motion.speed", matched.reasons),
+        (
+            "contradicted",
+            matched.aside | matched.judged | late,
+            "/gnss/motion.speed",
+            matched.reasons,
+        ),
         ("off_line", matched.rejected | matched.computed, "/gnss/fix", computed),
         ("slip", matched.slipping, "/train/state.speed", ""),
         (

@@ -374,7 +374,7 @@ def _seconds(table: Table) -> tuple[IntArray, list[tuple[int, float]]]:
             size, sure = _set_by(rows, motion, place)
             if sure:
                 level[place + 1 :] += size
-            elif size:
+            elif abs(size) > 1.5 * rows.period:  # else a row is lost, or one too many
                 undecided.append((place, size))
     return np.round(level * NANOSECONDS).astype(np.int64), undecided
 
@@ -491,11 +491,11 @@ class _Motion:
         driven = cumulative_trapezoid(speed[known], time[known], initial=0.0)
         driven = np.interp(time[nodes], time[known], driven)
         along = places[nodes].real if signed else _along(places[nodes], broken[nodes], time[nodes])
-        # Distance over the integral of the speed, the median over 20 s.
-        later = np.minimum(np.searchsorted(time[nodes], time[nodes] + WINDOWS[-1]), nodes.size - 1)
+        # Distance over the integral of the speed, the median over up to 20 s without a step.
+        last = np.searchsorted(broken[nodes], broken[nodes], side="right") - 1
+        later = np.minimum(np.searchsorted(time[nodes], time[nodes] + WINDOWS[-1]), last)
         by_speed = driven[later] - driven
-        moving = (broken[nodes][later] == broken[nodes]) & (by_speed > WINDOWS[-1] * MOVING)
-        found = agreement(along[later] - along, by_speed, moving)
+        found = agreement(along[later] - along, by_speed, by_speed > WINDOWS[-1] * MOVING)
         if found is None:
             return None
         motion = cls(

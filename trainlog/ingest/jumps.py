@@ -324,7 +324,7 @@ def _losses(counter: _Counter, gained: IntArray) -> IntArray:
     after, slack = counter.position[at + 1], counter.tolerance[at]
     alike = np.abs(loss[:, None] - loss[None, :]) <= np.minimum(slack[:, None], slack[None, :])
     lowest = after <= np.min(counter.position) + 2.0 * slack
-    return at[(np.abs(after) <= slack) | (lowest & (alike.sum(axis=1) >= 2))]
+    return np.asarray(at[(np.abs(after) <= slack) | (lowest & (alike.sum(axis=1) >= 2))])
 
 
 def _stays(counter: _Counter, place: int, gained: IntArray) -> bool:
