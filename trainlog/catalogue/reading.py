@@ -18,10 +18,9 @@ from trainlog.errors import InputError, LogError, TrainlogError
 from trainlog.formats.files import sha256_of
 from trainlog.formats.railway import line_from_bytes
 from trainlog.identity import COLUMNS, TripIdentity, identity_of
-from trainlog.mcap.contents import Contents, MisplacedError, contents_used
+from trainlog.mcap.contents import Contents, MisplacedError, check_data_section, contents_used
 from trainlog.mcap.reader import (
     bare_trip,
-    check_data_section,
     check_readable,
     position_span,
 )

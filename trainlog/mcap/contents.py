@@ -10,12 +10,14 @@ attachments.
 from __future__ import annotations
 
 import struct
+import warnings
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -25,7 +27,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from trainlog.errors import LogError
 from trainlog.formats.files import LOOKED_AT, mistaken_log
-from trainlog.mcap.account import NOT_CLOSED, Account, Loss, Unfinished
+from trainlog.mcap.account import NOT_CLOSED, Account, DamageWarning, Loss, Unfinished
 from trainlog.mcap.records import (
     DECLARATIONS,
     KINDS,
@@ -523,6 +525,31 @@ def contents_used(source: Source, use: Callable[[Contents], _T]) -> tuple[Conten
     except MisplacedError:
         contents = scanned(source)
         return contents, use(contents)
+
+
+def check_data_section(source: Source, contents: Contents) -> None:
+    """Verify what is outside of the chunks and attachments, each of which has its own checksum.
+
+    Raises
+    ------
+    MisplacedError
+        If it fails, or an attachment has, and the contents were found by the summary; a scan
+        finds more.
+    """
+    if contents.data_section is None or not contents.indexed:
+        return
+    if contents.losses:
+        raise MisplacedError(contents.losses[0].reason, place=f"byte {contents.losses[0].start}")
+    end, expected = contents.data_section
+    if expected and checksum_of(source, 0, end) != expected:
+        raise MisplacedError("the data section fails its checksum", place=f"byte {end}")
+
+
+def report_losses(path: str | Path, contents: Contents) -> None:
+    """Warn of what is lost of a file with a `DamageWarning` at the line that called trainlog."""
+    if contents.losses:
+        # From here over the public function to its caller.
+        warnings.warn(DamageWarning(str(path), contents.account), stacklevel=3)
 
 
 def checksum_holds(source: Source, contents: Contents) -> bool:

@@ -34,8 +34,14 @@ from trainlog.arrays import IntArray
 from trainlog.errors import LogError
 from trainlog.extras import load
 from trainlog.mcap.account import Account
-from trainlog.mcap.contents import Contents, MisplacedError, contents_used, fetched
-from trainlog.mcap.reader import check_data_section, report_losses
+from trainlog.mcap.contents import (
+    Contents,
+    MisplacedError,
+    check_data_section,
+    contents_used,
+    fetched,
+    report_losses,
+)
 from trainlog.mcap.records import (
     MESSAGE,
     RECORD_HEAD,

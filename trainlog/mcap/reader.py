@@ -30,9 +30,10 @@ from trainlog.mcap.contents import (
     Contents,
     MisplacedError,
     attachment_data,
-    checksum_of,
+    check_data_section,
     contents_of,
     contents_used,
+    report_losses,
     scanned,
 )
 from trainlog.mcap.records import (
@@ -230,13 +231,6 @@ def identity_of_log(path: str | Path) -> TripIdentity | None:
 # ------------------------------------------------------------------------------- the file's part
 
 
-def report_losses(path: str | Path, contents: Contents) -> None:
-    """Warn of what is lost of a file with a `DamageWarning` at the line that called trainlog."""
-    if contents.losses:
-        # From here over the public function to its caller.
-        warnings.warn(DamageWarning(str(path), contents.account), stacklevel=3)
-
-
 def with_losses(trip: Trip, contents: Contents) -> Trip:
     """The trip, its provenance saying what of its file is lost, if anything is."""
     if not contents.losses:
@@ -261,24 +255,6 @@ def bare_trip(source: Source, contents: Contents) -> Trip:
         provenance=_provenance(metadata, contents),
         attachments={place.name: data for place, data in attachments_of(source, contents)},
     )
-
-
-def check_data_section(source: Source, contents: Contents) -> None:
-    """Verify what is outside of the chunks and attachments, each of which has its own checksum.
-
-    Raises
-    ------
-    MisplacedError
-        If it fails, or an attachment has, and the contents were found by the summary; a scan
-        finds more.
-    """
-    if contents.data_section is None or not contents.indexed:
-        return
-    if contents.losses:
-        raise MisplacedError(contents.losses[0].reason, place=f"byte {contents.losses[0].start}")
-    end, expected = contents.data_section
-    if expected and checksum_of(source, 0, end) != expected:
-        raise MisplacedError("the data section fails its checksum", place=f"byte {end}")
 
 
 def attachments_of(source: Source, contents: Contents) -> list[tuple[AttachmentPlace, bytes]]:

@@ -7,7 +7,7 @@ other programs, and events) are decoded one by one by the official decoder and j
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,15 +15,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from google.protobuf.message import DecodeError
-from mcap.exceptions import McapError
 from mcap.records import Channel, Schema
-from mcap_protobuf.decoder import DecoderFactory
 
 from trainlog.arrays import UintArray
 from trainlog.errors import LogError
 from trainlog.mcap.codec import LOG_TIME, Codec, Columns, accuracies, codec_of, gather, topic_of
 from trainlog.mcap.contents import ChunkPlace, Contents, MisplacedError, fetched, fetched_index
+from trainlog.mcap.foreign import BrokenMessage, Decode, Message, UndecodableError, decoder_of
 from trainlog.mcap.records import Index, Source, index_of, message_data, opened, unusable
 from trainlog.topics import EVENTS, GNSS_FIX, TOPICS, Topic, attributes, column_field
 from trainlog.trip import frame_of
@@ -60,8 +58,11 @@ class TopicChannel:
         return list(self.codec.columns(self.codec.layout.rows(0)) or {})
 
     @cached_property
-    def _decoder(self) -> Callable[[bytes], Any]:
-        return _decoder_of(self.channel, self.schema)
+    def _decode(self) -> Decode:
+        try:
+            return decoder_of(self.channel, self.schema)
+        except UndecodableError as error:
+            raise unusable(f"the schema of {self.topic.name} cannot be used") from error
 
     def arrays(self, content: bytes, offsets: UintArray) -> tuple[UintArray, Columns] | None:
         """Times and columns of messages of a chunk; None if they do not fit the layout."""
@@ -90,7 +91,11 @@ class TopicChannel:
                     place=f"byte {chunk}",
                 )
             times.append(found[0])
-            messages.append(self._decoder(found[1]))
+            try:
+                messages.append(self._decode(found[1]))
+            except BrokenMessage as error:
+                problem = f"a message of {self.topic.name} is not a {self.schema.name}"
+                raise unusable(problem) from error
         return np.array(times, dtype=np.uint64), _columns_of(self.topic, messages)
 
 
@@ -317,31 +322,7 @@ def _pieces(
 _NOWHERE: UintArray = np.empty(0, dtype=np.uint64)
 
 
-def _decoder_of(channel: Channel, schema: Schema) -> Callable[[bytes], Any]:
-    """The protobuf decoder of a channel.
-
-    Raises
-    ------
-    LogError
-        If the schema is broken.
-    """
-    try:
-        decoder = DecoderFactory().decoder_for(channel.message_encoding, schema)
-    except (McapError, DecodeError, KeyError, TypeError, ValueError) as error:
-        raise unusable(f"the schema of {channel.topic} cannot be used") from error
-    if decoder is None:
-        raise unusable(f"channel {channel.topic} does not hold protobuf messages")
-
-    def decode(data: bytes) -> Any:
-        try:
-            return decoder(data)
-        except DecodeError as error:
-            raise unusable(f"a message of {channel.topic} is not a {schema.name}") from error
-
-    return decode
-
-
-def _columns_of(topic: Topic, messages: Sequence[Any]) -> Columns:
+def _columns_of(topic: Topic, messages: Sequence[Message]) -> Columns:
     """The columns that decoded messages of a topic hold; absent values are NaN.
 
     Raises
@@ -352,52 +333,42 @@ def _columns_of(topic: Topic, messages: Sequence[Any]) -> Columns:
     read = {EVENTS.name: _events, GNSS_FIX.name: _fixes}.get(topic.name)
     try:
         return read(messages) if read else _samples(topic, messages)
-    except (AttributeError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise unusable(
             f"messages of {topic.name} do not have the fields of {topic.message}"
         ) from error
 
 
-def _samples(topic: Topic, messages: Sequence[Any]) -> Columns:
+def _samples(topic: Topic, messages: Sequence[Message]) -> Columns:
     found: Columns = {}
-    declared = messages[0].DESCRIPTOR.fields_by_name if messages else {}
     for field in topic.fields:
-        if field.name not in declared:
-            continue
+        values = [message.get(field.name) for message in messages]
         if field.per_axle:
-            lists = [getattr(message, field.name) for message in messages]
-            table = np.full((len(lists), max(len(values) for values in lists)), np.nan)
-            for row, values in zip(table, lists, strict=True):
-                row[: len(values)] = values
+            lists = [each or [] for each in values]
+            table = np.full((len(lists), max(map(len, lists), default=0)), np.nan)
+            for row, each in zip(table, lists, strict=True):
+                row[: len(each)] = each
             found |= {f"{field.name}_{axle + 1}": column for axle, column in enumerate(table.T)}
         else:
-            optional = declared[field.name].has_presence
-            found[field.name] = np.array(
-                [
-                    getattr(message, field.name)
-                    if not optional or message.HasField(field.name)
-                    else np.nan
-                    for message in messages
-                ],
-                dtype=np.float64,
-            )
+            found[field.name] = np.array(values, dtype=np.float64)
     return found
 
 
-def _fixes(messages: Sequence[Any]) -> Columns:
+def _fixes(messages: Sequence[Message]) -> Columns:
     table = np.full((len(messages), 7), np.nan)
+    names = ("latitude", "longitude", "altitude", "position_covariance_type")
     for row, fix in zip(table, messages, strict=True):
-        row[:4] = fix.latitude, fix.longitude, fix.altitude, fix.position_covariance_type
-        if len(fix.position_covariance) == 9:
-            row[4:] = fix.position_covariance[::4]
+        row[:4] = [fix[name] for name in names]
+        if len(fix["position_covariance"]) == 9:
+            row[4:] = fix["position_covariance"][::4]
     latitude, longitude, altitude, kind, east, north, up = table.T
     found: Columns = {"latitude": latitude, "longitude": longitude, "altitude": altitude}
     return found | accuracies(kind, east, north, up)
 
 
-def _events(messages: Sequence[Any]) -> Columns:
+def _events(messages: Sequence[Message]) -> Columns:
     return {
-        "level": np.array([message.level for message in messages], dtype=np.int64),
-        "message": pd.array([message.message for message in messages], dtype="str"),
-        "name": pd.array([message.name for message in messages], dtype="str"),
+        "level": np.array([message["level"] for message in messages], dtype=np.int64),
+        "message": pd.array([message["message"] for message in messages], dtype="str"),
+        "name": pd.array([message["name"] for message in messages], dtype="str"),
     }
