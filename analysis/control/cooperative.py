@@ -157,6 +157,13 @@ def peak_slips(rail: FloatArray) -> FloatArray:
     return np.asarray(np.log(b / a) / (b - a))
 
 
+def adhesion_at(slip: FloatArray, rail: FloatArray) -> FloatArray:
+    """Adhesion at slip speeds [m/s] on creep curves that broadcast with them; eq. (10), odd."""
+    a, b, c = np.moveaxis(rail, -1, 0)
+    size = np.abs(slip)
+    return np.asarray(np.sign(slip) * c * (np.exp(-a * size) - np.exp(-b * size)))
+
+
 def slip_weights(reference: FloatArray, tuning: Tuning) -> tuple[FloatArray, FloatArray]:
     """Weight of each error of slip speed [s²/m²] and its margin [m/s].
 

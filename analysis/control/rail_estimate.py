@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from analysis.control.cooperative import Tuning
+from analysis.control.cooperative import Tuning, adhesion_at
 from analysis.control.multi_motor import MultiMotorLocomotive
 from estimators.adhesion import AdhesionObserver
 from trainlog.arrays import FloatArray
@@ -138,7 +138,7 @@ class RailEstimator:
         curves = np.repeat(creep_coefficients(MAXIMA)[:, None], STRETCHES.size, axis=1)
         curves[..., :2] /= STRETCHES[:, None]
         self._curves = curves.reshape(-1, 3)
-        self._expected = _creep(SLIPS, self._curves[:, None])
+        self._expected = adhesion_at(SLIPS, self._curves[:, None])
         likely = np.exp(-0.5 * (np.log(STRETCHES) / STRETCH_STD) ** 2)
         self._stretches = likely / likely.sum()
         self._prior = self._joint(np.full((locomotive.axles, MAXIMA.size), 1.0 / MAXIMA.size))
@@ -392,10 +392,3 @@ def rail_ahead(
     middles = tuning.period * (np.arange(tuning.horizon) + 0.5)
     places = position + speed * middles[:, None] - np.asarray(axles, dtype=np.float64)
     return creep_coefficients(maximum_adhesion(np.maximum(places, 0.0)))
-
-
-def _creep(slip: FloatArray, curves: FloatArray) -> FloatArray:
-    """Adhesion at slip speeds [m/s] on curves that broadcast with them."""
-    a, b, c = np.moveaxis(curves, -1, 0)
-    size = np.abs(slip)
-    return np.asarray(np.sign(slip) * c * (np.exp(-a * size) - np.exp(-b * size)))

@@ -16,7 +16,13 @@ from typing import Literal
 
 import numpy as np
 
-from analysis.control.cooperative import CooperativeController, Demand, Tuning
+from analysis.control.cooperative import (
+    CooperativeController,
+    Demand,
+    Tuning,
+    adhesion_at,
+    peak_slips,
+)
 from analysis.control.multi_motor import MultiMotorLocomotive
 from analysis.control.rail_estimate import RailEstimate, RailEstimator
 from trainlog.arrays import FloatArray
@@ -191,9 +197,7 @@ class CooperativeTraction:
         rail, reference = self._rail(found, here, ahead)
         limits, total = self._limits(reading.speed, wanted, braking)
         # Of the mean curve, as the median of the maximum is one of few.
-        a, b, c = found.rail.T
-        peak = _peak(found.rail)
-        maximum = c * (np.exp(-a * peak) - np.exp(-b * peak))
+        maximum = adhesion_at(peak_slips(found.rail), found.rail)
         bearing = maximum * self._model.loads * self._model.wheel_radius
         limits = shared_limits(bearing, limits, total)
         demand = Demand(
@@ -237,7 +241,7 @@ class CooperativeTraction:
         )
         # As much steeper as the rail here is than a rail of its maximum.
         rail *= then / now
-        slips *= _peak(then) / _peak(now)
+        slips *= peak_slips(then) / peak_slips(now)
         return rail, slips
 
     def _limits(self, speed: float, wanted: float, braking: bool) -> tuple[FloatArray, float]:
@@ -307,10 +311,6 @@ def _filled(weights: FloatArray, limits: FloatArray, total: float) -> FloatArray
     left = total - (np.cumsum(held) - held)
     share = np.max(left / np.cumsum(free[::-1])[::-1])
     return np.asarray(np.minimum(share * weights, limits))
-
-
-def _peak(curves: FloatArray) -> FloatArray:
-    return np.asarray(np.log(curves[..., 1] / curves[..., 0]) / (curves[..., 1] - curves[..., 0]))
 
 
 @dataclass(frozen=True, slots=True)
