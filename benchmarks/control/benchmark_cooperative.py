@@ -15,16 +15,21 @@ their deadline, and the same times and differences.
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
+
 from benchmark_tracking import timed
+from cooperative_referee import NonlinearReferee
 from rich.console import Console
 from rich.table import Table
 
 from analysis.control import multi_motor as model
-from analysis.control.cooperative import CooperativeController, Demand
-from analysis.studies.zhao_2025.controller import NonlinearReferee
+from analysis.control.cooperative import CooperativeController, Demand, adhesion_at
 from analysis.studies.zhao_2025.simulation import (
     CASES,
     DURATION,
@@ -35,7 +40,6 @@ from analysis.studies.zhao_2025.simulation import (
     WET_SPAN,
     Case,
     Preset,
-    creep,
 )
 from trainlog.errors import InputError
 from trainlog.railway.adhesion import DRY, WET
@@ -170,10 +174,10 @@ def driven(table: Table, axles: int, peak_slip: float, peer: bool) -> None:
             state, torques, rail, locomotive.loads, locomotive.constants,
             tuning.period / steps, steps,
         )  # fmt: skip
-        force = float((creep(state[1:] - state[0], *rail.T) * locomotive.loads).sum())
+        force = float((adhesion_at(state[1:] - state[0], rail) * locomotive.loads).sum())
         ratio = locomotive.effort_per_torque
         most = min(
-            float((creep(peak_slip, *rail.T) * locomotive.loads).sum()),
+            float((adhesion_at(peak_slip, rail) * locomotive.loads).sum()),
             ratio * locomotive.total_torque,
         )
         if now >= 1.0:

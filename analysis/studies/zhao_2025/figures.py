@@ -10,7 +10,6 @@ import numpy as np
 
 from analysis.charts import (
     BLUE,
-    GREEN,
     GREY,
     INK,
     ORANGE,
@@ -24,11 +23,10 @@ from analysis.charts import (
     Rule,
     Span,
 )
-from analysis.studies.zhao_2025.simulation import CASES, SCARCE, WET_SPAN, Case, Run
+from analysis.studies.zhao_2025.simulation import CASES, WET_SPAN, Case, Run
 from trainlog.arrays import FloatArray
 from trainlog.presentation import Columns, WordTable, word_table
 from trainlog.railway.adhesion import DRY, WET
-from trainlog.units import KMH
 
 SPANS = ((5.0, 10.0), (15.0, 20.0), (22.0, 25.0), (27.0, 30.0))
 """In which the axles have come to rest at their slip speeds [s]."""
@@ -164,9 +162,6 @@ def _axles(values: np.ndarray, form: str) -> str:
 AXLES = ((BLUE, 4.0), (SKY, 2.8), (ORANGE, 1.6), (RED, 0.7))
 """Colours and widths of the axles: those that run alike lie on one another."""
 
-STRATEGIES = (BLUE, ORANGE, GREEN, RED)
-"""Colours of the strategies."""
-
 WHEN_WET = [Span(*WET_SPAN, SKY, opacity=0.12)]
 """Marks when the rail is wet."""
 
@@ -179,16 +174,12 @@ def _pair(left: Panel, right: Panel, title: str = "") -> list[Chart]:
     ]
 
 
-def study_charts(
-    runs: Sequence[Run], compared: Mapping[str, Sequence[Run]]
-) -> dict[str, list[Chart]]:
-    """The paper's figures of every run, and the runs without cooperation, by the files' names.
+def study_charts(runs: Sequence[Run]) -> dict[str, list[Chart]]:
+    """The paper's figures of every run, by the files' names.
 
     Parameters
     ----------
     runs : sequence of Run
-    compared : mapping of str to sequence of Run
-        By strategy; the same runs in the same order.
     """
     stepped = {(run.preset.key, run.case.number): run for run in runs if run.integration == "euler"}
     charts = {"figure-02-adhesion.png": [_curves()]}
@@ -196,10 +187,6 @@ def study_charts(
         key, number = run.preset.key, run.case.number
         name = f"figure-{number + 2:02d}-case-{number}-{key}.png"
         charts[name] = _case(run, stepped.get((key, number)))
-    shown = zip(*([run for run in each if run.total == SCARCE] for each in compared.values()),
-                strict=True)  # fmt: skip
-    rows = [dict(zip(compared, each, strict=True)) for each in shown]
-    charts["without-cooperation.png"] = [chart for row in rows for chart in _compared(row)]
     return charts
 
 
@@ -258,73 +245,3 @@ def _case(run: Run, stepped: Run | None) -> list[Chart]:
                   "maximum_adhesion"),
         ),
     ]  # fmt: skip
-
-
-def start_charts(solved: Run, assumed: Run) -> list[Chart]:
-    """How case 1 begins, as solved from the first sample and with an assumed first torque.
-
-    Parameters
-    ----------
-    solved, assumed : Run
-        See `analysis.studies.zhao_2025.figures.start_table`.
-    """
-    named = ((assumed, ORANGE, "first torque assumed, eq. (19)"), (solved, BLUE, "solved from 0 s"))
-    torques, slips = list[Curve](), list[Curve]()
-    for run, colour, name in named:
-        begin = run.time <= 2.0
-        time, slip = run.time[begin], run.slip[begin, 0]
-        torques.append(Curve(name, time, run.torque[begin, 0], colour, "step"))
-        slips += [Curve("", time, slip, colour), Curve("", time, slip, colour, "points")]
-    return _pair(
-        Panel("N m", torques, title="Start of case 1: torque of a motor", from_zero=True),
-        Panel("m/s", slips, title="Slip speed", limits=(0.0, 1.0)),
-    )
-
-
-def rail_charts(runs: Sequence[Run]) -> list[Chart]:
-    """The rail under an axle as the controllers assume it, beside the rail as it was.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        In which the rail was learnt.
-    """
-
-    def curves(run: Run, *shown: tuple[str, FloatArray, str, float]) -> list[Curve]:
-        return [Curve(name, run.time, values[:, 3], colour, width=width)
-                for name, values, colour, width in shown]  # fmt: skip
-
-    charts = list[Chart]()
-    for run in runs:
-        maxima = curves(run, ("true", run.maximum_adhesion, GREY, 3.0),
-                        ("learnt", run.assumed, BLUE, 1.2),
-                        ("in use", run.adhesion, ORANGE, 1.0))  # fmt: skip
-        slips = curves(run, ("sought", run.reference, GREY, 3.0), ("reached", run.slip, BLUE, 1.2))
-        title = f"Case {run.case.number}, {run.total:.0f} N m asked, axle 4"
-        charts += _pair(
-            Panel("", maxima, title=f"{title}: maximum adhesion", limits=(0.0, 0.36)),
-            Panel("m/s", slips, title="slip speed"),
-        )
-    return charts
-
-
-def _compared(runs: Mapping[str, Run]) -> list[Chart]:
-    """Force between wheels and rail, and speed, of each strategy."""
-    first = next(iter(runs.values()))
-    title = f"Case {first.case.number}, {first.preset.key}, {first.total:.0f} N m asked"
-    force, speed = (
-        Panel(
-            unit,
-            [
-                Curve(name * (field == "force"), run.time, factor * getattr(run, field), colour,
-                      width=1.3)
-                for colour, (name, run) in zip(STRATEGIES, runs.items(), strict=False)
-            ],
-            title=words, from_zero=True, spans=WHEN_WET,
-        )
-        for unit, field, factor, words in (
-            ("kN", "force", 1e-3, f"{title}: force on the rail"),
-            ("km/h", "speed", KMH, "speed of the train"),
-        )
-    )  # fmt: skip
-    return _pair(force, speed)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.control.cooperative import coefficients
+from analysis.control.cooperative import adhesion_at, coefficients, peak_slips
 from analysis.control.rail_estimate import RailEstimator, rail_ahead
 from analysis.studies.zhao_2025.simulation import (
     AXLES,
@@ -26,7 +26,6 @@ from analysis.studies.zhao_2025.simulation import (
     Preset,
     RailSource,
     Run,
-    creep_maximum,
     run,
 )
 from trainlog.errors import InputError
@@ -83,7 +82,7 @@ class MappedRail:
         """The map's rail over the horizon."""
         tuning = self.preset.tuning
         ahead = rail_ahead(self.maximum_adhesion, measured.position, measured.speed, AXLES, tuning)
-        return AssumedRail(ahead, creep_maximum(*ahead[0].T))
+        return AssumedRail(ahead, adhesion_at(peak_slips(ahead[0]), ahead[0]))
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,6 @@ from analysis.studies.zhao_2025.figures import (
     gain_table,
     knowledge_table,
     published_table,
-    rail_charts,
-    start_charts,
     start_table,
     study_charts,
     torque_table,
@@ -57,7 +55,6 @@ def main(report: StudyReport, seed: int) -> None:
     for run in runs:
         report.log(trip_of(run))
     assumed = study.run(study.CASES[0], integration="euler", first=study.FIRST_TORQUE)
-    report.draw({"figure-03-start.png": start_charts(runs[0], assumed)})
     compared = {
         strategy: [study.run(*plan, strategy=strategy) for plan in study.COMPARED]
         for strategy in report.track(study.STRATEGIES, "comparing")
@@ -66,9 +63,7 @@ def main(report: StudyReport, seed: int) -> None:
         name: by_knowledge(name, seed)
         for name in report.track(RAIL_SOURCES, "driving on rails that are not known")
     }
-    report.draw(study_charts(runs, compared))
-    learnt = [run for run in known["learnt"] if run is not None]
-    report.draw({"rail-learnt.png": rail_charts(learnt[:4])})
+    report.draw(study_charts(runs))
     report.show(
         published_table(), start_table(runs[0], assumed), torque_table(runs), gain_table(compared),
         knowledge_table(known),

@@ -15,7 +15,14 @@ from typing import Literal, Protocol
 import numpy as np
 
 from analysis.control import multi_motor as model
-from analysis.control.cooperative import CooperativeController, Demand, Tuning, coefficients
+from analysis.control.cooperative import (
+    CooperativeController,
+    Demand,
+    Tuning,
+    adhesion_at,
+    coefficients,
+    peak_slips,
+)
 from analysis.control.multi_motor import MultiMotorLocomotive
 from analysis.studies.zhao_2025.controller import AxleByAxle, EqualTorque, NoSlipControl
 from trainlog.arrays import FloatArray
@@ -231,7 +238,7 @@ class KnownRail:
     def rail(self, measured: Measurement) -> AssumedRail:
         """The rail as it is."""
         rail = self.case.rail(measured.time, measured.position)
-        return AssumedRail(rail, creep_maximum(*rail.T))
+        return AssumedRail(rail, adhesion_at(peak_slips(rail), rail))
 
 
 STRATEGIES: dict[str, Callable[[Preset], Controller]] = {
@@ -452,7 +459,8 @@ class _Plant:
 def _columns(rows: FloatArray) -> dict[str, FloatArray]:
     """The arrays of `Run` from its recorded rows."""
     time, position, speed = rows[:, :3].T
-    wheels, torque, reference, assumed, a, b, c = np.split(rows[:, 3:], 7, axis=1)
+    wheels, torque, reference, assumed, *curves = np.split(rows[:, 3:], 7, axis=1)
+    rail = np.stack(curves, axis=-1)
     return {
         "time": time,
         "position": position,
@@ -461,17 +469,6 @@ def _columns(rows: FloatArray) -> dict[str, FloatArray]:
         "torque": torque,
         "reference": reference,
         "assumed": assumed,
-        "adhesion": creep(wheels - speed[:, None], a, b, c),
-        "maximum_adhesion": creep_maximum(a, b, c),
+        "adhesion": adhesion_at(wheels - speed[:, None], rail),
+        "maximum_adhesion": adhesion_at(peak_slips(rail), rail),
     }
-
-
-def creep_maximum(a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
-    """Maxima of many creep curves."""
-    return creep(np.log(b / a) / (b - a), a, b, c)
-
-
-def creep(slip: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
-    """Adhesion coefficients on many creep curves, eq. (10), signed like the slip speeds [m/s]."""
-    size = np.abs(slip)
-    return np.asarray(np.sign(slip) * c * (np.exp(-a * size) - np.exp(-b * size)))
