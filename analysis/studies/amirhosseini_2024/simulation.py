@@ -15,6 +15,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from estimators.rls import RecursiveLeastSquares, edges_crossed, periods_elapsed
 from trainlog.arrays import FloatArray
@@ -48,6 +49,9 @@ SLOPES = np.array([-10.0, 9.0, -8.0, -7.0, 20.0, -14.0, 2.0, 15.0]) / 1e3
 RESISTANCE = RunningResistance(2_090.0, 39.0, 0.675)
 VARIATION = Variation((0.2 / 2.09, 0.004 / 0.039, 0.0000067 / 0.000675), 0.0052)
 """Eq. (35): means, and the swings as printed (the last one is 1 per cent)."""
+
+CURVE, TUNNEL = 0.6, 1.3e-7
+"""Eq. (6): k_C [m], and the tunnel's term over the weight [1/m], which the printed one lacks."""
 
 PRIOR_STD = 1e3 * np.sqrt([100.0, 0.01, 0.001])
 """Eq. (36): square roots of the diagonal of p_0, with forces in N instead of kN."""
@@ -173,8 +177,7 @@ class Run:
     train : Consist
     noise : float [m/s]
         Standard deviation of the measured speed.
-    shift : float [m]
-        By which the slopes lie further ahead than in Table 1.
+    track : Line
     time, position, speed : [s], [m], [m/s]
         True motion, of a consist's front.
     measured_speed : [m/s]
@@ -193,7 +196,7 @@ class Run:
     variant: Variant
     train: Consist
     noise: float
-    shift: float
+    track: Line
     time: FloatArray
     position: FloatArray
     speed: FloatArray
@@ -240,7 +243,7 @@ class Run:
     @cached_property
     def slope_force(self) -> FloatArray:
         """True f2 [N]: the slope under the train, eq. (6), from its front to its rear."""
-        slopes = line(self.shift).gradients
+        slopes = self.track.gradients
         sine = slopes.values / np.hypot(1.0, slopes.values)
         if len(self.train.vehicles) == 1:
             row = np.searchsorted(slopes.positions, self.position, side="right") - 1
@@ -270,14 +273,49 @@ def target(time: float) -> Target:
     return Target(DISTANCE - 0.5 * rate * left**2, rate * left, -rate if left > 0.0 else 0.0)
 
 
-def line(shift: float = 0.0) -> Line:
-    """The line of Table 1, all slopes but the first beginning `shift` [m] later."""
+def additional_resistance(
+    mass: float, sine: ArrayLike, *, radius: float = np.inf, tunnel: float = 0.0
+) -> FloatArray:
+    """Eq. (6), f_2 [N]: gradient, curve and tunnel.
+
+    Parameters
+    ----------
+    mass : float [kg]
+    sine : array_like
+        Of the gradient's angle.
+    radius, tunnel : float [m]
+        L_C of the curve, L_TU of the tunnel that the train is in.
+
+    Examples
+    --------
+    >>> additional_resistance(350e3, 0.0, radius=400.0, tunnel=3_000.0).round(1)
+    np.float64(6489.3)
+    """
+    return np.asarray(mass * GRAVITY * (np.asarray(sine) + CURVE / radius + TUNNEL * tunnel))
+
+
+def line(shift: float = 0.0, *, curved_tunnel: bool = False) -> Line:
+    """The line of Table 1.
+
+    Parameters
+    ----------
+    shift : float [m]
+        By which all slopes but the first begin later.
+    curved_tunnel : bool
+        Adds a curve of 400 m in a tunnel of 3 km, which the paper's simulation does not have; by
+        eq. (6) both act like a gradient.
+    """
+    gradients = StepProfile(np.where(EDGES > 0.0, EDGES + shift, 0.0), SLOPES)
+    if curved_tunnel:
+        inside = additional_resistance(1.0, SLOPES[3], radius=400.0, tunnel=3_000.0) / GRAVITY
+        edges = np.insert(gradients.positions, 4, [30e3, 33e3])
+        gradients = StepProfile(edges, np.insert(SLOPES, 4, [inside, SLOPES[3]]))
     return Line(
         name="Table 1 of Amirhosseini et al. (2024)",
         length=75_000.0,
         stations=(Station("start", 0.0), Station("stop", DISTANCE)),
         speed_limits=StepProfile(np.zeros(1), np.array([TOP_SPEED + 1.0])),
-        gradients=StepProfile(np.where(EDGES > 0.0, EDGES + shift, 0.0), SLOPES),
+        gradients=gradients,
         source="Amirhosseini et al. (2024), Table 1, read in per mille",
     )
 
@@ -287,15 +325,20 @@ def consist() -> Consist:
     return read_consist(sample("amirhosseini_2024.consist.json"))
 
 
-def eight_wagons(*, first_pulls: bool = False) -> Consist:
+def eight_wagons(*, first_pulls: bool = False, softening: bool = False) -> Consist:
     """The paper's train in eight wagons of 43.75 t, eqs. (2)-(9).
 
     Parameters
     ----------
     first_pulls : bool
         Whether the first wagon gives all the traction, as a locomotive does; else each an eighth.
+    softening : bool
+        Whether epsilon of eq. (4) is negative, which the paper calls the worst case.
     """
     train = read_consist(sample("amirhosseini_2024_8_wagons.consist.json"))
+    if softening:
+        couplers = tuple(replace(each, nonlinearity=-each.nonlinearity) for each in train.couplers)
+        train = replace(train, name=f"{train.name}, softening", couplers=couplers)
     if not first_pulls:
         return train
     locomotive, wagon = (
@@ -310,7 +353,7 @@ def run(
     variant: Variant,
     *,
     noise: float = 0.0,
-    shift: float = 0.0,
+    track: Line | None = None,
     seed: int = 1,
     train: Consist | None = None,
 ) -> Run:
@@ -321,15 +364,15 @@ def run(
     variant : Variant
     noise : float [m/s]
         Standard deviation of the measured speed that estimator and controller see.
-    shift : float [m]
-        Of the slopes; moves the instant of their change between two samples.
+    track : Line, optional
+        Default: that of Table 1.
     seed : int
         Of the noise.
     train : Consist, optional
         Default: the single particle. Of a consist, position and speed of the front are controlled.
     """
     random = np.random.default_rng(seed)
-    slopes = line(shift)
+    slopes = track or line()
     plant = ConsistPlant(train or consist(), slopes, variation=VARIATION, step=STEP)
     # A point is where its middle is, a consist where its front is.
     lead = float(plant.consist.middles[0])
@@ -369,7 +412,7 @@ def run(
         variant=variant,
         train=plant.consist,
         noise=noise,
-        shift=shift,
+        track=slopes,
         time=PERIOD * np.arange(count, dtype=np.float64),
         position=rows[:, 0],
         speed=rows[:, 1],
