@@ -17,8 +17,7 @@ from analysis.studies.hauck_2023.section import (
     Section,
     check_timetable,
     fastest,
-    least_time,
-    least_time_unweighed,
+    fastest_unweighed,
     section_of,
     sections_of,
 )
@@ -72,16 +71,13 @@ def test_no_constraint_is_broken_between_the_nodes_at_any_mass(solved: shooting.
     for position, speed, lever in solved.fine:
         slope = float(track.gradient(position))
         grip = float(solved.section.maximum_adhesion(position))
-        for mass in (PUBLISHED_TRAIN.mass, 78_200.0, PUBLISHED_TRAIN.max_mass):
+        for mass in (PUBLISHED_TRAIN.light, 78_200.0, PUBLISHED_TRAIN.heavy):
             pull = float(PUBLISHED_TRAIN.full_effort(speed)) * lever / mass
-            free = dynamics.drift(speed, slope / np.hypot(1.0, slope), mass, DYNAMICS)
+            free = dynamics.drift(speed, slope / np.hypot(1.0, slope), mass, PUBLISHED_TRAIN)
             assert abs(pull) <= 9.81 * grip
             # The controller's gradient is that of 50 m of track.
             assert abs(pull + free) <= 1.0 + 9.81 * 0.012
         assert speed <= float(track.speed_limit(position))
-
-
-DYNAMICS = dynamics.constants(PUBLISHED_TRAIN)
 
 
 def test_the_optimum_spends_less_than_the_feasible_guess(solved: shooting.Reference) -> None:
@@ -91,7 +87,7 @@ def test_the_optimum_spends_less_than_the_feasible_guess(solved: shooting.Refere
 
 def test_on_the_level_without_limits_the_answer_is_the_analytic_one() -> None:
     """With constant effort and no resistance the lever falls on a straight line: cubic motion."""
-    train = replace(PUBLISHED_TRAIN, k1=0.0, k3=60e3, drag_coefficient=0.0, rolling_coefficient=0.0)
+    train = PUBLISHED_TRAIN._replace(k1=0.0, k3=60e3, drag=0.0, rolling=0.0)
     track = replace(line(limit=300.0), gradients=StepProfile(np.zeros(1), np.zeros(1)))
     track = replace(track, speed_limits=StepProfile(np.zeros(1), np.array([80.0])))
     time, way, mass = 180.0, 1_500.0, 78_200.0
@@ -126,33 +122,32 @@ def test_a_train_that_stalls_is_refused_with_the_place() -> None:
         check_timetable((section(600.0, icy, slope=0.03),))
 
 
-def test_least_time_bounds_every_reference_from_below() -> None:
+def test_the_fastest_run_bounds_every_reference_and_is_slower_with_more_mass() -> None:
     planned = section(200.0, slope=0.01)
-    assert least_time(planned) < fastest(planned).duration
-    assert least_time(planned, PUBLISHED_TRAIN.mass) <= least_time(
-        planned, PUBLISHED_TRAIN.max_mass
+    assert fastest_unweighed(planned).duration < fastest(planned).duration
+    light, heavy = (
+        fastest_unweighed(planned, mass) for mass in (PUBLISHED_TRAIN.light, PUBLISHED_TRAIN.heavy)
     )
+    assert light.duration < heavy.duration
+    assert light.duration < fastest_unweighed(planned, PUBLISHED_TRAIN.light, 4_800.0).duration
 
 
-def test_not_to_know_the_mass_costs_time_and_rotating_parts_do() -> None:
-    planned = section(200.0, slope=0.01)
-    for mass in (PUBLISHED_TRAIN.mass, 78_200.0, PUBLISHED_TRAIN.max_mass):
-        known = least_time(planned, mass)
-        assert known <= least_time_unweighed(planned, mass) + 1e-9
-        assert known < least_time(planned, mass, 4_800.0)
-    # What the lightest train may do is what (7) allows for every mass.
-    assert least_time_unweighed(planned, PUBLISHED_TRAIN.max_mass) > least_time(
-        planned, PUBLISHED_TRAIN.max_mass
-    )
+def test_what_the_lightest_train_may_do_bounds_the_fastest_run() -> None:
+    """On the level without a limit: comfort of the light train, until it may run a little on."""
+    c = PUBLISHED_TRAIN._replace(drag=0.0, rolling=0.0)
+    track = replace(line(limit=300.0), gradients=StepProfile(np.zeros(1), np.zeros(1)))
+    track = replace(track, speed_limits=StepProfile(np.zeros(1), np.array([80.0])))
+    stops = Stop("A", 100.0, 0.0, 0.0), Stop("B", 180.0, 100.0, 100.0)
+    found = fastest_unweighed(section_of(track, c, GRIP, *stops), c.heavy)
+    # 1 m/s² of the light train is 0.77 of the heavy one, in traction and in braking.
+    assert found.duration == pytest.approx(2.0 * np.sqrt(80.0 * c.heavy / c.light), rel=0.03)
 
 
-def test_a_train_known_to_be_lighter_may_brake_later() -> None:
-    planned = section(200.0, slope=0.01)
-    heavy = planned.tables.ceiling
-    assert np.array_equal(planned.braked_for(PUBLISHED_TRAIN.max_mass).ceiling, heavy)
-    light = planned.braked_for(PUBLISHED_TRAIN.mass).ceiling
-    assert np.all(light >= heavy)
-    assert np.any(light > heavy)
+def test_after_a_delay_that_takes_the_time_eq_8_has_no_solution() -> None:
+    late = section(200.0, slope=0.01)
+    late = replace(late, origin=replace(late.origin, departure=60.0))
+    assert fastest_unweighed(late).duration > late.duration
+    refused(InfeasibleError, "the timetable allows 140 s", reference, late)
 
 
 def test_stops_out_of_order_are_refused() -> None:

@@ -7,11 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pandas import Timestamp
-from refusals import refused
 
 from analysis.studies.hauck_2023 import scenarios as study, simulation as driving
-from analysis.studies.hauck_2023.controller import AS_PUBLISHED
 from analysis.studies.hauck_2023.figures import (
     counted_on,
     days_charts,
@@ -20,8 +17,6 @@ from analysis.studies.hauck_2023.figures import (
     gain_table,
     lateness_table,
     references_table,
-    risks_charts,
-    risks_table,
     study_charts,
     tracking_table,
 )
@@ -36,9 +31,7 @@ from trainlog.mcap import read_log, write_log
 from trainlog.railway import StepProfile
 
 BY_NAME = {each.name: each for each in study.SCENARIOS}
-SLIPPERY = StepProfile(np.array([0.0, 60.0, 200.0, 2_700.0]), np.array([0.09, 0.06, 0.09, 0.055]))
-
-LEAVES = StepProfile(np.array([0.0, 60.0, 200.0, 2_780.0]), np.array([0.085, 0.07, 0.085, 0.075]))
+SLIPPERY = StepProfile(np.array([0.0, 60.0, 200.0, 2_700.0]), np.array([0.07, 0.05, 0.09, 0.045]))
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +41,7 @@ def prepared() -> study.Setup:
 
 @pytest.fixture(scope="module")
 def known(prepared: study.Setup) -> study.Setup:
-    return study.Setup(prepared.plan, {**prepared.rails, "bad": SLIPPERY})
+    return replace(prepared, rails={**prepared.rails, "bad": SLIPPERY})
 
 
 @pytest.fixture(scope="module")
@@ -56,14 +49,14 @@ def outcomes(known: study.Setup) -> dict[tuple[str, float], study.Outcome]:
     return {
         (scenario.name, mass): study.outcome(known, scenario, mass)
         for scenario in study.SCENARIOS
-        for mass in (PUBLISHED_TRAIN.mass, PUBLISHED_TRAIN.max_mass)
+        for mass in (PUBLISHED_TRAIN.light, PUBLISHED_TRAIN.heavy)
     }
 
 
 @pytest.fixture(scope="module")
 def days(known: study.Setup, tmp_path_factory: pytest.TempPathFactory) -> Days:
     folder = tmp_path_factory.mktemp("days")
-    each = day_by_day(known.plan, [LEAVES, LEAVES], [70e3, 85e3], folder, seed=1)
+    each = day_by_day(known.plan, [SLIPPERY, SLIPPERY], [70e3, 85e3], folder, seed=1)
     first = next(each)
     # It is yielded while the second is still to be driven.
     assert [day.number for day in first.days] == [1]
@@ -81,13 +74,26 @@ def test_every_constraint_holds_in_every_scenario_at_both_ends_of_the_mass(
         assert each.informed.unsolved == 0
 
 
-def test_on_good_track_the_errors_are_those_of_the_paper(
+def test_on_good_track_the_product_is_half_a_second_off_at_most(
     outcomes: dict[tuple[str, float], study.Outcome],
 ) -> None:
-    for mass in (PUBLISHED_TRAIN.mass, PUBLISHED_TRAIN.max_mass):
+    """Its controller spreads the time that is left over the way that is left."""
+    for mass in (PUBLISHED_TRAIN.light, PUBLISHED_TRAIN.heavy):
         found = outcomes["good track", mass].informed
-        assert np.abs(found.position_error).max() <= 5.0
+        assert np.abs(found.position_error / np.maximum(found.speed, 10.0)).max() <= 0.5
         assert np.abs(found.speed_error).max() < 3.0
+
+
+def test_a_reference_for_bad_weather_is_easily_tracked_on_a_better_rail(
+    outcomes: dict[tuple[str, float], study.Outcome],
+) -> None:
+    for mass in (PUBLISHED_TRAIN.light, PUBLISHED_TRAIN.heavy):
+        better, good = (
+            outcomes[name, mass].informed for name in ("weather turns good", "good track")
+        )
+        assert np.abs(better.position_error).max() <= np.abs(good.position_error).max() + 2.0
+        # More is left of the rail than its reference was made for.
+        assert better.worst[1] < good.worst[1]
 
 
 def test_with_the_map_no_axle_skids_or_slides_and_without_it_they_do(
@@ -96,7 +102,7 @@ def test_with_the_map_no_axle_skids_or_slides_and_without_it_they_do(
     for each in outcomes.values():
         assert each.informed.slip_events == 0
         assert each.informed.protections == 0
-    blind = outcomes["weather turns bad", PUBLISHED_TRAIN.mass].blind
+    blind = outcomes["weather turns bad", PUBLISHED_TRAIN.light].blind
     assert blind.slip_events > 0
     assert blind.skid_energy > 0.0
     assert blind.worst[1] > 0.0
@@ -105,21 +111,9 @@ def test_with_the_map_no_axle_skids_or_slides_and_without_it_they_do(
 def test_the_lever_does_not_swing_where_wheels_creep_much(
     outcomes: dict[tuple[str, float], study.Outcome],
 ) -> None:
-    for found in (
-        outcomes["weather turns bad", PUBLISHED_TRAIN.mass].informed,
-        outcomes["weather turns bad", PUBLISHED_TRAIN.mass].blind,
-    ):
-        at_work = found.lever[np.abs(found.lever) > 0.02]
-        assert np.count_nonzero(np.diff(np.sign(at_work))) < 10
-
-
-def test_where_the_rail_forbids_the_reference_the_lever_changes_no_oftener_than_its_own(
-    outcomes: dict[tuple[str, float], study.Outcome],
-) -> None:
-    for mass in (PUBLISHED_TRAIN.mass, PUBLISHED_TRAIN.max_mass):
+    for mass in (PUBLISHED_TRAIN.light, PUBLISHED_TRAIN.heavy):
         found = outcomes["weather turns bad", mass].informed
-        assert found.planned_changes.sum() > 0
-        assert np.all(found.lever_changes <= found.planned_changes)
+        assert found.lever_changes.sum() <= found.planned_changes.sum() > 0
     assert driving.changes(np.array([0.5, 0.01, 0.4, -0.01, -0.3, 0.0, -0.2, 0.1])) == 2
 
 
@@ -138,17 +132,17 @@ def test_nobody_could_be_much_nearer_to_the_reference_where_the_rail_forbids_it(
 def test_the_delay_shrinks_but_not_below_what_physics_allows(
     outcomes: dict[tuple[str, float], study.Outcome],
 ) -> None:
-    for mass in (PUBLISHED_TRAIN.mass, PUBLISHED_TRAIN.max_mass):
+    for mass in (PUBLISHED_TRAIN.light, PUBLISHED_TRAIN.heavy):
         each = outcomes["40 s late", mass]
-        assert each.bound[0] <= each.unweighed[0] <= each.informed.late[0]
-        assert each.informed.late[0] < max(each.unweighed[0], 0.0) + 2.5
+        assert each.bound[0] <= each.informed.late[0]
+        assert each.informed.late[0] < max(each.bound[0], 0.0) + 5.0
 
 
 def test_the_train_stands_within_the_tolerance_of_its_stops(
     outcomes: dict[tuple[str, float], study.Outcome],
 ) -> None:
     for each in outcomes.values():
-        assert np.abs(each.informed.stop_error).max() < 0.3
+        assert np.abs(each.informed.stop_error).max() < 0.5
 
 
 def test_the_second_day_beats_the_first_in_slip_and_is_punctual_to_half_a_second(
@@ -173,7 +167,7 @@ def test_a_section_that_the_rail_forbids_in_its_time_is_late_by_the_least(
     arrival = replanned(known.plan, icy)[0].section.destination.arrival
     assert arrival > asked + 5.0
     bound = least_lateness(
-        [driving.with_map(known.plan, icy)[0].section], PUBLISHED_TRAIN.mass, 0.0
+        [driving.with_map(known.plan, icy)[0].section], PUBLISHED_TRAIN.light, 0.0
     )[0]
     assert arrival - asked > bound
 
@@ -181,7 +175,7 @@ def test_a_section_that_the_rail_forbids_in_its_time_is_late_by_the_least(
 def test_a_run_is_logged_with_its_levers_reference_and_truth(
     outcomes: dict[tuple[str, float], study.Outcome], tmp_path: Path
 ) -> None:
-    found = outcomes["good track", PUBLISHED_TRAIN.mass].informed
+    found = outcomes["good track", PUBLISHED_TRAIN.light].informed
     write_log(trip_of(found, "dry", 1), tmp_path / "trip.mcap")
     again = read_log(tmp_path / "trip.mcap")
     assert np.array_equal(again["/train/controls"]["lever"], np.round(found.lever, 4))
@@ -204,8 +198,8 @@ def test_a_mass_the_train_cannot_have_is_refused(known: study.Setup) -> None:
 
 def test_masses_are_drawn_from_the_range() -> None:
     drawn = study.drawn_masses(3, 100)
-    assert drawn.min() >= PUBLISHED_TRAIN.mass
-    assert drawn.max() <= PUBLISHED_TRAIN.max_mass
+    assert drawn.min() >= PUBLISHED_TRAIN.light
+    assert drawn.max() <= PUBLISHED_TRAIN.heavy
     assert np.array_equal(drawn, study.drawn_masses(3, 100))
 
 
@@ -216,75 +210,27 @@ def test_tables_and_pictures_are_made(
     days: Days,
     tmp_path: Path,
 ) -> None:
-    three = [outcomes[name, PUBLISHED_TRAIN.mass] for name in BY_NAME]
+    four = [outcomes[name, PUBLISHED_TRAIN.light] for name in BY_NAME]
     for table in (tracking_table, lateness_table, gain_table):
-        assert len(table(three).rows) == 3
+        assert len(table(four).rows) == 4
     assert len(references_table(known.plan).rows) == 1
     assert len(days_table(days).rows) == 2
     assert "day 2: 0.0" in counted_on(days)
-    pictures = {**study_charts(known, three), "days.png": days_charts(days)}
+    pictures = {**study_charts(known, four), "days.png": days_charts(days)}
     StudyReport(tmp_path, terminal.console).draw(pictures)
     assert all((tmp_path / name).exists() for name in pictures)
-
-
-def test_a_changing_rail_has_spots_that_come_and_go(known: study.Setup) -> None:
-    whole = study.line()
-    rails = study.changing_rails(whole, study.bad_rail(whole), 8, seed=2)
-    values = np.array([rail.values for rail in rails])
-    lasting = study.bad_rail(whole).values
-    slippery = values < 0.85 * lasting
-    assert slippery.any(axis=0).sum() > 10
-    # A spot is there on some of the days, and what lasts stays.
-    assert np.count_nonzero(slippery.all(axis=0)) < 0.3 * slippery.any(axis=0).sum()
-    usual = np.median(np.log(values / lasting), axis=0)
-    assert np.quantile(np.abs(usual), 0.9) < 0.05
-    again = study.changing_rails(whole, study.bad_rail(whole), 8, seed=2)
-    assert all(np.array_equal(a.values, b.values) for a, b in zip(rails, again, strict=True))
-
-
-def test_less_risk_counts_on_less_where_slip_was_seen_and_explores_elsewhere(days: Days) -> None:
-    track = days.days[1].track
-    assert track is not None
-    noon = Timestamp("2024-10-08T12:00Z")
-    bold, careful = (study.risk_policy(track, noon, risk) for risk in (0.2, 0.01))
-    assert np.all(careful.values[careful.seen] < bold.values[bold.seen])
-    assert np.all(careful.values[~careful.seen] == driving.NO_MAP.values[0])
-
-
-def test_days_read_with_different_risk_are_tabled_and_drawn(days: Days) -> None:
-    blind = Days((days.days[0], replace(days.days[0], number=2)), days.stops)
-    driven = {"no map": blind, "risk 0.05": days}
-    table = risks_table(driven)
-    columns = [list(each) for each in zip(*table.words, strict=True)]
-    assert columns[0] == ["no map", "risk 0.05"]
-    assert columns[1] == ["2", "2"]
-    assert [int(cell) for cell in columns[2]] == [
-        days.days[0].slip_events,
-        days.days[1].slip_events,
-    ]
-    (chart,) = risks_charts(driven)
-    assert [curve.label for curve in chart.panels[0].curves] == ["no map", "", "risk 0.05", ""]
-
-
-def test_a_risk_that_is_none_and_one_as_published_are_refused(tmp_path: Path) -> None:
-    for words, message in (
-        (("--risk", "5"), "a risk must be between 0 and 1"),
-        (("--risk", "0.05", "--as-published"), "leave out --risk or --as"),
-    ):
-        refused(InputError, message, command, ["study", "map-mpc", "-o", str(tmp_path), *words])
 
 
 @pytest.mark.long
 def test_over_the_whole_line() -> None:
     whole = study.prepared(seed=1)
     for scenario in study.SCENARIOS:
-        for mass in (PUBLISHED_TRAIN.mass, 78_200.0, PUBLISHED_TRAIN.max_mass):
+        for mass in (PUBLISHED_TRAIN.light, 78_200.0, PUBLISHED_TRAIN.heavy):
             each = study.outcome(whole, scenario, mass)
             assert each.informed.worst.max() <= 1e-6
             assert each.informed.slip_events == each.informed.protections == 0
             assert np.all(each.informed.late >= each.bound - 1e-6)
-            if scenario.weather == "good" and scenario.delay == 0.0:
-                assert np.abs(each.informed.position_error).max() <= 5.0
+            if scenario.name == "good track":
                 assert np.abs(each.informed.speed_error).max() < 3.0
 
 
@@ -297,13 +243,13 @@ def test_as_published_a_late_train_takes_the_bounds_of_where_it_ought_to_be(
     known: study.Setup,
 ) -> None:
     """On time the published controller keeps eq. (7) but for a guard's share; late it does not."""
-    on_time, _, late = study.SCENARIOS
-    good = study.outcome(known, on_time, 78_200.0, AS_PUBLISHED)
+    on_time, _, late, _ = study.SCENARIOS
+    good = study.outcome(known, on_time, 78_200.0, published=True)
     assert good.blind is None
     assert np.abs(good.informed.position_error).max() <= 5.0
     assert np.abs(good.informed.speed_error).max() < 3.0
     assert good.informed.worst.max() < 0.05
-    other = study.outcome(known, late, 78_200.0, AS_PUBLISHED)
+    other = study.outcome(known, late, 78_200.0, published=True)
     found = other.informed
     assert found.worst[0] > 0.5
     assert found.late[0] < 1.0

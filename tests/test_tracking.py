@@ -1,4 +1,4 @@
-"""The tracking MPC of Hauck et al. (2023): exact steps, solved programs, constraints kept."""
+"""Who follows a reference of Hauck et al. (2023): the program of eq. (11), constraints kept."""
 
 from __future__ import annotations
 
@@ -8,40 +8,30 @@ import cvxpy as cp
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from refusals import refused
 from scipy.linalg import expm, solve_discrete_are
 
 from analysis.control.qp import SOFTNESS, solve, terminal_weight
-from analysis.control.route import value
-from analysis.studies.hauck_2023 import model as dynamics, tracking as kernels
+from analysis.studies.hauck_2023 import model
 from analysis.studies.hauck_2023.controller import (
-    HOLDING_SPEED,
-    RETURN_ACCELERATION,
-    Method,
-    TrackingController,
-    Tuning,
-    latest,
-    returning,
-    with_lead,
+    Controller,
+    MapController,
+    PublishedController,
+    sampled_system,
+    trajectory_of,
 )
-from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
+from analysis.studies.hauck_2023.model import NOMINAL_MASS, PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.reference import SAMPLING, Reference, reference
-from analysis.studies.hauck_2023.section import least_time_unweighed, section_of
-from trainlog.errors import InputError
+from analysis.studies.hauck_2023.section import fastest_unweighed, section_of
 from trainlog.railway import Line, Station, StepProfile
-from trainlog.simulation.drivers import Stop
+from trainlog.simulation.drivers import PERIOD, Stop
 from trainlog.simulation.plant import HOLDING
+from trainlog.units import GRAVITY
 
-LIGHT, NOMINAL, HEAVY = PUBLISHED_TRAIN.mass, 78_200.0, PUBLISHED_TRAIN.max_mass
-
-
-@pytest.fixture(scope="module")
-def plan() -> Reference:
-    return _short_plan()
+LIGHT, HEAVY = PUBLISHED_TRAIN.light, PUBLISHED_TRAIN.heavy
 
 
 @cache
-def _short_plan() -> Reference:
+def short_plan() -> Reference:
     track = Line(
         name="short",
         length=2_600.0,
@@ -54,23 +44,24 @@ def _short_plan() -> Reference:
     return reference(section_of(track, PUBLISHED_TRAIN, rail, *stops))
 
 
-def driven(
-    plan: Reference, mass: float, about: str = "prediction", delay: float = 0.0, *, guard: bool
-) -> np.ndarray:
+@pytest.fixture(scope="module")
+def plan() -> Reference:
+    return short_plan()
+
+
+def driven(plan: Reference, controller: Controller, mass: float, delay: float = 0.0) -> np.ndarray:
     """Rows of time, position, speed, lever ten times a second of the model of eq. (3)."""
-    controller = TrackingController(plan, Method(about))
-    t, c = plan.section.tables, plan.section.constants
-    p, v, now = plan.section.origin.position, 0.0, delay
+    section = plan.section
+    p, v, now = section.origin.position, 0.0, delay
     rows = []
     while now < plan.duration + delay + 60.0:
         lever = controller.lever(now, p, v)
-        if guard:
-            lever = controller.guarded(lever, p, v)
-        for _ in range(10):
-            rows.append((now, p, v, lever))
-            p, v = kernels.step(p, v, lever, 0.1, mass, t, c)
-            now += 0.1
-        if v == 0.0 and p > plan.section.destination.position - 0.5:
+        if v < 0.5 and lever <= 0.0:  # the holding brake
+            v = max(v - PERIOD * HOLDING, 0.0)
+        rows.append((now, p, v, lever))
+        p, v, _ = model.roll(p, v, lever, lever, PERIOD, 1, mass, section.tables, section.train)[-1]
+        now += PERIOD
+        if v == 0.0 and p > section.destination.position - 0.5:
             break
     assert controller.unsolved == 0
     return np.array(rows)
@@ -78,44 +69,58 @@ def driven(
 
 def worst(plan: Reference, rows: np.ndarray) -> np.ndarray:
     """Largest comfort, traction, speed and lever constraint, without any reserve."""
-    section = plan.section
-    found = []
-    for _, p, v, u in rows[rows[:, 2] > 0.0]:
-        sine = value(section.tables.sine, section.tables.origin, p)
-        grip, limit = float(section.maximum_adhesion(p)), float(section.line.speed_limit(p))
-        c = section.constants
-        found.append((*dynamics.constraint_values(v, u, sine, grip, limit, c), abs(u) - 1.0))
-    return np.max(np.array(found), axis=0)
+    section, t = plan.section, plan.section.tables
+    _, p, v, u = rows[rows[:, 2] > 0.0].T
+    grip, limit = section.maximum_adhesion(p), section.line.speed_limit(p)
+    return model.constraints(v, u, t.at(t.sine, p), grip, limit, section.train).max(axis=0)
 
 
-@given(a21=st.floats(-0.02, 0.02), a22=st.floats(-0.6, 0.6), b2=st.floats(0.0, 3.0))
-def test_the_sampled_system_is_the_matrix_exponential(a21: float, a22: float, b2: float) -> None:
-    whole = np.array([[0.0, 1.0, 0.0], [a21, a22, b2], [0.0, 0.0, 0.0]])
-    exact = expm(whole)
-    a, b = kernels.exact_step(a21, a22, b2, 1.0)
-    np.testing.assert_allclose(a, exact[:2, :2], rtol=1e-12, atol=1e-14)
-    np.testing.assert_allclose(b, exact[:2, 2], rtol=1e-12, atol=1e-14)
+def test_the_sampled_system_is_the_exponential_of_the_slopes_of_the_motion(plan: Reference) -> None:
+    t, c = plan.section.tables, plan.section.train
+    p, v, u, h = 640.0, 12.0, 0.3, 1e-4
+
+    def rate(position: float, speed: float, lever: float) -> float:
+        sine = float(t.at(t.sine, position))
+        return float(model.acceleration(speed, lever, sine, NOMINAL_MASS, c))
+
+    system = np.zeros((3, 3))
+    system[0, 1] = 1.0
+    for column, step in enumerate(np.diag([h, h, h])):
+        low, high = ([p, v, u] + sign * step for sign in (-1.0, 1.0))
+        system[1, column] = (rate(*high) - rate(*low)) / (2.0 * h)
+    a, b = sampled_system(*(np.array([each]) for each in (p, v, u)), t, c)
+    exact = expm(SAMPLING * system)
+    np.testing.assert_allclose(a[0], exact[:2, :2], atol=1e-8)
+    np.testing.assert_allclose(b[0], exact[:2, 2], atol=1e-8)
 
 
 def test_the_condensed_program_is_the_sum_of_the_costs(plan: Reference) -> None:
     """Stage by stage with the linear model; the terminal cost is what the regulator would pay."""
-    controller = TrackingController(plan, Method("reference"))
+    controller = PublishedController(plan)
     program = controller.program(40.0, plan.at(40.0)[0] - 3.0, plan.at(40.0)[1] + 0.2)
+    rows = np.array([plan.at(40.0 + k * SAMPLING) for k in range(program.inputs.size + 1)])
+    a, b = sampled_system(
+        rows[:-1, 0], rows[:-1, 1], program.inputs, plan.section.tables, plan.section.train
+    )
+    terminal = terminal_weight(a[-1], b[-1], 1.0, 0.01)
     rng = np.random.default_rng(0)
-    x, y = rng.normal(size=(2, program.inputs.size)) * 0.05
 
     def cost(change: np.ndarray) -> float:
-        return 0.5 * change @ program.hessian @ change + program.gradient @ change
+        state, total = np.array([-3.0, 0.2]), 0.0
+        for k, each in enumerate(change):
+            state = a[k] @ state + b[k] * each
+            if k < change.size - 1:
+                total += 0.5 * state[0] ** 2
+            total += 0.5 * 0.01 * each**2
+        return total + 0.5 * state @ terminal @ state
 
-    # Convex, and the answer is where the gradient vanishes if no bound is met.
-    assert cost(0.5 * (x + y)) < 0.5 * (cost(x) + cost(y))
-    assert np.linalg.eigvalsh(program.hessian).min() >= 0.01 - 1e-9
-    free = np.linalg.solve(program.hessian, -program.gradient)
-    assert cost(free) <= min(cost(x), cost(y))
+    x, y = rng.normal(size=(2, program.inputs.size)) * 0.05
+    found = [0.5 * z @ program.hessian @ z + program.gradient @ z for z in (x, y)]
+    assert found[0] - found[1] == pytest.approx(cost(x) - cost(y), rel=1e-6)
 
 
 def test_terminal_cost_is_the_fixed_point_of_riccati() -> None:
-    a, b = kernels.exact_step(0.0, -0.02, 0.6, 1.0)
+    a, b = np.array([[1.0, 0.99], [0.0, 0.98]]), np.array([0.3, 0.6])
     p = terminal_weight(a, b, 1.0, 0.01)
     q, r = np.diag([1.0, 0.0]), 0.01
     gain = (b @ p @ a) / (r + b @ p @ b)
@@ -137,12 +142,13 @@ def test_the_solver_finds_what_another_solver_finds(seed: int) -> None:
     DAQP counts what a row is broken by over the row's norm, so that the two may differ by what
     the softness allows.
     """
-    plan = _short_plan()
+    plan = short_plan()
     rng = np.random.default_rng(seed)
     now = float(rng.integers(2, 150))
     p, v, _ = plan.at(now)
-    controller = TrackingController(plan)
-    program = controller.program(now, p + rng.normal() * 5.0, max(v + rng.normal() * 0.5, 0.0))
+    program = PublishedController(plan).program(
+        now, p + rng.normal() * 5.0, max(v + rng.normal() * 0.5, 0.0)
+    )
     change, status = solve(program)
     assert status > 0
     n = change.size
@@ -161,136 +167,43 @@ def test_the_solver_finds_what_another_solver_finds(seed: int) -> None:
     np.testing.assert_allclose(change, x.value, atol=5e-3)
 
 
-def test_on_time_both_linearisations_stay_within_a_metre(plan: Reference) -> None:
-    for about in ("reference", "prediction"):
-        rows = driven(plan, NOMINAL, about, guard=False)
-        errors = rows[:, 1] - [plan.at(float(now))[0] for now in rows[:, 0]]
-        assert np.abs(errors).max() < 1.0
+def test_on_time_the_published_controller_stays_within_a_metre(plan: Reference) -> None:
+    rows = driven(plan, PublishedController(plan), NOMINAL_MASS)
+    errors = rows[:, 1] - [plan.at(float(now))[0] for now in rows[:, 0]]
+    assert np.abs(errors).max() < 1.0
 
 
-@pytest.mark.parametrize("mass", [LIGHT, NOMINAL, HEAVY])
-@pytest.mark.parametrize("delay", [0.0, 30.0])
-def test_every_constraint_is_kept_at_every_mass_on_time_and_late(
-    plan: Reference, mass: float, delay: float
-) -> None:
-    rows = driven(plan, mass, delay=delay, guard=True)
-    assert worst(plan, rows).max() <= 1e-6
-    assert abs(rows[-1, 1] - 2_000.0) < 0.6
-
-
-def test_after_a_delay_only_the_real_time_iteration_keeps_comfort(plan: Reference) -> None:
-    """The paper's own linearisation takes the bounds of where the train ought to be."""
-    paper = driven(plan, NOMINAL, "reference", delay=30.0, guard=False)
-    iterated = driven(plan, NOMINAL, "prediction", delay=30.0, guard=False)
-    assert worst(plan, paper)[0] > 0.1
-    assert worst(plan, iterated)[0] <= 1e-6
-
-
-def test_the_guard_leaves_a_safe_lever_alone_and_cuts_an_unsafe_one(plan: Reference) -> None:
-    controller = TrackingController(plan)
-    assert controller.guarded(0.1, 600.0, 10.0) == pytest.approx(0.1)
-    # A slippery place begins at 150 m; what it bears is that of the lightest train.
-    cut = controller.guarded(1.0, 145.0, 5.0)
-    assert 0.8 < float(PUBLISHED_TRAIN.full_effort(5.0)) * cut / (0.08 * 9.81 * LIGHT) < 1.0
-    ceiling = np.sqrt(value(plan.section.tables.ceiling, plan.section.tables.origin, 700))
-    assert controller.guarded(1.0, 700.0, float(ceiling)) < 0.4  # what holds on the climb
+def test_after_a_delay_the_published_controller_breaks_comfort(plan: Reference) -> None:
+    """It takes the bounds of where the train ought to be."""
+    assert worst(plan, driven(plan, PublishedController(plan), NOMINAL_MASS, 30.0))[0] > 0.1
 
 
 @pytest.mark.parametrize("mass", [LIGHT, HEAVY])
-def test_a_late_driver_arrives_near_the_least_time_that_an_unknown_mass_allows(
-    plan: Reference, mass: float
+@pytest.mark.parametrize("delay", [0.0, 30.0, 70.0])
+def test_the_products_controller_keeps_every_constraint_on_time_and_late(
+    plan: Reference, mass: float, delay: float
 ) -> None:
-    """Ten levers a second; with what is learnt of the mass the ceiling rises."""
-    controller = TrackingController(plan)
-    section = plan.section
-    t, c = section.tables, section.constants
-    p, v, now = section.origin.position, 0.0, 70.0
-    rows = []
-    while not (v == 0.0 and p > section.destination.position - 0.5):
-        lever = controller.drive(now, p, v)
-        if v < HOLDING_SPEED and lever <= 0.0:
-            v = max(v - 0.1 * HOLDING, 0.0)
-        rows.append((now, p, v, lever))
-        p, v = kernels.step(p, v, lever, 0.1, mass, t, c)
-        now += 0.1
-        assert now < 400.0
-    found = np.array(rows)
-    assert worst(plan, found).max() <= 1e-6
-    assert abs(p - section.destination.position) < 0.2
-    low, high = controller.mass
-    assert low <= mass <= high
-    assert high - low < 5e3
-    least = least_time_unweighed(section, mass)
-    assert least <= now - 70.0 < least + 2.5
+    rows = driven(plan, MapController(plan), mass, delay)
+    assert worst(plan, rows).max() <= 1e-6
+    assert abs(rows[-1, 1] - 2_000.0) < 0.6
+    least = fastest_unweighed(plan.section, mass).duration
+    took = rows[-1, 0] - delay
+    assert least <= took < max(least, plan.duration - delay) + 6.0
 
 
-@given(off=st.floats(-600.0, 600.0))
-def test_a_train_that_is_off_returns_without_a_jerk(off: float) -> None:
-    """Never past its target, at a speed that never changes faster than is gentle."""
-    left, rate = returning(off, 300).T
-    assert np.all(np.abs(np.diff(rate)) <= RETURN_ACCELERATION * SAMPLING + 1e-9)
-    assert np.all(left * np.sign(off) >= 0.0)
-    assert abs(left[0]) <= abs(off) + 1e-9
-    assert abs(left[-1]) < 0.01
-    moved = np.diff(left)
-    np.testing.assert_allclose(moved, 0.5 * (rate[1:] + rate[:-1]) * SAMPLING, atol=2e-3)
+def test_a_reference_becomes_a_trajectory_of_the_same_way(plan: Reference) -> None:
+    line = plan.section.line
+    found = trajectory_of(plan, line, PUBLISHED_TRAIN.on_axles(), due=170.0)
+    assert found.positions[-1] == plan.positions[-1]
+    assert found.times[0, -1] == 170.0
+    at = np.interp(0.5 * 170.0, found.times[0], found.positions)
+    assert at == pytest.approx(plan.at(0.5 * plan.duration)[0], abs=0.1)
 
 
-def test_a_reference_is_led_where_it_would_be_late_and_nowhere_else(plan: Reference) -> None:
-    section = plan.section
-    stop = section.destination.position
-    run = dynamics.fastest_run(
-        section.origin.position, 0.0, stop, 5.0, np.inf, NOMINAL, 1.0,
-        section.tables, section.driving_constants,
-    )  # fmt: skip
-    rows = plan.sampled()
-    in_time = latest(run, plan.duration, len(rows))
-    assert in_time[-1, 0] == stop
-    np.testing.assert_array_equal(with_lead(rows, in_time), rows)
-    hurried = latest(run, run[2][-1] / 0.98, len(rows))
-    led = with_lead(rows, hurried)
-    assert np.all(led[:, 0] >= np.maximum(rows[:, 0], hurried[:, 0]))
-    assert np.any(led[:, 0] > rows[:, 0] + 5.0)
-    assert np.all(np.diff(led[:, 0]) >= -1e-9)
-
-
-def test_a_train_that_is_late_but_can_be_in_time_is_neither_late_nor_early(
-    plan: Reference,
-) -> None:
-    """It takes all the time that is left, and brakes for the lower limit and the stop alone."""
-    controller = TrackingController(plan)
-    section = plan.section
-    t, c = section.tables, section.constants
-    now = float(np.floor(plan.duration - 1.02 * least_time_unweighed(section, NOMINAL)))
-    p, v, levers = section.origin.position, 0.0, []
-    assert now > 10.0
-    while not (v == 0.0 and p > section.destination.position - 0.5):
-        lever = controller.drive(now, p, v)
-        if v < HOLDING_SPEED and lever <= 0.0:
-            v = max(v - 0.1 * HOLDING, 0.0)
-        levers.append(lever)
-        p, v = kernels.step(p, v, lever, 0.1, NOMINAL, t, c)
-        now += 0.1
-        assert now < 400.0
-    assert abs(now - plan.duration) < 1.0
-    at_work = np.array(levers)[np.abs(levers) > 0.02]
-    assert np.count_nonzero(np.diff(np.sign(at_work))) == 3
-
-
-def test_a_tuning_that_is_not_positive_is_refused() -> None:
-    refused(InputError, "lever 0", Tuning, lever=0.0)
-
-
-def test_an_unknown_linearisation_is_refused(plan: Reference) -> None:
-    refused(InputError, "about 'nothing' is unknown", Method, "nothing")
-
-
-def test_a_late_train_that_stands_short_of_its_stop_goes_on_to_it(plan: Reference) -> None:
-    controller = TrackingController(plan)
-    stop, now = plan.section.destination.position, plan.duration + 5.0
-    p, v = stop - 1.1, 0.0
-    while p < stop - 0.5 and now < plan.duration + 60.0:
-        lever = controller.drive(now, p, v)
-        p, v = kernels.step(p, v, lever, 0.1, NOMINAL, plan.section.tables, plan.section.constants)
-        now += 0.1
-    assert stop - 0.5 <= p < stop + 0.5
+def test_the_curve_of_effort_as_eq_3_prints_it_is_not_that_of_the_text() -> None:
+    """With the plus that eq. (3) has in the exponent, a lever of 1 gives 47 m/s² at 100 km/h."""
+    speed, c = 100.0 / 3.6, PUBLISHED_TRAIN
+    text, printed = c.full_effort(speed), c._replace(k2=-c.k2).full_effort(speed)
+    assert round(float(text) / 1e3, 1) == 21.9
+    assert round(float(printed) / 1e3) == 3_683
+    assert float(printed) / NOMINAL_MASS > 4.0 * GRAVITY

@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from analysis.control.qp import SOFTNESS, QPSubproblem, solve
-from analysis.studies.hauck_2023.controller import Method, TrackingController
+from analysis.studies.hauck_2023.controller import PublishedController
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.reference import Reference, reference
 from analysis.studies.hauck_2023.section import section_of
@@ -128,18 +128,11 @@ def timed(work: Callable[[], object], repeats: int) -> float:
 def main() -> None:
     plan = section()
     places = states(plan)
-    controllers = {
-        about: TrackingController(plan, Method(about)) for about in ("reference", "prediction")
-    }
+    controller = PublishedController(plan)
     table = Table("step", "ms, median", "ms, largest", "first lever differs by, at most")
-    for about, controller in controllers.items():
-        name = "about the reference" if about == "reference" else "real-time iteration"
-        times = [timed(lambda c=controller, s=s: c.lever(*s), REPEATS) for s in places]
-        table.add_row(f"{name}, all of a step", f"{np.median(times):.3f}", f"{max(times):.3f}", "")
-        guard = [timed(lambda c=controller, s=s: c.guarded(1.0, *s[1:]), REPEATS) for s in places]
-    table.add_row("the guard", f"{np.median(guard):.3f}", f"{max(guard):.3f}", "")
-    fresh = TrackingController(plan)
-    programs = [fresh.program(*s) for s in places]
+    programs = [controller.program(*s) for s in places]
+    times = [timed(lambda s=s: own(controller.program(*s)), REPEATS) for s in places]
+    table.add_row("all of a step", f"{np.median(times):.3f}", f"{max(times):.3f}", "")
     answers = [own(each) for each in programs]
     for name, peer, repeats in (
         ("the program alone: DAQP", own, REPEATS),

@@ -2,13 +2,11 @@
 
     python benchmarks/map/by_days.py caution [--sigmas 0 1 2]
     python benchmarks/map/by_days.py cautious [--days 4]
-    python benchmarks/map/by_days.py exploring [--days 4]
 
 ``caution``: a second day with the map of the first, read more or less cautiously, on a rail that
 holds as much as on the first day, and 5, 10 and 20 per cent less; a train of the least mass, which
-asks for the most adhesion. ``cautious``: four days as `trainlog study map-mpc` drives them.
-``exploring``: four days on which the trains ask for all they want where no slip was seen before, as
-a map can only learn where adhesion is used. Takes minutes.
+asks for the most adhesion. ``cautious``: four days as `trainlog study map-mpc` drives them. Takes
+minutes.
 """
 
 from __future__ import annotations
@@ -26,14 +24,14 @@ from analysis.studies.hauck_2023.figures import days_table
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN
 from analysis.studies.hauck_2023.scenarios import (
     LAYER,
-    cautious_policy,
+    cautious_adhesion,
     day_by_day,
-    exploring_policy,
     first_day,
     replanned,
     timetable_of,
 )
-from analysis.studies.hauck_2023.simulation import NO_MAP, Run, run, with_map
+from analysis.studies.hauck_2023.section import NO_LIMIT
+from analysis.studies.hauck_2023.simulation import Run, run, with_map
 from trainlog.cli.terminal import console
 from trainlog.railway import StepProfile
 
@@ -58,11 +56,11 @@ def caution(known: study.Setup, sigmas: Sequence[float], folder: Path) -> None:
     day = first_day(known.plan, rail, study.drawn_masses(1, 3).tolist(), folder, 1)
     track = adhesion_map(day.logs, layer=LAYER).track
     rails = {level: StepProfile(rail.positions, level * rail.values) for level in LEVELS}
-    blind = with_map(known.plan, NO_MAP)
+    blind = with_map(known.plan, NO_LIMIT)
     for level, met in rails.items():
-        reported("no map", level, run("day 2", blind, met, PUBLISHED_TRAIN.mass))
+        reported("no map", level, run("day 2", blind, met, PUBLISHED_TRAIN.light))
     for each in sigmas:
-        counted = cautious_policy(track, sigmas=each)
+        counted = cautious_adhesion(track, each)
         above = np.count_nonzero(counted.values > rail(track.centres))
         print(
             f"{each:g} sigmas: {counted.values[counted.assumed].max():.3f} assumed;"
@@ -74,13 +72,13 @@ def caution(known: study.Setup, sigmas: Sequence[float], folder: Path) -> None:
             reported(
                 f"{each:g} sigmas",
                 level,
-                run("day 2", plan, met, PUBLISHED_TRAIN.mass, timetable=stops),
+                run("day 2", plan, met, PUBLISHED_TRAIN.light, timetable=stops),
             )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=("caution", "cautious", "exploring"))
+    parser.add_argument("what", choices=("caution", "cautious"))
     parser.add_argument("--sigmas", type=float, nargs="+", default=[0.0, 1.0, 2.0])
     parser.add_argument("--days", type=int, default=4)
     options = parser.parse_args()
@@ -91,8 +89,7 @@ def main() -> None:
             return
         rails = [known.rails["bad"]] * options.days
         masses = study.drawn_masses(1, 3).tolist()
-        policy = exploring_policy if options.what == "exploring" else cautious_policy
-        *_, days = day_by_day(known.plan, rails, masses, Path(folder), 1, policy)
+        *_, days = day_by_day(known.plan, rails, masses, Path(folder), 1)
         console.print(days_table(days))
 
 

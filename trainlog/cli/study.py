@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from trainlog.cli.options import Count, Seed, refuse_rivals
+from trainlog.cli.options import Count, Seed
 from trainlog.cli.terminal import console, wrote
-from trainlog.units import COUNT, SHARE, SPEED
+from trainlog.units import COUNT, SPEED
 
 if TYPE_CHECKING:
     from analysis.studies.report import StudyReport
@@ -95,17 +95,16 @@ def map_mpc(
     sections: Count = None,
     days: Annotated[int, COUNT.between(2.0)] = 2,
     as_published: bool = False,
-    risk: Annotated[list[float] | None, SHARE] = None,
     seed: Seed = 1,
 ) -> None:
     """Follow a timetable with a map of the rail, and without one (Hauck et al., 2023).
 
-    Runs the paper's three scenarios on a reconstruction of the line Chemnitz-Cranzahl, with a mass
-    drawn from its range and with both ends of it, by a controller that knows the map and by one
-    that knows none. Then builds the map from the logs of a day without it and drives again. Writes
-    the trips as logs, draws the paper's figures and prints the tables: for each mass as soon as its
-    scenarios are driven, and after each day the days so far. The whole line takes minutes; what was
-    finished before an interruption is kept.
+    Runs the paper's scenarios on a reconstruction of the line Chemnitz-Cranzahl, with a mass drawn
+    from its range and with both ends of it, by the controller of 'trainlog simulate follow' with
+    the map and without one. Then builds the map from the logs of a day without it and drives again.
+    Writes the trips as logs, draws the paper's figures and prints the tables: for each mass as soon
+    as its scenarios are driven, and after each day the days so far. The whole line takes minutes;
+    what was finished before an interruption is kept.
 
     Example: trainlog study map-mpc -o results/map-mpc
 
@@ -118,20 +117,13 @@ def map_mpc(
     days : N
         How many days the loop is driven.
     as_published
-        The published controller alone: linearised about the reference, R = 0.01, without guard,
-        lead and learning of the mass; no days.
-    risk : SHARE
-        Drive only the days, on a rail that changes, without a map, with its lasting estimate, and
-        with what it expects of each day at this risk; may be given several times.
+        The published controller instead of the product's: linearised about the reference, R = 0.01,
+        without a guard; no days.
     """
     from analysis.studies.hauck_2023.run import MapOptions, main
-    from trainlog.railway.condition import check_risk
 
-    risks = tuple(check_risk(each) for each in risk or ())
-    if as_published:
-        refuse_rivals("the paper has no map that is learnt", {"--risk": risk}, "or --as-published")
     with _reported(output) as report:
-        main(report, MapOptions(sections, days, seed, as_published, risks))
+        main(report, MapOptions(sections, days, seed, as_published))
 
 
 @study_app.command("robust-minimax")

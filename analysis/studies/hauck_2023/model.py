@@ -10,7 +10,6 @@ sine of the gradient, maximum adhesion, and the square of the highest speed.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,72 +24,34 @@ from trainlog.railway.train import Axles, Train
 from trainlog.units import GRAVITY, KMH
 
 
-@dataclass(frozen=True, slots=True)
-class LeverTrain:
+class LeverTrain(NamedTuple):
     """``m dv/dt = -F_r(v) + F_train(v) u``, the lever u in [-1, 1]; eq. (1) to (3).
 
     Attributes
     ----------
-    name : str
-    mass : float [kg]
-        Empty, the least of eq. (6).
-    max_load : float [kg]
-    air_density : float [kg/m³]
-    drag_coefficient : float
-    frontal_area : float [m²]
-    rolling_coefficient : float
+    drag : float [N/(m/s)²]
+        ``1/2 rho c A``.
+    rolling : float
         c_R, rolling resistance over weight.
     k1, k2, k3 : float [N], [s/m], [N]
         Of the effort at full lever, ``F_train(v) = k1 exp(-k2 v) + k3``, traction and braking.
-    max_acceleration : float [m/s²]
-        a_max of eq. (4), comfort in traction and in braking.
-    max_speed : float [m/s]
-    source : str
-
-    Raises
-    ------
-    InputError
-        If a value is negative, or one that must be positive is not.
+    light, heavy : float [kg]
+        The ends of eq. (6): empty and loaded.
+    comfort : float [m/s²]
+        a_max of eq. (4), in traction and in braking.
+    lever : float
+        The largest that is used.
     """
 
-    name: str
-    mass: float
-    max_load: float
-    air_density: float
-    drag_coefficient: float
-    frontal_area: float
-    rolling_coefficient: float
+    drag: float
+    rolling: float
     k1: float
     k2: float
     k3: float
-    max_acceleration: float = 1.0
-    max_speed: float = 120.0 / KMH
-    source: str = ""
-
-    def __post_init__(self) -> None:
-        where = f"train '{self.name}'"
-        for name in ("mass", "k3", "max_acceleration", "max_speed"):
-            if not (getattr(self, name) > 0.0 and np.isfinite(getattr(self, name))):
-                raise InputError(f"{where}: {name} {getattr(self, name)} is not positive")
-        for name in ("max_load", "k1", "k2"):
-            if not (getattr(self, name) >= 0.0 and np.isfinite(getattr(self, name))):
-                raise InputError(f"{where}: {name} {getattr(self, name)} is negative")
-        for name in ("air_density", "drag_coefficient", "frontal_area", "rolling_coefficient"):
-            if not (getattr(self, name) >= 0.0 and np.isfinite(getattr(self, name))):
-                raise InputError(
-                    f"{where}: {name} {getattr(self, name)} is negative",
-                    remedy="running resistance never drives a train; check sign and unit",
-                )
-
-    @property
-    def max_mass(self) -> float:
-        """Loaded, the greatest of eq. (6) [kg]."""
-        return self.mass + self.max_load
-
-    @property
-    def drag(self) -> float:
-        """``1/2 rho c A`` [N/(m/s)²]."""
-        return 0.5 * self.air_density * self.drag_coefficient * self.frontal_area
+    light: float
+    heavy: float
+    comfort: float = 1.0
+    lever: float = 1.0
 
     def full_effort(self, speed: ArrayLike) -> FloatArray:
         """Effort of the full lever, F_train [N], at each speed [m/s]."""
@@ -98,7 +59,7 @@ class LeverTrain:
 
     def resistance(self, mass: float) -> RunningResistance:
         """Running resistance on level track at a mass [kg], eq. (2) without wind."""
-        return RunningResistance(self.rolling_coefficient * mass * GRAVITY, 0.0, self.drag)
+        return RunningResistance(self.rolling * mass * GRAVITY, 0.0, self.drag)
 
     def check_mass(self, mass: float) -> None:
         """Refuse a mass [kg] that the train cannot have.
@@ -107,10 +68,10 @@ class LeverTrain:
         ------
         InputError
         """
-        if not self.mass <= mass <= self.max_mass:
+        if not self.light <= mass <= self.heavy:
             raise InputError(
-                f"train '{self.name}' cannot weigh {mass / 1e3:g} t",
-                remedy=f"it weighs {self.mass / 1e3:g} t empty and {self.max_mass / 1e3:g} t full",
+                f"the train of Hauck et al. (2023) cannot weigh {mass / 1e3:g} t",
+                remedy=f"it weighs {self.light / 1e3:g} t empty and {self.heavy / 1e3:g} t full",
             )
 
     def on_axles(self, axles: int = 6, rotating_mass: float = 800.0) -> Train:
@@ -125,62 +86,44 @@ class LeverTrain:
         rotating_mass : float [kg]
             Of each axle.
         """
-        speeds = np.linspace(0.0, self.max_speed, 400)
+        speeds = np.linspace(0.0, TOP_SPEED, 400)
         power = float(np.max(speeds * self.full_effort(speeds)))
         effort = self.k1 + self.k3
         return Train(
-            name=self.name,
-            mass=self.mass,
-            rotating_mass_factor=axles * rotating_mass / self.mass,
-            resistance=self.resistance(self.mass),
+            name="train of Hauck et al. (2023)",
+            mass=self.light,
+            rotating_mass_factor=axles * rotating_mass / self.light,
+            resistance=self.resistance(self.light),
             max_tractive_effort=effort,
             max_traction_power=power,
             max_dynamic_braking_effort=effort,
             max_dynamic_braking_power=power,
-            max_speed=self.max_speed,
-            max_acceleration=self.max_acceleration,
-            max_deceleration=self.max_acceleration,
-            max_load=self.max_load,
-            axles=Axles(count=axles, adhesive_mass=self.mass, rotating_mass=rotating_mass),
-            source=self.source,
+            max_speed=TOP_SPEED,
+            max_acceleration=self.comfort,
+            max_deceleration=self.comfort,
+            max_load=self.heavy - self.light,
+            axles=Axles(count=axles, adhesive_mass=self.light, rotating_mass=rotating_mass),
+            source="Hauck et al. (2023), Table I; a_max is not published, 1 m/s² chosen",
             assumed=("axles", "rotating_mass_factor", "max_speed"),
         )
 
 
+TOP_SPEED = 120.0 / KMH
+"""Of the train [m/s]; not published."""
+
 PUBLISHED_TRAIN = LeverTrain(
-    name="train of Hauck et al. (2023)",
-    mass=68_200.0,
-    max_load=20_500.0,
-    air_density=1.2041,
-    drag_coefficient=0.85,
-    frontal_area=10.0,
-    rolling_coefficient=0.002,
+    drag=0.5 * 1.2041 * 0.85 * 10.0,
+    rolling=0.002,
     k1=1.516e5,
     k2=0.1147,
     k3=1.564e4,
-    source="Hauck et al. (2023), Table I; a_max is not published, 1 m/s² chosen",
+    light=68_200.0,
+    heavy=68_200.0 + 20_500.0,
 )
 """Table I, with density and drag coefficient in their places."""
 
 NOMINAL_MASS = 78_200.0
 """What the paper's controller takes the train to weigh [kg]."""
-
-
-class Constants(NamedTuple):
-    """A `LeverTrain` for the compiled code.
-
-    `light` and `heavy` are the ends of eq. (6), `lever` is the largest that is used.
-    """
-
-    drag: float
-    rolling: float
-    k1: float
-    k2: float
-    k3: float
-    light: float
-    heavy: float
-    comfort: float
-    lever: float = 1.0
 
 
 class Tables(NamedTuple):
@@ -199,60 +142,58 @@ class Tables(NamedTuple):
     adhesion: FloatArray
     ceiling: FloatArray
 
+    def at(self, table: FloatArray, positions: FloatArray | float) -> FloatArray:
+        """One of the tables at positions [m]; ends are extended."""
+        return np.asarray(np.interp(positions, self.origin + GRID * np.arange(table.size), table))
 
-def constants(train: LeverTrain) -> Constants:
-    """What the compiled code needs to know of a train."""
-    return Constants(
-        train.drag, train.rolling_coefficient, train.k1, train.k2, train.k3,
-        train.mass, train.max_mass, train.max_acceleration,
-    )  # fmt: skip
+    def slope(self, table: FloatArray, positions: FloatArray) -> FloatArray:
+        """How fast one of the tables changes at positions [1/m]."""
+        cell = ((positions - self.origin) / GRID).astype(np.int64).clip(0, table.size - 2)
+        return np.asarray(np.diff(table)[cell] / GRID)
 
 
 @njit(cache=True)
-def full_effort(v: float, c: Constants) -> float:
+def full_effort(v: Any, c: LeverTrain) -> Any:
     """F_train [N]."""
-    return c.k1 * math.exp(-c.k2 * v) + c.k3
+    return c.k1 * np.exp(-c.k2 * v) + c.k3
 
 
 @njit(cache=True)
-def drift(v: float, sine: float, m: float, c: Constants) -> float:
+def drift(v: Any, sine: Any, m: float, c: LeverTrain) -> Any:
     """f_2 of eq. (3) [m/s²]: what happens with the lever at 0."""
-    weight = sine + c.rolling * math.sqrt(1.0 - sine * sine)
-    return -c.drag * v * abs(v) / m - GRAVITY * weight
+    weight = sine + c.rolling * np.sqrt(1.0 - sine * sine)
+    return -c.drag * v * np.abs(v) / m - GRAVITY * weight
 
 
 @njit(cache=True)
-def acceleration(v: float, u: float, sine: float, m: float, c: Constants) -> float:
+def acceleration(v: Any, u: Any, sine: Any, m: float, c: LeverTrain) -> Any:
     """Eq. (3) [m/s²]."""
     return drift(v, sine, m, c) + full_effort(v, c) * u / m
 
 
-@njit(cache=True)
-def constraint_values(
-    v: float, u: float, sine: float, adhesion: float, limit: float, c: Constants
-) -> tuple[float, float, float]:
-    """Largest of h_1 and h_2, of h_3 and h_4, and h_5 of eq. (7), over both ends of the mass."""
-    safety, traction = -np.inf, -np.inf
-    for m in (c.light, c.heavy):
-        safety = max(safety, abs(acceleration(v, u, sine, m, c)) - c.comfort)
-        traction = max(traction, abs(full_effort(v, c) * u) / m - adhesion * GRAVITY)
-    return safety, traction, v - limit
+def constraints(v: Any, u: Any, sine: Any, adhesion: Any, limit: Any, c: LeverTrain) -> FloatArray:
+    """Eq. (7): largest of h_1 and h_2, of h_3 and h_4, h_5, of h_6 and h_7; (n, 4) array.
+
+    Over both ends of the mass, [m/s²], [m/s²], [m/s] and [1]; arguments of (n,) values.
+    """
+    masses = (c.light, c.heavy)
+    comfort = [np.abs(acceleration(v, u, sine, m, c)) - c.comfort for m in masses]
+    traction = np.abs(full_effort(v, c) * u) / c.light - adhesion * GRAVITY
+    return np.column_stack([np.maximum(*comfort), traction, v - limit, np.abs(u) - 1.0])
 
 
 @njit(cache=True)
-def lever_bounds(v: float, sine: float, adhesion: float, c: Constants) -> tuple[float, float]:
+def lever_bounds(v: Any, sine: Any, adhesion: Any, c: LeverTrain) -> tuple[Any, Any]:
     """Lowest and highest lever that (4), (5) and the range of the lever allow for every mass.
 
     The constraints are affine in 1/m, so that both ends of the mass imply all between them.
     """
     full = full_effort(v, c)
-    low, high = -c.lever, c.lever
-    for m in (c.light, c.heavy):
-        free = drift(v, sine, m, c)
-        grip = adhesion * GRAVITY * m / full
-        high = min(high, (c.comfort - free) * m / full, grip)
-        low = max(low, (-c.comfort - free) * m / full, -grip)
-    return low, high
+    light, heavy = drift(v, sine, c.light, c), drift(v, sine, c.heavy, c)
+    most = np.minimum(adhesion * GRAVITY * c.light / full, c.lever)
+    high = np.minimum((c.comfort - light) * c.light, (c.comfort - heavy) * c.heavy) / full
+    low = np.maximum((-c.comfort - light) * c.light, (-c.comfort - heavy) * c.heavy) / full
+    return np.maximum(low, -most), np.minimum(high, most)
 
 
 @njit(cache=True)
@@ -267,7 +208,7 @@ def limited_rise(squares: FloatArray, most: float) -> FloatArray:
 @njit(cache=True)
 def braking_envelope(
     squares: FloatArray, sine: FloatArray, adhesion: FloatArray, share: float,
-    light: float, heavy: float, inertia: float, c: Constants,
+    light: float, heavy: float, inertia: float, c: LeverTrain,
 ) -> FloatArray:  # fmt: skip
     """Squares of speeds from which the speeds ahead can be kept with a share of the brake.
 
@@ -292,8 +233,8 @@ def braking_envelope(
 
 @njit(cache=True)
 def fastest_run(
-    start: float, speed: float, end: float, step: float, most: float, m: float, inertia: float,
-    t: Tables, c: Constants,
+    start: float, end: float, step: float, most: float, m: float, inertia: float, t: Tables,
+    c: LeverTrain,
 ) -> tuple[Any, ...]:  # fmt: skip
     """The run to rest at `end` [m] as fast as the lever, the ceiling and `most` allow.
 
@@ -305,7 +246,6 @@ def fastest_run(
     width = (end - start) / count
     positions = start + width * np.arange(count + 1)
     speeds, times, levers = np.zeros(count + 1), np.zeros(count + 1), np.zeros(count + 1)
-    speeds[0] = speed
     for i in range(count):
         v, place = speeds[i], positions[i]
         gain = 0.0
@@ -335,7 +275,7 @@ def fastest_run(
 @njit(cache=True)
 def roll(
     p: float, v: float, u0: float, u1: float, span: float, steps: int, m: float,
-    t: Tables, c: Constants,
+    t: Tables, c: LeverTrain,
 ) -> FloatArray:  # fmt: skip
     """States under a lever that goes from `u0` to `u1`; (steps + 1, 3) array of p, v, u.
 
@@ -359,18 +299,3 @@ def roll(
         p += h * (v + 2.0 * v2 + 2.0 * v3 + v4) / 6.0
         v = max(v + h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0, 0.0)
     return out
-
-
-@njit(cache=True)
-def worst_constraints(states: FloatArray, t: Tables, c: Constants) -> FloatArray:
-    """Largest `constraint_values` and |u| - 1 over (n, 3) rows of p, v, u against the tables."""
-    worst = np.full(4, -np.inf)
-    for p, v, u in states:
-        found = constraint_values(
-            v, u, value(t.sine, t.origin, p), value(t.adhesion, t.origin, p),
-            math.sqrt(value(t.ceiling, t.origin, p)), c,
-        )  # fmt: skip
-        for k in range(3):
-            worst[k] = max(worst[k], found[k])
-        worst[3] = max(worst[3], abs(u) - 1.0)
-    return worst

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.control.route import GRID
-from analysis.studies.hauck_2023 import model as model
+from analysis.studies.hauck_2023 import model
 from analysis.studies.hauck_2023.model import NOMINAL_MASS
 from analysis.studies.hauck_2023.section import Section, check_timetable, fastest
 from analysis.trajectory.table import OPTIMAL
@@ -159,7 +159,11 @@ def _solved(
         )
     positions, speeds, levers = solved
     fine = _rollout(section, times, levers, mass)
-    worst = model.worst_constraints(fine, section.tables, section.constants)
+    (p, v, u), t = fine.T, section.tables
+    limit = np.sqrt(t.at(t.ceiling, p))
+    worst = model.constraints(v, u, t.at(t.sine, p), t.at(t.adhesion, p), limit, section.train).max(
+        axis=0
+    )
     found = Reference(
         section, mass, times, positions, speeds, levers, fine,
         _cost(times, levers), int(stats["iter_count"]), worst,
@@ -205,7 +209,7 @@ def _rollout(section: Section, times: FloatArray, levers: FloatArray, mass: floa
     p, v = section.origin.position, 0.0
     spans = np.diff(times)
     for span, u0, u1 in zip(spans, levers[:-1], levers[1:], strict=True):
-        part = model.roll(p, v, u0, u1, span, FINE, mass, section.tables, section.constants)
+        part = model.roll(p, v, u0, u1, span, FINE, mass, section.tables, section.train)
         p, v = part[-1, 0], part[-1, 1]
         rows.append(part[:-1])
     return np.concatenate([*rows, part[-1:]])
@@ -278,7 +282,7 @@ def _interval(
     """
     import casadi as ca
 
-    c, t = section.planning_constants, section.planned
+    c, t = section.planning_train, section.planned
     nodes = (t.origin + GRID * np.arange(t.sine.size) - section.origin.position) / 1e3
     sine = ca.interpolant("sine", "bspline", [nodes], t.sine)
     grip = _adhesion_spline(nodes, t.adhesion, logarithmic=checks > CHECKS[0])

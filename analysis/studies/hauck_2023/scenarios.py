@@ -13,31 +13,25 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from pandas import Timestamp
 
 from analysis.adhesion.condition_map import adhesion_map
 from analysis.adhesion.demonstrated import UsableAdhesion, typical_adhesion, usable_adhesion
-from analysis.studies.hauck_2023.controller import EXTENDED, Method
 from analysis.studies.hauck_2023.model import PUBLISHED_TRAIN, LeverTrain
 from analysis.studies.hauck_2023.reference import reference
 from analysis.studies.hauck_2023.section import (
+    NO_LIMIT,
     PLANNING,
     Section,
     check_timetable,
     fastest,
     fastest_unweighed,
-    least_time,
-    least_time_unweighed,
     section_of,
     sections_of,
 )
 from analysis.studies.hauck_2023.simulation import (
-    AXLE_ADHESION,
-    NO_MAP,
     SHORTEST_DWELL,
     Plan,
     Run,
-    Track,
     run,
     trip_of,
     with_map,
@@ -51,15 +45,7 @@ from trainlog.mcap import write_log
 from trainlog.railway import Line, StepProfile, TrackConditionMap
 from trainlog.railway.condition import BIN_LENGTH
 from trainlog.simulation.drivers import Stop
-from trainlog.simulation.rail import (
-    LASTING,
-    Rail,
-    base_map,
-    bin_centres,
-    likely_places,
-    smooth_variation,
-    spot,
-)
+from trainlog.simulation.rail import base_map, bin_centres, likely_places, smooth_variation, spot
 from trainlog.units import DAY, NANOSECONDS
 
 LINE = "DE_Chemnitz_Cranzahl.line.json"
@@ -132,28 +118,21 @@ def _profile(values: FloatArray) -> StepProfile:
     return StepProfile(starts, np.minimum(values, 0.5))
 
 
-def least_lateness(
-    sections: Sequence[Section],
-    mass: float,
-    delay: float,
-    least: Callable[[Section, float, float], float] = least_time,
-) -> FloatArray:
-    """Bound on how late [s] a train of one mass arrives that left the first stop late.
+def least_lateness(sections: Sequence[Section], mass: float, delay: float) -> FloatArray:
+    """Bound on how late [s] any driver arrives who left the first stop late.
 
-    From the least time of every section under (7), without any reserve, and the shortest dwell;
-    below 0 where it could be early.
+    From the runs of `fastest_unweighed` and the shortest dwell; below 0 where he could be early.
 
     Parameters
     ----------
     sections : sequence of Section
     mass : float [kg]
     delay : float [s]
-    least : callable
-        `least_time` or `least_time_unweighed`.
     """
     late, bound = delay, []
     for section in sections:
-        bound.append(late + least(section, mass, _rotating(section)) - section.duration)
+        least = fastest_unweighed(section, mass, _rotating(section)).duration
+        bound.append(late + least - section.duration)
         planned = section.destination.departure - section.destination.arrival
         late = max(bound[-1] + SHORTEST_DWELL - planned, 0.0)
     return np.array(bound, dtype=np.float64)
@@ -194,7 +173,7 @@ def least_deviation(plan: Plan, run: Run) -> FloatArray:
 
 def _rotating(section: Section) -> float:
     """Of the simulated train [kg]."""
-    return section.train.on_axles(AXLE_ADHESION.size).rotating_mass
+    return section.train.on_axles().rotating_mass
 
 
 Watch = Callable[[Iterable[Section]], Iterable[Section]]
@@ -211,23 +190,27 @@ class Scenario:
     ----------
     name : str
     weather : {"good", "bad"}
-        Of the rail; the references are always those of the good one.
+        Of the rail.
     delay : float [s]
         Of the first departure.
     published : str
         What the paper states.
+    planned : {"good", "bad"}
+        Weather that the references are made for.
     """
 
     name: str
     weather: str
     delay: float
     published: str
+    planned: str = "good"
 
 
 SCENARIOS = (
     Scenario("good track", "good", 0.0, "about 5 m at most, below 3 m/s, all h <= 0"),
     Scenario("weather turns bad", "bad", 0.0, "no significant change, all h <= 0"),
     Scenario("40 s late", "good", DELAY, "about 280 m, 19 s late at the next stop, all h <= 0"),
+    Scenario("weather turns good", "good", 0.0, "easily tracked", planned="bad"),
 )
 
 
@@ -237,14 +220,19 @@ class Setup:
 
     Attributes
     ----------
-    plan : tuple of Reference
-        For the good rail and the nominal mass.
+    plans : dict of str to tuple of Reference
+        By the weather that they are made for; for the nominal mass.
     rails : dict of str to StepProfile
         By weather.
     """
 
-    plan: Plan
+    plans: dict[str, Plan]
     rails: dict[str, StepProfile]
+
+    @property
+    def plan(self) -> Plan:
+        """For the good rail."""
+        return self.plans["good"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,9 +246,8 @@ class Outcome:
         By the controller with the map.
     blind : Run, optional
         By the one without; not as published.
-    bound, unweighed : (k,) array [s]
-        How late a train of this mass must be at each stop, whoever drives it: by a driver who
-        knows the mass, and by one who does not.
+    bound : (k,) array [s]
+        How late a train of this mass must be at each stop, whoever drives it; see `least_lateness`.
     deviation : (k,) array [m]
         How far from its reference `informed` must be at some time in each section.
     """
@@ -269,7 +256,6 @@ class Outcome:
     informed: Run
     blind: Run | None
     bound: FloatArray
-    unweighed: FloatArray
     deviation: FloatArray
 
 
@@ -302,23 +288,19 @@ def prepared(seed: int, sections: int | None = None, track: Watch = iter) -> Set
         )
     every = sections_of(whole, PUBLISHED_TRAIN, rails["good"], stops)[:sections]
     check_timetable(every)
-    return Setup(tuple(reference(section) for section in track(every)), rails)
+    plan = tuple(reference(section) for section in track(every))
+    return Setup({"good": plan, "bad": replanned(plan, rails["bad"])}, rails)
 
 
 def drawn_masses(seed: int, count: int) -> FloatArray:
     """Masses [kg] from the range of eq. (6), in tenths of tonnes; the controller learns none."""
     generator = np.random.default_rng([seed, 7])
-    drawn = generator.uniform(PUBLISHED_TRAIN.mass, PUBLISHED_TRAIN.max_mass, count)
-    return np.asarray(np.clip(np.round(drawn, -2), PUBLISHED_TRAIN.mass, PUBLISHED_TRAIN.max_mass))
+    least, most = PUBLISHED_TRAIN.light, PUBLISHED_TRAIN.heavy
+    drawn = generator.uniform(least, most, count)
+    return np.asarray(np.clip(np.round(drawn, -2), least, most))
 
 
-def outcome(
-    known: Setup,
-    scenario: Scenario,
-    mass: float,
-    method: Method = EXTENDED,
-    track: Track = iter,
-) -> Outcome:
+def outcome(known: Setup, scenario: Scenario, mass: float, *, published: bool = False) -> Outcome:
     """Drive a scenario with the map and, unless as published, without one.
 
     Parameters
@@ -326,27 +308,19 @@ def outcome(
     known : Setup
     scenario : Scenario
     mass : float [kg]
-    method : Method
-    track : callable
-        Wraps the references while they are driven, to show progress.
+    published : bool
+        By the controller of the paper.
     """
-    rail = known.rails[scenario.weather]
-    informed = with_map(known.plan, rail)
-    blind = with_map(known.plan, NO_MAP)
-    sections = [each.section for each in informed]
-    name = f"{scenario.name}, {mass / 1e3:.1f} t"
-    driven = run(name, informed, rail, mass, delay=scenario.delay, method=method, track=track)
+    rail, plan = known.rails[scenario.weather], known.plans[scenario.planned]
+    informed = with_map(plan, rail)
+    name, delay = f"{scenario.name}, {mass / 1e3:.1f} t", scenario.delay
+    driven = run(name, informed, rail, mass, delay=delay, published=published)
     without = None
-    if method.extended:
-        without = run(f"{name}, no map", blind, rail, mass, delay=scenario.delay, track=track)
-    return Outcome(
-        scenario,
-        driven,
-        without,
-        least_lateness(sections, mass, scenario.delay),
-        least_lateness(sections, mass, scenario.delay, least_time_unweighed),
-        least_deviation(informed, driven),
-    )
+    if not published:
+        blind = with_map(plan, NO_LIMIT)
+        without = run(f"{name}, no map", blind, rail, mass, delay=delay)
+    bound = least_lateness([each.section for each in informed], mass, delay)
+    return Outcome(scenario, driven, without, bound, least_deviation(informed, driven))
 
 
 LAYER = "wet"
@@ -363,9 +337,6 @@ SPARE = 0.01
 
 CHANGED = 0.02
 """A reference is made anew where more than this share of the adhesion counted on has changed."""
-
-DAILY_SPREAD = 0.02
-"""Standard deviation of the logarithm of a changing rail between days."""
 
 APART = 2 * 3_600 * NANOSECONDS
 """Of the logs: from trip to trip [ns]."""
@@ -452,15 +423,7 @@ class Days:
         return np.array([each.late for each in day.runs])
 
 
-AdhesionPolicy = Callable[[TrackConditionMap, Timestamp], UsableAdhesion]
-"""What the controllers of a day that begins at a time count on when they have a map."""
-
-
-def cautious_policy(
-    track: TrackConditionMap,
-    time: Timestamp | None = None,  # noqa: ARG001
-    sigmas: float = SIGMAS,
-) -> UsableAdhesion:
+def cautious_adhesion(track: TrackConditionMap, sigmas: float = SIGMAS) -> UsableAdhesion:
     """The map's cautious estimate of what lasts; elsewhere what was demonstrated, or is typical.
 
     Raises
@@ -472,66 +435,12 @@ def cautious_policy(
     return usable_adhesion(track, LAYER, sigmas=sigmas, assumed=typical)
 
 
-def risk_policy(track: TrackConditionMap, time: Timestamp, risk: float) -> UsableAdhesion:
-    """What a trip at that time finds at a place with probability ``1 - risk``.
-
-    Elsewhere whatever the train can use, as `exploring_policy`.
-    """
-    return usable_adhesion(track, LAYER, risk=risk, time=time, assumed=float(NO_MAP.values[0]))
-
-
-def exploring_policy(
-    track: TrackConditionMap,
-    time: Timestamp | None = None,  # noqa: ARG001
-) -> UsableAdhesion:
-    """The map's cautious estimate; elsewhere whatever the train can use, to see what holds."""
-    return usable_adhesion(track, LAYER, sigmas=SIGMAS, assumed=float(NO_MAP.values[0]))
-
-
-def changing_rails(track: Line, rail: StepProfile, days: int, seed: int) -> list[StepProfile]:
-    """A rail on several days, with the passing spots of `trainlog.simulation.rail.Rail` on it.
-
-    A spot takes the part of the rail's median that it takes of a wet rail's.
-
-    Parameters
-    ----------
-    track : Line
-    rail : StepProfile
-        What lasts.
-    days : int
-    seed : int
-        Of the spots.
-
-    Returns
-    -------
-    list of StepProfile
-        As it is at noon of each day, the first that of the first day's logs.
-    """
-    drawn = Rail.draw(track, days, Timestamp(START, tz="UTC"), seed)
-    centres = bin_centres(rail.values.size)
-    shapes = [
-        spot(centres, start, length, lowest / LASTING["wet"][0] * BAD_MEDIAN)
-        for start, length, lowest in drawn.spots[["start", "length", "wet"]].to_numpy(np.float64)
-    ]
-    found = []
-    for day in range(days):
-        generator = np.random.default_rng([seed, 17, day])
-        logarithm = np.log(rail(centres)) + DAILY_SPREAD * smooth_variation(centres.size, generator)
-        left = drawn.left(drawn.start + day * DAY + DAY // 2)
-        for share, bound in zip(left, shapes, strict=True):
-            if share > 0.0:
-                logarithm = logarithm - share * np.maximum(logarithm - bound, 0.0)
-        found.append(_profile(np.exp(logarithm)))
-    return found
-
-
 def first_day(
     plan: Plan,
     rail: StepProfile,
     masses: Sequence[float],
     folder: Path,
     seed: int,
-    track: Track = iter,
 ) -> Day:
     """Trips without a map, by the references of the good rail.
 
@@ -546,15 +455,12 @@ def first_day(
     seed : int
         Of the sensors' noise.
     """
-    blind = with_map(plan, NO_MAP)
-    runs = tuple(run(_name(1, mass), blind, rail, mass, track=track) for mass in masses)
+    blind = with_map(plan, NO_LIMIT)
+    runs = tuple(run(_name(1, mass), blind, rail, mass) for mass in masses)
     return Day(1, None, None, plan, rail, runs, _written(runs, 1, folder, seed))
 
 
-def next_day(
-    before: Day, plan: Plan, rail: StepProfile, folder: Path, seed: int,
-    policy: AdhesionPolicy = cautious_policy, track: Track = iter,
-) -> Day:  # fmt: skip
+def next_day(before: Day, plan: Plan, rail: StepProfile, folder: Path, seed: int) -> Day:
     """The same trips on the day after, with the map of all logs so far.
 
     Parameters
@@ -567,15 +473,14 @@ def next_day(
     folder : path
     seed : int
         Of the sensors' noise.
-    policy : callable
     """
     number = before.number + 1
     learnt = adhesion_map(before.logs, before.track, LAYER).track
-    known = policy(learnt, Timestamp(START + (number - 1) * DAY, tz="UTC"))
+    known = cautious_adhesion(learnt)
     made = replanned(plan, known.profile, before.plan if before.known else ())
     asked = timetable_of(plan)
     runs = tuple(
-        run(_name(number, each.mass), made, rail, each.mass, timetable=asked, track=track)
+        run(_name(number, each.mass), made, rail, each.mass, timetable=asked)
         for each in before.runs
     )
     logs = _written(runs, number, folder, seed)
@@ -583,18 +488,9 @@ def next_day(
 
 
 def day_by_day(
-    plan: Plan,
-    rails: Sequence[StepProfile],
-    masses: Sequence[float],
-    folder: Path,
-    seed: int,
-    policy: AdhesionPolicy = cautious_policy,
-    track: Track = iter,
-    first: Day | None = None,
-) -> Iterator[Days]:
+    plan: Plan, rails: Sequence[StepProfile], masses: Sequence[float], folder: Path, seed: int,
+) -> Iterator[Days]:  # fmt: skip
     """After each day the days so far; arguments as for `first_day` and `next_day`.
-
-    A `first` day that was driven already is not driven again.
 
     Raises
     ------
@@ -602,26 +498,11 @@ def day_by_day(
         Before a day whose map shows no maximum adhesion anywhere.
     """
     stops = timetable_of(plan)
-    days = [first or first_day(plan, rails[0], masses, folder, seed, track)]
+    days = [first_day(plan, rails[0], masses, folder, seed)]
     yield Days(tuple(days), stops)
     for rail in rails[1:]:
-        days.append(next_day(days[-1], plan, rail, folder, seed, policy, track))
+        days.append(next_day(days[-1], plan, rail, folder, seed))
         yield Days(tuple(days), stops)
-
-
-def without_map(
-    plan: Plan,
-    rails: Sequence[StepProfile],
-    masses: Sequence[float],
-    first: Day,
-    track: Track = iter,
-) -> Days:
-    """The same days, all driven as the first one, without a map; nothing is logged."""
-    blind, days = with_map(plan, NO_MAP), [first]
-    for number, rail in enumerate(rails[1:], start=2):
-        runs = tuple(run(_name(number, mass), blind, rail, mass, track=track) for mass in masses)
-        days.append(Day(number, None, None, plan, rail, runs, ()))
-    return Days(tuple(days), timetable_of(plan))
 
 
 def timetable_of(plan: Plan) -> tuple[Stop, ...]:
@@ -669,9 +550,8 @@ def _in_time(section: Section, rail: StepProfile, origin: Stop) -> Section:
 
 def _on(section: Section, rail: StepProfile) -> Section:
     return section_of(
-        section.line, section.train, rail, section.origin, section.destination,
-        section.driving, ON_THE_MAP,
-    )  # fmt: skip
+        section.line, section.train, rail, section.origin, section.destination, ON_THE_MAP
+    )
 
 
 def _alike(one: Section, other: Section) -> bool:

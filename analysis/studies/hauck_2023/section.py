@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from analysis.control.route import GRID, value
+from analysis.control.route import GRID
 from analysis.studies.hauck_2023 import model as model
-from analysis.studies.hauck_2023.model import NOMINAL_MASS, LeverTrain, Tables
+from analysis.studies.hauck_2023.model import NOMINAL_MASS, TOP_SPEED, LeverTrain, Tables
 from trainlog.arrays import FloatArray
 from trainlog.errors import InfeasibleError, InputError
 from trainlog.railway import Line, StepProfile
@@ -53,14 +53,23 @@ class Reserves:
 DRIVING = Reserves()
 """Of a train under way."""
 
+NONE = Reserves(adhesion=1.0, brake=1.0, speed=0.0, lever=1.0, comfort=1.0)
+"""Of a bound."""
+
 PLANNING = Reserves(adhesion=0.7, brake=0.7, speed=0.4, lever=0.7, comfort=0.75)
 """Of a reference, so that a controller may deviate from it."""
 
 STOPPING_TOLERANCE = 0.5
 """epsilon_1 of eq. (8): how far beyond its stop a train may stand [m]."""
 
+FASTEST_RISE = 1.5
+"""No train gains speed faster than this [m/s²]."""
+
 RUNNING_ON = 100.0
 """How far the tables reach beyond both ends of a section [m]."""
+
+NO_LIMIT = StepProfile(np.zeros(1), np.array([0.999]))
+"""What a controller assumes that knows no map: that the rail holds anything."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,14 +85,12 @@ class Section:
         As the map has it.
     tables : Tables
         Of a train under way; its ceiling is that of the mass that brakes worst.
-    allowed : (n,) array [m²/s²]
-        Square of the highest speed, without braking for what lies ahead, on the grid of `tables`.
     planned : Tables
         Of its reference: less of everything, and the ceiling of the speed limits alone, smoothed.
     stopping : (n,) array [m²/s²]
         Square of the speed from which a reference stops at the destination, on the grid of
         `planned`.
-    driving, planning : Reserves
+    planning : Reserves
     """
 
     origin: Stop
@@ -92,10 +99,8 @@ class Section:
     train: LeverTrain
     maximum_adhesion: StepProfile
     tables: Tables
-    allowed: FloatArray
     planned: Tables
     stopping: FloatArray
-    driving: Reserves
     planning: Reserves
 
     @property
@@ -109,31 +114,14 @@ class Section:
         return self.destination.arrival - self.origin.departure
 
     @property
-    def constants(self) -> model.Constants:
-        """The train for the compiled code."""
-        return model.constants(self.train)
+    def planning_train(self) -> LeverTrain:
+        """The train with the lever and the comfort that a reference uses."""
+        return _reserved(self.train, self.planning)
 
     @property
-    def planning_constants(self) -> model.Constants:
-        """The same with the lever and the comfort that a reference uses."""
-        return _reserved(self.constants, self.planning)
-
-    @property
-    def driving_constants(self) -> model.Constants:
-        """The same with the comfort that is used under way."""
-        return _reserved(self.constants, self.driving)
-
-    def braked_for(self, heaviest: float) -> Tables:
-        """`tables` with the ceiling of a train of which it is known that it is not heavier.
-
-        Parameters
-        ----------
-        heaviest : float [kg]
-            Of the motion, rotating parts included.
-        """
-        unbraked = self.tables._replace(ceiling=self.allowed)
-        c = self.driving_constants
-        return _braked(unbraked, self.driving, c.light, heaviest, 1.0, c)
+    def driving_train(self) -> LeverTrain:
+        """The train with the comfort that is used under way."""
+        return _reserved(self.train, DRIVING)
 
 
 def section_of(
@@ -142,7 +130,6 @@ def section_of(
     maximum_adhesion: StepProfile,
     origin: Stop,
     destination: Stop,
-    driving: Reserves = DRIVING,
     planning: Reserves = PLANNING,
 ) -> Section:
     """Prepare one section.
@@ -155,7 +142,7 @@ def section_of(
     maximum_adhesion : StepProfile
         By position.
     origin, destination : Stop
-    driving, planning : Reserves
+    planning : Reserves
 
     Raises
     ------
@@ -164,50 +151,44 @@ def section_of(
     """
     check_stops(line, (origin, destination))
     _check(line, maximum_adhesion)
-    c = model.constants(train)
-
-    def tables(stop: float, reserves: Reserves, last: float) -> tuple[Tables, FloatArray]:
-        """Tables whose grid has a node at `stop`, beyond which the speed is `last`.
-
-        And the squares of the speeds allowed, without braking for what lies ahead.
-        """
-        before = int(np.ceil((stop - origin.position + RUNNING_ON) / GRID))
-        nodes = stop + GRID * np.arange(-before, RUNNING_ON / GRID + 1.0)
-        slope = line.gradients.mean(nodes - SMOOTHING, nodes + SMOOTHING)
-        sine = np.asarray(slope / np.hypot(1.0, slope))
-        grip = reserves.adhesion * _lowest(maximum_adhesion, nodes)
-        limit = np.minimum(_lowest(line.speed_limits, nodes), train.max_speed)
-        squares = np.maximum(limit - reserves.speed, 0.0) ** 2
-        squares = np.where(nodes >= stop, np.minimum(squares, last**2), squares)
-        rising = model.limited_rise(squares, 1.5 * train.max_acceleration)
-        unbraked = Tables(float(nodes[0]), sine, grip, rising)
-        return _braked(unbraked, reserves, c.light, c.heavy, 1.0, _reserved(c, reserves)), rising
-
-    planned, _ = tables(destination.position, planning, np.inf)
-    driven, allowed = tables(destination.position + STOPPING_TOLERANCE, driving, 0.0)
-    free = np.full(planned.sine.size, train.max_speed**2)
-    stop_at = planned.origin + GRID * np.arange(free.size) >= destination.position
+    rail, start, stop = maximum_adhesion, origin.position, destination.position
+    planned = _tables(line, rail, start, stop, planning)
+    driven = _tables(line, rail, start, stop + STOPPING_TOLERANCE, DRIVING, 0.0)
+    at_stop = planned.origin + GRID * np.arange(planned.sine.size) >= stop
+    stopping = planned._replace(ceiling=np.where(at_stop, 0.0, TOP_SPEED**2))
+    limited = _braked(planned, planning, train).ceiling
     return Section(
         origin,
         destination,
         line,
         train,
-        maximum_adhesion,
-        driven,
-        allowed,
-        planned._replace(adhesion=_smoothed(planned.adhesion), ceiling=_smoothed(planned.ceiling)),
-        model.braking_envelope(
-            np.where(stop_at, 0.0, free),
-            planned.sine,
-            _around(planned.adhesion),
-            planning.brake,
-            c.light,
-            c.heavy,
-            1.0,
-            _reserved(c, planning),
-        ),
-        driving,
+        rail,
+        _braked(driven, DRIVING, train),
+        planned._replace(adhesion=_smoothed(planned.adhesion), ceiling=_smoothed(limited)),
+        _braked(stopping, planning, train).ceiling,
         planning,
+    )
+
+
+def _tables(
+    line: Line, rail: StepProfile, start: float, stop: float, reserves: Reserves,
+    last: float = np.inf,
+) -> Tables:  # fmt: skip
+    """Tables from a place on with a node at `stop` [m], beyond which the speed is `last` [m/s].
+
+    The ceiling does not allow for braking.
+    """
+    before = int(np.ceil((stop - start + RUNNING_ON) / GRID))
+    nodes = stop + GRID * np.arange(-before, RUNNING_ON / GRID + 1.0)
+    slope = line.gradients.mean(nodes - SMOOTHING, nodes + SMOOTHING)
+    limit = np.minimum(_lowest(line.speed_limits, nodes), TOP_SPEED)
+    squares = np.maximum(limit - reserves.speed, 0.0) ** 2
+    squares = np.where(nodes >= stop, np.minimum(squares, last**2), squares)
+    return Tables(
+        float(nodes[0]),
+        np.asarray(slope / np.hypot(1.0, slope)),
+        reserves.adhesion * _lowest(rail, nodes),
+        model.limited_rise(squares, FASTEST_RISE),
     )
 
 
@@ -269,33 +250,17 @@ def fastest(
     section.train.check_mass(mass)
     t = section.planned
     allowed = t._replace(ceiling=np.minimum(t.ceiling, section.stopping))
-    return _fastest(section, allowed, section.planning_constants, mass, most, step)
+    return _fastest(section, allowed, section.planning_train, mass, most, step)
 
 
-def _fastest(
-    section: Section, t: Tables, c: model.Constants, mass: float, most: float, step: float,
-    inertia: float = 1.0,
-) -> FastRun:  # fmt: skip
-    start, end = section.origin.position, section.destination.position
-    run = FastRun(*model.fastest_run(start, 0.0, end, step, most, mass, inertia, t, c))
-    if run.positions[-1] < end - 1e-6:
-        place = float(run.positions[-1])
-        sine = value(t.sine, t.origin, place)
-        grip = value(t.adhesion, t.origin, place)
-        raise InfeasibleError(
-            f"{section.name}: a train of {mass / 1e3:g} t comes to a stand at km"
-            f" {place / 1e3:.3f}, on {1e3 * sine:.1f} per mille with a maximum adhesion of"
-            f" {grip:.3f}",
-            remedy="less load, or a better rail",
-        )
-    return run
-
-
-def least_time(section: Section, mass: float = NOMINAL_MASS, rotating_mass: float = 0.0) -> float:
-    """Least time [s] of a driver who knows the mass: (7) holds for that mass alone.
+def fastest_unweighed(
+    section: Section, mass: float = NOMINAL_MASS, rotating_mass: float = 0.0
+) -> FastRun:
+    """The fastest run of any driver who does not know the mass: (7) holds for every mass of (6).
 
     A bound, without any reserve: adhesion, brake, comfort and limits in full, no lag, and a lever
-    that changes at every metre.
+    that changes at every metre. The motion and the brake are those of the true mass, as if it had
+    been guessed right.
 
     Parameters
     ----------
@@ -312,50 +277,28 @@ def least_time(section: Section, mass: float = NOMINAL_MASS, rotating_mass: floa
         If it comes to a stand on the way.
     """
     section.train.check_mass(mass)
-    alone = replace(section.train, mass=mass, max_load=0.0)
-    return _least(section, alone, mass, rotating_mass).duration
-
-
-def least_time_unweighed(
-    section: Section, mass: float = NOMINAL_MASS, rotating_mass: float = 0.0
-) -> float:
-    """Least time [s] of any driver who does not know the mass: that of `fastest_unweighed`.
-
-    Raises
-    ------
-    InputError, InfeasibleError
-        As `least_time`.
-    """
-    return fastest_unweighed(section, mass, rotating_mass).duration
-
-
-def fastest_unweighed(
-    section: Section, mass: float = NOMINAL_MASS, rotating_mass: float = 0.0
-) -> FastRun:
-    """The fastest run of any driver who does not know the mass: (7) holds for every mass of (6).
-
-    The motion and the brake are those of the true mass, as if it had been guessed right; see
-    `least_time`.
-
-    Raises
-    ------
-    InputError, InfeasibleError
-        As `least_time`.
-    """
-    section.train.check_mass(mass)
-    return _least(section, section.train, mass, rotating_mass)
-
-
-def _least(section: Section, train: LeverTrain, mass: float, rotating_mass: float) -> FastRun:
-    inertia = 1.0 + rotating_mass / mass
-    freed = section_of(
-        section.line, train, section.maximum_adhesion, section.origin, section.destination,
-        driving=Reserves(1.0, 1.0, 0.0, 1.0, 1.0),
-    )  # fmt: skip
-    c, t = freed.driving_constants, freed.tables._replace(ceiling=freed.allowed)
+    stop = section.destination.position + STOPPING_TOLERANCE
+    start, inertia, c = section.origin.position, 1.0 + rotating_mass / mass, section.train
+    t = _tables(section.line, section.maximum_adhesion, start, stop, NONE, 0.0)
     ceiling = model.braking_envelope(t.ceiling, t.sine, t.adhesion, 1.0, mass, mass, inertia, c)
-    t = t._replace(ceiling=ceiling)
-    return _fastest(freed, t, c, mass, np.inf, 1.0, inertia)
+    return _fastest(section, t._replace(ceiling=ceiling), c, mass, np.inf, 1.0, inertia)
+
+
+def _fastest(
+    section: Section, t: Tables, c: LeverTrain, mass: float, most: float, step: float,
+    inertia: float = 1.0,
+) -> FastRun:  # fmt: skip
+    start, end = section.origin.position, section.destination.position
+    run = FastRun(*model.fastest_run(start, end, step, most, mass, inertia, t, c))
+    if run.positions[-1] < end - 1e-6:
+        place = float(run.positions[-1])
+        raise InfeasibleError(
+            f"{section.name}: a train of {mass / 1e3:g} t comes to a stand at km"
+            f" {place / 1e3:.3f}, on {1e3 * t.at(t.sine, place):.1f} per mille with a maximum"
+            f" adhesion of {t.at(t.adhesion, place):.3f}",
+            remedy="less load, or a better rail",
+        )
+    return run
 
 
 def check_timetable(sections: tuple[Section, ...], mass: float = NOMINAL_MASS) -> None:
@@ -397,21 +340,18 @@ def _lowest(profile: StepProfile, nodes: FloatArray) -> FloatArray:
     return np.asarray(lowest)
 
 
-def _braked(
-    t: Tables, reserves: Reserves, light: float, heavy: float, inertia: float,
-    c: model.Constants,
-) -> Tables:  # fmt: skip
+def _braked(t: Tables, reserves: Reserves, train: LeverTrain) -> Tables:
     """Tables with the ceiling from which all that lies ahead can be kept."""
-    grip = _around(t.adhesion)
+    c, grip = _reserved(train, reserves), _around(t.adhesion)
     return t._replace(
         ceiling=model.braking_envelope(
-            t.ceiling, t.sine, grip, reserves.brake, light, heavy, inertia, c
+            t.ceiling, t.sine, grip, reserves.brake, c.light, c.heavy, 1.0, c
         )
     )
 
 
-def _reserved(c: model.Constants, reserves: Reserves) -> model.Constants:
-    return c._replace(lever=reserves.lever, comfort=reserves.comfort * c.comfort)
+def _reserved(train: LeverTrain, reserves: Reserves) -> LeverTrain:
+    return train._replace(lever=reserves.lever, comfort=reserves.comfort * train.comfort)
 
 
 def _around(adhesion: FloatArray) -> FloatArray:

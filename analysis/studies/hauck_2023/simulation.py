@@ -7,40 +7,35 @@ controller does not know.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.studies.hauck_2023 import model as model
-from analysis.studies.hauck_2023.controller import (
-    EXTENDED,
-    HOLDING_SPEED,
-    PERIOD,
-    Method,
-    TrackingController,
-)
-from analysis.studies.hauck_2023.model import LeverTrain
+from analysis.control.cooperative import adhesion_at, peak_slips
+from analysis.studies.hauck_2023.controller import Controller, MapController, PublishedController
+from analysis.studies.hauck_2023.model import LeverTrain, constraints
 from analysis.studies.hauck_2023.reference import Reference
-from analysis.studies.hauck_2023.section import STOPPING_TOLERANCE, sections_of, smoothed_line
+from analysis.studies.hauck_2023.section import (
+    STOPPING_TOLERANCE,
+    sections_of,
+    smoothed_line,
+)
 from analysis.studies.report import START
 from trainlog import __version__
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import InfeasibleError
 from trainlog.railway import Line, StepProfile
-from trainlog.railway.adhesion import DRY, WET
+from trainlog.railway.adhesion import creep_coefficients
 from trainlog.simulation import Run as Samples, Scenario, recorded
-from trainlog.simulation.drivers import Stop
+from trainlog.simulation.drivers import PERIOD, Stop
 from trainlog.simulation.plant import Drive, Plant
 from trainlog.simulation.recording import STANDING
 from trainlog.topics import REFERENCE, TRAIN_CONTROLS
 from trainlog.trip import Trip, frame_of
 from trainlog.units import GRAVITY, NANOSECONDS
-
-SAMPLES = 1
-"""Recorded in each period, as the sensors do."""
 
 STEP = 0.005
 """Of the integration [s]."""
@@ -51,7 +46,7 @@ SHORTEST_DWELL = 20.0
 SHORT_OF_STOP = 30.0
 """A train that stands before its stop so long after its arrival was due has arrived there [s]."""
 
-DRIVE = Drive(braking_fade_speed=0.05, holding_speed=HOLDING_SPEED)
+DRIVE = Drive(braking_fade_speed=0.05, holding_speed=0.5)
 """The dynamic brake works down to where the holding brake is applied."""
 
 AXLE_ADHESION = np.array([0.97, 0.98, 0.99, 1.01, 1.02, 1.03])
@@ -60,11 +55,7 @@ AXLE_ADHESION = np.array([0.97, 0.98, 0.99, 1.01, 1.02, 1.03])
 COASTING = 0.02
 """A lever below this is neither traction nor braking."""
 
-NO_MAP = StepProfile(np.zeros(1), np.array([0.999]))
-"""What a controller assumes that knows no map: that the rail holds anything."""
-
 Plan = tuple[Reference, ...]
-Track = Callable[[Iterable[Reference]], Iterable[Reference]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,17 +167,15 @@ class Run:
     def constraints(self) -> FloatArray:
         """Eq. (7) at every sample under way; (n, 4) array, NaN at the stations.
 
-        Largest of h_1 and h_2 [m/s²], of h_3 and h_4 [m/s²], h_5 [m/s], and |u| - 1, over both
-        ends of the mass, with the rail that the train met and without any reserve.
+        See `analysis.studies.hauck_2023.model.constraints`, with the rail that the train met and
+        without any reserve.
         """
-        slope = smoothed_line(self.line).gradient(self.position)
-        return constraint_table(
-            np.column_stack([
-                self.speed, self.lever, slope / np.hypot(1.0, slope), self.rail(self.position),
-                self.line.speed_limit(self.position),
-            ]),
-            model.constants(self.train),
+        slope, limit = smoothed_line(self.line).gradient(self.position), self.line.speed_limit
+        found = constraints(
+            self.speed, self.lever, slope / np.hypot(1.0, slope), self.rail(self.position),
+            limit(self.position), self.train,
         )  # fmt: skip
+        return np.where((self.speed > 0.0)[:, None], found, np.nan)
 
     @property
     def worst(self) -> FloatArray:
@@ -200,9 +189,14 @@ class Run:
         return np.column_stack([self.column(name) for name in wheels]) - self.speed[:, None]
 
     @cached_property
+    def _curves(self) -> FloatArray:
+        """Creep curves under the train, as the plant has them; (n, 1, 3)."""
+        return creep_coefficients(self.rail(self.position))[:, None]
+
+    @cached_property
     def slipping(self) -> BoolArray:
         """Whether each axle skids or slides: beyond the peak of its creep curve; (n, axles)."""
-        return np.asarray(np.abs(self.slip_speed) > peak_slip(self.rail(self.position))[:, None])
+        return np.asarray(np.abs(self.slip_speed) > peak_slips(self._curves))
 
     @property
     def slip_events(self) -> int:
@@ -215,8 +209,8 @@ class Run:
         """Of `slip_energy` what axles beyond the peak of their creep curve do [J], sampled."""
         slip = np.abs(self.slip_speed)
         weight = GRAVITY * self.mass / slip.shape[1]
-        force = weight * AXLE_ADHESION * adhesion_at(slip, self.rail(self.position)[:, None])
-        return float(np.sum(np.where(self.slipping, force * slip, 0.0)) * PERIOD / SAMPLES)
+        force = weight * AXLE_ADHESION * adhesion_at(slip, self._curves)
+        return float(np.sum(np.where(self.slipping, force * slip, 0.0)) * PERIOD)
 
     @property
     def protections(self) -> int:
@@ -229,40 +223,6 @@ def changes(lever: FloatArray) -> int:
     """How often a lever goes from traction to braking or back, whatever it coasts between."""
     at_work = np.sign(lever[np.abs(lever) > COASTING])
     return int(np.count_nonzero(np.diff(at_work)))
-
-
-def constraint_table(rows: FloatArray, c: model.Constants) -> FloatArray:
-    """`Run.constraints` from (n, 5) rows of speed, lever, sine, adhesion and limit."""
-    speed, lever, sine, adhesion, limit = rows.T
-    full = c.k1 * np.exp(-c.k2 * speed) + c.k3
-    weight = GRAVITY * (sine + c.rolling * np.sqrt(1.0 - sine**2))
-    safety, traction = np.full(len(rows), -np.inf), np.full(len(rows), -np.inf)
-    for mass in (c.light, c.heavy):
-        gained = (full * lever - c.drag * speed**2) / mass - weight
-        safety = np.maximum(safety, np.abs(gained) - c.comfort)
-        traction = np.maximum(traction, full * np.abs(lever) / mass - GRAVITY * adhesion)
-    found = np.column_stack([safety, traction, speed - limit, np.abs(lever) - 1.0])
-    return np.where((speed > 0.0)[:, None], found, np.nan)
-
-
-def creep_shape(adhesion: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A and b [s/m] of the creep curve at a maximum adhesion, as the plant has it."""
-    dryness = np.clip((adhesion - WET.peak) / (DRY.peak - WET.peak), 0.0, 1.0)
-    return WET.a + dryness * (DRY.a - WET.a), WET.b + dryness * (DRY.b - WET.b)
-
-
-def peak_slip(adhesion: FloatArray) -> FloatArray:
-    """Slip speed [m/s] at which the creep curve has its maximum."""
-    a, b = creep_shape(adhesion)
-    return np.asarray(np.log(b / a) / (b - a))
-
-
-def adhesion_at(slip: FloatArray, adhesion: FloatArray) -> FloatArray:
-    """Adhesion in use at a slip speed [m/s] where the maximum is `adhesion`."""
-    a, b = creep_shape(adhesion)
-    peak = peak_slip(adhesion)
-    most = np.exp(-a * peak) - np.exp(-b * peak)
-    return np.asarray(adhesion * (np.exp(-a * slip) - np.exp(-b * slip)) / most)
 
 
 def with_map(plan: Plan, rail: StepProfile) -> Plan:
@@ -282,9 +242,8 @@ def run(
     mass: float,
     *,
     delay: float = 0.0,
-    method: Method = EXTENDED,
+    published: bool = False,
     timetable: Sequence[Stop] | None = None,
-    track: Track = iter,
 ) -> Run:
     """Drive a timetable once.
 
@@ -299,11 +258,10 @@ def run(
         True one.
     delay : float [s]
         Of the first departure.
-    method : Method
+    published : bool
+        By the controller of the paper; default: by the product's.
     timetable : sequence of Stop, optional
         What is hurried for where the references were put off; default: their own stops.
-    track : callable
-        Wraps the references while they are driven, to show progress.
 
     Raises
     ------
@@ -315,7 +273,7 @@ def run(
     sections = [each.section for each in plan]
     line, train = sections[0].line, sections[0].train
     train.check_mass(mass)
-    axles = train.on_axles(AXLE_ADHESION.size)
+    axles = train.on_axles()
     plant = Plant.of(
         smoothed_line(line), axles, mass=mass, resistance=train.resistance(mass),
         maximum_adhesion=rail, axle_adhesion=AXLE_ADHESION, drive=DRIVE, step=STEP,
@@ -324,22 +282,23 @@ def run(
     recorder = _Recorder(plant, sections[0].origin.position)
     arrivals, departures, places = [0.0], [], [sections[0].origin.position]
     unsolved = 0
-    for number, reference in enumerate(track(plan)):
+    for number, reference in enumerate(plan):
         begins = reference.section.origin.departure
         due = stops[number].departure + (delay if number == 0 else 0.0)
         leaves = due if number == 0 else max(due, np.ceil(arrivals[-1] + SHORTEST_DWELL))
         while recorder.now < leaves - 0.5 * PERIOD:
             recorder.stand(reference, number)
         departures.append(recorder.now)
-        controller = TrackingController(reference, method, due=stops[number + 1].arrival - begins)
-        _drive_section(recorder, controller, number)
+        kind = PublishedController if published else MapController
+        controller = kind(reference, stops[number + 1].arrival - begins)
+        _drive_section(recorder, reference, controller, number)
         unsolved += controller.unsolved
         arrivals.append(recorder.now)
         places.append(recorder.state.position)
     departures.append(np.inf)
     for _ in range(round(STANDING / PERIOD)):
         recorder.stand(plan[-1], len(plan) - 1)
-    rows = np.repeat(np.array(recorder.rows, dtype=np.float64), SAMPLES, axis=0)
+    rows = np.array(recorder.rows, dtype=np.float64)
     return Run(
         name=name,
         line=line,
@@ -348,7 +307,7 @@ def run(
         rail=rail,
         mass=mass,
         delay=delay,
-        time=np.arange(len(rows), dtype=np.float64) * (PERIOD / SAMPLES),
+        time=np.arange(len(rows), dtype=np.float64) * PERIOD,
         samples=np.concatenate(recorder.samples),
         columns=plant.columns,
         lever=rows[:, 0],
@@ -386,29 +345,27 @@ class _Recorder:
         planned = aim * float(full_effort(speed))
         self.rows.append((lever, *demand, position, speed, planned, number))
         steps = round(PERIOD / STEP)
-        self.samples.append(self.plant.advance(self.state, *demand, steps, steps // SAMPLES))
+        self.samples.append(self.plant.advance(self.state, *demand, steps, steps))
 
     def stand(self, reference: Reference, number: int) -> None:
         """One period at a station: the holding brake is applied."""
         self.advance(reference, number, 0.0)
 
 
-def _drive_section(recorder: _Recorder, controller: TrackingController, number: int) -> None:
-    reference = controller.reference
+def _drive_section(
+    recorder: _Recorder, reference: Reference, controller: Controller, number: int
+) -> None:
     section = reference.section
     begun, stop = recorder.now, section.destination.position
     patience = 3.0 * section.duration + 600.0
-    extended = controller.method.extended
     while True:
         state = recorder.state
         time = recorder.now - section.origin.departure
-        lever = controller.drive(time, state.position, state.speed)
-        recorder.advance(reference, number, lever)
-        if state.speed == 0.0:
-            short = state.position <= stop - STOPPING_TOLERANCE
-            # As published nothing moves a train up that stands short of its stop.
-            if not short or (not extended and time > reference.duration + SHORT_OF_STOP):
-                return
+        recorder.advance(reference, number, controller.lever(time, state.position, state.speed))
+        if state.speed == 0.0 and (
+            state.position > stop - STOPPING_TOLERANCE or time > reference.duration + SHORT_OF_STOP
+        ):
+            return
         if recorder.now - begun > patience:
             raise InfeasibleError(
                 f"{section.name}: the train does not arrive; at km {state.position / 1e3:.3f}"
