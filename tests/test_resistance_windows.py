@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from resistance_trips import RESISTANCE, constant_speed, recording
+from scipy.sparse import vstack
 
 from analysis.resistance.noise import FLOOR, Likelihood, NoiseModel, NoiseParts, estimate_noise
 from analysis.resistance.regression import (
@@ -300,7 +301,14 @@ def test_a_line_run_up_and_down_all_day_keeps_the_filter_small() -> None:
     once = build_windows(recording(seed=5))
 
     every = once.end[-1] + 3600.0
-    day = Windows.joined(
-        [replace(once, start=once.start + k * every, end=once.end + k * every) for k in range(3)]
+    runs = [replace(once, start=once.start + k * every, end=once.end + k * every) for k in range(3)]
+    columns = {item.name: [getattr(run, item.name) for run in runs] for item in fields(Windows)}
+    day = Windows(
+        **{
+            name: vstack(parts, format="csr")
+            if name in ("sections", "edges")
+            else np.concatenate(parts)
+            for name, parts in columns.items()
+        }
     )
     assert NoiseParts.of(day, 130e3).slots == NoiseParts.of(once, 130e3).slots

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from analysis.resistance.recording import SpeedScale, speed_scale
-from analysis.resistance.windows import integral_up_to
+from analysis.resistance.windows import integral_between
 from estimators.motion import smooth_motion
 from trainlog.arrays import BoolArray, FloatArray, robust_std
 from trainlog.errors import LogError, NotIdentifiableError
@@ -139,8 +139,7 @@ def smoothed_over(time: FloatArray, values: FloatArray, reach: float) -> FloatAr
     """
     low, high = np.maximum(time - reach, time[0]), np.minimum(time + reach, time[-1])
     column = values[:, None]
-    area = integral_up_to(time, column, high) - integral_up_to(time, column, low)
-    return np.asarray(area[:, 0] / (high - low))
+    return np.asarray(integral_between(time, column, low, high)[:, 0] / (high - low))
 
 
 def _speed(trip: Trip, topic: str) -> tuple[str, pd.DatetimeIndex, FloatArray] | None:

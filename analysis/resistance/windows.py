@@ -265,13 +265,20 @@ def _averaged(
     time: FloatArray, values: FloatArray, instants: FloatArray, width: float
 ) -> FloatArray:
     """Mean (m, c) over half of `width` to either side of `instants` of sampled values (n, c)."""
-    low, high = instants - 0.5 * width, instants + 0.5 * width
-    return (integral_up_to(time, values, high) - integral_up_to(time, values, low)) / width
+    return integral_between(time, values, instants - 0.5 * width, instants + 0.5 * width) / width
 
 
-def integral_up_to(time: FloatArray, values: FloatArray, instants: FloatArray) -> FloatArray:
-    """Integral (m, c) up to `instants` of the straight lines between samples."""
+def integral_between(
+    time: FloatArray, values: FloatArray, low: FloatArray, high: FloatArray
+) -> FloatArray:
+    """Integral (m, c) from instants to others of the straight lines between samples (n, c)."""
     whole = _integral(time, values)
+    return _integral_up_to(time, values, whole, high) - _integral_up_to(time, values, whole, low)
+
+
+def _integral_up_to(
+    time: FloatArray, values: FloatArray, whole: FloatArray, instants: FloatArray
+) -> FloatArray:
     index = np.clip(np.searchsorted(time, instants, side="right") - 1, 0, time.size - 2)
     into = (instants - time[index])[:, None]
     slope = (values[index + 1] - values[index]) / (time[index + 1] - time[index])[:, None]

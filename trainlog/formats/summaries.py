@@ -70,15 +70,13 @@ _EMPTY: dict[str, Any] = {"text": "", "count": 0, "number": np.nan, "numbers": (
 def frame_of(columns: Iterable[Column], rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     """A table of declared columns; what a row does not state is empty, 0 or NaN."""
     given = list(rows)
-    return pd.DataFrame(
-        {
-            column.name: pd.Series(
-                [row.get(column.name, _EMPTY[column.kind]) for row in given],
-                dtype={"count": np.int64, "number": np.float64}.get(column.kind, object),
-            )
-            for column in columns
-        }
-    )
+    found: dict[str, Any] = {}
+    for column in columns:
+        kind = {"count": np.int64, "number": np.float64}.get(column.kind, object)
+        values = found[column.name] = np.empty(len(given), dtype=kind)
+        for number, row in enumerate(given):
+            values[number] = row.get(column.name, _EMPTY[column.kind])
+    return pd.DataFrame(found)
 
 
 def arrow_of(columns: Iterable[Column], frame: Mapping[str, Any] | pd.DataFrame) -> pa.Table:
