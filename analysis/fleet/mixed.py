@@ -31,6 +31,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import lapack
 
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 
@@ -288,19 +289,25 @@ class _Model:
         left = np.zeros((self.size, self.size, d, d))
         right = np.zeros((self.size, d))
         trust = np.linalg.inv(self.variances[trips] + scale / weights[trips, None, None])
-        for place, loading in zip(self.places, self.loadings, strict=True):
+        for number, (place, loading) in enumerate(zip(self.places, self.loadings, strict=True)):
             turned = loading[trips].transpose(0, 2, 1) @ trust
             one = place[trips]
             np.add.at(right, one, np.einsum("kij,kj->ki", turned, self.values[trips]))
-            for other, load in zip(self.places, self.loadings, strict=True):
-                np.add.at(left, (one, other[trips]), turned @ load[trips])
+            np.add.at(left, (one, one), turned @ loading[trips])
+            for other, load in zip(self.places[:number], self.loadings[:number], strict=True):
+                both = turned @ load[trips]
+                np.add.at(left, (one, other[trips]), both)
+                np.add.at(left, (other[trips], one), both.transpose(0, 2, 1))
         return left, right
 
     def solved(self, left: FloatArray, right: FloatArray) -> Solution:
         """Effects and their covariance."""
         n, d = right.shape
-        covariance = np.linalg.inv(left.transpose(0, 2, 1, 3).reshape(n * d, n * d))
-        covariance = 0.5 * (covariance + covariance.T)
+        factor, singular = lapack.dpotrf(left.transpose(0, 2, 1, 3).reshape(n * d, n * d))
+        upper, _ = lapack.dpotri(factor)
+        if singular:
+            raise np.linalg.LinAlgError("the equations of mean and effects are singular")
+        covariance = np.triu(upper) + np.triu(upper, 1).T
         effects = (covariance @ right.ravel()).reshape(n, d)
         return effects, covariance.reshape(n, d, n, d)
 
@@ -314,10 +321,11 @@ class _Model:
     def uncertainty(self, covariance: FloatArray) -> FloatArray:
         """Covariance of `expected`, (k, d, d)."""
         total = np.zeros_like(self.variances)
-        for place, loading in zip(self.places, self.loadings, strict=True):
-            for other, load in zip(self.places, self.loadings, strict=True):
-                block = covariance[place, :, other, :]
-                total += loading @ block @ load.transpose(0, 2, 1)
+        for number, (place, loading) in enumerate(zip(self.places, self.loadings, strict=True)):
+            total += loading @ covariance[place, :, place, :] @ loading.transpose(0, 2, 1)
+            for other, load in zip(self.places[:number], self.loadings[:number], strict=True):
+                part = loading @ covariance[place, :, other, :] @ load.transpose(0, 2, 1)
+                total += part + part.transpose(0, 2, 1)
         return total
 
     def deviations(self, found: Solution, scale: FloatArray, weights: FloatArray) -> FloatArray:
