@@ -159,3 +159,4 @@ def test_the_command_writes_every_answer_with_its_picture(ran: Ran) -> None:
         found = read_trajectory(ran.folder / f"{name}.json")
         assert found.certificate["audit"]["passed"]
         assert (ran.folder / f"{name}.png").exists()
+    assert (ran.folder / "nominal-driven-by-others.png").exists()

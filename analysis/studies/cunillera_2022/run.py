@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from analysis.studies.cunillera_2022 import figures, model as study
+from analysis.studies.cunillera_2022.figures import others_charts
 from analysis.studies.report import StudyReport
 from trainlog.formats.railway import write_trajectory
 from trainlog.railway import Trajectory
@@ -33,6 +34,7 @@ def main(report: StudyReport, cells: int) -> None:
     alone = {each.name: answers[f"level-{each.name}"] for each in chosen}
     common, recourse = answers["level-common"], answers["level-recourse"]
     nominal = alone[study.NOMINAL]
+    report.draw({"nominal-driven-by-others.png": others_charts(level, nominal, common, chosen)})
     on_level = [pair for pair in answers.items() if pair[1].line == level.line.name]
     report.show(
         figures.configurations_table(level),

@@ -7,6 +7,7 @@ from functools import partial
 
 from analysis.studies.hauck_2023.figures import (
     counted_on,
+    days_charts,
     days_table,
     difference_table,
     gain_table,
@@ -98,5 +99,8 @@ def _drive_days(
             break
         report.keep(*driven.logs)
         report.show(days_table(driven))
-    if driven is not None and len(driven.days) > 1:
+    if driven is None:
+        return
+    if len(driven.days) > 1:
         report.show(counted_on(driven))
+    report.draw({"two-days.png": days_charts(driven)})

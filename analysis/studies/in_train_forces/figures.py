@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from analysis.charts import (
+    BLUE,
     GREY,
+    INK,
     ORANGE,
     PURPLE,
+    RED,
     Cells,
     Chart,
     Curve,
@@ -74,7 +77,7 @@ COLUMNS = 1_200
 
 
 def run_charts(run: ConsistRun) -> list[Chart]:
-    """Speed and gradient, forces along the train, single particle."""
+    """Speed and gradient, forces along the train, envelope, single particle."""
     gradient = run.line.gradient(np.minimum(run.front, run.line.length)) * PER_MILLE
     speeds = [
         Curve("first vehicle", run.time, KMH * run.speeds[:, 0]),
@@ -96,7 +99,7 @@ def run_charts(run: ConsistRun) -> list[Chart]:
         ],
         span=(0.0, float(run.time[-1])), title=f"{run.consist.name} on {run.line.name}",
     )  # fmt: skip
-    return [over_time]
+    return [over_time, _envelope(run)]
 
 
 def _forces(run: ConsistRun) -> Panel:
@@ -117,3 +120,21 @@ def _forces(run: ConsistRun) -> Panel:
     )
     title = "In-train force: draft red, buff blue"
     return Panel("coupler, from the front", [cells], 1.5, title, limits=(count + 0.5, 0.5))
+
+
+def _envelope(run: ConsistRun) -> Chart:
+    """Largest draft and buff of each coupler, and where they come from."""
+    numbers = np.arange(1, run.forces.shape[1] + 1)
+    draft, buff = run.forces.max(axis=0) / 1e3, run.forces.min(axis=0) / 1e3
+    curves = [
+        Curve("draft, whole run", numbers, np.maximum(draft, 0.0), RED, "bars", width=0.8),
+        Curve("buff, whole run", numbers, np.minimum(buff, 0.0), BLUE, "bars", width=0.8),
+    ]
+    for name, mark in (("full service braking", "o"), ("emergency braking", "s")):
+        during = run.forces[run.phase(name)].min(axis=0) / 1e3
+        curves += [
+            Curve("", numbers, during, INK, width=0.8),
+            Curve(f"least in {name}", numbers, during, INK, "points", width=1.7, mark=mark),
+        ]
+    panel = Panel("kN", curves, 1.1, "Largest forces of each coupler", rules=[Rule(0.0, GREY)])
+    return Chart("coupler, from the front", [panel])
