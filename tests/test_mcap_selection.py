@@ -315,7 +315,7 @@ def flipped(path: Path, number: int, folder: Path) -> tuple[Path, int]:
     with Source(path) as source:
         place = contents_of(source).chunks[number]
     data = bytearray(path.read_bytes())
-    data[place.data + place.stored // 2] ^= 0x10
+    data[place.offset + place.length // 2] ^= 0x10
     (folder / "flipped.mcap").write_bytes(data)
     return folder / "flipped.mcap", place.messages
 

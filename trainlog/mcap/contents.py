@@ -22,7 +22,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Channel, DataEnd, Footer, Header, Metadata, Schema, Statistics
+from mcap.records import Channel, ChunkIndex, DataEnd, Footer, Header, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
 from trainlog.errors import LogError
@@ -62,7 +62,6 @@ _LONGEST_HEAD = 65_536
 
 _FOOTER_LENGTH = 20
 _DATA_END_LENGTH = 4
-_CHUNK_INDEX = struct.Struct("<QQQQI")
 _INDEX_HEAD = RECORD_HEAD + 6
 """Bytes of a message index before its entries, of 16 bytes each."""
 
@@ -79,8 +78,8 @@ class ChunkPlace(NamedTuple):
     offset, length : int
         Where its record begins, and the record's length with its head [bytes].
     compression : str
-    data, stored : int
-        Where its content as stored begins, and the content's length [bytes].
+    stored : int
+        Length of its content as stored [bytes].
     size : int
         Length of its content when decompressed, as the record says [bytes].
     start, end : int
@@ -97,7 +96,6 @@ class ChunkPlace(NamedTuple):
     offset: int
     length: int
     compression: str
-    data: int
     stored: int
     size: int
     start: int
@@ -109,7 +107,7 @@ class ChunkPlace(NamedTuple):
     @property
     def loose(self) -> bool:
         """Whether it is a run of messages outside of chunks."""
-        return self.data == self.offset
+        return self.stored == self.length
 
     @property
     def messages(self) -> int:
@@ -294,7 +292,8 @@ def _summary(source: Source) -> Summary | None:
     for at, opcode, content in records(memoryview(stored)):
         if opcode == Opcode.CHUNK_INDEX:
             try:
-                found.contents.chunks.append(_chunk_place(content, found.start + at))
+                index = parsed(ChunkIndex, content, found.start + at)
+                found.contents.chunks.append(_chunk_place(index, found.start + at))
             except LogError:
                 countable = False
         elif opcode in DECLARATIONS:
@@ -316,41 +315,29 @@ def _counts(statistics: Statistics) -> Counter[int]:
     return +Counter(statistics.channel_message_counts)
 
 
-def _chunk_place(index: memoryview, at: int) -> ChunkPlace:
-    """The place of a chunk by its index; the lengths of its message indexes give the counts.
-
-    A long log has tens of thousands: the class of the mcap package takes ten times as long.
-    """
-    try:
-        start, end, offset, length, width = _CHUNK_INDEX.unpack_from(index)
-        listed = sorted(
-            (place, channel) for channel, place in struct.iter_unpack("<HQ", index[36 : 36 + width])
-        )
-        message_indexes, named = struct.unpack_from("<QI", index, 36 + width)
-        compression = str(index[48 + width : 48 + width + named], "utf-8")
-        stored, size = struct.unpack_from("<QQ", index, 48 + width + named)
-    except (struct.error, UnicodeDecodeError) as error:
-        raise damaged(at, "the chunk index record cannot be read") from error
-    behind = offset + length
+def _chunk_place(index: ChunkIndex, at: int) -> ChunkPlace:
+    """The place of a chunk by its index; the lengths of its message indexes give the counts."""
+    listed = sorted((place, number) for number, place in index.message_index_offsets.items())
+    end = index.chunk_start_offset + index.chunk_length
+    behind = end + index.message_index_length
     counts = {}
-    for (place, channel), (following, _) in pairwise([*listed, (behind + message_indexes, 0)]):
-        counts[channel], rest = divmod(following - place - _INDEX_HEAD, 16)
-        if rest or counts[channel] < 0:
+    for (place, number), (following, _) in pairwise([*listed, (behind, 0)]):
+        counts[number], rest = divmod(following - place - _INDEX_HEAD, 16)
+        if rest or counts[number] < 0:
             raise damaged(at, "the message indexes of a chunk are not of their lengths")
-    if (listed and listed[0][0] != behind) or len(counts) < len(listed) or stored > length:
+    if (listed and listed[0][0] != end) or index.compressed_size > index.chunk_length:
         raise damaged(at, "a chunk index contradicts itself")
     return ChunkPlace(
-        offset,
-        length,
-        compression,
-        behind - stored,
-        stored,
-        size,
-        start,
-        end,
-        {channel: place for place, channel in listed},
-        behind + message_indexes,
-        {channel: count for channel, count in counts.items() if count},
+        index.chunk_start_offset,
+        index.chunk_length,
+        index.compression,
+        index.compressed_size,
+        index.uncompressed_size,
+        index.message_start_time,
+        index.message_end_time,
+        dict(index.message_index_offsets),
+        behind,
+        {number: count for number, count in counts.items() if count},
     )
 
 
@@ -810,7 +797,6 @@ class _Scan:
             at,
             end - at,
             chunk.compression,
-            end - len(chunk.data),
             len(chunk.data),
             chunk.size,
             start,
@@ -976,7 +962,7 @@ class _Scan:
 def _run(start: int, end: int, first: int, last: int, counts: dict[int, int]) -> ChunkPlace:
     """A run of messages outside of chunks, as if it were a chunk that is not compressed."""
     size = end - start
-    return ChunkPlace(start, size, "", start, size, size, first, last, {}, end, counts)
+    return ChunkPlace(start, size, "", size, size, first, last, {}, end, counts)
 
 
 # ---------------------------------------------------------------- the next record behind damage
