@@ -34,6 +34,7 @@ from trainlog.mcap.contents import (
     attachment_data,
     check_is_mcap,
     fetched,
+    index_in,
     scanned,
 )
 from trainlog.mcap.description import LogDescription, describe
@@ -48,6 +49,7 @@ from trainlog.mcap.records import (
     Index,
     Source,
     checksum,
+    fills,
     in_file,
     index_of,
     nothing_of,
@@ -624,7 +626,9 @@ def _chunk(source: Source, place: ChunkPlace) -> Chunk:
     """The chunk as it is stored, or made again without messages that no channel explains."""
     chunk = fetched(source, place)
     content = opened(chunk, place.offset)
-    index = index_of(content, place.offset)
+    index = index_in(source, place)
+    if not fills(content, index):
+        index = index_of(content, place.offset)
     kept = {channel: entries for channel, entries in index.items() if channel in place.counts}
     if place.loose or len(kept) < len(index):
         return packed(_only(content, kept))
