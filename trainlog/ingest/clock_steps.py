@@ -55,8 +55,8 @@ QUARTER = 900 * NANOSECONDS
 EARLY = np.datetime64("2007-01-01").astype("datetime64[ns]").astype(np.int64)
 """Time [ns] before which a recording is rather one of today with a week number that rolled over."""
 
-MOST_QUARTERS = 56
-"""Time zones span 26 hours, but nobody sets a clock by more than 14."""
+MOST_ZONE = 14 * 3600 * NANOSECONDS
+"""Time zones span 26 hours, but nobody sets a clock by more than so much [ns]."""
 
 REAL = 5 * NANOSECONDS
 """Time that may really pass while a clock is set [ns]."""
@@ -170,9 +170,10 @@ def _coarse(time: IntArray, limits: Limits) -> IntArray:
     none = np.zeros(time.size, dtype=np.int64)
     if not np.any(np.diff(time) < 0) and np.ptp(time) < DAY:
         return none
-    weeks = _week_edges(time, limits.pause)
-    days = np.where(weeks == 0, _day_edges(time), 0)
-    others = np.where((weeks == 0) & (days == 0), _zone_edges(time), 0)
+    weeks = _edges(time, ROLLOVER, limits.pause * NANOSECONDS)
+    days = np.where(weeks == 0, _edges(time, DAY), 0)
+    others = np.where((weeks == 0) & (days == 0), _edges(time, QUARTER), 0)
+    others[np.abs(others) > MOST_ZONE] = 0
     if not np.any(others < 0):
         others[:] = 0
     edges = np.count_nonzero(weeks) + np.count_nonzero(days) + np.count_nonzero(others)
@@ -240,28 +241,11 @@ def _to_dated(time: IntArray, levels: IntArray) -> IntArray:
     return np.where(~undated & np.isin(levels, few), 0, right - levels)
 
 
-def _week_edges(time: IntArray, pause: float) -> IntArray:
-    """Steps by multiples of 1024 weeks [ns], 0 where there is none."""
+def _edges(time: IntArray, unit: int, real: float = REAL) -> IntArray:
+    """Steps by multiples of a unit [ns], besides which `real` may have passed; 0 where none is."""
     step = np.diff(time)
-    count = np.round(step / ROLLOVER).astype(np.int64)
-    rest = np.abs(step - count * ROLLOVER)
-    return np.where(rest <= pause * NANOSECONDS, count * ROLLOVER, 0)
-
-
-def _day_edges(time: IntArray) -> IntArray:
-    """Steps by whole days, the time of day going on [ns], 0 where there is none."""
-    step = np.diff(time)
-    count = np.floor_divide(step + REAL, DAY)
-    rest = np.abs(step - count * DAY)
-    return np.where((count != 0) & (rest <= REAL), count * DAY, 0)
-
-
-def _zone_edges(time: IntArray) -> IntArray:
-    """Steps by multiples of a quarter of an hour [ns], 0 where there is none."""
-    step = np.diff(time)
-    count = step // QUARTER
-    fits = (count != 0) & (np.abs(count) <= MOST_QUARTERS) & (step - count * QUARTER <= REAL)
-    return np.where(fits, count * QUARTER, 0)
+    count = np.floor_divide(step + int(real), unit)
+    return np.where(np.abs(step - count * unit) <= real, count * unit, 0)
 
 
 def _disorder(time: IntArray, pause: float) -> int:

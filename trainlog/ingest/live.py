@@ -38,9 +38,9 @@ from trainlog.ingest.stream import Decoded, Decoder, Framer, Malformed, as_it_ca
 from trainlog.ingest.tabular import open_text
 from trainlog.ingest.telegrams import TelegramFramer
 from trainlog.mcap.recorder import Recording, record
-from trainlog.topics import EVENTS, TOPICS, Topic
+from trainlog.topics import EVENTS, GNSS_MOTION, TOPICS, TRAIN_STATE, Topic
 from trainlog.trip import LINE_ATTACHMENT, TRAIN_ATTACHMENT
-from trainlog.units import EARTH_RADIUS, NANOSECONDS
+from trainlog.units import NANOSECONDS
 
 CONFIRMING = 3
 """Rows that must follow each other before a time is believed that does not follow those before."""
@@ -313,8 +313,7 @@ class Progress:
     speed : float or None
         Last known [m/s].
     distance : float
-        Driven since the first sample [m], by position, else by the integral of the speed, else
-        from fix to fix.
+        Driven since the first sample [m], by the integral of the speed.
     """
 
     time: int | None
@@ -685,52 +684,26 @@ class _Driven:
         self.time: int | None = None
         self.speed: float | None = None
         self._distances: dict[str, float] = {}
-        self._last: dict[str, tuple[int, tuple[float, ...]]] = {}
+        self._last: dict[str, tuple[int, float]] = {}
 
     @property
     def distance(self) -> float:
-        """By the first of position, speeds and fixes that is known [m]."""
-        for name in ("position", "/train/state", "/gnss/motion", "/gnss/fix"):
-            if name in self._distances:
-                return self._distances[name]
-        return 0.0
+        """The integral of the train's speed, else of its receiver's [m]."""
+        return self._distances.get(TRAIN_STATE.name, self._distances.get(GNSS_MOTION.name, 0.0))
 
     def take(self, topic: str, time: IntArray, frame: pd.DataFrame) -> None:
         """Take the rows of a topic."""
         latest = int(time[-1])
         self.time = latest if self.time is None else max(self.time, latest)
-        if topic in ("/train/state", "/gnss/motion"):
-            speed = frame["speed"].to_numpy()
-            known = np.isfinite(speed)
-            if known.any():
-                both = self._with_last(topic, time[known], speed[known, None])
-                step = np.diff(both[0]) / NANOSECONDS
-                mean = 0.5 * (both[1][1:, 0] + both[1][:-1, 0])
-                self._drive(topic, float(np.sum(np.abs(mean) * step)))
-                self.speed = float(speed[known][-1])
-        if topic == "/train/state" and frame["position"].notna().any():
-            known = frame["position"].notna().to_numpy()
-            both = self._with_last(
-                "position", time[known], frame["position"].to_numpy()[known, None]
-            )
-            self._drive("position", float(np.sum(np.abs(np.diff(both[1][:, 0])))))
-        if topic == "/gnss/fix":
-            fixes = frame[["latitude", "longitude"]].to_numpy()
-            known = np.isfinite(fixes).all(axis=1)
-            if known.any():
-                _, places = self._with_last(topic, time[known], np.radians(fixes[known]))
-                moved = places[1:] - places[:-1]
-                steps = np.hypot(moved[:, 0], moved[:, 1] * np.cos(places[:-1, 0]))
-                self._drive(topic, float(np.sum(EARTH_RADIUS * steps)))
-
-    def _drive(self, name: str, distance: float) -> None:
-        self._distances[name] = self._distances.get(name, 0.0) + distance
-
-    def _with_last(
-        self, name: str, time: IntArray, values: np.ndarray
-    ) -> tuple[IntArray, np.ndarray]:
-        last = self._last.get(name)
-        self._last[name] = (int(time[-1]), tuple(values[-1]))
-        if last is None:
-            return time, values
-        return np.append(last[0], time), np.vstack((last[1], values))
+        if topic not in (TRAIN_STATE.name, GNSS_MOTION.name):
+            return
+        speed = frame["speed"].to_numpy()
+        known = np.isfinite(speed)
+        if not known.any():
+            return
+        before = self._last.get(topic, (int(time[known][0]), float(speed[known][0])))
+        seconds = np.append(before[0], time[known]) / NANOSECONDS
+        driven = float(np.trapezoid(np.abs(np.append(before[1], speed[known])), seconds))
+        self._distances[topic] = self._distances.get(topic, 0.0) + driven
+        self.speed = float(speed[known][-1])
+        self._last[topic] = (int(time[known][-1]), self.speed)
