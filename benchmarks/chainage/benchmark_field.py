@@ -30,6 +30,7 @@ from trainlog.errors import InputError
 from trainlog.formats.railway import read_line
 from trainlog.formats.samples import DEFAULT_LINE, sample
 from trainlog.ingest.chainage import estimated_state
+from trainlog.ingest.frozen import without_frozen
 from trainlog.ingest.profile import Limits, Profile, Repair
 from trainlog.ingest.receiver import without_contradicted
 from trainlog.ingest.recording import Table
@@ -148,7 +149,8 @@ class Sums:
 def estimated(ride: Ride, run, field: Field, seed: int):
     trip, truth = receive(ride.line.geometry, run, field, seed)
     start = time.process_time()
-    estimate = estimated_state(trip, ride.line, PROFILE)
+    # As ingest does: values that freeze are no measurements.
+    estimate = estimated_state(without_frozen(trip)[0], ride.line, PROFILE)
     return trip, truth, estimate, time.process_time() - start
 
 

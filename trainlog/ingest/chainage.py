@@ -54,7 +54,6 @@ from trainlog.ingest.receiver import (
     distance_driven,
     extrapolated,
     fixes_of,
-    frozen,
     hold_of,
     kept_on,
     slipping_wheels,
@@ -91,6 +90,9 @@ OLDEST = 12.0
 
 REPLAYED = 3
 """Age [s] from which on a fix of a receiver that is not late throughout is an old one."""
+
+ELSEWHERE = 50.0
+"""Misfit of line and fixes [m] from which on places along the line show nothing of a receiver."""
 
 TURNS = 5
 """Times the fixes are projected and the motion is smoothed."""
@@ -262,12 +264,11 @@ class OnLine:
         self.fixes = replace(self.fixes, speed=np.where(flags, np.nan, speed))
 
     def _set_doubtful_aside(self) -> None:
-        """Set aside frozen speeds, those of extrapolated fixes, all where the unit is another."""
+        """Set aside speeds of extrapolated fixes, and all where the unit is another."""
         seconds = self.fixes.seconds
         if np.count_nonzero(np.isfinite(self.fixes.speed)) < 2:
             return
         self._without_speeds("extrapolated", self.computed)
-        self._without_speeds("frozen", frozen(seconds, self.fixes.speed))
         scale = scale_of(seconds, self.points, self.fixes.speed)
         if np.isfinite(scale) and not 1.0 / (1.0 + SCALE) < scale < 1.0 + SCALE:
             every = np.isfinite(self.fixes.speed)
@@ -334,6 +335,9 @@ class OnLine:
 
         By the speeds; those of a receiver that is late throughout are brought forward.
         """
+        if self.misfit > ELSEWHERE:
+            # Places on another line show nothing of the receiver.
+            return chainage
         seconds = self.fixes.seconds
         driven = distance_driven(self.fixes, slip_aware=self.slip_aware)
         pace, known = self.fixes.any_speed, np.isfinite(self.fixes.any_speed)

@@ -293,31 +293,6 @@ def held_fixes(
     return flags, round(row, 6)
 
 
-def frozen(seconds: FloatArray, speed: FloatArray) -> BoolArray:
-    """Speeds that repeat the one before for longer than measured ones do, while the train moves.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> speed = 20.0 + 0.1 * np.sin(np.arange(60.0))
-    >>> speed[20:40] = speed[20]
-    >>> np.flatnonzero(frozen(np.arange(60.0), speed))[[0, -1]]
-    array([21, 39])
-    """
-    flags = np.zeros(speed.size, dtype=np.bool_)
-    found = repeats(speed)
-    value, time = speed[found.known], seconds[found.known]
-    lasted = time[found.last] - time[found.first]
-    moving = value[found.first] > MOVING
-    if not moving.any():
-        return flags
-    usual = float(np.quantile(lasted[moving], 0.95))
-    still = moving & (found.samples >= RESTING_SAMPLES) & (lasted > max(RESTING, 3.0 * usual))
-    first, last = found.first[still], found.last[still]
-    flags[found.known] = covered(first + 1, last + 1, found.known.size)
-    return flags
-
-
 def hold_of(seconds: FloatArray, speed: FloatArray) -> float:
     """For how long a receiver repeats a speed while the train moves [s], on average; at least 1.
 
