@@ -622,7 +622,7 @@ class _Scan:
             self._found.schemas = dict(summary.contents.schemas)
             self._found.channels = dict(summary.contents.channels)
         self._earlier: list[tuple[int, dict[int, Schema], dict[int, Channel]]] = []
-        """Of files before the last: chunks up to their ends, and what they declare."""
+        """Of files before the last: where they end, and what they declare."""
         self._data_end: tuple[int, int] | None = None
         """Where the data section ends, and its checksum."""
         self._footer: tuple[int, Footer] | None = None
@@ -845,7 +845,7 @@ class _Scan:
         start = at - len(MAGIC) if self._found.closed else at
         self._lose(start, behind, "one file ends here and another begins", 0)
         found = self._found
-        self._earlier.append((len(found.chunks), found.schemas, found.channels))
+        self._earlier.append((at, found.schemas, found.channels))
         found.schemas, found.channels, found.closed = {}, {}, False
         self._summary = self._data_end = self._footer = None
         return behind
@@ -864,13 +864,20 @@ class _Scan:
         if self._earlier or any(chunk.offset > end for chunk in found.chunks):
             end = 0
         found.data_section = (end, expected) if end else None
+        left_out: dict[int, tuple[str, int | None]] = {}
         if not self._intact(end, expected):
             for place, again in self._repeated:
-                self._drop(place, f"the chunk comes again at byte {again:,}", 0)
-        if found.losses and any(not chunk.loose for chunk in found.chunks):
+                left_out[place.offset] = f"the chunk comes again at byte {again:,}", 0
+        if (found.losses or left_out) and any(not chunk.loose for chunk in found.chunks):
             # Other records, damaged, or pieces of damaged chunks: no checksum holds for them.
-            for place in [chunk for chunk in found.chunks if chunk.loose]:
-                self._drop(place, "a message outside of the chunks that the file has", None)
+            reason = "a message outside of the chunks that the file has"
+            left_out |= {chunk.offset: (reason, None) for chunk in found.chunks if chunk.loose}
+        found.losses += [
+            Loss(chunk.offset, chunk.behind, *left_out[chunk.offset])
+            for chunk in found.chunks
+            if chunk.offset in left_out
+        ]
+        found.chunks = [chunk for chunk in found.chunks if chunk.offset not in left_out]
         self._explain()
         if end:
             self._check_summary(end)
@@ -888,7 +895,7 @@ class _Scan:
             if not channel.schema_id or channel.schema_id in found.schemas
         }
         for place, chunk in enumerate(found.chunks):
-            own = next((each for each in self._earlier if place < each[0]), (0, {}, {}))
+            own = next((each for each in self._earlier if chunk.offset < each[0]), (0, {}, {}))
             for number, count in chunk.counts.items():
                 channel = own[2].get(number)
                 if number not in found.channels:
@@ -903,11 +910,6 @@ class _Scan:
                 reason = f"{count:,} messages of channel {number}, which is {what}"
                 found.losses.append(Loss(chunk.offset, chunk.offset, reason, count))
                 found.chunks[place] = found.chunks[place].without(number)
-
-    def _drop(self, place: ChunkPlace, reason: str, messages: int | None) -> None:
-        found = self._found
-        found.chunks = [chunk for chunk in found.chunks if chunk.offset != place.offset]
-        found.losses.append(Loss(place.offset, place.behind, reason, messages))
 
     def _intact(self, end: int, expected: int) -> bool:
         """Whether the data section holds its checksum; by the summary that is verified later."""
