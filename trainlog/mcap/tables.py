@@ -116,8 +116,8 @@ class _Table:
     Parameters
     ----------
     topic : Topic
-    held : set of str
-        Columns of the topic's channels.
+    declared : set of str
+        Columns that the topic's channels declare; those of a topic without rows.
     rows : int
         How many are expected.
     wanted : frozenset of str or None
@@ -125,36 +125,40 @@ class _Table:
     """
 
     def __init__(
-        self, topic: Topic, held: set[str], rows: int, wanted: frozenset[str] | None
+        self, topic: Topic, declared: set[str], rows: int, wanted: frozenset[str] | None
     ) -> None:
         self.topic = topic
         self.wanted = wanted
-        self._held = held
-        self._seen = {item.name for item in topic.fields if not item.per_axle}
-        self._fit = True
+        self._declared = declared
         self._rows = 0
         self._time = np.empty(rows, dtype=np.uint64)
-        self._names = [] if topic is EVENTS else self._in_order(self._seen | held)
-        self._table = np.empty((len(self._names), rows))
+        self._names: list[str] = []
+        self._table = np.empty((0, rows))
         self._texts: list[Columns] = []
 
-    def add(self, time: UintArray, columns: Columns, *, fits: bool) -> None:
-        """Add messages; `fits` says whether they have the columns of their channel."""
-        self._fit = self._fit and fits
+    def add(self, time: UintArray, columns: Columns) -> None:
+        """Add messages."""
         start, self._rows = self._rows, self._rows + len(time)
-        more = max(0, self._rows - len(self._time))
-        new = [] if self.topic is EVENTS else self._in_order(columns.keys() - {*self._names})
-        if more or new:
-            self._time = np.pad(self._time, (0, more))
-            self._table = np.pad(self._table, ((0, len(new)), (0, more)), constant_values=np.nan)
-            self._names += new
+        if self._rows > len(self._time):
+            self._time = np.pad(self._time, (0, self._rows - len(self._time)))
         self._time[start : self._rows] = time
         if self.topic is EVENTS:
             self._texts.append(columns)
             return
-        self._seen |= columns.keys()
+        self._hold(columns.keys())
         for row, name in zip(self._table, self._names, strict=True):
             row[start : self._rows] = columns.get(name, np.nan)
+
+    def _hold(self, columns: Iterable[str]) -> None:
+        """Have space for some columns and for those that every message has."""
+        every = {item.name for item in self.topic.fields if not item.per_axle}
+        new = self._in_order((every | {*columns}) - {*self._names})
+        if not self._names:
+            self._table = np.empty((len(new), len(self._time)))
+        elif new or len(self._time) > self._table.shape[1]:
+            more = (0, len(new)), (0, len(self._time) - self._table.shape[1])
+            self._table = np.pad(self._table, more, constant_values=np.nan)
+        self._names += new
 
     def frame(self) -> pd.DataFrame:
         """The topic's frame, in the order of time.
@@ -164,7 +168,7 @@ class _Table:
         LogError
             If a time is beyond those that pandas has.
         """
-        time, table = self._time[: self._rows], self._table[:, : self._rows]
+        time = self._time[: self._rows]
         if len(time) and time.max() > np.uint64(pd.Timestamp.max.value):
             raise unusable(f"{self.topic.name} has times after {pd.Timestamp.max.year}")
         order = None
@@ -183,7 +187,9 @@ class _Table:
             frame = frame_of(self.topic, index, joined)
             frame = frame[self._in_order(frame.columns)]
         else:
-            names = self._in_order(self._seen | self._held if self._fit else self._seen)
+            self._hold(() if self._rows else self._declared)
+            table = self._table[:, : self._rows]
+            names = self._in_order(self._names)
             if names != self._names:
                 table = table[[self._names.index(name) for name in names]]
             table = table if order is None else table[:, order]
@@ -235,8 +241,8 @@ def frames_in(
                 raise MisplacedError(found, place=f"byte {place.offset}")
             contents.drop(place, found)
             continue
-        for number, fits, time, values in found:
-            tables[channels[number].topic.name].add(time, values, fits=fits)
+        for number, time, values in found:
+            tables[channels[number].topic.name].add(time, values)
     return {name: tables[name].frame() for name in sorted(tables, key=_place)}
 
 
@@ -250,10 +256,8 @@ def _tables(
 ) -> dict[str, _Table]:
     """An empty table for each topic that has a channel, with space for its messages."""
     counts: Counter[int] = Counter()
-    sizes: Counter[int] = Counter()
     for place in chunks:
         counts.update(place.counts)
-        sizes.update(dict.fromkeys(place.counts, place.size))
     by_topic: dict[str, list[TopicChannel]] = {}
     for each in channels:
         by_topic.setdefault(each.topic.name, []).append(each)
@@ -264,22 +268,15 @@ def _tables(
         more = [field for field in fields.values() if field not in topic.fields]
         if fields.keys() != {field.name for field in topic.fields}:
             topic = replace(topic, fields=(*topic.fields, *more))
-        # A layout whose messages would not fit into the chunks has another number of axles.
-        held = {
-            column
-            for each in sources
-            if each.codec is not None
-            and each.codec.layout.size * counts[each.channel.id] <= sizes[each.channel.id]
-            for column in each.columns
-        }
         rows = sum(counts[each.channel.id] for each in sources)
         asked = None if wanted is None else wanted[name]
-        tables[name] = _Table(topic, held, rows, asked)
+        declared = {column for each in sources for column in each.columns}
+        tables[name] = _Table(topic, declared, rows, asked)
     return tables
 
 
-_Found = list[tuple[int, bool, UintArray, Columns]]
-"""Channel, whether its messages fit its layout, their times and columns."""
+_Found = list[tuple[int, UintArray, Columns]]
+"""Channel, times and columns of messages."""
 
 
 def _read(source: Source, place: ChunkPlace, channels: Mapping[int, TopicChannel]) -> _Found | str:
@@ -314,8 +311,7 @@ def _pieces(
         number = each.channel.id
         offsets = index[number][:, 1] if number in index else _NOWHERE
         piece = each.arrays(content, offsets)
-        fits = piece is not None
-        found.append((number, fits, *(piece or each.decoded(content, offsets, place.offset))))
+        found.append((number, *(piece or each.decoded(content, offsets, place.offset))))
     return found
 
 
