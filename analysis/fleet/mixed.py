@@ -38,11 +38,14 @@ from trainlog.arrays import BoolArray, FloatArray, IntArray
 TAIL = 5.0
 """Degrees of freedom of the Student distributions of trains and of trips."""
 
-ROUNDS = 60
-"""Most steps of the expectation maximisation."""
+ROUNDS = 20
+"""Most extrapolations, of two steps of the expectation maximisation each."""
 
 TOLERANCE = 1e-3
 """Relative change of the spreads in a step that ends the search."""
+
+LONGEST_STEP = 16.0
+"""Times a step of the expectation maximisation that an extrapolation goes at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,33 +182,23 @@ def mixed_effects(
     ([1.1, 2.1], np.True_)
     """
     model = _Model(values, variances, groups)
-    spreads = [group.spread.copy() for group in groups]
-    scale = within.copy()
-    weights = np.ones(len(values))
-    heavies = [np.ones(group.count) for group in groups]
-    found = model.solve(spreads, heavies, scale, weights)
+    start = _State(
+        within, [group.spread for group in groups], [np.ones(group.count) for group in groups],
+        np.ones(len(values)),
+    )  # fmt: skip
+    state, found = start, model.solve(start)
     for _ in range(ROUNDS):
-        before = [scale, *spreads]
-        square = model.deviations(found, scale, weights)
-        weights = _weights(square, scale)
-        scale = _spread(square, weights, within, prior_trips)
-        for number, group in enumerate(groups):
-            if np.isinf(group.prior) or group.count == 0:
-                continue
-            square = model.squares(found, number)
-            used = model.met[number]
-            if group.heavy:
-                heavies[number] = np.where(used, _weights(square, spreads[number]), 1.0)
-            spreads[number] = _spread(
-                square[used], heavies[number][used], group.spread, group.prior
-            )
-        found = model.solve(spreads, heavies, scale, weights)
-        change = max(
-            float(np.max(np.abs(new - old)) / np.max(np.abs(old)))
-            for new, old in zip([scale, *spreads], before, strict=True)
-        )
+        states, change = [state], np.inf
+        while len(states) < 3 and change >= TOLERANCE:
+            states.append(model.advanced(states[-1], found, within, prior_trips))
+            found = model.solve(states[-1])
+            change = _change(states[-2], states[-1])
+        state = states[-1]
         if change < TOLERANCE:
             break
+        state = _extrapolated(*states)
+        found = model.solve(state)
+    spreads, heavies = state.spreads, state.heavies
     effects, covariance = found
     trusts = tuple(
         heavy[:, None, None] * np.linalg.inv(spread)
@@ -220,12 +213,53 @@ def mixed_effects(
         covariance=covariance,
         first=tuple(model.first),
         spreads=tuple(spreads),
-        within=scale,
-        weights=weights,
+        within=state.scale,
+        weights=state.weights,
         _model=model,
-        _equations=model.complete(spreads, heavies, scale, weights),
+        _equations=model.complete(state),
         _trusts=trusts,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Spreads, and the weights of trips, and of effects of groups, that follow from them."""
+
+    scale: FloatArray
+    spreads: list[FloatArray]
+    heavies: list[FloatArray]
+    weights: FloatArray
+
+    @property
+    def logarithms(self) -> FloatArray:
+        """Matrix logarithms of all spreads, (n, d, d)."""
+        values, vectors = np.linalg.eigh(np.stack([self.scale, *self.spreads]))
+        logs = np.log(np.maximum(values, np.finfo(np.float64).tiny))
+        return np.asarray((vectors * logs[:, None, :]) @ vectors.transpose(0, 2, 1))
+
+
+def _change(one: _State, other: _State) -> float:
+    """Largest relative change of a spread."""
+    return max(
+        float(np.max(np.abs(new - old)) / np.max(np.abs(old)))
+        for new, old in zip([other.scale, *other.spreads], [one.scale, *one.spreads], strict=True)
+    )
+
+
+def _extrapolated(start: _State, one: _State, two: _State) -> _State:
+    """Where three states in a row lead to.
+
+    Varadhan, R., Roland, C. (2008), Simple and globally convergent methods for accelerating the
+    convergence of any EM algorithm, Scandinavian Journal of Statistics 35(2), scheme S3; of
+    the logarithms, so that spreads stay positive.
+    """
+    first, middle, last = start.logarithms, one.logarithms, two.logarithms
+    step, bend = middle - first, last - 2.0 * middle + first
+    length = float(np.linalg.norm(step) / max(float(np.linalg.norm(bend)), 1e-12))
+    length = min(max(length, 1.0), LONGEST_STEP)
+    values, vectors = np.linalg.eigh(first + 2.0 * length * step + length**2 * bend)
+    found = (vectors * np.exp(values)[:, None, :]) @ vectors.transpose(0, 2, 1)
+    return _State(found[0], list(found[1:]), two.heavies, two.weights)
 
 
 Solution = tuple[FloatArray, FloatArray]
@@ -255,27 +289,35 @@ class _Model:
             self.places.append(np.where(has, first + group.index, 0))
             self.loadings.append(np.where(has[:, None, None], loading, 0.0))
 
-    def solve(
-        self,
-        spreads: Sequence[FloatArray],
-        heavies: Sequence[FloatArray],
-        scale: FloatArray,
-        weights: FloatArray,
-    ) -> Solution:
+    def solve(self, state: _State) -> Solution:
         """Mean and effects; Henderson (1975), eq. (5)."""
-        return self.solved(*self.complete(spreads, heavies, scale, weights))
+        return self.solved(*self.complete(state))
 
-    def complete(
-        self,
-        spreads: Sequence[FloatArray],
-        heavies: Sequence[FloatArray],
-        scale: FloatArray,
-        weights: FloatArray,
-    ) -> tuple[FloatArray, FloatArray]:
+    def advanced(
+        self, state: _State, found: Solution, within: FloatArray, prior_trips: float
+    ) -> _State:
+        """The state after a step of the expectation maximisation."""
+        square = self.deviations(found, state.scale, state.weights)
+        weights = _weights(square, state.scale)
+        scale = _spread(square, weights, within, prior_trips)
+        spreads, heavies = list(state.spreads), list(state.heavies)
+        for number, group in enumerate(self.groups):
+            if np.isinf(group.prior) or group.count == 0:
+                continue
+            square = self.squares(found, number)
+            used = self.met[number]
+            if group.heavy:
+                heavies[number] = np.where(used, _weights(square, spreads[number]), 1.0)
+            spreads[number] = _spread(
+                square[used], heavies[number][used], group.spread, group.prior
+            )
+        return _State(scale, spreads, heavies, weights)
+
+    def complete(self, state: _State) -> tuple[FloatArray, FloatArray]:
         """The equations of all trips, with what is known of the effects beforehand."""
-        left, right = self.equations(scale, weights, np.arange(len(self.values)))
+        left, right = self.equations(state.scale, state.weights, np.arange(len(self.values)))
         for first, group, spread, heavy in zip(
-            self.first, self.groups, spreads, heavies, strict=True
+            self.first, self.groups, state.spreads, state.heavies, strict=True
         ):
             here = first + np.arange(group.count)
             left[here, here] += heavy[:, None, None] * np.linalg.inv(spread)

@@ -62,6 +62,10 @@ by the trips' own distribution."""
 POWER = 0.9
 """Share of faults of a stated least size that are seen."""
 
+NEAR = 1.5
+"""Deviations of one trip, over the root of their number, below which a median is not looked at: it
+is that far off in one case of ten."""
+
 _STEPS = 30
 """Of the search for a level, each of which weighs the trips anew."""
 
@@ -559,11 +563,15 @@ def _half_beyond(x: FloatArray, count: FloatArray | float, tail: float) -> Float
 
 
 def _median_beyond(x: FloatArray, uncertain: FloatArray, window: int, tail: float) -> FloatArray:
-    """Probability that a median of trips is beyond x, the level known to `uncertain`."""
-    half = 0.5 * (window + 1)
-    single = beyond(x - _NODES[:, None] * uncertain, tail)
-    total = np.sum(_WEIGHTS[:, None] * betainc(half, half, single), axis=0)
-    return np.where(x > 0.0, total, 1.0)
+    """Probability that a median of trips is beyond x, the level known to `uncertain`.
+
+    1 where it is above a tenth: nothing is seen there.
+    """
+    half, found = 0.5 * (window + 1), np.ones(x.size)
+    far = x * np.sqrt(window) > NEAR
+    single = beyond(x[far] - _NODES[:, None] * uncertain[far], tail)
+    found[far] = np.sum(_WEIGHTS[:, None] * betainc(half, half, single), axis=0)
+    return found
 
 
 def _against_kind(series: Series, own: FloatArray, std: FloatArray) -> FloatArray:
