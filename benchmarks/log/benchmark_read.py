@@ -7,8 +7,8 @@
 The first compares a topic of ten doubles a message, to a DataFrame, with the official reader and
 its protobuf decoder, small-mcap (if it is installed), Rerun's McapReader, Parquet, and with nothing
 but decompressing the same chunks. Times are the least of several runs in turns: processor time, and
-wall clock beside Parquet and Rerun. Large logs are made in a temporary folder, if
-there is space, and removed.
+wall clock beside Parquet and Rerun. Large logs are made in a temporary folder, if there is space,
+and removed.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def compared(messages: int, repeats: int, folder: Path) -> None:
         )
     print("wall clock, M messages/s")
     for name, each in wall.items():
-        print(f"  {name:24} {messages / each / 1e6:7.3f}   {wall['1 thread'] / each:6.2f} x")
+        print(f"  {name:24} {messages / each / 1e6:7.3f}   {wall['trainlog'] / each:6.2f} x")
 
 
 def small_mcap(path: Path) -> Callable[[], object] | None:
