@@ -130,6 +130,17 @@ def test_damage_in_the_middle_costs_only_what_it_touches(whole: Specimen, tmp_pa
         assert loss.end >= end
 
 
+def test_what_is_lost_is_stated_by_topic(whole: Specimen, tmp_path: Path) -> None:
+    """Each of the three chunks holds a third of both topics."""
+    start, end = chunk_groups(whole.data)[1]
+    data = whole.data[:start] + bytes(end - start) + whole.data[end:]
+    account = account_of(put(tmp_path, data))
+    assert account.topics == ((EVENTS.name, 20, 60), (TRAIN_STATE.name, 20, 60))
+    assert f"lost of {EVENTS.name}: 20 of 60 messages (33.3%)" in account.lines()
+    assert account.details()["topics"][TRAIN_STATE.name] == {"lost": 20, "of": 60}
+    assert account_of(put(tmp_path, whole.data)).topics == ()
+
+
 def test_random_byte_flips_are_accounted_for_to_the_message(tmp_path: Path) -> None:
     """420 flips: what comes back was written, and the account knows how many messages do not."""
     accounted = 0

@@ -88,6 +88,9 @@ class Account:
         If the file is a live recording that was not closed.
     expected : int or None
         How many messages the file held, by its statistics; None if these are not readable.
+    topics : tuple of (str, int, int)
+        Topics of which messages are lost: how many, of how many that the file held, by its
+        statistics.
     """
 
     messages: int
@@ -95,6 +98,7 @@ class Account:
     losses: tuple[Loss, ...] = ()
     unfinished: Unfinished | None = None
     expected: int | None = None
+    topics: tuple[tuple[str, int, int], ...] = ()
 
     def __repr__(self) -> str:
         return f"Account: {self.sentence}"
@@ -170,6 +174,9 @@ class Account:
             shown.append(
                 f"lost: bytes {loss.start:,} to {loss.end:,} ({size}{held}): {loss.reason}"
             )
+        for topic, lost, all_held in self.topics:
+            share = lost / all_held
+            shown.append(f"lost of {topic}: {lost:,} of {all_held:,} messages ({share:.1%})")
         if self.unfinished:
             shown.append(str(self.unfinished))
         return shown
@@ -181,6 +188,7 @@ class Account:
             "chunks": self.chunks,
             "bytes_lost": self.bytes_lost,
             "messages_lost": self.messages_lost,
+            "topics": {topic: {"lost": lost, "of": held} for topic, lost, held in self.topics},
             "losses": [asdict(loss) for loss in self.losses[:LISTED]],
             "losses_beyond": max(0, len(self.losses) - LISTED),
             "unfinished": asdict(self.unfinished) if self.unfinished else None,

@@ -13,7 +13,7 @@ import struct
 import warnings
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -164,8 +164,9 @@ class Contents:
         Whether all this comes from the summary, not from a scan of the file.
     losses : list of Loss
         What could not be read so far.
-    expected : int or None
-        How many messages the file held, by its statistics; None if these are not readable.
+    stated : Counter of int or None
+        How many messages the file held by channel id, by its statistics; None if these are not
+        readable.
     closed : bool
         Whether the file has its closing records.
     profile : str
@@ -180,7 +181,7 @@ class Contents:
     data_section: tuple[int, int] | None = None
     indexed: bool = False
     losses: list[Loss] = field(default_factory=list)
-    expected: int | None = None
+    stated: Counter[int] | None = None
     closed: bool = True
     profile: str = ""
 
@@ -216,8 +217,19 @@ class Contents:
             len(self.chunks),
             tuple(losses),
             None if self.closed else self._unfinished(),
-            self.expected,
+            None if self.stated is None else self.stated.total(),
+            tuple(self._lost()),
         )
+
+    def _lost(self) -> Iterator[tuple[str, int, int]]:
+        """Topics of which messages are lost: how many, of how many."""
+        stated, readable, counts = Counter[str](), Counter[str](), self.counts()
+        for number, channel in self.channels.items():
+            stated[channel.topic] += (self.stated or counts)[number]
+            readable[channel.topic] += counts[number]
+        for topic in sorted(stated):
+            if stated[topic] > readable[topic]:
+                yield topic, stated[topic] - readable[topic], stated[topic]
 
     def _unfinished(self) -> Unfinished | None:
         """How a live recording ended that was not closed; None if this is none."""
@@ -944,7 +956,7 @@ class _Scan:
         if self._counts is None or self._earlier:
             return
         readable, expected = found.counts(), self._counts.total()
-        found.expected = expected
+        found.stated = self._counts
         if not losses and readable != self._counts:
             at = self._data_end[0] if self._data_end else 0
             reason = f"the summary counts {expected:,} messages and there are {readable.total():,}"
