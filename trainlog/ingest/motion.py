@@ -283,7 +283,7 @@ def driven_mass(seconds: FloatArray, effort: FloatArray, speed: FloatArray) -> D
     >>> speed = 10.0 + 8.0 * np.sin(time / 20.0)
     >>> found = driven_mass(time, 60e3 * np.cos(time / 20.0), speed)
     >>> round(found.mass / 1e3), round(found.correlation, 2)
-    (150, 1.0)
+    (152, 1.0)
     """
     rate = rate_of(seconds, speed)
     known = np.isfinite(effort) & np.isfinite(speed) & np.isfinite(rate) & (speed > MOVING)
