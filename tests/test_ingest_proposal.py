@@ -298,6 +298,17 @@ def test_day_and_month(tmp_path: Path, days: list[str], pattern: str, opened: bo
     assert any(question.startswith("date") for question in proposal.open) == opened
 
 
+@pytest.mark.parametrize("pattern", ["%Y%m%dT%H%M%SZ", "%Y%m%d%H%M%S", "%d-%b-%Y %H:%M:%S"])
+def test_times_whose_parts_no_sign_tells(tmp_path: Path, pattern: str) -> None:
+    truth = pd.date_range("2024-05-01T06:00:00Z", periods=300, freq="s")
+    speed = 60.0 + 20.0 * np.sin(np.arange(300) / 30.0)
+    rows = [f"{at},{v:.1f}" for at, v in zip(truth.strftime(pattern), speed, strict=True)]
+    path = tmp_path / "run.csv"
+    path.write_text("Time,Speed [km/h]\n" + "\n".join(rows) + "\n")
+    trip = ingest(path, profile=propose_profile(path).profile)
+    assert (trip["/train/state"].index == truth).all()
+
+
 def test_parquet_with_typed_times(tmp_path: Path) -> None:
     run = drive()
     path = tmp_path / "run.parquet"

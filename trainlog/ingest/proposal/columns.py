@@ -108,12 +108,7 @@ def effort_signs(work: Work, speed: str | None) -> None:
 def _add_braking(work: Work, target: str, name: str, other: str) -> None:
     signs = _signs(work.numbers[name])
     if signs.both:
-        negative = signs.negative >= signs.positive
-        part: Literal["positive", "negative"] = "negative" if negative else "positive"
-        work.place(
-            target, (name,), "", part=part, why=f"of both signs, the {part} ones are taken",
-            alternative=said(other, "the other sign")
-        )  # fmt: skip
+        work.left[name] = "a braking effort of both signs"
         return
     sign: Literal[1, -1] = -1 if signs.negative > signs.positive else 1
     shown = "negative, sign -1" if sign < 0 else "positive"
@@ -315,15 +310,7 @@ def place_wheels(work: Work) -> None:
 
 def _wheel_speeds(work: Work, names: tuple[str, ...]) -> None:
     if work.speed is None:
-        stated = work.stated(names[0], "speed")
-        if stated:
-            why = "the file states it"
-            other = "nothing to check it with"
-            work.place(roles.WHEEL_SPEED, names, stated, why=why, alternative=other)
-        else:
-            work.left |= dict.fromkeys(
-                names, "turns, and no speed to find the wheel's circumference from"
-            )
+        work.left |= dict.fromkeys(names, "wheel speeds, and no speed to compare them with")
         return
     ratios = [same_motion(work.numbers[name], work.speed) for name in names]
     values = np.array([ratio.value for ratio in ratios])
@@ -497,18 +484,12 @@ def _place_plain(work: Work, target: str, name: str) -> None:
         if float(np.median(np.abs(known))) > big and beside is not None and beside.scale != 1.0:
             scale, why = recorded.integers, "integers, as the receiver's positions"
             other = ""
-    dilution = work.meanings[name].quantity == "horizontal_dilution"
-    if dilution:
-        unit, why, other = "m", "HDOP; an axis has 3 m at an HDOP of 1", "another accuracy"
-        scale = 0.03 if whole and float(np.median(known)) > 20.0 else 3.0
     low, high = recorded.plausible or (item.bounds.low, item.bounds.high)
     try:
         slope, offset = factor(unit, si)
     except InputError:
         work.left[name] = f"'{unit}' is no unit of {target}"
         return
-    if target.endswith("line_voltage") and not stated and float(np.median(np.abs(known))) > 100.0:
-        unit, slope = "V", 1.0
     values_si = known * scale * slope + offset
     inside = float(np.mean((values_si >= low) & (values_si <= high)))
     if inside < 0.9:
@@ -536,10 +517,6 @@ MOST_UNNAMED = 12
 
 OTHER_FIXES = 5.0
 """Cost up to which another reading of the fixes is tried with the units of the speed."""
-
-
-CONTRADICTED = 1.5
-"""Factor between fixes and speed beyond which the fixes are not used."""
 
 
 def columns_of(
@@ -644,10 +621,6 @@ def _place_motion(work: Work) -> None:
     place, other, answer = _with_fixes(question, _possible_fixes(work, values))
     if place is not None and "fixes" in answer.unexplained:
         off = answer.chords.value / factor(answer.units.speed, "m/s")[0]
-        if not 1.0 / CONTRADICTED < off < CONTRADICTED:
-            for name in (place.latitude, place.longitude):
-                work.left[name] = f"positions that move {off:.3g} times as fast as the speed says"
-            place = None
         other = said(other, f"they move {off:.3g} times the speed")
     _add_fixes(work, place, other)
     if speed is not None:
@@ -659,22 +632,11 @@ def _place_motion(work: Work) -> None:
 
 
 def _main_speed(work: Work) -> str | None:
-    """The column of the train's speed: by name, or else by what it integrates to."""
+    """The column of the train's speed: by name, or else with the distance that it integrates to."""
     named = work.first(roles.SPEED) or work.first(roles.GNSS_SPEED)
     if named is not None:
         return named
-    position = work.names.get(roles.POSITION, [])
-    if not position:
-        return _unnamed_pair(work)
-    for name in _unknown(work):
-        values = work.numbers[name]
-        if np.nanmin(values) < -0.1 * np.nanmax(values) or not np.nanmax(values) > 0.0:
-            continue
-        answer = units_of(Question(work.motion, values, work.numbers[position[0]]))
-        exact = answer.distance.agreement > 0.9 and answer.distance.scatter < 0.02
-        if exact and not answer.unexplained:
-            return _found(work, name, roles.SPEED, f"its integral follows '{position[0]}'")
-    return None
+    return None if work.names.get(roles.POSITION) else _unnamed_pair(work)
 
 
 def _unnamed_pair(work: Work) -> str | None:
@@ -697,7 +659,7 @@ def _unnamed_pair(work: Work) -> str | None:
 
 
 def _main_position(work: Work) -> str | None:
-    """The column of the distance: of several the one that follows the speed best."""
+    """The column of the distance: by name, or else by what it follows."""
     names = work.names.get(roles.POSITION, [])
     speeds = work.names.get(roles.SPEED, []) or work.names.get(roles.GNSS_SPEED, [])
     if not speeds:
@@ -711,12 +673,6 @@ def _main_position(work: Work) -> str | None:
             if ratio.agreement > 0.95 and ratio.scatter < 0.02 and not answer.unexplained:
                 return _found(work, name, roles.POSITION, f"it follows the integral of '{speed}'")
         return None
-    if len(names) > 1:
-        agreements = {
-            name: units_of(Question(work.motion, values, work.numbers[name])).distance
-            for name in names
-        }
-        names.sort(key=lambda name: (-round(agreements[name].agreement, 1), names.index(name)))
     return work.first(roles.POSITION)
 
 

@@ -104,8 +104,6 @@ def role_of(meaning: Meaning) -> tuple[str | None, str]:
         for target, _, recorded in recorded_fields()
         if quantity == named(recorded.words)
     }
-    if quantity == "horizontal_dilution":
-        meant = {"": "/gnss/fix.horizontal_accuracy"}
     for qualifier, target in meant.items():
         if qualifier and qualifier in meaning:
             return target, ""

@@ -41,18 +41,22 @@ EPOCHS = (("s", 1e9, 2.6e9), ("ms", 1e12, 2.6e12), ("us", 1e15, 2.6e15), ("ns", 
 QUARTER, NEAR = 900.0, 60.0
 """Time zones differ by quarters of an hour [s]; two clocks of a recorder by less than the other."""
 
-_MONTHS = "jan|feb|mar|apr|may|jun|jul|aug|sep|oct|nov|dec"
-_DATE = re.compile(rf"^(\d{{1,4}})([-./ ])(\d{{1,2}}|(?:{_MONTHS})[a-z]*)\2(\d{{1,4}})$", re.I)
+_DATE = re.compile(r"^(\d{1,4})([-./ ])(\d{1,2})\2(\d{1,4})$")
 _CLOCK = re.compile(
     r"^(?P<h>\d{1,3}):(?P<m>\d{2})(?::(?P<s>\d{2})(?P<f>[.,:]\d+)?)?(?P<p>\s*[AP]M)?"
     r"(?P<z>\s*(?:Z|[+-]\d{2}:?\d{2}))?$",
     re.I,
 )
-_BOTH = re.compile(r"^(?P<date>\S+?(?: \w{3,} \d+)?)(?P<sep>T|\s+|;)(?P<clock>\d{1,2}:\d{2}.*)$")
+_BOTH = re.compile(r"^(?P<date>\S+?)(?P<sep>T|\s+|;)(?P<clock>\d{1,2}:\d{2}.*)$")
 _ISO = re.compile(
     r"^\d{4}-\d{2}-\d{2}([T ]\d{2}:\d{2}(:\d{2}([.,]\d+)?)?\s?(Z|[+-]\d{2}:?\d{2})?)?$"
 )
-_COMPACT = re.compile(r"^(\d{8})([T _]?)(\d{6})([.,]\d+)?(Z?)$")
+_FURTHER = (
+    "%Y%m%dT%H%M%SZ", "%Y%m%dT%H%M%S", "%Y%m%dT%H%M%S.%f", "%Y%m%d%H%M%S", "%Y%m%d_%H%M%S",
+    "%d-%b-%Y %H:%M:%S", "%d-%b-%Y %H:%M:%S.%f", "%d %b %Y %H:%M:%S", "%d %B %Y %H:%M:%S",
+)  # fmt: skip
+"""Formats of date and time in one column whose parts no sign tells."""
+
 _DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)(?!\d)")
 _DAY_FIRST = re.compile(r"(?<!\d)([0-3]?\d)\.([01]?\d)\.(20\d\d)(?!\d)")
 
@@ -235,14 +239,12 @@ def _one_column(layout: Layout, name: str, cells: list[str]) -> _Candidates:
     if _share(_ISO, cells) > READABLE and any(":" in cell for cell in cells):
         iso = Reading("time", name, f"ISO 8601, '{cells[0]}'")
         yield TimeOptions(column=name, timezone=zone), (iso, zoned)
-    compact = _COMPACT.match(cells[0])
-    if compact and _share(_COMPACT, cells) > READABLE:
-        _, mark, _, fraction, utc = compact.groups()
-        if utc:
-            zone, zoned = "UTC", Reading("time zone", "UTC", "the cells end in Z")
-        pattern = f"%Y%m%d{mark}%H%M%S{f'{fraction[0]}%f' if fraction else ''}{utc}"
-        named = Reading("time", name, f"'{cells[0]}'")
-        yield TimeOptions(column=name, format=pattern, timezone=zone), (named, zoned)
+    for pattern in _FURTHER:
+        if _reads(pattern, cells[0]):
+            utc = Reading("time zone", "UTC", "the cells end in Z")
+            where, shown = ("UTC", utc) if pattern.endswith("Z") else (zone, zoned)
+            named = Reading("time", f"{name}, {pattern}", f"'{cells[0]}'")
+            yield TimeOptions(column=name, format=pattern, timezone=where), (named, shown)
     if _share(_BOTH, cells) > READABLE:
         halves = [match for match in map(_BOTH.match, cells) if match]
         date, dated = _date_pattern(layout, [half["date"] for half in halves])
@@ -251,6 +253,13 @@ def _one_column(layout: Layout, name: str, cells: list[str]) -> _Candidates:
             pattern = f"{date}{halves[0]['sep']}{clock}"
             named = Reading("time", f"{name}, {pattern}", f"'{cells[0]}'")
             yield TimeOptions(column=name, format=pattern, timezone=zone), (named, dated, zoned)
+
+
+def _reads(pattern: str, cell: str) -> bool:
+    try:
+        return bool(datetime.datetime.strptime(cell, pattern))
+    except ValueError:
+        return False
 
 
 def _two_columns(layout: Layout, date: str, clock: str, texts: dict[str, list[str]]) -> _Candidates:
@@ -337,11 +346,6 @@ def _date_pattern(layout: Layout, cells: list[str]) -> tuple[str | None, Reading
         return None, Reading("date", "", "")
     mark = found[0].group(2)
     first, second, third = ([m.group(n) for m in found] for n in (1, 3, 4))
-    if not second[0].isdigit():
-        month = "%b" if max(map(len, second)) == 3 else "%B"
-        year = "%Y" if len(third[0]) == 4 else "%y"
-        shown = Reading("date", "day, month, year", f"'{cells[0]}' names the month")
-        return f"%d{mark}{month}{mark}{year}", shown
     if len(first[0]) == 4:
         return f"%Y{mark}%m{mark}%d", Reading("date", "year, month, day", f"'{cells[0]}'")
     year = "%Y" if len(third[0]) == 4 else "%y"
@@ -373,8 +377,6 @@ def _day_first(
     # Within a trip midnight changes the day, not the month.
     if len(set(first)) != len(set(second)):
         return len(set(first)) > len(set(second)), "the number that changes at midnight", ""
-    if _american(layout):
-        return False, "times with AM and PM are American", "day, month, year"
     language = language_of(layout.names)
     if language in ("de", "fr"):
         return (
@@ -383,12 +385,6 @@ def _day_first(
             ("month, day, year"),
         )
     return True, "both numbers could be a month", "month, day, year"
-
-
-def _american(layout: Layout) -> bool:
-    """Whether the table has times with AM and PM."""
-    first = (str(layout.table[name][0].as_py()) for name in layout.names)
-    return any(re.search(r"\d\s*[AP]M$", cell, re.I) for cell in first)
 
 
 def _clock_pattern(cells: list[str]) -> str | None:
