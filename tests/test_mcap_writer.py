@@ -1,4 +1,4 @@
-"""Logs written piece by piece and by several threads, and disks that do not take them."""
+"""Logs written at once and piece by piece, and disks that do not take them."""
 
 from __future__ import annotations
 
@@ -55,20 +55,17 @@ def pieces(trip: Trip, cuts: list[pd.Timestamp]) -> Iterator[Trip]:
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("whole") / "trip.mcap"
-    write_log(long_trip(), path, threads=1)
+    write_log(long_trip(), path)
     return path
 
 
-@pytest.mark.parametrize("threads", [2, 5, None])
-def test_any_number_of_threads_gives_the_same_bytes(
-    threads: int | None, whole: Path, tmp_path: Path
-) -> None:
-    write_log(long_trip(), tmp_path / "trip.mcap", threads=threads, sync=True)
+def test_the_same_trip_gives_the_same_bytes(whole: Path, tmp_path: Path) -> None:
+    write_log(long_trip(), tmp_path / "trip.mcap", sync=True)
     assert (tmp_path / "trip.mcap").read_bytes() == whole.read_bytes()
 
 
 def write_pieces(path: Path, *pieces: Trip) -> None:
-    with LogWriter(path, threads=1) as log:
+    with LogWriter(path) as log:
         for piece in pieces:
             log.add(piece)
 
@@ -143,9 +140,9 @@ from trainlog.topics import TRAIN_STATE
 from trainlog.trip import Trip, frame_of
 frame = frame_of(TRAIN_STATE, np.arange(60_000), {"speed": np.random.default_rng(1).random(60_000)})
 resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, 500_000))
-for threads in (1, 2):
+for sync in (False, True):
     try:
-        write_log(Trip({TRAIN_STATE.name: frame}), sys.argv[1], threads=threads)
+        write_log(Trip({TRAIN_STATE.name: frame}), sys.argv[1], sync=sync)
     except InputError as error:
         print(error)
 """
@@ -186,11 +183,3 @@ def without(folder: Path, trip: Trip) -> Trip:
         path.unlink()
     folder.rmdir()
     return trip
-
-
-@pytest.mark.parametrize("threads", [0, -1, 1.5])
-def test_threads_are_whole_numbers_from_one_on(threads: int, tmp_path: Path) -> None:
-    path = tmp_path / "trip.mcap"
-    with pytest.raises(InputError, match=r"threads is .*whole number from 1 on"):
-        write_log(Trip({}), path, threads=threads)
-    assert not path.exists()

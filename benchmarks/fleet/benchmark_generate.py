@@ -42,7 +42,7 @@ def timed(fleet: Fleet, number: int, folder: Path) -> tuple[list[float], float, 
     trip = as_recorded(recorded(scenario, run), fleet.train_of(number))
     clock.append(time.process_time())
     log = folder / "trip.mcap"
-    write_log(trip, log, threads=1)
+    write_log(trip, log)
     clock.append(time.process_time())
     steps = np.diff(clock).tolist()
     return steps, trip.duration, scenario.stops[-1].position, log.stat().st_size

@@ -46,7 +46,7 @@ def read_plain_column(target: Path) -> None:
 
 KINDS: dict[str, tuple[Callable[[Trip, Path], None], ...]] = {
     "log": (
-        lambda trip, path: write_log(trip, path, threads=1),
+        write_log,
         lambda _, path: read_log(path),
         lambda _, path: read_log(path, {TRAIN_AXLES.name: [COLUMN]}),
     ),

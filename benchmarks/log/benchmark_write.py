@@ -68,9 +68,8 @@ def write_parquet(byte_stream_split: bool) -> Write:
 WRITERS: dict[str, tuple[Write, bool]] = {
     "official writer": (write_officially, True),
     "small-mcap": (write_small, True),
-    "trainlog, 1 thread": (lambda trip, path: write_log(trip, path, threads=1), False),
-    "trainlog, 2 threads": (lambda trip, path: write_log(trip, path, threads=2), False),
-    "the same, fsync": (lambda trip, path: write_log(trip, path, threads=2, sync=True), False),
+    "trainlog": (write_log, False),
+    "the same, fsync": (lambda trip, path: write_log(trip, path, sync=True), False),
     "Parquet": (write_parquet(byte_stream_split=False), False),
     "Parquet, byte-stream-split": (write_parquet(byte_stream_split=True), False),
 }

@@ -11,9 +11,8 @@ from __future__ import annotations
 import json
 import struct
 import threading
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -67,7 +66,6 @@ from trainlog.mcap.records import (
     Chunk,
     checksum,
     in_file,
-    threads_of,
 )
 from trainlog.topics import (
     EVENTS,
@@ -427,19 +425,10 @@ def _cuts(time: IntArray, ends: IntArray, period: int, largest: int) -> IntArray
     return np.array(cuts)
 
 
-def chunks_of(plan: Plan, count: int, threads: int = 1) -> Iterator[Chunk]:
-    """The first chunks of a plan, compressed, in order, however many threads make them."""
-    if threads == 1 or count < 2:
-        yield from (packed(plan.chunk(number)) for number in range(count))
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        waiting: deque[Future[Chunk]] = deque()
-        for number in range(count):
-            waiting.append(pool.submit(lambda each: packed(plan.chunk(each)), number))
-            if len(waiting) > 2 * threads:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
+def chunks_of(plan: Plan, count: int) -> Iterator[Chunk]:
+    """The first chunks of a plan, compressed, in order."""
+    for number in range(count):
+        yield packed(plan.chunk(number))
 
 
 _CHUNK_HEAD = struct.Struct("<BQQQQII")
@@ -449,9 +438,7 @@ _INDEX_HEAD = struct.Struct("<BQHI")
 """Opcode, length, channel and length of the entries of a message index."""
 
 
-def write_log(
-    trip: Trip, path: str | Path, *, threads: int | None = None, sync: bool = False
-) -> None:
+def write_log(trip: Trip, path: str | Path, *, sync: bool = False) -> None:
     """Write a trip as an MCAP file, whole or not at all.
 
     The same trip gives the same bytes. Absent columns and NaN are written as NaN, which reads as
@@ -461,8 +448,6 @@ def write_log(
     ----------
     trip : Trip
     path : path
-    threads : int, optional
-        That lay out and compress. Default: one a processor, at most four.
     sync : bool
         Whether to wait until the disk has it: the file then outlasts a power cut, not only the end
         of this program.
@@ -488,7 +473,7 @@ def write_log(
     True
     """
     check_written(trip, Trip)
-    with LogWriter(path, threads=threads, sync=sync) as log:
+    with LogWriter(path, sync=sync) as log:
         log.add(trip)
 
 
@@ -504,7 +489,7 @@ class LogWriter:
     Parameters
     ----------
     path : path
-    threads, sync
+    sync
         As for `write_log`.
 
     Examples
@@ -520,9 +505,8 @@ class LogWriter:
     True
     """
 
-    def __init__(self, path: str | Path, *, threads: int | None = None, sync: bool = False) -> None:
+    def __init__(self, path: str | Path, *, sync: bool = False) -> None:
         self._path = path
-        self._threads = threads_of(threads)
         self._resources = ExitStack()
         self._place = atomic_write(path, sync=sync)
         self._sink: Sink | None = None
@@ -607,7 +591,7 @@ class LogWriter:
             return
         self._sink.declare(*declared(self._pending.values()))
         full = len(plan) if last else max(0, len(plan) - 1)
-        for chunk in chunks_of(plan, full, self._threads):
+        for chunk in chunks_of(plan, full):
             self._sink.put_chunk(chunk)
         if full:
             self._pending = dict(zip(self._pending, plan.behind(full), strict=True))

@@ -6,6 +6,7 @@ and of each moment of a stop, the rows with the lowest and the highest speed rem
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -18,7 +19,6 @@ import pandas as pd
 
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
-from trainlog.mcap.records import threads_of
 from trainlog.railway import Trajectory
 from trainlog.replay.clock import Clock, Instants, Nanoseconds
 from trainlog.replay.curves import Colour
@@ -199,9 +199,10 @@ def thinned_trips(sources: Sequence[Pieces]) -> Iterator[tuple[Survey, Trip]]:
     LogError
         If a trip holds no samples, or cannot be read.
     """
-    with ThreadPoolExecutor(threads_of(None)) as pool:
+    threads = min(4, os.cpu_count() or 1)
+    with ThreadPoolExecutor(threads) as pool:
         waiting = iter(sources)
-        running = [pool.submit(_thinned, each) for each in islice(waiting, threads_of(None) + 1)]
+        running = [pool.submit(_thinned, each) for each in islice(waiting, threads + 1)]
         try:
             while running:
                 yield running.pop(0).result()

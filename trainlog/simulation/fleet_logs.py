@@ -106,7 +106,7 @@ def write_trip(fleet: Fleet, number: int, folder: str | Path) -> Made:
         return Made(number, scenario.name, reason=str(error))
     trip = as_recorded(recorded(scenario, run), fleet.train_of(number))
     path = log_path(folder, fleet, number)
-    write_log(trip, path, threads=1)
+    write_log(trip, path)
     distance = scenario.stops[-1].position - scenario.stops[0].position
     return Made(number, scenario.name, trip.duration, distance, path.stat().st_size)
 
