@@ -28,7 +28,6 @@ from trainlog.formats.trip_tables import (
 )
 from trainlog.mcap.account import Account
 from trainlog.mcap.contents import (
-    AttachmentPlace,
     ChunkPlace,
     Contents,
     attachment_data,
@@ -587,7 +586,9 @@ def _rebuild(source: Source, contents: Contents, steps: dict[str, str], sink: Si
             sink.put_metadata(record.name, values)
     sink.put_metadata(RECOVERY_RECORD, steps)
     for place in contents.attachments:
-        sink.put_attachment(_attachment(source, place))
+        data = attachment_data(source, place)
+        times = place.create_time, place.log_time
+        sink.put_attachment(Attachment(*times, place.name, place.media_type, data))
     for chunk in contents.chunks:
         sink.put_chunk(_chunk(source, chunk))
 
@@ -610,16 +611,6 @@ def _recoveries(contents: Contents, path: str | Path, size: int) -> dict[str, st
         number += 1
     text = json.dumps(step, ensure_ascii=True, sort_keys=True)
     return steps | {f"{number:04d}": text}
-
-
-def _attachment(source: Source, place: AttachmentPlace) -> Attachment:
-    return Attachment(
-        create_time=place.create_time,
-        data=attachment_data(source, place),
-        log_time=place.log_time,
-        media_type=place.media_type,
-        name=place.name,
-    )
 
 
 def _chunk(source: Source, place: ChunkPlace) -> Chunk:

@@ -204,18 +204,17 @@ def frames_of(path: str | Path, topics: Iterable[str] | None = None) -> ForeignF
     >>> found.account.whole, found.skipped
     (True, ())
     """
+
+    def read(contents: Contents) -> ForeignFrames:
+        found = _frames(source, contents, _wanted(contents, topics))
+        if topics is None:
+            check_data_section(source, contents)
+        return found
+
     with Source(path) as source, in_file(path):
-        contents, found = contents_used(source, lambda contents: _read(source, contents, topics))
+        contents, found = contents_used(source, read)
     report_losses(path, contents)
     return replace(found, account=contents.account)
-
-
-def _read(source: Source, contents: Contents, topics: Iterable[str] | None) -> ForeignFrames:
-    """The frames of the topics; if all are asked for, the rest of the file is verified, too."""
-    found = _frames(source, contents, _wanted(contents, topics))
-    if topics is None:
-        check_data_section(source, contents)
-    return found
 
 
 def _wanted(contents: Contents, topics: Iterable[str] | None) -> list[Channel]:

@@ -85,7 +85,7 @@ def in_file(path: str | Path) -> Iterator[None]:
 
 
 class Source:
-    """A file open for reading at any place, from several threads at once.
+    """A file open for reading at any place, by one thread.
 
     It is a context manager that closes the file.
 
@@ -108,14 +108,13 @@ class Source:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         try:
-            # Opening a pipe would wait for its other end.
-            regular = not self.path.exists() or self.path.is_file() or self.path.is_dir()
-            self._file = self.path.open("rb", buffering=0) if regular else None
+            if self.path.exists() and not (self.path.is_file() or self.path.is_dir()):
+                # Opening a pipe would wait for its other end.
+                remedy = "copy it to a file first"
+                raise InputError("is not a regular file", file=path, remedy=remedy)
+            self._file = self.path.open("rb", buffering=0)
         except (OSError, ValueError) as error:
             self._refuse(error)
-        if self._file is None:
-            raise InputError("is not a regular file", file=path, remedy="copy it to a file first")
-        self._lock = threading.Lock()
         self.size = os.fstat(self._file.fileno()).st_size
 
     def __enter__(self) -> Source:
@@ -126,8 +125,7 @@ class Source:
 
     def close(self) -> None:
         """Close the file."""
-        if self._file is not None:
-            self._file.close()
+        self._file.close()
 
     def read(self, offset: int, length: int) -> bytes:
         """The bytes from `offset`, as many as `length` or the end of the file allow.
@@ -141,7 +139,8 @@ class Source:
         parts = []
         while length:
             try:
-                part = self._read(offset, length)
+                self._file.seek(offset)
+                part = self._file.read(length)
             except (OSError, ValueError) as error:
                 self._refuse(error)
             if not part:
@@ -155,14 +154,6 @@ class Source:
             offset += len(part)
             length -= len(part)
         return parts[0] if len(parts) == 1 else b"".join(parts)
-
-    def _read(self, offset: int, length: int) -> bytes:
-        assert self._file is not None
-        if hasattr(os, "pread"):
-            return os.pread(self._file.fileno(), length, offset)
-        with self._lock:
-            self._file.seek(offset)
-            return self._file.read(length) or b""
 
     def _refuse(self, error: OSError | ValueError) -> NoReturn:
         if isinstance(error, OSError):
@@ -223,7 +214,9 @@ _AT_ONCE = 2**18
 """Longer chunks are read when their heads are right [bytes]."""
 
 _RECORD_HEAD = struct.Struct("<BQ")
-_CHUNK_HEAD = struct.Struct("<BQQQQII")
+CHUNK_HEAD = struct.Struct("<BQQQQII")
+"""Opcode, length, first and last log time, size, checksum, length of the compression's name."""
+
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 
 _R_co = TypeVar("_R_co", covariant=True)
@@ -338,9 +331,9 @@ def chunk_at(source: Source, offset: int, length: int) -> Chunk:
     """
     piece = memoryview(source.read(offset, RECORD_HEAD + min(length, _AT_ONCE)))
     try:
-        opcode, _, start, end, size, expected, width = _CHUNK_HEAD.unpack_from(piece)
-        at = _CHUNK_HEAD.size + width
-        compression = str(piece[_CHUNK_HEAD.size : at], "utf-8")
+        opcode, _, start, end, size, expected, width = CHUNK_HEAD.unpack_from(piece)
+        at = CHUNK_HEAD.size + width
+        compression = str(piece[CHUNK_HEAD.size : at], "utf-8")
         (stored,) = struct.unpack_from("<Q", piece, at)
     except (struct.error, UnicodeDecodeError) as error:
         raise damaged(offset, "the chunk record cannot be read") from error

@@ -59,6 +59,7 @@ from trainlog.mcap.codec import (
     table_of,
 )
 from trainlog.mcap.records import (
+    CHUNK_HEAD,
     FORMAT_RECORD,
     POSITIONS_RECORD,
     PROVENANCE_RECORD,
@@ -431,9 +432,6 @@ def chunks_of(plan: Plan, count: int) -> Iterator[Chunk]:
         yield packed(plan.chunk(number))
 
 
-_CHUNK_HEAD = struct.Struct("<BQQQQII")
-"""Opcode, length, first and last log time, size, checksum, length of the compression's name."""
-
 _INDEX_HEAD = struct.Struct("<BQHI")
 """Opcode, length, channel and length of the entries of a message index."""
 
@@ -749,8 +747,8 @@ class Sink:
     def put_chunk(self, chunk: Chunk) -> None:
         """Write a chunk, just compressed or taken from another file, and its message indexes."""
         name = chunk.compression.encode()
-        length = _CHUNK_HEAD.size - 9 + len(name) + 8 + len(chunk.data)
-        head = _CHUNK_HEAD.pack(
+        length = CHUNK_HEAD.size - 9 + len(name) + 8 + len(chunk.data)
+        head = CHUNK_HEAD.pack(
             Opcode.CHUNK, length, chunk.start, chunk.end, chunk.size, chunk.checksum, len(name)
         )
         parts = [head + name + struct.pack("<Q", len(chunk.data)), chunk.data]
