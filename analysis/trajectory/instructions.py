@@ -49,7 +49,7 @@ _WHOLE = 1e-2
 _PHASES = (Phase.MAXIMUM_TRACTION, Phase.CRUISING, Phase.COASTING, Phase.MAXIMUM_BRAKING)
 """What a row may ask for; speeds to hold are numbered after them."""
 
-_COAST, _BRAKE, _HOLD = 2, 3, 4
+_HOLD = 4
 
 
 def _rounded(speed: float, most: float) -> float:
@@ -269,37 +269,15 @@ class _Plan:
         stay = np.arange(costs.shape[0])
         for cell in range(1, count):
             best = int(np.argmin(total))
-            least = np.full(total.size, total[best] + _CHANGE)
-            origin = np.full(total.size, best)
-            if best == _COAST:
-                # What coasts faster than the speed to hold has to brake first.
-                least[_HOLD:] += np.maximum(self.highest[cell] - self.whole - HELD, 0.0)
-                other = int(np.argmin(np.where(stay == _COAST, np.inf, total)))
-                better = (total[other] + _CHANGE < least) & (stay != _COAST)
-                least[better], origin[better] = total[other] + _CHANGE, other
-            elif best >= _HOLD:
-                # What is held where a brake begins is no faster than planned.
-                least[_BRAKE] += max(self.whole[best - _HOLD] - self.highest[cell], 0.0)
+            least = total[best] + _CHANGE
             change = total > least
-            before[:, cell] = np.where(change, origin, stay)
+            before[:, cell] = np.where(change, best, stay)
             total = np.where(change, least, total) + costs[:, cell]
         found = np.empty(count, dtype=np.int64)
         found[-1] = int(np.argmin(total))
         for cell in range(count - 1, 0, -1):
             found[cell - 1] = before[found[cell], cell]
-        for cell in np.flatnonzero(np.diff(found)).tolist():
-            self._brake_on(found, cell + 1)
         return found
-
-    def _brake_on(self, chosen: IntArray, cell: int) -> None:
-        """Let a brake before a speed to hold last until all have come down to that speed."""
-        label = int(chosen[cell])
-        if label < _HOLD or chosen[cell - 1] != _BRAKE:
-            return
-        fast = self.highest[:-1] > self.whole[label - _HOLD] + HELD
-        while cell < chosen.size and chosen[cell] == label and self.brakes[cell] and fast[cell]:
-            chosen[cell] = _BRAKE
-            cell += 1
 
     def _costs(self) -> FloatArray:
         """What each label, (s, n), leaves unsaid of the speed in each cell [m/s]."""
@@ -333,15 +311,7 @@ class _Plan:
         """The highest speed to hold in each cell [m/s]."""
         if self.limits is None:
             return self._limit(self.places[:-1], self.places[1:])
-        soon = self.places[1:] + _AHEAD * self.speeds[1:]
-        ahead = self._limit(self.places[:-1], soon)
-        most = self._limit(self.places[:-1], self.places[1:] + 1e-3)
-        most = np.where(self.speeds[:-1] <= ahead + HELD, ahead, most)
-        # Where a brake follows, it begins at no higher speed than planned.
-        counted = np.concatenate(([0], np.cumsum(self.brakes)))
-        cells = np.minimum(np.searchsorted(self.places, soon), self.brakes.size)
-        highest = np.maximum(self.highest[1:], self.highest[:-1]) + 0.5 / KMH
-        return np.where(counted[cells] > counted[:-1], np.minimum(most, highest), most)
+        return self._limit(self.places[:-1], self.places[1:] + 1e-3)
 
     def _limit(self, start: FloatArray, end: FloatArray) -> FloatArray:
         """Lowest limit between places [m/s]; without limits the highest speed planned."""
