@@ -132,9 +132,9 @@ def results(tmp_path_factory, fitted) -> dict[type, Presented]:  # type: ignore[
     )
     plan = analysis.optimise(problem, analysis.OptimiserOptions(cells=30))
     energies = dict.fromkeys(("energy", "costliest_energy"), plan.certificate["energy"])
-    bound = {"continuous_bound": plan.certificate["continuous_bound"], "mixture": {}}
+    bound = {"lower_bound": plan.certificate["lower_bound"], "mixture": {}}
     about = {"costliest": plan.configurations[0].name, "other_times_might_save": 0.0}
-    gap = {"total_gap": plan.certificate["total_gap"]}
+    gap = {"gap": plan.certificate["gap"]}
     still = {"lowest_speed": 0.0, "highest_speed": 0.0}
     ends = (trainlog.TimingPoint(0.0, latest=0.0, **still), trainlog.TimingPoint(9_286.1, **still))
     journey = trainlog.Journey("a journey", line.name, ends)

@@ -166,7 +166,12 @@ def test_more_configurations_never_cost_less() -> None:
 def test_finer_grids_agree() -> None:
     energies = {
         cells: optimised(
-            hilly_line(), FLIRT, observed(FLIRT, 1.0), running_time=420.0, cells=cells
+            hilly_line(),
+            FLIRT,
+            observed(FLIRT, 1.0),
+            running_time=420.0,
+            cells=cells,
+            tolerance=np.inf,
         ).certificate
         for cells in (150, 600)
     }

@@ -52,7 +52,7 @@ def test_windows_of_time_are_kept_and_cost(free: Trajectory, change: float) -> N
     assert abs(certificate["referee"]["difference"]) <= 2e-5
     assert certificate["gap"] <= 1e-3
     assert certificate["lower_bound"] > free.certificate["energy"]
-    assert certificate["bound_holds_for"] == "the problem cut into these cells"
+    assert certificate["bound_holds_for"] == "all trajectories"
 
 
 def test_time_that_has_to_be_lost_is_left_out_of_the_bound(free: Trajectory) -> None:
@@ -71,7 +71,7 @@ def test_windows_of_several_configurations_are_certified(free: Trajectory) -> No
         hilly_line(), FLIRT, configurations, running_time=450.0, windows=[window], cells=150
     ).certificate
     assert certificate["gap"] <= 1e-3
-    assert certificate["bound_holds_for"] == "the problem cut into these cells"
+    assert certificate["bound_holds_for"] == "all trajectories"
 
 
 def test_windows_of_speed_are_kept_and_certified(free: Trajectory) -> None:

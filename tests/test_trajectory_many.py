@@ -1,4 +1,4 @@
-"""Many configurations at the line: few stand for the others, and the bound holds for all."""
+"""Many configurations at the line: few decide, and the bound holds for all."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ import pytest
 from refusals import refused
 from trajectory_cases import FLIRT, VIRM6, drawn, hilly_line, level_line, optimised
 
-from analysis.trajectory import representatives
-from analysis.trajectory.discretisation import discretise
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InputError
@@ -16,39 +14,13 @@ from trainlog.errors import InputError
 OPTIONS = {"reserve": 0.1, "cells": 80}
 
 
-def test_few_stand_for_many_in_the_expected_energy(monkeypatch: pytest.MonkeyPatch) -> None:
-    configurations = drawn(FLIRT, 24, seed=2, spread=0.03)
-    found = {}
-    for few in (12, 24):
-        monkeypatch.setattr(representatives, "MOST_EXPLICIT", few)
-        found[few] = optimised(
-            hilly_line(),
-            FLIRT,
-            configurations,
-            objective="expected",
-            reserve=0.2,
-            cells=80,
-            tolerance=np.inf,
-        ).certificate
-    some, everyone = found[12], found[24]
-    assert len(some["active"]) < 16
-    assert len(everyone["active"]) == 24
-    assert some["audit"]["passed"]
-    mean = float(np.mean(some["line_energy"]))
-    assert some["energy"] == pytest.approx(mean)
-    # Not less than the optimum of all, not much more, and bounded from below by the truth.
-    assert some["energy"] >= everyone["lower_bound"]
-    assert some["energy"] <= 1.002 * everyone["energy"]
-    assert some["lower_bound"] <= everyone["energy"]
-    assert some["gap"] <= representatives.REPRESENTED
-
-
-def test_configurations_that_few_cannot_represent_enter_the_program() -> None:
-    """Short of time and of the dynamic brake's power, on a level line: a per cent was wasted."""
+def test_all_that_count_are_in_the_program_of_the_expected_energy() -> None:
+    """Short of time and of the dynamic brake's power, on a level line."""
     configurations = drawn(FLIRT, 24, seed=2)
     found = optimised(level_line(8_000.0), FLIRT, configurations, objective="expected", **OPTIONS)  # type: ignore[arg-type]
     certificate = found.certificate
-    assert certificate["gap"] <= representatives.REPRESENTED
+    assert len(certificate["active"]) == 24
+    assert certificate["energy"] == pytest.approx(float(np.mean(certificate["line_energy"])))
     assert certificate["certified"]
     assert certificate["audit"]["passed"]
 
@@ -97,7 +69,7 @@ def test_few_decide_at_the_line_where_the_dynamic_brake_is_weak() -> None:
     ).certificate
     assert found["audit"]["passed"]
     assert len(found["active"]) <= 6
-    assert found["solver"]["iterations"] <= 25
+    assert found["solver"]["iterations"] <= 40
     assert found["energy"] == max(found["line_energy"])
     assert found["gap"] < 5e-3
 
@@ -120,19 +92,3 @@ def test_when_the_time_is_over_the_best_so_far_is_the_answer_with_its_gap(unrene
 
 def test_a_time_limit_is_some_time() -> None:
     refused(InputError, "time limit must be more than 0 s", OptimiserOptions, time_limit=0.0)
-
-
-def test_shares_add_up_and_the_slowest_stands_for_itself() -> None:
-    configurations = tuple(drawn(FLIRT, 20, seed=4))
-    line = hilly_line()
-    weights = tuple(np.arange(1.0, 21.0).tolist())
-    run = TrajectoryProblem(line, FLIRT, configurations, weights=weights)
-    problem = discretise(run, run.breakpoints)
-    rows = representatives.representatives(problem, [7])
-    assert len(rows) == 1 + representatives.REPRESENTATIVES
-    assert len(set(rows)) == len(rows)
-    shares = representatives.shares_of(problem, rows, {7})
-    assert shares.parts.sum(axis=1) == pytest.approx(1.0)
-    assert shares.parts.min() >= 0.0
-    assert shares.weights.sum() == pytest.approx(1.0)
-    assert shares.weights[rows.index(7)] == pytest.approx(problem.weights[7])

@@ -110,7 +110,7 @@ def test_a_bound_is_rounded_up() -> None:
 def test_a_gap_is_the_same_wherever_it_is_stated() -> None:
     """Rounded up in tables, titles of pictures, reports and at a prompt."""
     plan = optimised(hilly_line(), FLIRT, observed(FLIRT, 1.0), reserve=0.1, cells=60)
-    plan = replace(plan, certificate=plan.certificate | {"total_gap": 0.00048412})
+    plan = replace(plan, certificate=plan.certificate | {"gap": 0.00048412})
     page = Console(width=120, file=StringIO())
     page.print(*trajectory_table(plan))
     assert isinstance(page.file, StringIO)

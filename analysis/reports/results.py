@@ -319,9 +319,6 @@ def certificate_words(trajectory: Trajectory) -> list[str]:
     certificate = trajectory.certificate
     audit, count = certificate["audit"], len(trajectory.configurations)
     which = "the planned configuration" if count == 1 else f"each of the {count} configurations"
-    bound = certificate.get("continuous_bound", certificate["lower_bound"])
-    gap = certificate.get("total_gap", certificate["gap"])
-    which_ones = "trajectory" if "continuous_bound" in certificate else "trajectory on its cells"
     over = overspeed(audit["overspeed"])
     limits = "the permitted speed is kept" if over == "none" else f"the speed is over it by {over}"
     limits = f"{limits} {trajectory.limits_kept}"
@@ -329,9 +326,9 @@ def certificate_words(trajectory: Trajectory) -> list[str]:
         f"An independent rollout drove {which} along the plan: the latest arrives"
         f" {lateness(audit['lateness'])} in {clock(trajectory.running_time)}, {limits}, and at most"
         f" {audit['power']:.0%} of the power is used.",
-        f"The plan takes {kwh(certificate['energy'])} ({trajectory.energy_label}). No {which_ones}"
-        f" that keeps the same time could take less than {kwh(bound)}: it is at most"
-        f" {at_most(gap)} above the best.",
+        f"The plan takes {kwh(certificate['energy'])} ({trajectory.energy_label}). No trajectory"
+        f" that keeps the same time could take less than {kwh(certificate['lower_bound'])}: it is"
+        f" at most {at_most(certificate['gap'])} above the best.",
     ]
 
 

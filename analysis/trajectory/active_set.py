@@ -3,10 +3,8 @@
 The optimum for some configurations that all the others can follow is the optimum for all, and the
 lower bound for some is one for all. Few are ever active: the slowest, those short of power, and at
 the line those that regain least. How the others drive the optimum leaves open; those that do not
-decide leave the program, and are judged by the best that they can make of the common traction.
-
-In the expected energy every configuration counts, and few represent the others
-(`analysis.trajectory.representatives`).
+decide leave the program, and are judged by the best that they can make of the common traction. In
+the expected energy every configuration that has a weight counts.
 """
 
 from __future__ import annotations
@@ -18,7 +16,6 @@ from itertools import count
 
 import numpy as np
 
-from analysis.trajectory.bound import lower_bound, spare_times
 from analysis.trajectory.convex import (
     NoSolutionError,
     OutOfTimeError,
@@ -36,37 +33,23 @@ from analysis.trajectory.feasibility import (
     unsettled,
 )
 from analysis.trajectory.guess import INACTIVE, Answer, Guess
-from analysis.trajectory.representatives import (
-    REPRESENTED,
-    multipliers_for_all,
-    representatives,
-    shares_of,
-    short_of_time,
-)
 from analysis.trajectory.rollout import (
-    correct_lateness,
     delays,
     energy_of,
     paced_run,
     realise,
     rollout,
     rollout_at,
-    rollout_behind,
     rollout_gently,
 )
 from analysis.trajectory.sqp import (
     EXACT,
-    NEGLIGIBLE_ENERGY,
     Solution,
     Tolerances,
     minimise,
-    with_costates,
 )
 from trainlog.arrays import FloatArray
 from trainlog.progress import note
-
-_BEFORE_CORRECTION = Tolerances(energy=3e-5, lateness=0.05)
-"""Where the lateness that programs leave is corrected afterwards."""
 
 _COARSE = Tolerances(energy=1e-4, lateness=0.05, smoothing=0.0)
 """On the coarse grid, where a search only prepares another."""
@@ -77,17 +60,11 @@ _RESPONSE = Tolerances(energy=1e-4, lateness=0.02)
 _VIOLATION = 5e-7
 """Excess over power, brake, speed or energy that makes a configuration active, relative."""
 
-_CORRECTION_LOSS = 1e-5
-"""Relative loss of energy beyond which lateness is not corrected without another program."""
-
-_SHORT_PRICE = 0.05
-"""Price of time over the highest, from which a configuration counts as short of it."""
-
 _HALVINGS = 6
 """Of the interval of cruising speeds, where no time is left."""
 
-_MIXTURES = 10
-"""Trials of how much of a run in time brings all in time."""
+_MIXTURES = 16
+"""Parts in which a run in time is mixed into a plan until all are in time."""
 
 _COARSE_TIME, _SEARCH_TIME = 0.25, 0.8
 """Parts of the time that is left, for a search on the coarse grid and on the other."""
@@ -131,19 +108,14 @@ def _searched(
     coarse: bool,
 ) -> Answer:
     rows, plan, price = list(guess.rows), guess.plan, guess.price
-    statuses, nearly = list(guess.statuses), _COARSE if coarse else _BEFORE_CORRECTION
-    # What may be corrected afterwards the programs need not find to the last digit.
-    exact = problem.common or bool(np.isfinite(problem.earliest).any())
-    exact = exact or problem.run.objective == "expected"
-    again = set[int]()
-    alone, even = guess.alone | {_slowest(problem, speeds)}, problem
+    statuses, tolerances = list(guess.statuses), _COARSE if coarse else EXACT
+    again, even = set[int](), problem
     together = cache(partial(DrivenPlan.together, problem, speeds, running_time))
     for turns in count(1):
         grid = f"{problem.shape[1]} cells" + ", to begin with" * coarse
         note(f"round {turns}: {len(rows)} of {problem.shape[0]} decide, {grid}")
-        part = _program(even, rows, alone)
-        tolerances = EXACT if exact else nearly
-        start = partial(DrivenPlan.of_rows, together, tuple(rows), part.weights)
+        part = even.select(rows)
+        start = partial(DrivenPlan.of_rows, together, tuple(rows))
         try:
             solution = _optimum(part, plan, price, speeds[rows], running_time, tolerances, start)
         except OutOfTimeError as stop:
@@ -151,7 +123,7 @@ def _searched(
             if stop.found is None and turns == 1 and guess.multipliers is not None:
                 last = replace(last, multipliers=guess.multipliers)
             words = (*statuses, *last.statuses, "time limit")
-            stopped = Answer(even, plan, tuple(rows), last, turns, words, alone)
+            stopped = Answer(even, plan, tuple(rows), last, turns, words)
             if coarse:
                 return stopped
             answer = _stopped(stopped, together(), running_time)
@@ -171,33 +143,12 @@ def _searched(
             )
         problem, part = even.tapered(solution.taper), part.tapered(solution.taper)
         everyone = _roll_out(problem, rows, part, solution.plan)
-        own = delays(part, everyone.select(rows), running_time)[0]
-        overdue = max(float(own.max()), 0.0)
-        short = frozenset[int]()
-        if problem.run.objective == "expected" and (
-            len(rows) < problem.shape[0] or not problem.weights.all()
-        ):
-            everyone = _brake_as_representatives(problem, rows, alone, everyone, running_time)
-            short = alone | short_of_time(part, rows, solution.multipliers)
+        late = delays(part, everyone.select(rows), running_time)[0]
+        overdue = max(float(late.max()), 0.0) if coarse else 0.0
         everyone = _brake_gently(problem, rows, everyone, running_time + overdue)
         new = _violators(problem, everyone, running_time + overdue, rows) - set(rows)
-        if not new and not short > alone and problem.run.objective == "expected":
-            new = _unrepresented(problem, rows, short, solution, everyone, speeds, running_time)
-        budget = solution.energy + overdue * float(solution.time_price.sum())
-        if coarse:
-            solution = replace(solution, energy=budget)
-        found = (solution, everyone) if not (new or short > alone) and (coarse or exact) else None
-        alone |= short
-        if not (new or coarse or exact):
-            found = _corrected(problem, rows, solution, running_time, budget)
-        if found is not None:
-            solution, everyone = found
-            # Where not all are, the bound looks first at those that are short of time.
-            if not coarse and len(priced_rows(part, solution)) == len(rows):
-                solution = with_costates(part, solution, running_time)
-                statuses.append(solution.statuses[-1])
-            return Answer(problem, everyone, tuple(rows), solution, turns, tuple(statuses), alone)
-        exact = exact or not new
+        if not new:
+            return Answer(problem, everyone, tuple(rows), solution, turns, tuple(statuses))
         price = np.append(solution.time_price, np.zeros(len(new)))
         plan = solution.plan.joined(everyone.select(sorted(new)))
         rows += sorted(new)
@@ -207,8 +158,8 @@ def _searched(
 def _stopped(last: Answer, fast: DrivenPlan, running_time: float) -> Answer | None:
     """The best that all can drive of what a search has when its time is over.
 
-    The traction of the last program, with as much of the run of all at one pace as brings all in
-    time; or that run. The bound is that of the last program's multipliers, for its configurations.
+    The traction of the last program, with as little of the run of all at one pace as brings all in
+    time; or the fastest run. The bound is that of the last program's multipliers.
 
     Parameters
     ----------
@@ -223,49 +174,21 @@ def _stopped(last: Answer, fast: DrivenPlan, running_time: float) -> Answer | No
     Answer or None
         None if there is none, as with common braking.
     """
-    problem, solution = last.problem, last.solution
-    if problem.common:
+    if last.problem.common:
         return None
-    planned = problem.tapered(solution.taper)
-    able: list[tuple[float, DiscreteProblem, Plan]] = []
-    if fast.late <= LATE:
-        able.append((energy_of(fast.problem, fast.plan), fast.problem, fast.plan))
-    for each in (planned, problem) if solution.statuses else (problem,):
-        paced = paced_run(each, running_time, _HALVINGS)
-        plans = [paced, _mixed(each, solution.plan, paced, running_time)]
-        if problem.run.at_line:
-            plans += [rollout_gently(each, plan.traction, running_time) for plan in plans]
-        driven = [
-            plan for plan in plans if np.max(_excesses(each, plan, running_time)) <= _VIOLATION
-        ]
-        able += [(energy_of(each, plan), each, plan) for plan in driven]
-        if driven:
+    able = [(fast.problem, fast.plan)] * (fast.late <= LATE)
+    tapered, planned = last.problem.tapered(last.solution.taper), last.solution.plan.traction
+    paced = paced_run(tapered, running_time, _HALVINGS).traction
+    for share in np.linspace(0.0, 1.0, _MIXTURES + 1).tolist():
+        plan = rollout(tapered, (1.0 - share) * planned + share * paced, None)
+        gentle = rollout_gently(tapered, plan, running_time)
+        if np.max(_excesses(tapered, gentle, running_time)) <= _VIOLATION:
+            able.append((tapered, gentle))
             break
     if not able:
         return None
-    _, tapered, plan = min(able, key=lambda each: each[0])
+    tapered, plan = min(able, key=lambda each: energy_of(*each))
     return replace(last, problem=tapered, plan=plan)
-
-
-def _mixed(problem: DiscreteProblem, planned: Plan, paced: Plan, running_time: float) -> Plan:
-    """The common traction of a plan, with as little of a run in time as brings all in time."""
-
-    def run(share: float) -> Plan:
-        traction = (1.0 - share) * planned.traction + share * paced.traction
-        return rollout(problem, traction, None)
-
-    low, high, found = 0.0, 1.0, run(1.0)
-    for turn in range(_MIXTURES):
-        share = low if turn == 0 else 0.5 * (low + high)
-        trial = run(share)
-        in_time = delays(problem, trial, running_time)[0].max() <= 0.0
-        if in_time:
-            found, high = trial, share
-        else:
-            low = share
-        if high == 0.0:
-            break
-    return found
 
 
 def _deciding(problem: DiscreteProblem, solution: Solution, settled: Sequence[bool]) -> list[int]:
@@ -282,122 +205,23 @@ def _deciding(problem: DiscreteProblem, solution: Solution, settled: Sequence[bo
     return [row for row in everyone if active[row] or settled[row]] if active.any() else everyone
 
 
-def priced_rows(problem: DiscreteProblem, solution: Solution) -> list[int]:
-    """Configurations of a program that count by themselves: short of time, or in what is expected.
-
-    The others only limit what all have in common; all, if none is short of time.
-    """
-    highest = float(solution.time_price.max())
-    priced = solution.time_price >= _SHORT_PRICE * highest
-    if problem.run.objective == "expected":
-        priced |= problem.weights > 0.0
-    every = problem.common or highest <= 0.0 or not priced.any()
-    return list(range(priced.size)) if every else np.flatnonzero(priced).tolist()
-
-
-def _corrected(
-    problem: DiscreteProblem,
-    rows: list[int],
-    solution: Solution,
-    running_time: float,
-    budget: float,
-) -> tuple[Solution, Plan] | None:
-    """The solution with its lateness corrected without another program, and how all drive.
-
-    None where that is not possible, or costs more than the energy `budget` [J/kg].
-    """
-    part = problem.select(rows)
-    traction = correct_lateness(part, solution.plan, running_time)
-    if traction is None:
-        return None
-    everyone = _roll_out(problem, rows, part, replace(solution.plan, traction=traction))
-    everyone = _brake_gently(problem, rows, everyone, running_time)
-    driven = everyone.select(rows)
-    others = _violators(problem, everyone, running_time, rows)
-    energy = energy_of(part, driven)
-    if (
-        others
-        or _violators(part, driven, running_time, [])
-        or energy > budget * (1.0 + _CORRECTION_LOSS)
-    ):
-        return None
-    return replace(solution, plan=driven, energy=energy), everyone
-
-
-def _slowest(problem: DiscreteProblem, speeds: FloatArray) -> int:
-    """The configuration that takes longest on its fastest run."""
-    return int(np.argmax((problem.step / (speeds[:, :-1] + speeds[:, 1:])).sum(axis=1)))
-
-
-def _program(
-    problem: DiscreteProblem, rows: Sequence[int], alone: frozenset[int]
-) -> DiscreteProblem:
-    """The problem of few configurations, each with the weight of those that it represents."""
-    part = problem.select(rows)
-    if problem.run.objective != "expected":
-        return part
-    return replace(part, weights=shares_of(problem, rows, alone).weights)
-
-
-def _brake_as_representatives(
-    problem: DiscreteProblem,
-    rows: list[int],
-    alone: frozenset[int],
-    driven: Plan,
-    running_time: float,
-) -> Plan:
-    """The same traction; one that is not in the program brakes as gently as its representatives.
-
-    So does one that is in it without weight, for its limits alone, where that regains more.
-    """
-    ahead = shares_of(problem, rows, alone).parts @ driven.z[rows]
-    idle = problem.weights == 0.0
-    ahead[idle] = problem.weights @ ahead
-    found = rollout_behind(problem, driven.traction, ahead, running_time)
-    kept = np.zeros(idle.size, dtype=bool)
-    kept[rows] = True
-    kept &= ~idle | (driven.dynamic @ problem.step > found.dynamic @ problem.step)
-    found.put(kept, driven, kept)
-    return found
-
-
-def _unrepresented(
-    problem: DiscreteProblem,
-    rows: list[int],
-    alone: frozenset[int],
-    solution: Solution,
-    driven: Plan,
-    speeds: FloatArray,
-    running_time: float,
-) -> set[int]:
-    """Further representatives, twice as many, where these do not bound the expected energy."""
-    if set(np.flatnonzero(problem.weights).tolist()) <= set(rows):
-        return set()
-    shares = shares_of(problem, rows, alone)
-    every = multipliers_for_all(problem, shares, solution.multipliers)
-    spare, start = spare_times(problem, driven), np.sqrt(2.0 * driven.z)
-    bound = lower_bound(problem, every, start, running_time, spare, speeds)
-    energy = energy_of(problem, driven)
-    if energy - bound <= REPRESENTED * max(abs(bound), NEGLIGIBLE_ENERGY):
-        return set()
-    return set(representatives(problem, rows, 2 * len(rows))) - set(rows)
-
-
 def _brake_gently(
     problem: DiscreteProblem, rows: list[int], driven: Plan, running_time: float
 ) -> Plan:
     """The same traction; one that regains less than all in the program regains what it can.
 
     Only at the line, and where each brakes for itself. A configuration that brakes late regains
-    less than it could, no reason to optimise for it. First by what a rollout finds, then by a
-    program for the brakes of those that still seem to regain too little.
+    less than it could, no reason to optimise for it. First by what a rollout finds, then, where the
+    worst counts, by a program for the brakes of those that still seem to regain too little.
     """
-    if problem.run.objective != "line" or problem.common:
+    if not problem.run.at_line or problem.common:
         return driven
-    regained = driven.dynamic @ problem.step
-    least = regained[rows].min()
-    found = np.flatnonzero(regained < least)
-    for respond in (_rolled_gently, _best_responses):
+    expected = problem.run.objective == "expected"
+    least = np.inf if expected else (driven.dynamic @ problem.step)[rows].min()
+    for respond in (rollout_gently,) if expected else (rollout_gently, _best_responses):
+        little = driven.dynamic @ problem.step < least
+        little[rows] = False
+        found = np.flatnonzero(little)
         if not found.size:
             break
         some, own = problem.select(found.tolist()), driven.select(found.tolist())
@@ -405,12 +229,7 @@ def _brake_gently(
         better = gentle.dynamic @ problem.step > own.dynamic @ problem.step
         better &= np.max(_excesses(some, gentle, running_time), axis=0) <= _VIOLATION
         driven.put(found[better], gentle, better)
-        found = found[(driven.dynamic @ problem.step)[found] < least]
     return driven
-
-
-def _rolled_gently(problem: DiscreteProblem, driven: Plan, running_time: float) -> Plan:
-    return rollout_gently(problem, driven.traction, running_time)
 
 
 def _best_responses(problem: DiscreteProblem, driven: Plan, running_time: float) -> Plan:
@@ -428,7 +247,7 @@ def _best_responses(problem: DiscreteProblem, driven: Plan, running_time: float)
         return driven
     except OutOfTimeError as stop:
         best = stop.found
-    return driven if best is None else rollout_at(problem, driven.traction, best.plan.z)
+    return driven if best is None else rollout_at(problem, driven, best.plan.z)
 
 
 def _roll_out(

@@ -1,8 +1,7 @@
-"""Attempts at an answer on one grid: searched, driven by the audit, corrected, or paced instead.
+"""Attempts at an answer on one grid: searched, driven by the audit, corrected.
 
 What the audit finds beyond a limit by little is rounding, of the programs or of the integration:
-the same search within slightly stricter limits removes it. Where no search ends with an answer that
-can be driven, a run at a constant pace is one.
+the same search within slightly stricter limits removes it.
 """
 
 from __future__ import annotations
@@ -13,14 +12,12 @@ import numpy as np
 
 from analysis.trajectory.active_set import search
 from analysis.trajectory.audit import Audit, audit
-from analysis.trajectory.convex import OutOfTimeError
-from analysis.trajectory.descent import DrivenPlan, descend, unpriced
+from analysis.trajectory.descent import DrivenPlan
 from analysis.trajectory.discretisation import DiscreteProblem, discretise
 from analysis.trajectory.envelope import Envelope
-from analysis.trajectory.guess import Answer, Guess, initial_guess, interpolated_guess
+from analysis.trajectory.guess import Answer, Guess, interpolated_guess
 from analysis.trajectory.problem import MOST_CELLS, TrajectoryProblem
 from analysis.trajectory.rollout import cell_times
-from analysis.trajectory.sqp import Tolerances
 from trainlog.arrays import FloatArray
 from trainlog.errors import TrainlogError
 
@@ -36,12 +33,6 @@ _TIMES, _LEAST = 4.0, 1e-3
 _SPLITS, _LOST = 5, 0.3
 """How often cells are split that cost a run at a constant pace time; and what each may cost, over
 an even share of the time in hand."""
-
-_DESCENT = Tolerances(energy=3e-5, lateness=3e-5)
-"""Of a descent for all configurations at once, which no other program follows."""
-
-_PROGRAMS, _ALL_CELLS = 30, 400_000
-"""Most programs of such a descent, and most cells of all of them and all configurations."""
 
 _MORE = 1.5
 """Times the excess by which a limit becomes stricter."""
@@ -91,7 +82,7 @@ def searched(
             strict, asked = _stricter(strict, found), asked - max(_MORE * late, 0.0)
         else:
             break
-        guess = interpolated_guess(answer, answer.problem.positions, strict, range(strict.shape[0]))
+        guess = interpolated_guess(answer, answer.problem.positions, strict)
     raise _not_passed(failures)
 
 
@@ -186,60 +177,6 @@ def paced_grid(
         if not split.any() or positions.size > most:
             break
     return None
-
-
-def together(
-    problem: DiscreteProblem, paced: Envelope, running_time: float
-) -> tuple[Answer, Audit]:
-    """The run of all at one pace, and what a descent for all of them makes of it.
-
-    Parameters
-    ----------
-    problem : DiscreteProblem
-        With all configurations, not tapered.
-    paced : Envelope
-        Runs at one pace, in time.
-    running_time : float [s]
-
-    Raises
-    ------
-    TrainlogError
-        If neither passes its audit on these cells.
-    """
-    speeds = paced.at(problem.positions)
-    strict = replace(problem, power=(1.0 - 0.1 * _LITTLE) * problem.power)
-    run = DrivenPlan.together(strict, speeds, running_time)
-    better = _descended(problem, strict, run, running_time)
-    if better is not None:
-        return better
-    rows = initial_guess(problem, speeds, running_time).rows
-    tapered = problem.tapered(run.problem.taper)
-    few = DrivenPlan(tapered.select(rows), run.plan.select(rows), run.late)
-    words = ("run at a constant pace",)
-    answer = Answer(tapered, run.plan, rows, unpriced(few), 0, words)
-    found = driven(answer)
-    failures = found.failures(problem.run, running_time)
-    if failures:
-        raise _not_passed(failures)
-    return answer, found
-
-
-def _descended(
-    problem: DiscreteProblem, strict: DiscreteProblem, start: DrivenPlan, running_time: float
-) -> tuple[Answer, Audit] | None:
-    """The best plan from `start` for all configurations at once; None if it does not pass."""
-    programs = int(np.clip(_ALL_CELLS / problem.drag2.size, 3, _PROGRAMS))
-    try:
-        found = descend(strict, start, running_time, _DESCENT, iterations=programs)
-    except OutOfTimeError:
-        return None
-    if found is None or not found.multipliers.pull.any():
-        return None
-    words = ("run at a constant pace", *found.statuses)
-    rows = tuple(range(problem.shape[0]))
-    answer = Answer(problem.tapered(found.taper), found.plan, rows, found, 1, words)
-    audited = driven(answer)
-    return None if audited.failures(problem.run, running_time) else (answer, audited)
 
 
 def _not_passed(failures: list[str]) -> TrainlogError:

@@ -22,7 +22,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import Any
 
 import cvxpy as cp
@@ -50,10 +49,6 @@ _SETTINGS: dict[str, Any] = {
     "reg_finetune_lower_limit": 1e-11,
 }
 """What PIQP stops at: beyond it the rounding of large programs makes it stall."""
-
-_ROUGH: dict[str, Any] = {"eps_abs": 1e-3, "eps_rel": 1e-4, "eps_duality_gap_rel": 1e-5}
-"""The same for programs that only prepare the next one: a third fewer iterations."""
-
 
 _ROUNDING = 1e-9
 """By which rounding may have a lower bound exceed the upper one."""
@@ -212,12 +207,10 @@ def solve(
     curvature: sp.csc_array | None = None,
     cones: Sequence[Any] = (),
     variable: cp.Variable | None = None,
-    rough: bool = False,
 ) -> ProgramSolution:
     """Minimise ``cost x + x curvature x / 2``, and accept nothing but a solution.
 
     Programs without cones go to PIQP, and to Clarabel where PIQP does not end with an optimum.
-    One that only prepares the next need only be solved roughly.
 
     Raises
     ------
@@ -232,7 +225,7 @@ def solve(
         raise OutOfTimeError
     begin, stated = time.monotonic(), not cones and shape in _STATED.get()
     if stated:
-        found = _by_piqp(unknowns, cost, equal, below, curvature, rough=rough)
+        found = _by_piqp(unknowns, cost, equal, below, curvature)
         _PACE.set((time.monotonic() - begin) / unknowns.size)
         if found is not None:
             return found
@@ -248,7 +241,7 @@ def solve(
         begin, left = time.monotonic(), time_left()
         if left <= 0.0:
             raise OutOfTimeError
-        settings = _piqp_settings(rough)
+        settings = _SETTINGS
         if solver == cp.CLARABEL:
             settings = {"time_limit": left} if left < np.inf else {}
         try:
@@ -278,24 +271,18 @@ def solve(
     raise NoSolutionError(status)
 
 
-def _piqp_settings(rough: bool) -> dict[str, Any]:
-    return _SETTINGS | (_ROUGH if rough else {})
-
-
 def _by_piqp(
     unknowns: Unknowns,
     cost: FloatArray,
     equal: Rows,
     below: Rows,
     curvature: sp.csc_array | None,
-    *,
-    rough: bool,
 ) -> ProgramSolution | None:
     """The optimum of a program whose shape CVXPY has stated before; None if PIQP finds none."""
     _settle_bounds(unknowns)
     size = unknowns.size
     solver = piqp.SparseSolver()
-    for name, value in _piqp_settings(rough).items():
+    for name, value in _SETTINGS.items():
         setattr(solver.settings, name, value)
     given = {
         "P": sp.csc_array((size, size)) if curvature is None else curvature,
@@ -476,7 +463,7 @@ class Multipliers:
 _AROUND = (0.7, 0.85, 0.93, 1.0, 1.07, 1.15)
 """Times the speeds, at which the relaxation bounds a curve of effort."""
 
-MEAN_SPEED = SPARE
+_MEAN_SPEED = SPARE
 """By which a cell's mean speed may exceed the mean of its ends [m/s]; the brake absorbs it."""
 
 
@@ -486,8 +473,6 @@ class Relaxed:
 
     Attributes
     ----------
-    bound : float [J/kg]
-        No trajectory of the discretised problem has less worst-case energy.
     plan : Plan
         Feasible but for the power limit, by the change of speed over a cell.
     multipliers : Multipliers
@@ -496,26 +481,14 @@ class Relaxed:
         The solver's status.
     """
 
-    bound: float
     plan: Plan
     multipliers: Multipliers
     time_price: FloatArray
     status: str
 
 
-REACH = 1e-3
+_REACH = 1e-3
 """By which a configuration's fastest run may be slower than another run of it, relative."""
-
-
-def reachable(problem: DiscreteProblem, fastest: FloatArray | None) -> FloatArray:
-    """Speeds that no configuration exceeds at the nodes, (q, n + 1) [m/s].
-
-    Those of its fastest run, where that is of use: with curves of effort.
-    """
-    q, n = problem.shape
-    if fastest is None or (problem.curves is None and problem.dynamic_curves is None):
-        return np.full((q, n + 1), np.inf)
-    return fastest * (1.0 + REACH) + REACH
 
 
 class Relaxation:
@@ -525,17 +498,16 @@ class Relaxation:
     ----------
     problem : DiscreteProblem
     speeds : (q, n + 1) array [m/s]
-        Anything plausible; it scales the variables and changes no result.
-    fastest : (q, n + 1) array, optional [m/s]
-        Of the fastest run of each configuration; bounds of curves of effort need not hold beyond.
+        Of the fastest run of each configuration; they scale the variables, and bounds of curves of
+        effort need not hold beyond.
     """
 
-    def __init__(
-        self, problem: DiscreteProblem, speeds: FloatArray, fastest: FloatArray | None = None
-    ) -> None:
+    def __init__(self, problem: DiscreteProblem, speeds: FloatArray) -> None:
         q, n = problem.shape
         self.problem = problem
-        self.fastest = reachable(problem, fastest)
+        # Without curves nothing rests on it, and other speeds may be given.
+        curved = problem.curves is not None or problem.dynamic_curves is not None
+        self.fastest = speeds * (1.0 + _REACH) + _REACH if curved else np.full((q, n + 1), np.inf)
         self.scale = np.maximum(speeds, SLOW)
         self.total = self.scale[:, :-1] + self.scale[:, 1:]
         self.unknowns = Unknowns(problem)  # z over scale² / 2
@@ -546,7 +518,7 @@ class Relaxation:
         self.motion, self.pull = self._motion()
         # The resistance acts on the mean of a cell's end speeds, which the true mean slightly
         # exceeds; the brake gets that much more, so that no trajectory is excluded.
-        spare = MEAN_SPEED * (problem.drag1 / problem.gain)[:, None]
+        spare = _MEAN_SPEED * (problem.drag1 / problem.gain)[:, None]
         brake_limits(problem, self.unknowns, self.below, spare)
         self.pulled: list[tuple[int, IntArray, IntArray]] = []
         self.braked: list[tuple[int, IntArray, IntArray]] = []
@@ -590,7 +562,7 @@ class Relaxation:
         plan = Plan(z, traction, braking, dynamic_share(problem, z, braking))
         multipliers = self._multipliers(found)
         price = multipliers.time + multipliers.passing.sum(axis=1)
-        return Relaxed(found.value, plan, multipliers, np.asarray(price), found.status)
+        return Relaxed(plan, multipliers, np.asarray(price), found.status)
 
     def _multipliers(self, found: ProgramSolution) -> Multipliers:
         """The duals of its rows, in the measures of the problem."""
@@ -721,9 +693,9 @@ class Relaxation:
         speeds = 0.5 * self.total[row]
         inverse = 1.0 / speeds
         reach = np.maximum(self.fastest[row, :-1], self.fastest[row, 1:])
-        for factor, squares in product(_AROUND, (False, True)):
+        for factor in _AROUND:
             at = np.maximum(np.minimum(factor * speeds, reach), SLOW)
-            bound = curves.bounds(row, at, reach, squares=squares)
+            bound = curves.bounds(row, at, reach)
             half = -0.5 * bound.slope
             rows = self.below.add(
                 bound.offset,

@@ -1,7 +1,7 @@
 """The costate as a function of the position, from the multipliers of an optimum on cells.
 
 A multiplier is the mean of the costate over its cell. Between, the costate follows the adjoint
-equation along the plan, and where a control is partial it leaves its level in a part of the cell.
+equation along the plan, but where it stands at the level of a partial control.
 """
 
 from __future__ import annotations
@@ -28,22 +28,19 @@ _AT_LIMIT = 1e-5
 _LEVEL = 1e-5
 """Within which a costate is at the level where a control is partial."""
 
-_CUT = 0.98
-"""Part of a cell up to which the costate leaves its level in it."""
-
 _STANDING = 0.1
 """Speed below which a plan that could go faster all but stands [m/s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Costate:
-    """The costate as a function of the position: its values at the ends of segments.
+    """The costate as a function of the position: its values at the ends of cells.
 
     Attributes
     ----------
     segments : Segments
-    begin, end : (q, k) array
-    even : (q, k) array of bool
+    begin, end : (q, n) array
+    even : (q, n) array of bool
         Where it is linear; elsewhere it follows the adjoint equation.
     at_nodes : float [J/kg]
         What its jumps and its values at both ends of the run add to the bound.
@@ -56,7 +53,7 @@ class Costate:
     at_nodes: float
 
     def along(self, hamiltonian: Hamiltonian) -> tuple[FloatArray, FloatArray]:
-        """Its values and slopes at the points of its segments, (q, k, p)."""
+        """Its values and slopes at the points of its segments, (q, n, p)."""
         segments, change = self.segments, self.end - self.begin
         line = self.begin[:, :, None] + change[:, :, None] * segments.place
         shape = np.where(self.even[:, :, None], 0.0, hamiltonian.slopes(line))
@@ -71,8 +68,7 @@ def costate_of(hamiltonian: Hamiltonian, multipliers: Multipliers) -> Costate:
     """The multipliers of cells as a function of the position.
 
     A multiplier is the mean of the costate over its cell. Where a control is partial the costate
-    stands at a level. There it joins its neighbours along the adjoint equation, in a part of the
-    cell only: that in which the optimum on cells could not yet change its controls.
+    stands at a level, or joins its neighbours along the adjoint equation.
     """
     problem, plan, step = hamiltonian.problem, hamiltonian.plan, hamiltonian.problem.step
     mean = multipliers.pull / (step * problem.gain[:, None])
@@ -105,19 +101,9 @@ def costate_of(hamiltonian: Hamiltonian, multipliers: Multipliers) -> Costate:
     added = -(np.maximum(jump, 0.0) * limit[:, 1:-1] + np.minimum(jump, 0.0) * floor[1:-1]).sum()
     added -= float((first[:, 0] * problem.initial).sum())
     added += float((np.minimum(last[:, -1], 0.0) * np.minimum(problem.final, limit[:, -1])).sum())
-    values = first, begin, end, last
-    kinds = partial & ~alone & ~creeping, alone & ~creeping, flat | creeping
-    return _with_ramps(hamiltonian, values, shape, kinds, float(added))
-
-
-def held_or_partial(hamiltonian: Hamiltonian, multipliers: Multipliers) -> BoolArray:
-    """Cells in which one configuration holds a limit or a control is partial, (n,)."""
-    problem = hamiltonian.problem
-    mean = multipliers.pull / (problem.step * problem.gain[:, None])
-    limit, _ = node_limits(hamiltonian)
-    limited = hamiltonian.plan.z >= np.minimum(limit, problem.ceiling) * (1.0 - _AT_LIMIT)
-    held = limited[:, :-1] & limited[:, 1:]
-    return np.asarray((held | partial_cells(hamiltonian, mean)[0])[0])
+    # One that leaves its level in the cell follows the adjoint equation there.
+    leaves = partial & (np.maximum(np.abs(first - begin), np.abs(last - end)) > _LEVEL)
+    return Costate(whole, first, last, creeping | (flat & ~leaves), float(added))
 
 
 def node_limits(hamiltonian: Hamiltonian) -> tuple[FloatArray, FloatArray]:
@@ -212,92 +198,3 @@ def _creep(
             found[row, ends:] = True
             first[row, ends:] = last[row, ends:] = last[row, ends - 1]
     return found
-
-
-def _with_ramps(
-    hamiltonian: Hamiltonian,
-    values: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-    shape: FloatArray,
-    kinds: tuple[BoolArray, BoolArray, BoolArray],
-    at_nodes: float,
-) -> Costate:
-    """Cells of partial controls cut where the costate leaves its level.
-
-    Parameters
-    ----------
-    values : four (q, n) arrays
-        Where each cell begins, by its neighbours and by itself; where it ends, by itself and by
-        its neighbours.
-    shape : (q, n, p) array
-        Slopes by the adjoint equation.
-    kinds : three (q, n) arrays of bool
-        Where a common control is partial; where a brake is; where the costate is linear.
-    at_nodes : float [J/kg]
-    """
-    problem, (shared, alone, flat) = hamiltonian.problem, kinds
-    first, begin, end, last = values
-    step, partial = problem.step, shared | alone
-    gain = problem.gain[:, None]
-    before, begun = _ramp(first - begin, -shape[:, :, 0], kinds, gain, step)
-    after, ended = _ramp(last - end, shape[:, :, -1], kinds, gain, step)
-    cut = (before + after > 0.0) & (before + after < _CUT * step)
-    before, after = np.where(cut, before, 0.0), np.where(cut, after, 0.0)
-    starts = np.column_stack((np.zeros_like(step), before, step - after))
-    ends = np.column_stack((before, step - after, step))
-    inner = [_inside(hamiltonian, first, last, shape, at / step) for at in (before, step - after)]
-    drift = (end - begin) / step
-    levels = (
-        np.where(partial, begin + drift * before, inner[0]),
-        np.where(partial, end - drift * after, inner[1]),
-    )
-    one = np.where(before > 0.0, levels[0], first)
-    other = np.where(after > 0.0, levels[1], last)
-    begins, finishes = np.stack((first, one, other), axis=2), np.stack((one, other, last), axis=2)
-    middle = flat & (cut | ~(partial & (begun | ended)))
-    outer = flat & ~partial
-    even = np.stack((outer, middle, outer), axis=2)
-    kept = ends - starts > 1e-9 * step[:, None]
-    cell = np.repeat(np.arange(step.size)[:, None], 3, axis=1)[kept]
-    edges = np.append((problem.positions[:-1, None] + starts)[kept], problem.positions[-1])
-    segments = Segments.of(problem, cell, edges, shape.shape[2])
-    return Costate(segments, begins[:, kept], finishes[:, kept], even[:, kept], at_nodes)
-
-
-def _ramp(
-    off: FloatArray,
-    slope: FloatArray,
-    kinds: tuple[BoolArray, BoolArray, BoolArray],
-    gain: FloatArray,
-    step: FloatArray,
-) -> tuple[FloatArray, BoolArray]:
-    """Length [m] in which costates `off` their level come back to it, and whether they are off.
-
-    At their slopes; (n,) arrays. Of a common control it is their sum; else the farthest off.
-    """
-    shared, alone, _ = kinds
-    columns, together = np.arange(step.size), shared.any(axis=0)
-    row = np.argmax(np.where(alone, np.abs(off), -1.0), axis=0)
-    own = np.where(alone.any(axis=0), off[row, columns], 0.0)
-    off = np.where(together, (gain * off).sum(axis=0), own)
-    slope = np.where(together, (gain * slope).sum(axis=0), slope[row, columns])
-    length = off / np.where(slope == 0.0, 1e-300, slope)
-    length = np.where((length < 0.0) | (length > step), step, length)
-    away = np.asarray(np.abs(off) > _LEVEL)
-    return np.where(away, length, 0.0), away
-
-
-def _inside(
-    hamiltonian: Hamiltonian,
-    first: FloatArray,
-    last: FloatArray,
-    shape: FloatArray,
-    at: FloatArray,
-) -> FloatArray:
-    """The costate at a part of each cell, as the adjoint equation has it between both ends."""
-    segments, step = hamiltonian.segments, hamiltonian.problem.step
-    nodes = segments.place[segments.place.shape[0] // 2]
-    powers = np.arange(nodes.size)
-    coefficients = shape @ np.linalg.inv(nodes[:, None] ** powers).T
-    risen = (coefficients * at[:, None] ** (powers + 1) / (powers + 1)).sum(axis=2)
-    rest = (last - first) - step * (coefficients / (powers + 1)).sum(axis=2)
-    return np.asarray(first + step * risen + rest * at)

@@ -10,7 +10,7 @@ at every speed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
@@ -28,9 +28,6 @@ SPARE = 0.1
 
 _SPAN = 0.25
 """Of speeds, at whose ends a curve and its bounds are compared [m/s]."""
-
-_BESIDE = 0.5
-"""Change of speed [m/s] within which a piece that begins beside a speed limits it, too."""
 
 
 class Bounds(NamedTuple):
@@ -116,34 +113,16 @@ class Curves:
         """Highest speed [m/s] at which each configuration has efforts, (q, n)."""
         return self.kept.speed_at(effort) * self.share[:, None]
 
-    def lines(self, row: int, speed: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Effort and slope at speeds (n,) of the lines of a configuration that limit it there.
-
-        That of the curve, and where it bends down at a point nearby that of the piece beyond. Where
-        one is far from its speeds its effort is infinite.
-        """
+    def line(self, row: int, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Effort and slope of a configuration's curve at speeds, (n,)."""
         share = float(self.share[row])
-        v, f = self.kept.speeds * share, self.kept.efforts
-        yield self.kept(speed / share), self.kept.slope(speed / share) / share
-        last = v.size - 1
-        slopes = np.append(np.diff(f) / np.diff(v), -f[-1] / v[-1])
-        piece = np.clip(np.searchsorted(v, speed, side="right") - 1, 0, last)
-        for beyond, point in ((piece - 1, piece), (piece + 1, piece + 1)):
-            there = (beyond >= 0) & (beyond <= last) & (point >= 1) & (point <= last)
-            beyond, point = np.clip(beyond, 0, last), np.clip(point, 1, last)
-            there &= np.abs(speed - v[point]) < _BESIDE
-            there &= slopes[point] < slopes[point - 1]
-            effort = f[point] + slopes[beyond] * (speed - v[point])
-            yield np.where(there, effort, np.inf), slopes[beyond]
+        return self.kept(speed / share), self.kept.slope(speed / share) / share
 
     def bounds(
         self,
         row: int,
         speed: FloatArray,
         fastest: FloatArray | float = np.inf,
-        most: FloatArray | float = np.inf,
-        *,
-        squares: bool,
     ) -> Bounds:
         """Upper bounds of a configuration's effort at speeds up to the fastest, low at given ones.
 
@@ -154,33 +133,27 @@ class Curves:
             Where each bound is to be low; above 0.
         fastest : (n,) array [m/s]
             Speeds that the configuration cannot exceed.
-        most : (n,) array [W/kg]
-            Power that a bound may have; beyond it time would be worth less than nothing.
-        squares : bool
-            Whether what falls faster than the power is bounded by the square of the speed instead
-            of the speed.
         """
         share = float(self.share[row])
-        v, most = speed / share, most / share
+        v = speed / share
         reach = np.minimum(np.broadcast_to(fastest, v.shape) / share, self.fastest)
         effort, fall = self.kept(v), self.kept.slope(v)
         best = self._tangent(v)
-        lowest = np.where(best.power <= most, best.at(v), np.inf)
+        lowest = best.at(v)
         none = np.zeros(v.size)
         for steepness, alone in product(_STEEPNESS, (False, True)):
             bend = steepness * np.maximum(effort, -fall * v)
             power, slope = bend * v, none if alone else fall + bend / v
             rising = slope > 0.0
-            by_square = rising | squares
             found = Bounds(
-                none, power, np.where(by_square, 0.0, slope), np.where(by_square, slope / v, 0.0)
+                none, power, np.where(rising, 0.0, slope), np.where(rising, slope / v, 0.0)
             )
             found = found.raised(effort - found.at(v))
             # The mean speed of a cell may be above that of its ends.
             found = found.raised(
                 self._excess(found, reach) + SPARE * np.where(rising, found.square * v, 0.0)
             )
-            value = np.where(power <= most, found.at(v), np.inf)
+            value = found.at(v)
             better = value < lowest
             lowest = np.where(better, value, lowest)
             best = Bounds(*(np.where(better, *pair) for pair in zip(found, best, strict=True)))

@@ -17,7 +17,6 @@ import numpy as np
 from analysis.trajectory.convex import Multipliers, NoSolutionError, OutOfTimeError
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, taper_along
 from analysis.trajectory.rollout import (
-    correct_lateness,
     delays,
     energy_of,
     realise,
@@ -82,13 +81,10 @@ class DrivenPlan:
         return DrivenPlan.along(*run_together(problem, speeds), running_time)
 
     @staticmethod
-    def of_rows(
-        every: Callable[[], DrivenPlan], rows: Sequence[int], weights: FloatArray
-    ) -> DrivenPlan:
-        """The same for some of the configurations, with other weights."""
+    def of_rows(every: Callable[[], DrivenPlan], rows: Sequence[int]) -> DrivenPlan:
+        """The same for some of the configurations."""
         whole = every()
-        part = replace(whole.problem.select(rows), weights=weights)
-        return DrivenPlan(part, whole.plan.select(rows), whole.late)
+        return DrivenPlan(whole.problem.select(rows), whole.plan.select(rows), whole.late)
 
     def merit(self, lateness_price: float) -> float:
         """Energy, and what lateness is charged [J/kg]."""
@@ -153,7 +149,6 @@ def descend(
             DrivenPlan.along(centre.problem, solution.plan, running_time),
             key=lambda each: each.merit(lateness_price),
         )
-        trial = _in_time(trial, running_time)
         gained = value - trial.merit(lateness_price)
         if not gained > 0.0:
             radius *= _FAILED
@@ -173,17 +168,6 @@ def descend(
         statuses=tuple(statuses),
         converged=True,
     )
-
-
-def _in_time(driven: DrivenPlan, running_time: float) -> DrivenPlan:
-    """The same with its lateness corrected, where that is possible."""
-    if not 0.0 < driven.late < np.inf:
-        return driven
-    traction = correct_lateness(driven.problem, driven.plan, running_time)
-    if traction is None:
-        return driven
-    plan = replace(driven.plan, traction=traction)
-    return DrivenPlan.along(driven.problem, plan, running_time)
 
 
 def unpriced(driven: DrivenPlan) -> Solution:

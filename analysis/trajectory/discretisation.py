@@ -21,7 +21,7 @@ import numpy as np
 
 from analysis.trajectory.curves import Curves
 from analysis.trajectory.problem import TrajectoryProblem
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import FloatArray, IntArray
 from trainlog.railway import Trajectory
 from trainlog.railway.motion import SUBSTEPS
 from trainlog.units import GRAVITY
@@ -160,13 +160,10 @@ class Taper:
         By how much it is above its mean where the cell begins, and below where it ends.
     crest : (n,) array
         By what part it has to stay below the power at both ends, since that is curved between.
-    full : (n,) array of bool
-        Where it follows the power all the way, from the beginning of the cell to its end.
     """
 
     fall: FloatArray
     crest: FloatArray
-    full: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -382,8 +379,7 @@ def taper_along(problem: DiscreteProblem, plan: Plan) -> Taper:
     speed = np.sqrt(2.0 * np.maximum(plan.z, _STANDING))
     ends = plan.z[:, :-1] + problem.bulge, plan.z[:, 1:] + problem.bulge
     each = [problem.traction_at(np.sqrt(2.0 * np.maximum(z, _STANDING))) for z in ends]
-    most = [efforts.min(axis=0) for efforts in each]
-    begin, end = (np.minimum(each, problem.traction) for each in most)
+    begin, end = (np.minimum(efforts.min(axis=0), problem.traction) for efforts in each)
     mean = 0.5 * (begin + end)
     # Between half and nearly all of it by degrees: else a cell in which traction ends would be
     # tapered in every other iteration.
@@ -402,8 +398,7 @@ def taper_along(problem: DiscreteProblem, plan: Plan) -> Taper:
         used = np.maximum(1.0, _used_inside(problem, plan, each, fall))
     crest = _CREST_SPARE * (used.max(axis=0) - 1.0) + _ROUNDING
     crest = np.where(fall != 0.0, np.minimum(crest, 0.5), 0.0)
-    full = (fall != 0.0) & (share >= 1.0) & (most[0] == begin) & (most[1] == end)
-    return Taper(fall * (1.0 - crest), crest, full)
+    return Taper(fall * (1.0 - crest), crest)
 
 
 def _used_inside(
@@ -429,7 +424,7 @@ def tapered_as(problem: DiscreteProblem, trajectory: Trajectory) -> DiscreteProb
     """The problem with its common traction tapered as in a trajectory on the same grid."""
     none = np.zeros(problem.step.size)
     fall = 0.5 * trajectory.tractive_effort_fall / problem.reference
-    return problem.tapered(Taper(fall, none, none > 0.0))
+    return problem.tapered(Taper(fall, none))
 
 
 def inside(positions: FloatArray, parts: int) -> FloatArray:
@@ -488,7 +483,7 @@ def discretise(run: TrajectoryProblem, positions: FloatArray) -> DiscreteProblem
         bulge=bulge,
         traction=efforts.traction.min(axis=0) / reference,
         power=power / reference,
-        taper=Taper(np.zeros(step.size), np.zeros(step.size), np.zeros(step.size, dtype=bool)),
+        taper=Taper(np.zeros(step.size), np.zeros(step.size)),
         braking=efforts.braking / reference,
         friction=efforts.friction / reference,
         dynamic=efforts.dynamic / reference,

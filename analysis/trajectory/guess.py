@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
@@ -12,7 +10,6 @@ from analysis.trajectory.convex import (
     Multipliers,
 )
 from analysis.trajectory.discretisation import DiscreteProblem, Plan
-from analysis.trajectory.representatives import representatives
 from analysis.trajectory.rollout import (
     capped_run,
 )
@@ -23,9 +20,6 @@ from trainlog.arrays import FloatArray
 
 INACTIVE = 1e-3
 """Switching function below which a configuration is inactive, and leaves a prepared set."""
-
-_MANY = 40
-"""Configurations above which the coarse grid begins with the extreme ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +34,6 @@ class Guess:
     price : (rows,) array [J/(kg s)]
     statuses : tuple of str
         The solver's status of every program so far.
-    alone : frozenset of int
-        Rows that represent only themselves in the expected energy.
     multipliers : Multipliers, optional
         Of these configurations, where they are known.
     """
@@ -50,7 +42,6 @@ class Guess:
     plan: Plan
     price: FloatArray
     statuses: tuple[str, ...] = ()
-    alone: frozenset[int] = frozenset()
     multipliers: Multipliers | None = None
 
 
@@ -71,8 +62,6 @@ class Answer:
         How often configurations were added, and once more.
     statuses : tuple of str
         The solver's status of every program.
-    alone : frozenset of int
-        Rows that represent only themselves in the expected energy.
     """
 
     problem: DiscreteProblem
@@ -81,31 +70,6 @@ class Answer:
     solution: Solution
     turns: int
     statuses: tuple[str, ...]
-    alone: frozenset[int] = frozenset()
-
-
-def extreme_configurations(problem: DiscreteProblem, least_times: FloatArray) -> list[int]:
-    """Rows of the configurations that may be active: the extreme ones by any mix of properties.
-
-    Others that are active all the same show when all are rolled out; here few are looked at.
-    """
-    q = problem.shape[0]
-    speed = float(problem.step.sum()) / float(np.median(least_times))
-    drag = np.column_stack(
-        (
-            problem.mean_drag0 @ problem.step / problem.step.sum(),
-            problem.drag1 * speed + problem.drag2.mean(axis=1) * speed**2,
-            problem.power,
-            problem.gain,
-            least_times,
-        )
-    )
-    spread = np.ptp(drag, axis=0)
-    unit = (drag - drag.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
-    mixes = np.array(list(product((-1.0, 0.0, 1.0), repeat=unit.shape[1])))
-    found = set(np.argmax(unit @ mixes.T, axis=0).tolist())
-    some = q > _MANY and problem.run.objective != "expected"
-    return sorted(found) if some else list(range(q))
 
 
 def initial_guess(problem: DiscreteProblem, speeds: FloatArray, running_time: float) -> Guess:
@@ -124,22 +88,20 @@ def initial_guess(problem: DiscreteProblem, speeds: FloatArray, running_time: fl
         rows |= {int(np.argmin(times)), int(np.argmin(problem.power))}
     if np.isfinite(problem.earliest).any():
         rows |= {int(np.argmin(times))}
-    chosen = tuple(sorted(rows))
     if problem.run.objective == "expected":
-        chosen = tuple(sorted(rows | set(representatives(problem, [int(np.argmax(times))]))))
+        rows |= set(np.flatnonzero(problem.weights).tolist())
+    chosen = tuple(sorted(rows))
     part = problem.select(chosen)
     return Guess(chosen, *capped_run(part, speeds[list(chosen)], running_time))
 
 
-def interpolated_guess(
-    answer: Answer, coarse: FloatArray, problem: DiscreteProblem, rows: Sequence[int]
-) -> Guess:
+def interpolated_guess(answer: Answer, coarse: FloatArray, problem: DiscreteProblem) -> Guess:
     """What was found on one grid, interpolated to another one.
 
     Parameters
     ----------
     answer : Answer
-        For the configurations `rows` of `problem`.
+        For all configurations.
     coarse : (m + 1,) array [m]
         Its grid.
     problem : DiscreteProblem
@@ -156,10 +118,9 @@ def interpolated_guess(
     guess = Plan(
         z, plan.traction[cell], *(e[active][:, cell] for e in (plan.braking, plan.dynamic))
     )
-    chosen = tuple(rows[answer.active[row]] for row in active)
-    alone = frozenset(rows[row] for row in answer.alone)
+    chosen = tuple(answer.active[row] for row in active)
     multipliers = solution.multipliers.select(active.tolist()).on_cells(coarse, positions)
-    return Guess(chosen, guess, solution.time_price[active], answer.statuses, alone, multipliers)
+    return Guess(chosen, guess, solution.time_price[active], answer.statuses, multipliers)
 
 
 def _highest_resistance(problem: DiscreteProblem, least_times: FloatArray) -> int:

@@ -17,7 +17,6 @@ plan less the least one, in each cell, states what the cell costs, and where cel
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -28,7 +27,7 @@ from analysis.trajectory.curves import Curves
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, effort_limits
 from analysis.trajectory.envelope import Envelope
 from analysis.trajectory.problem import TrajectoryProblem
-from trainlog.arrays import FloatArray, IntArray
+from trainlog.arrays import FloatArray
 
 _NEWTON_STEPS = 8
 
@@ -95,21 +94,19 @@ class Prices:
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """Parts of cells with points of a quadrature.
+    """The cells with points of a quadrature.
 
     Attributes
     ----------
-    cell : (k,) array of int
-    length : (k,) array [m]
-    place : (k, p) array
-        Of the points, as parts of the segment's length.
-    weights : (k, p) array [m]
-    positions : (k, p) array [m]
+    length : (n,) array [m]
+    place : (n, p) array
+        Of the points, as parts of the cell's length.
+    weights : (n, p) array [m]
+    positions : (n, p) array [m]
     gathering : (p, p) array
-        Integrals over parts of a segment, from its beginning to each point.
+        Integrals over parts of a cell, from its beginning to each point.
     """
 
-    cell: IntArray
     length: FloatArray
     place: FloatArray
     weights: FloatArray
@@ -117,11 +114,11 @@ class Segments:
     gathering: FloatArray
 
     @staticmethod
-    def of(problem: DiscreteProblem, cell: IntArray, edges: FloatArray, points: int) -> Segments:
-        """Segments between `edges` [m], each in the cell of that number."""
+    def of(problem: DiscreteProblem, points: int) -> Segments:
+        """With so many points in each cell."""
         nodes, weights = np.polynomial.legendre.leggauss(points)
         nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights
-        length, powers = np.diff(edges), np.arange(points)
+        length, powers = problem.step, np.arange(points)
         rising = nodes[:, None] ** (powers + 1) / (powers + 1)
         gathering = rising @ np.linalg.inv(nodes[:, None] ** powers)
         place, part = np.tile(nodes, (length.size, 1)), np.tile(weights, (length.size, 1))
@@ -130,8 +127,8 @@ class Segments:
             place[0], part[0] = nodes**2, 2.0 * nodes * weights
         if problem.final == 0.0:
             place[-1], part[-1] = 1.0 - (1.0 - nodes) ** 2, 2.0 * (1.0 - nodes) * weights
-        positions = edges[:-1, None] + length[:, None] * place
-        return Segments(cell, length, place, length[:, None] * part, positions, gathering)
+        positions = problem.positions[:-1, None] + length[:, None] * place
+        return Segments(length, place, length[:, None] * part, positions, gathering)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +167,7 @@ class _Piece:
 
 
 class Hamiltonian:
-    """The Hamiltonian at the points of segments, for q configurations; arrays (q, k, p)."""
+    """The Hamiltonian at the points of cells, for q configurations; arrays (q, n, p)."""
 
     def __init__(
         self,
@@ -183,7 +180,7 @@ class Hamiltonian:
     ) -> None:
         self.problem, self.plan, self.prices, self.segments = problem, plan, prices, segments
         self.fastest = fastest
-        s, cell = segments.positions, segments.cell
+        s = segments.positions
         coefficients = np.array(
             [
                 [c.mass, c.inertia, c.resistance.r0, c.resistance.r2]
@@ -194,30 +191,19 @@ class Hamiltonian:
         tunnel = run.train.tunnel_coefficient(run.line.tunnel_cross_section(s))
         self.drag0 = (constant + mass * problem.run.track_acceleration(s)) / inertia
         self.drag1, self.drag2 = problem.drag1[:, None, None], (square + tunnel) / inertia
-        self.gain, self.time = problem.gain[:, None, None], prices.time[:, cell, None]
-        self.share, self.regained = prices.share[:, cell, None], prices.regained[:, None, None]
+        self.gain, self.time = problem.gain[:, None, None], prices.time[:, :, None]
+        self.share, self.regained = prices.share[:, :, None], prices.regained[:, None, None]
         self.power = problem.power[:, None, None]
         self.traction = _limits_at(run, problem.reference, s)[0].min(axis=0)
         brakes = _limits_at(problem.run, problem.reference, s)[1:]
         self.braking, self.friction, self.dynamic = brakes
         self.highest = np.minimum(run.permitted_speed(s), reached(fastest, s))
         self.highest = np.maximum(self.highest, LEAST_SPEED)
-        start = problem.positions[cell, None]
-        part = (s - start) / problem.step[cell, None]
-        change = plan.z[:, cell + 1, None] - plan.z[:, cell, None]
-        fall = problem.taper.fall[cell, None]
-        z = plan.z[:, cell, None] + change * part
-        z = z + self.gain * fall * problem.step[cell, None] * part * (1.0 - part)
-        rising = change / problem.step[cell, None] + self.gain * fall * (1.0 - 2.0 * part)
-        self.of_motion = z, rising
+        part, step, fall = segments.place, problem.step[:, None], problem.taper.fall[:, None]
+        z = plan.z[:, :-1, None] + np.diff(plan.z, axis=1)[:, :, None] * part
+        z = z + self.gain * fall * step * part * (1.0 - part)
         self.speed = np.clip(np.sqrt(2.0 * np.maximum(z, 0.0)), LEAST_SPEED, self.highest)
-        self.pulled = plan.traction[cell, None] + fall * (1.0 - 2.0 * part)
-
-    def slower(self, highest: FloatArray) -> Hamiltonian:
-        """The same with other highest speeds, (q, k, p) [m/s]."""
-        other = copy(self)
-        other.highest = highest
-        return other
+        self.pulled = plan.traction[:, None] + fall * (1.0 - 2.0 * part)
 
     def slopes(self, costate: FloatArray) -> FloatArray:
         """The adjoint equation: what the costate changes by along the plan's speeds."""
@@ -225,7 +211,7 @@ class Hamiltonian:
         return np.asarray((b - a / self.speed**2) / self.speed + 2.0 * c)
 
     def least(self, costate: FloatArray, slope: FloatArray) -> FloatArray:
-        """The least Hamiltonian over all speeds and controls, (k, p) [J/(kg m)]."""
+        """The least Hamiltonian over all speeds and controls, (n, p) [J/(kg m)]."""
         edges, found = self._edges(costate.shape), np.full(costate.shape, np.inf)
         for low, high in pairwise(edges):
             within = high > low
@@ -242,12 +228,12 @@ class Hamiltonian:
         return np.asarray(total)
 
     def of_plan(self, costate: FloatArray, slope: FloatArray) -> FloatArray:
-        """The plan's own Hamiltonian, (k, p) [J/(kg m)]."""
-        v, cell = self.speed, self.segments.cell
+        """The plan's own Hamiltonian, (n, p) [J/(kg m)]."""
+        v = self.speed
         drag = self.drag0 + self.drag1 * v + self.drag2 * v**2
-        braking = self.gain * self.plan.braking[:, cell, None]
+        braking = self.gain * self.plan.braking[:, :, None]
         own = self.time / v + costate * (drag + braking) - 0.5 * slope * v**2
-        own = own - self.regained * self.plan.dynamic[:, cell, None]
+        own = own - self.regained * self.plan.dynamic[:, :, None]
         worth = self.prices.traction - (costate * self.gain).sum(axis=0)
         return np.asarray(own.sum(axis=0) + worth * self.pulled)
 
@@ -279,7 +265,7 @@ class Hamiltonian:
         power = np.asarray(self.problem.dynamic_power)
         brake = _Piece.of(self.dynamic, power, self.problem.dynamic_curves, speed)
         if self.problem.common:
-            by_brake = self.prices.dynamic[:, self.segments.cell, None]
+            by_brake = self.prices.dynamic[:, :, None]
         else:
             # Against a costate below zero all brakes are worth more than what one regains.
             short = self.friction + brake.at(speed) < self.braking
@@ -294,10 +280,10 @@ class Hamiltonian:
         )
 
     def _common_brake(self, costate: FloatArray) -> FloatArray:
-        """The least of a braking effort for all: in a corner of its limits, (k, p)."""
+        """The least of a braking effort for all: in a corner of its limits, (n, p)."""
         most = self.braking.min(axis=0)
         worth = (costate * self.gain).sum(axis=0)
-        left = self.regained - self.prices.dynamic[:, self.segments.cell, None]
+        left = self.regained - self.prices.dynamic[:, :, None]
         least = np.zeros(most.shape)
         for corner in (most, *np.broadcast_to(self.dynamic, costate.shape)):
             effort = np.minimum(corner, most)
@@ -329,7 +315,7 @@ def reached(fastest: Envelope, positions: FloatArray) -> FloatArray:
 def _limits_at(
     run: TrajectoryProblem, reference: float, positions: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Limits of traction, all brakes, friction and dynamic brake at positions, (q, k, p) [m/s²]."""
+    """Limits of traction, all brakes, friction and dynamic brake at positions, (q, n, p) [m/s²]."""
     places, size = positions.reshape(-1, 1), (len(run.configurations), positions.size)
     if run.condition_map is None and run.train.acceleration_limits == "gross":
         places = places[:1]

@@ -12,13 +12,13 @@ and each section's least expected energy can be found by itself. Every mixture g
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
+import cvxpy as cp
 import numpy as np
-from scipy.optimize import linprog
 
 from analysis.trajectory.advice import with_times
 from analysis.trajectory.certificate import GAP_TOLERANCE
@@ -43,24 +43,25 @@ _LEAST_MARGIN = 1.01
 
 
 class Schedule:
-    """Departures and arrivals that keep the windows, and the linear programs over them."""
+    """Departures and arrivals that keep the windows, and the linear programs over them.
+
+    Parameters
+    ----------
+    least : (m,) array [s]
+        Least running time of each section.
+    low, high : (m, 2) array [s]
+        Windows of its departure and arrival.
+    dwell : float [s]
+    """
 
     def __init__(self, least: FloatArray, low: FloatArray, high: FloatArray, dwell: float) -> None:
         self.least, self.low, self.high, self.dwell = least, low, high, dwell
-        # departure of the next section not before this arrival and the dwell time
-        self.rows = [
-            self._row({2 * number + 1: 1.0, 2 * number + 2: -1.0})
-            for number in range(self.count - 1)
-        ]
-        self.right = [-dwell] * (self.count - 1)
-        self.cuts: list[FloatArray] = []
-        self.levels: list[float] = []
-
-    def _row(self, entries: Mapping[int, float]) -> FloatArray:
-        """Coefficients of all unknowns: times, energies of the sections, their common reserve."""
-        row = np.zeros(3 * self.count + 1)
-        row[list(entries)] = list(entries.values())
-        return row
+        self.times, self.energies = cp.Variable(low.shape), cp.Variable(least.size, nonneg=True)
+        self.running = self.times[:, 1] - self.times[:, 0]
+        late = np.nonzero(np.isfinite(high))
+        self.limits = [self.times >= low, self.times[late] <= high[late]]
+        self.limits += [self.times[1:, 0] >= self.times[:-1, 1] + dwell] * (self.count > 1)
+        self.cuts: list[Any] = []
 
     @property
     def count(self) -> int:
@@ -73,49 +74,28 @@ class Schedule:
 
     def even(self) -> FloatArray:
         """Times that give every section the same reserve over its least time, (m, 2) [s]."""
-        m = self.count
-        least = self.least.tolist()
-        rows = [
-            self._row({2 * n: 1.0, 2 * n + 1: -1.0, 3 * m: each}) for n, each in enumerate(least)
-        ]
-        right = [-each for each in least]
-        cost = self._row({3 * m: -1.0})
-        bounds = [*self._bounds(), *[(0.0, 0.0)] * m, (-0.5, 3.0)]
-        return self._solved(cost, [*self.rows, *rows], [*self.right, *right], bounds)[0]
+        share = cp.Variable(bounds=[-0.5, 3.0])
+        return self._solved(-share, [self.running >= self.least * (1.0 + share)])[0]
 
     def cheapest(self) -> tuple[FloatArray, float]:
         """Times of the least energy that the cuts allow, (m, 2) [s], and that energy [J]."""
-        m = self.count
-        rows = [*self.rows, *(self._row({2 * n: 1.0, 2 * n + 1: -1.0}) for n in range(m))]
-        right = [*self.right, *(-_LEAST_MARGIN * self.least).tolist()]
-        cost = self._row(dict.fromkeys(range(2 * m, 3 * m), 1.0))
-        bounds = [*self._bounds(), *[(0.0, None)] * m, (0.0, 0.0)]
-        return self._solved(cost, [*rows, *self.cuts], [*right, *self.levels], bounds)
+        slow_enough = self.running >= _LEAST_MARGIN * self.least
+        return self._solved(cp.sum(self.energies), [slow_enough, *self.cuts])
 
     def cut(self, number: int, times: FloatArray, energy: float, slopes: FloatArray) -> None:
         """Energy of a section is at least that at `times` and what the slopes add."""
-        departing, arriving = (slopes / 1e6).tolist()
-        self.cuts.append(
-            self._row(
-                {2 * number: departing, 2 * number + 1: arriving, 2 * self.count + number: -1.0}
-            )
-        )
-        self.levels.append(float(slopes @ times - energy) / 1e6)
+        least = energy / 1e6 + slopes / 1e6 @ (self.times[number] - times)
+        self.cuts.append(self.energies[number] >= least)
 
-    def _bounds(self) -> list[tuple[float, float | None]]:
-        pairs = zip(self.low.ravel().tolist(), self.high.ravel().tolist(), strict=True)
-        return [(low, None if high == np.inf else high) for low, high in pairs]
-
-    def _solved(
-        self, cost: FloatArray, rows: list[FloatArray], right: list[float], bounds: Any
-    ) -> tuple[FloatArray, float]:
-        found = linprog(cost, A_ub=np.array(rows), b_ub=np.array(right), bounds=bounds)
-        if found.status != 0:
+    def _solved(self, cost: Any, limits: list[Any]) -> tuple[FloatArray, float]:
+        program = cp.Problem(cp.Minimize(cost), [*self.limits, *limits])
+        program.solve(solver=cp.SCIPY)
+        if program.status != cp.OPTIMAL:
             raise InfeasibleError(
                 "journey: the windows leave no times for the slowest configuration",
                 remedy="open the windows longer",
             )
-        return np.asarray(found.x[: 2 * self.count]).reshape(-1, 2), 1e6 * float(found.fun)
+        return np.asarray(self.times.value) + 0.0, 1e6 * float(program.value)
 
 
 def best_times(
@@ -208,16 +188,10 @@ def _next(seen: FloatArray, chosen: FloatArray) -> FloatArray:
 
 def _highest(seen: FloatArray) -> FloatArray:
     """The mixture under which the least of the energies seen is highest."""
-    count = seen.shape[1]
-    found = linprog(
-        np.append(np.zeros(count), -1.0),
-        A_ub=np.column_stack((-seen, np.ones(seen.shape[0]))),
-        b_ub=np.zeros(seen.shape[0]),
-        A_eq=np.append(np.ones(count), 0.0)[None],
-        b_eq=np.ones(1),
-        bounds=[*[(0.0, 1.0)] * count, (None, None)],
-    )
-    return np.asarray(found.x[:count])
+    parts, least = cp.Variable(seen.shape[1], nonneg=True), cp.Variable()
+    program = cp.Problem(cp.Maximize(least), [cp.sum(parts) == 1.0, seen @ parts >= least])
+    program.solve(solver=cp.SCIPY)
+    return np.asarray(parts.value)
 
 
 def _rounded(mixture: FloatArray) -> FloatArray:
@@ -315,7 +289,7 @@ class JourneyPlan(Presented):
         if "energy" in self.certificate:
             rows["energy"] = (
                 f"{self.certificate['energy'] / JOULES_PER_KWH:.2f} kWh,"
-                f" at most {self.certificate['total_gap']:.3%} above the minimum for these times"
+                f" at most {self.certificate['gap']:.3%} above the minimum for these times"
             )
         return rows
 
@@ -417,15 +391,11 @@ def optimise_journey(
         energy = sum(float(each.certificate["energy"]) for each in found)
     running = times[:, 1] - times[:, 0]
     bound = sum(float(each.certificate["lower_bound"]) for each in found)
-    of_all = sum(float(each.certificate["continuous_bound"]) for each in found)
-    gap, total = ((energy - each) / max(abs(each), 1.0) for each in (bound, of_all))
+    gap = (energy - bound) / max(abs(bound), 1.0)
     certificate = {
         "energy": energy,
         "lower_bound": bound,
         "gap": gap,
-        "continuous_bound": of_all,
-        "cells_cost": total - gap,
-        "total_gap": total,
         "bound_holds_for": "these departures and arrivals",
         "costliest": problem.configurations[int(np.argmax(totals))].name,
         "costliest_energy": float(totals.max()),
@@ -440,7 +410,7 @@ def optimise_journey(
         "reserve": float(running.sum() / least.sum() - 1.0),
         "standing": float(times[-1, 1] - times[0, 0] - running.sum()),
         "time_price": found[-1].certificate["time_price"],
-        "certified": total <= GAP_TOLERANCE,
+        "certified": gap <= GAP_TOLERANCE,
     }
     departing = with_times(found, times[:, 0], journey.name)
     return JourneyPlan(journey, departing, times[:, 0], times[:, 1], certificate)

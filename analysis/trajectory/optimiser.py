@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from analysis.trajectory.active_set import search
-from analysis.trajectory.attempts import paced_grid, searched, together
+from analysis.trajectory.attempts import paced_grid, searched
 from analysis.trajectory.audit import Audit
 from analysis.trajectory.certificate import (
     GAP_TOLERANCE,
-    LowerBounds,
-    best_bounds,
+    best_bound,
     certificate_of,
     energy_of_audit,
+    gap_of,
 )
+from analysis.trajectory.continuous import ContinuousBound
 from analysis.trajectory.convex import time_left, time_limit
 from analysis.trajectory.discretisation import (
     BRAKING_WEIGHT,
@@ -36,7 +37,6 @@ from analysis.trajectory.envelope import (
 from analysis.trajectory.feasibility import check_time
 from analysis.trajectory.guess import (
     Answer,
-    extreme_configurations,
     initial_guess,
     interpolated_guess,
 )
@@ -72,26 +72,21 @@ if TYPE_CHECKING:
 COARSE_CELLS = 120
 """Of the coarse grid on which the active configurations are found."""
 
-_IN_HAND = (2e-4, 2e-3, 2e-2)
-"""Parts of the running time that a run at a constant pace has in hand, one after another."""
+_IN_HAND = 2e-3
+"""Part of the running time that a run at a constant pace has in hand."""
 
 _FAST = 1.05
-"""Times the least at one pace that the first of these runs takes: slow ones lead to poor plans."""
+"""Times the least at one pace that such a run takes at most: slow ones lead to poor plans."""
 
 REFINEMENTS = 3
 """How often a grid whose answer does not pass the audit is made twice as fine."""
 
-_LARGE = 10_000
-"""Cells of all configurations together, from which a search on other cells takes seconds."""
+RENEWALS, FINER_RENEWALS = 2, 3
+"""How often cells are laid anew about the plan found; and how often more while the gap is too large
+to certify. Every other time they are twice as many."""
 
-_GAINED = 0.1
-"""Part of the gap that other cells of a large problem gain at least, or their bound is left out."""
-
-RENEWALS = 2
-"""How often cells are laid anew about the plan found."""
-
-FINER_RENEWALS, MOST_FINER = 4, 4
-"""How often more while the total gap is too large to certify, and times the cells at most."""
+_CUT = 0.9
+"""Times the gap before, above which new cells are the last."""
 
 
 def optimise(problem: TrajectoryProblem, options: OptimiserOptions = DEFAULT_OPTIONS) -> Trajectory:
@@ -156,11 +151,11 @@ def _optimised(asked: TrajectoryProblem, options: OptimiserOptions) -> Trajector
     try:
         check_time(problem, fastest, running_time)
         found = _audited(problem, fastest, running_time, options.cells)
-        found, bounds = _renewed(found, fastest, running_time, options)
+        found, bound = _renewed(found, fastest, running_time, options)
     except InfeasibleError as refusal:
         raise _with_time_to_allow(refusal, problem, fastest, running_time, options.cells) from None
     discrete, answer = found.problem, found.answer
-    certificate = certificate_of(answer, bounds, fastest, found.audit, running_time, found.coarser)
+    certificate = certificate_of(answer, bound, fastest, found.audit, running_time)
     if options.referee:
         # Only here: it brings CasADi.
         from analysis.trajectory.referee import refereed
@@ -269,13 +264,10 @@ class _Audited:
     ----------
     answer : Answer
     audit : Audit
-    coarser : (int, float [J/kg]) or None
-        Cells of the coarse grid that was searched before and the energy there, where there was one.
     """
 
     answer: Answer
     audit: Audit
-    coarser: tuple[int, float] | None
 
     @property
     def problem(self) -> DiscreteProblem:
@@ -289,54 +281,34 @@ class _Audited:
 
 def _renewed(
     found: _Audited, fastest: Envelope, running_time: float, options: OptimiserOptions
-) -> tuple[_Audited, LowerBounds]:
-    """The best plan, on cells laid anew where the bounds of the last state that it loses most."""
-    cells = found.problem.shape[1]
-    bounds = best_bounds(found.answer, fastest, running_time)
-    last = found, bounds
+) -> tuple[_Audited, ContinuousBound]:
+    """The best plan, on cells laid anew where the bound of the last states that it loses most."""
+    cells, tolerance = found.problem.shape[1], options.tolerance
+    bound = best_bound(found.answer, fastest, running_time)
+    last, excess = found, bound.excess
     for number in range(RENEWALS + FINER_RENEWALS):
-        tolerance = options.tolerance
+        gap = gap_of(found.energy, bound.value)
+        note(f"the gap is {gap:.3%}; cells are laid anew")
         if number >= RENEWALS:
-            cells = min(2 * cells, MOST_FINER * options.cells, MOST_CELLS)
-        if number > RENEWALS:
             tolerance = max(tolerance, GAP_TOLERANCE)
-        total = bounds.total_gap(found.energy)
-        note(f"the gap is {total:.3%}; cells are laid anew")
-        enough = total <= tolerance or time_left() <= 0.0
-        # More cells for several configurations only where most of the gap is theirs.
-        several = number >= RENEWALS and len(found.answer.active) > 1
-        asked = max(tolerance, total) if several else tolerance
-        if enough or not _cells_may_help(found, bounds, asked):
+        if number > 0 and number % 2 == 0:
+            cells = min(2 * cells, MOST_CELLS)
+        if gap <= tolerance or time_left() <= 0.0:
             break
-        excess = last[1].excess
-        again = _searched_again(last[0], excess, cells, fastest, running_time)
+        again = _searched_again(last, excess, cells, fastest, running_time)
         if again is None:
-            again = _searched_again(last[0], excess, 2 * cells, fastest, running_time)
-        if again is None:
+            continue
+        other = best_bound(again.answer, fastest, running_time)
+        last, excess = again, other.excess
+        if other.value > bound.value:
+            bound = other
+        if again.energy <= found.energy:
+            found = again
+        # By each other's power several lose what no cells regain.
+        several = len(found.answer.active) > 1
+        if gap_of(found.energy, bound.value) > _CUT * gap and (several or number > 0):
             break
-        if _is_large(found) and again.energy > found.energy * (1.0 - _GAINED * total):
-            break
-        last = again, best_bounds(again.answer, fastest, running_time)
-        highest = max(bounds.continuous, last[1].continuous)
-        if again.energy <= found.energy or last[1].total_gap(again.energy) < total:
-            found, bounds = last
-        bounds = replace(bounds, continuous=highest, cells=max(bounds.cells, highest))
-    return found, bounds
-
-
-def _is_large(found: _Audited) -> bool:
-    return found.problem.drag2.size > _LARGE
-
-
-def _cells_may_help(found: _Audited, bounds: LowerBounds, tolerance: float) -> bool:
-    """Whether other cells may bring the gap within a tolerance; for many, or certify the answer."""
-    total, energy = bounds.total_gap(found.energy), found.energy
-    worthwhile = total > GAP_TOLERANCE or bounds.gap(energy) <= tolerance
-    part = 0.2
-    if len(found.answer.active) > 1:
-        # The relaxation leaves out what several lose by each other's power, on whatever cells.
-        part = 0.5
-    return bounds.by_cells(energy, tolerance, part) and (worthwhile or not _is_large(found))
+    return found, bound
 
 
 def _searched_again(
@@ -346,13 +318,11 @@ def _searched_again(
     run = found.problem.run
     positions = refined_mesh(run.breakpoints, found.problem.positions, excess, cells)
     problem = discretise(run, positions)
-    every = range(problem.shape[0])
-    guess = interpolated_guess(found.answer, found.problem.positions, problem, every)
+    guess = interpolated_guess(found.answer, found.problem.positions, problem)
     try:
-        answer, rollout = searched(problem, guess, fastest, running_time)
+        return _Audited(*searched(problem, guess, fastest, running_time))
     except TrainlogError:
         return None
-    return _Audited(answer, rollout, found.coarser)
 
 
 def _audited(
@@ -378,62 +348,48 @@ def _audited(
             found = _coarse_optimum(run, fastest, coarse, running_time)
         guess = initial_guess(problem, speeds, running_time)
         if found is not None:
-            guess = interpolated_guess(found, coarse, problem, range(problem.shape[0]))
-        coarser = None if found is None else (coarse.size - 1, found.solution.energy)
+            guess = interpolated_guess(found, coarse, problem)
         try:
-            return _Audited(*searched(problem, guess, fastest, running_time), coarser)
+            return _Audited(*searched(problem, guess, fastest, running_time))
         except TrainlogError as failure:
             failures.append(failure)
         safe = _paced(run, running_time, count)
         if safe is not None:
             return safe
-        if problem.shape[0] > 1 and isinstance(failures[-1], InfeasibleError):
+        if problem.common and isinstance(failures[-1], InfeasibleError):
             break
     raise failures[0]
 
 
 def _paced(run: TrajectoryProblem, running_time: float, cells: int) -> _Audited | None:
-    """An answer that begins from a run at a constant pace, on a grid about that; None if none is.
+    """An answer on a grid about a run at a constant pace; None if there is none.
 
-    Its grid costs a little of its time, so the pace has a little more in hand.
+    Its grid costs a little of its time, so the pace has a little in hand.
     """
-    times = [(1.0 - part) * running_time for part in _IN_HAND]
-    fast = _FAST * least_paced_time(run)
-    for time in [fast, *times] if fast < times[-1] else times:
-        paced = paced_envelope(run, time)
-        if paced is None:
-            return None
-        problem = paced_grid(run, _mesh(run, run.breakpoints, paced, cells), paced, running_time)
-        if problem is None:
-            continue
-        guess = initial_guess(problem, paced.at(problem.positions), running_time)
-        try:
-            return _Audited(*searched(problem, guess, paced, running_time), None)
-        except TrainlogError:
-            pass
-        try:
-            return _Audited(*together(problem, paced, running_time), None)
-        except TrainlogError:
-            continue
-    return None
+    time = min((1.0 - _IN_HAND) * running_time, _FAST * least_paced_time(run))
+    paced = paced_envelope(run, time)
+    if paced is None:
+        return None
+    problem = paced_grid(run, _mesh(run, run.breakpoints, paced, cells), paced, running_time)
+    if problem is None:
+        return None
+    guess = initial_guess(problem, paced.at(problem.positions), running_time)
+    try:
+        return _Audited(*searched(problem, guess, paced, running_time))
+    except TrainlogError:
+        return None
 
 
 def _coarse_optimum(
     run: TrajectoryProblem, fastest: Envelope, positions: FloatArray, running_time: float
 ) -> Answer | None:
-    """The optimum on a coarse grid: first for the configurations that stand out, then for all.
+    """The optimum on a coarse grid, and with it the configurations that decide.
 
     None if it has no optimum: that of the fine grid may have one, and else it explains itself.
     """
     problem, speeds = discretise(run, positions), fastest.at(positions)
-    rows = extreme_configurations(problem, fastest.times)
-    some = problem.select(rows)
+    guess = initial_guess(problem, speeds, running_time)
     try:
-        guess = initial_guess(some, speeds[rows], running_time)
-        answer = search(some, guess, speeds[rows], running_time, coarse=True)
-        if len(rows) == problem.shape[0]:
-            return answer
-        guess = interpolated_guess(answer, positions, problem, rows)
         return search(problem, guess, speeds, running_time, coarse=True)
     except InfeasibleError:
         return None
@@ -448,12 +404,10 @@ FRONT_COLUMNS = (
     Column("reserve", SHARE, each=True, of=lambda point: point[0].certificate["reserve"]),
     Column("energy", ENERGY, each=True, of=lambda point: point[0].certificate["energy"]),
     Column(
-        "total gap",
+        "gap",
         replace(SHARE, digits=3),
         each=True,
-        of=lambda point: Said(
-            point[0].certificate["total_gap"], at_most(point[0].certificate["total_gap"])
-        ),
+        of=lambda point: Said(point[0].certificate["gap"], at_most(point[0].certificate["gap"])),
     ),
     Column(
         "a second more saves",

@@ -539,8 +539,7 @@ class OptimiserOptions:
     def __post_init__(self) -> None:
         if not self.tolerance >= 0.0:
             raise InputError(
-                f"trajectory: the tolerance of the total gap must be 0 or more, not"
-                f" {self.tolerance:g}",
+                f"trajectory: the tolerance of the gap must be 0 or more, not {self.tolerance:g}",
                 remedy="0.0005 asks for 0.05 per cent",
             )
         if self.time_limit is not None and not self.time_limit > 0.0:

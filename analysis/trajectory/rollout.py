@@ -1,31 +1,26 @@
-"""The configurations driven under a common traction: rollouts, delays, corrections of lateness.
+"""The configurations driven under a common traction: rollouts and delays.
 
 All configurations share the traction; each brakes for itself, or all alike. A run at a given pace
 (full traction up to a cruising speed, hold it, brake at the last moment) is where the optimiser
 starts; how a configuration drives that was not optimised for is rolled out under the traction
 found.
-
-What little time a plan still lacks is made up for without another program: at an optimum all cells
-of partial traction are worth the same, so that it may be made up for in any of them at the price of
-the optimum, to first order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numba import njit
 
-from analysis.trajectory.discretisation import DiscreteProblem, Plan, most_traction, taper_along
+from analysis.trajectory.discretisation import DiscreteProblem, Plan, taper_along
 from analysis.trajectory.envelope import braking_curves
 from trainlog.arrays import FloatArray
 from trainlog.railway.motion import advance, effort_at, in_parts, landing, speed_of, traverse
 from trainlog.railway.resistance import NO_CURVE
 
 _TRIALS = 6
-"""Of how much faster than another a configuration has to be to arrive in time."""
+"""Of how much friction a configuration has to brake with to arrive in time."""
 
 _TAPERINGS = 2
 """How often traction is tapered along a run."""
@@ -256,63 +251,26 @@ def rollout(problem: DiscreteProblem, traction: FloatArray, braking: FloatArray 
     return _rollout_below(problem, traction, braking_curves(problem, traction))
 
 
-def rollout_behind(
-    problem: DiscreteProblem, traction: FloatArray, leader: FloatArray, running_time: float
-) -> Plan:
-    """How each configuration runs under a common traction, no faster than another, if in time.
+def rollout_gently(problem: DiscreteProblem, driven: Plan, running_time: float) -> Plan:
+    """How each configuration runs under the same traction, with little friction and in time.
 
-    It brakes as gently as the other does, and so regains more than one that brakes late; it may
-    be so much faster than the other as its time asks for.
-
-    Parameters
-    ----------
-    traction : (n,) array [m/s²]
-    leader : (q, n + 1) array [m²/s²]
-        ``z`` of the one that each follows.
-    running_time : float [s]
-    """
-    curves = braking_curves(problem, traction)
-    found = _rollout_below(problem, traction, curves)
-    curves = _dynamic_brake_curves(problem, traction, curves)
-
-    def below(share: FloatArray) -> FloatArray:
-        return np.minimum(curves, leader * (1.0 + 0.2 * share[:, None]))
-
-    return _least_in_time(problem, traction, running_time, found, below)
-
-
-def rollout_gently(problem: DiscreteProblem, traction: FloatArray, running_time: float) -> Plan:
-    """How each configuration runs under a common traction, with little friction and in time.
-
-    It brakes the earlier the less friction there is, and the dynamic brake takes more.
+    It brakes the earlier the less friction there is, and the dynamic brake takes more: with the
+    least share of it, from 0 to 1, with which it is in time.
 
     Parameters
     ----------
     problem : DiscreteProblem
-    traction : (n,) array [m/s²]
+    driven : Plan
     running_time : float [s]
     """
+    traction, q = driven.traction, problem.shape[0]
     curves = braking_curves(problem, traction)
     found = _rollout_below(problem, traction, curves)
-
-    def gentle(friction: FloatArray) -> FloatArray:
-        return _dynamic_brake_curves(problem, traction, curves, friction)
-
-    return _least_in_time(problem, traction, running_time, found, gentle)
-
-
-def _least_in_time(
-    problem: DiscreteProblem,
-    traction: FloatArray,
-    running_time: float,
-    found: Plan,
-    curves_at: Callable[[FloatArray], FloatArray],
-) -> Plan:
-    """Below the curves of each one's least share, from 0 to 1, that is in time; else as `found`."""
-    low, high = np.zeros(problem.shape[0]), np.ones(problem.shape[0])
+    low, high = np.zeros(q), np.ones(q)
     for turn in range(_TRIALS):
         share = low if turn == 0 else 0.5 * (low + high)
-        trial = _rollout_below(problem, traction, curves_at(share))
+        gentle = _dynamic_brake_curves(problem, traction, curves, share)
+        trial = _rollout_below(problem, traction, gentle)
         late = delays(problem, trial, running_time)[0] > 0.0
         found.put(~late, trial, ~late)
         if turn == 0:
@@ -326,31 +284,30 @@ def _dynamic_brake_curves(
     problem: DiscreteProblem,
     traction: FloatArray,
     curves: FloatArray,
-    friction: FloatArray | None = None,
+    friction: FloatArray,
 ) -> FloatArray:
-    """The braking curves of the dynamic brake alone, for those that it can bring to a stand.
+    """The braking curves of the dynamic brake, for those that it can bring to a stand.
 
-    With a share of the `friction` brake besides, (q,), if given.
+    With a share of the `friction` brake besides, (q,).
     """
-    share = np.zeros_like(problem.friction) if friction is None else friction[:, None]
-    others = share * problem.friction
+    others = friction[:, None] * problem.friction
     limit = np.minimum(problem.braking, problem.dynamic + others)
     gentle = braking_curves(replace(problem, braking=limit, friction=others), traction)
     able = np.all(gentle[:, 1:-1] > 0.0, axis=1) & (gentle[:, 0] >= problem.initial)
     return np.where(able[:, None], gentle, curves)
 
 
-def rollout_at(problem: DiscreteProblem, traction: FloatArray, planned: FloatArray) -> Plan:
-    """How each configuration runs under a common traction, nowhere faster than planned.
+def rollout_at(problem: DiscreteProblem, driven: Plan, planned: FloatArray) -> Plan:
+    """How each configuration runs under the same traction, nowhere faster than planned.
 
     Parameters
     ----------
     problem : DiscreteProblem
-    traction : (n,) array [m/s²]
+    driven : Plan
     planned : (q, n + 1) array [m²/s²]
     """
-    curves = braking_curves(problem, traction)
-    return _rollout_below(problem, traction, np.minimum(curves, planned))
+    curves = braking_curves(problem, driven.traction)
+    return _rollout_below(problem, driven.traction, np.minimum(curves, planned))
 
 
 def _rollout_below(problem: DiscreteProblem, traction: FloatArray, curves: FloatArray) -> Plan:
@@ -406,67 +363,6 @@ def _curve_arrays(problem: DiscreteProblem) -> tuple[FloatArray, FloatArray]:
         return problem.curves.arrays
     speeds, efforts = NO_CURVE
     return np.tile(speeds, (problem.shape[0], 1)), efforts
-
-
-_LATEST = 2e-5
-"""Lateness that is left [s]."""
-
-_SOONEST = 5e-4
-"""Earliness that is left, worth less than what the programs leave [s]."""
-
-_SECANTS = 8
-
-_FIRST = 0.05
-"""Share of its margin by which the traction is changed first."""
-
-
-def correct_lateness(
-    problem: DiscreteProblem, plan: Plan, running_time: float
-) -> FloatArray | None:
-    """A common traction under which all of `problem` are in time, or None if that takes more.
-
-    Parameters
-    ----------
-    problem : DiscreteProblem
-        Of the configurations that a plan was optimised for.
-    plan : Plan
-        Nearly in time.
-    running_time : float [s]
-
-    Returns
-    -------
-    (n,) array [m/s²] or None
-    """
-    margin = _traction_margin(problem, plan)
-
-    def late(share: float) -> float:
-        driven = realise(problem, replace(plan, traction=plan.traction + share * margin))
-        return float(delays(problem, driven, running_time)[0].max())
-
-    share = _secant_share(late)
-    return None if share is None else plan.traction + share * margin
-
-
-def _traction_margin(problem: DiscreteProblem, plan: Plan) -> FloatArray:
-    """By how much each cell of partial traction may change, (n,) [m/s²]."""
-    most, least = most_traction(problem, plan.z), np.abs(problem.taper.fall)
-    return np.asarray(np.maximum(np.minimum(plan.traction - least, most - plan.traction), 0.0))
-
-
-def _secant_share(late: Callable[[float], float]) -> float | None:
-    """The share at which the lateness is between its bounds, by secants."""
-    share, value, slope = 0.0, late(0.0), np.nan
-    for _ in range(_SECANTS):
-        if -_SOONEST <= value <= _LATEST:
-            return share
-        # The first step is a guess, later ones follow the slope that was met.
-        change = _FIRST * float(np.sign(value)) if np.isnan(slope) else -(value + _LATEST) / slope
-        reached = late(share + change) if abs(share + change) <= 1.0 else np.inf
-        if not np.isfinite(reached) or reached == value:
-            return None
-        slope = (reached - value) / change
-        share, value = share + change, reached
-    return None
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]

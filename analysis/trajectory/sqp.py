@@ -18,7 +18,6 @@ import scipy.sparse as sp
 from analysis.trajectory.convex import (
     SLOW,
     Multipliers,
-    NoSolutionError,
     OutOfTimeError,
     Rows,
     Unknowns,
@@ -30,7 +29,7 @@ from analysis.trajectory.convex import (
 from analysis.trajectory.curves import Curves
 from analysis.trajectory.discretisation import DiscreteProblem, Plan, Taper, taper_along
 from analysis.trajectory.rollout import delays, integrate_cells, realise
-from trainlog.arrays import BoolArray, FloatArray, IntArray
+from trainlog.arrays import FloatArray, IntArray
 
 _Limited = tuple[int, IntArray, IntArray]
 """A configuration, cells in which its power is limited, and the rows of these limits."""
@@ -47,12 +46,6 @@ counts, over that of its end speeds: efforts under which a train stands have non
 
 _NEAR_POWER = 1.5
 """A power limit above this many times the largest effort is left out of a program."""
-
-_BRAKE_APPLIED = 1e-4
-"""Part of the largest traction below which a brake is not applied."""
-
-_NEAR_LEAST = 1.02
-"""Times the least of all configurations: power that counts as short, too."""
 
 _LEAST_SHARE = 0.02
 """Curvature of a configuration that is not short of time, over that of the one that is.
@@ -178,8 +171,6 @@ class QPSubproblem:
         radius: float,
         lateness_price: float,
         smoothing: float,
-        *,
-        rough: bool = False,
     ) -> Solution:
         """The optimum of the program.
 
@@ -191,8 +182,6 @@ class QPSubproblem:
         lateness_price : float [J/(kg s)]
         smoothing : float [s²/m]
             Price of the squared change of effort from cell to cell.
-        rough : bool
-            Whether it only prepares the next program.
 
         Raises
         ------
@@ -228,7 +217,7 @@ class QPSubproblem:
         priced = cost.copy()
         priced[self.late] = lateness_price
         bends = curvature + smoothing * self._effort_changes()
-        found = solve(unknowns, priced, self.equal, self.below, curvature=bends, rough=rough)
+        found = solve(unknowns, priced, self.equal, self.below, curvature=bends)
         x, duals = found.unknowns, found.below
         braking = np.maximum(x[unknowns.braking], 0.0)
         share = braking
@@ -350,17 +339,13 @@ class QPSubproblem:
         self.unknowns.high[self.unknowns.z] = (high - z) / self.scale
 
     def _power(self) -> tuple[list[_Limited], list[_Limited]]:
-        """Eq. (5) of traction and of the dynamic brake, at both ends of each cell.
-
-        Where traction follows the power of one configuration all the way, at their mean.
-        """
+        """Eq. (5) of traction and of the dynamic brake, at both ends of each cell."""
         problem, unknowns, n = self.problem, self.unknowns, self.problem.shape[1]
-        taper, level, alone = problem.taper, np.zeros(n), self._single_power_limit()
+        taper, level = problem.taper, np.zeros(n)
         pulled, braked = [], []
         for a, power in enumerate(problem.power.tolist()):
             usable, effort = power * (1.0 - taper.crest), unknowns.traction
-            pulled.append(self._mean_below(a, usable, effort, np.flatnonzero(alone[a])))
-            most = np.where(alone[a], 0.0, problem.traction)
+            most = problem.traction
             for nodes, above in ((slice(0, n), taper.fall), (slice(1, n + 1), -taper.fall)):
                 pulled.append(self._below(a, nodes, usable, effort, most, above))
                 pulled += self._below_curve(
@@ -374,21 +359,6 @@ class QPSubproblem:
                         problem.dynamic_curves, a, nodes, own, limit, level, level + 1.0
                     )
         return pulled, braked
-
-    def _single_power_limit(self) -> BoolArray:
-        """Cells in which each configuration is the only one to be short of power, (q, n).
-
-        Others, and those that brake not to need more, must keep the limit at both ends; so must all
-        that have a curve of effort, which bends at its points.
-        """
-        problem = self.problem
-        if problem.curves is not None:
-            return np.zeros(problem.shape, dtype=np.bool_)
-        limit = problem.power[:, None] / np.maximum(self.speed, SLOW)
-        near = limit < _NEAR_LEAST * limit.min(axis=0)
-        near = near[:, :-1] | near[:, 1:]
-        driving = self.plan.braking < _BRAKE_APPLIED * problem.traction
-        return np.asarray(problem.taper.full & near & (near.sum(axis=0) == 1) & driving)
 
     def _below(
         self,
@@ -415,33 +385,15 @@ class QPSubproblem:
         self, curves: Curves | None, a: int, nodes: slice, effort: IntArray,
         most: FloatArray, above: FloatArray, part: FloatArray,
     ) -> list[_Limited]:  # fmt: skip
-        """Effort below a part of a curve's tangent in z, as `_below`: one set of rows a piece."""
+        """Effort below a part of a curve's tangent in z, as `_below`."""
         if curves is None:
             return []
         v = np.sqrt(self.speed[a, nodes] ** 2 + 2.0 * self.problem.bulge)
-        found = []
-        for value, slope in curves.lines(a, v):
-            at = np.flatnonzero(value * part < _NEAR_POWER * most)
-            gained = (part * slope * self.scale[a, nodes] / np.maximum(v, SLOW))[at]
-            change, right = self.unknowns.z[a, nodes][at], (value * part - above)[at]
-            rows = self.below.add(right, (effort[at], 1.0), (change, -gained))
-            found.append((a, at, rows))
-        return found
-
-    def _mean_below(self, a: int, power: FloatArray, effort: IntArray, at: IntArray) -> _Limited:
-        """Mean effort in the cells `at` below the mean of ``power / v`` at their ends.
-
-        By the tangent of what the power does in the time ``2 ds / (v + v')``, which the lower
-        bound has too; it is slightly less than the mean, by a factor taken as of the plan.
-        """
-        ends = np.stack((at, at + 1), axis=1)
-        v = np.sqrt(self.speed[a, ends] ** 2 + 2.0 * self.problem.bulge[at, None])
-        v = np.maximum(v, SLOW)
-        total = v.sum(axis=1)
-        most = power[at] * total / (2.0 * v.prod(axis=1))
-        slope = (most / total)[:, None] * self.scale[a, ends] / v
-        change = self.unknowns.z[a, ends]
-        return a, at, self.below.add(most, (effort[at], 1.0), (change, slope))
+        value, slope = curves.line(a, v)
+        at = np.flatnonzero(value * part < _NEAR_POWER * most)
+        gained = (part * slope * self.scale[a, nodes] / np.maximum(v, SLOW))[at]
+        change, right = self.unknowns.z[a, nodes][at], (value * part - above)[at]
+        return [(a, at, self.below.add(right, (effort[at], 1.0), (change, -gained)))]
 
 
 def least_z(problem: DiscreteProblem) -> FloatArray:
@@ -484,9 +436,6 @@ _EXCESS = 1e-6
 
 LATENESS_PRICE = 100.0
 """Price of lateness over the multiplier of the time; more than a feasible run would pay."""
-
-_LARGE = 2_000
-"""Cells of all configurations together, above which the first program is solved roughly."""
 
 _FREE_ITERATIONS = 10
 """Iterations before the steps are made to shrink."""
@@ -552,24 +501,18 @@ def minimise(
     plan = start
     price = np.repeat(time_price[:, None], problem.shape[1], axis=1)
     lateness_price = LATENESS_PRICE * max(float(price.max()), 1.0)
-    radius, energy, large = 1.0, np.inf, problem.drag2.size > _LARGE
+    radius, energy = 1.0, np.inf
     statuses: list[str] = []
     solution = None
     while True:
         tapered = problem if given else problem.tapered(taper_along(problem, plan))
         program = QPSubproblem(tapered, plan, price, given=given)
-        rough = solution is None and tolerances.energy > EXACT.energy and large
         try:
-            solution = program.solve(
-                running_time, radius, lateness_price, tolerances.smoothing, rough=rough
-            )
+            solution = program.solve(running_time, radius, lateness_price, tolerances.smoothing)
         except OutOfTimeError:
             raise OutOfTimeError(solution) from None
         statuses.extend(solution.statuses)
         plan, price = solution.plan, solution.multipliers.cell_prices(problem)
-        if rough:
-            energy = solution.energy
-            continue
         driven = realise(tapered, plan)
         late, early = delays(tapered, driven, running_time)
         off = max(float(late.max()), float(early.max())) - solution.lateness
@@ -591,30 +534,3 @@ def _excess(problem: DiscreteProblem, driven: Plan) -> float:
     ceiling = np.append(problem.ceiling[:-1], problem.final_ceiling)
     fast = float(((driven.z - ceiling) / problem.ceiling.max()).max())
     return max(fast, float((driven.traction / problem.traction_by_power(driven.z)).max()) - 1.0)
-
-
-def with_costates(problem: DiscreteProblem, solution: Solution, running_time: float) -> Solution:
-    """A solution with the multipliers of its program as it stands, without smoothing.
-
-    They are the costates of the robust maximum principle, and give the lower bound. Where the
-    solver does not find them to be optimal, or no time is left, the solution keeps those it has.
-
-    Parameters
-    ----------
-    solution : Solution
-        As `minimise` found it.
-    running_time : float [s]
-    """
-    plan, price = solution.plan, solution.multipliers.cell_prices(problem)
-    program = QPSubproblem(problem, plan, price)
-    lateness_price = LATENESS_PRICE * max(float(price.max()), 1.0)
-    try:
-        found = program.solve(running_time, 1.0, lateness_price, smoothing=0.0)
-    except (NoSolutionError, OutOfTimeError):
-        return solution
-    return replace(
-        solution,
-        multipliers=found.multipliers,
-        switching=found.switching,
-        statuses=(*solution.statuses, *found.statuses),
-    )

@@ -182,7 +182,7 @@ def trajectory_table(trajectory: Trajectory, section: str = "") -> list[WordTabl
     least = max(certificate["least_time"])
     reserve = f"{certificate['reserve']:.1%} over {least:.1f} s ({clock(least)})"
     deciding = f"{len(trajectory.configurations)}, deciding: {_some(certificate['active'])}"
-    bound = kwh(certificate.get("continuous_bound", certificate["lower_bound"]))
+    bound = kwh(certificate["lower_bound"])
     agreed = certificate.get("agreement", {})
     shares = ", ".join(f"{name} {share:.2%}" for name, share in agreed.items())
     rows = {
@@ -247,8 +247,8 @@ def certified(trajectory: Trajectory) -> dict[str, Any]:
         "running_time_s": trajectory.running_time,
         "least_time_s": max(certificate["least_time"]),
         "energy_J": certificate["energy"],
-        "lower_bound_J": certificate.get("continuous_bound", certificate["lower_bound"]),
-        "gap": certificate.get("total_gap", certificate["gap"]),
+        "lower_bound_J": certificate["lower_bound"],
+        "gap": certificate["gap"],
         "lateness_s": audit["lateness"],
         "overspeed_m_s": audit["overspeed"],
         "protected_length_m": trajectory.protected_length,
@@ -259,13 +259,10 @@ def certified(trajectory: Trajectory) -> dict[str, Any]:
 
 
 def _gap(trajectory: Trajectory) -> str:
-    """How far from the least energy a trajectory is at most, and what of it is due to the cells."""
+    """How far from the least energy a trajectory is at most."""
     certificate = trajectory.certificate
-    own = f"{certificate['gap']:.3%} on {counted(certificate['grid']['cells'], 'cell')}"
-    if "total_gap" not in certificate:
-        return f"{own}; what the cells cost is not known"
-    total, cells = certificate["total_gap"], certificate["cells_cost"]
-    words = f"{at_most(total)} in all: {own}, {cells:.3%} for the cells"
+    cells = counted(certificate["grid"]["cells"], "cell")
+    words = f"{at_most(certificate['gap'])} on {cells}"
     return words if certificate["certified"] else f"{words}; not certified"
 
 
@@ -278,7 +275,7 @@ def journey_table(plan: JourneyPlan, line: Line | None = None) -> WordTable:
     costliest, mixed = certificate["costliest"], bool(certificate["mixture"])
     title = (
         f"Journey {plan.journey.name} on {plan.journey.line}: {plan.energy_label}"
-        f" {kwh(certificate['energy'])}, at least {kwh(certificate['continuous_bound'])} at these"
+        f" {kwh(certificate['energy'])}, at least {kwh(certificate['lower_bound'])} at these"
         f" times; other times might save {certificate['other_times_might_save']:.2%}"
     )
     table = new_table(
@@ -288,7 +285,7 @@ def journey_table(plan: JourneyPlan, line: Line | None = None) -> WordTable:
         Column("to km", FROM_START, key="end"),
         Column("arrives", DURATION, each=True),
         Column("energy", ENERGY, each=True),
-        Column("total gap", replace(SHARE, digits=3), each=True),
+        Column("gap", replace(SHARE, digits=3), each=True),
         Column("a second is worth", SECOND_WORTH, each=True, key="worth_of_a_second"),
         name="sections",
         caption=f"{costliest} takes most in all, {kwh(certificate['costliest_energy'])}"
@@ -304,7 +301,7 @@ def journey_table(plan: JourneyPlan, line: Line | None = None) -> WordTable:
             _km(line, each.positions[-1]),
             float(arrives),
             float(found["line_energy"][row] if mixed else found["energy"]),
-            Said(found["total_gap"], at_most(found["total_gap"])),
+            Said(found["gap"], at_most(found["gap"])),
             float(price),
         )
     return table

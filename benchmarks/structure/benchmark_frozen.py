@@ -101,7 +101,7 @@ def plans() -> Iterator[str]:
         except TrainlogError as refused:
             yield f"problem-{number}: refused, {type(refused).__name__}"
             continue
-        gap = 100.0 * float(found.get("total_gap", found["gap"]))
+        gap = 100.0 * float(found["gap"])
         certified = "certified" if found["certified"] else "not certified"
         yield f"problem-{number}: {found['energy'] / 3.6e6:.5f} kWh, gap {gap:.2f} %, {certified}"
 

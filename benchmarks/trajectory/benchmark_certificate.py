@@ -86,8 +86,7 @@ def measured(
     except TrainlogError as refused:
         return row | {"words": str(refused)}
     row |= {"energy": found["energy"], "gap": found["gap"], "cells": found["grid"]["cells"]}
-    row["bound"] = found.get("continuous_bound", found["lower_bound"])
-    row["total_gap"] = found.get("total_gap", np.nan)
+    row["bound"] = found["lower_bound"]
     for cells in fine:
         try:
             options = OptimiserOptions(cells, tolerance=np.inf, time_limit=limit)
@@ -109,7 +108,7 @@ def printed(row: dict[str, Any], fine: list[int]) -> str:
     unit = max(abs(row["bound"]), 1.0)
     words += (
         f" {row['seconds']:6.2f} s {row['cells']:5d} cells {row['energy'] / 3.6e6:9.3f} kWh,"
-        f" gap {row['gap']:.4%}, total {row['total_gap']:.4%}; above the bound by"
+        f" gap {row['gap']:.4%}; above the bound by"
     )
     for cells in fine:
         above = (row.get(f"at {cells}", np.nan) - row["bound"]) / unit

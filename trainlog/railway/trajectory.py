@@ -458,10 +458,7 @@ class Trajectory(Declared):
     @property
     def optimality(self) -> str:
         """How far the energy of the certificate is from the least possible at most, in words."""
-        if "total_gap" in self.certificate:
-            return f"at most {at_most(self.certificate['total_gap'])} above the theoretical minimum"
-        # As files were written that bounded trajectories on their own cells alone.
-        return f"at most {at_most(self.certificate['gap'])} above the minimum on these cells"
+        return f"at most {at_most(self.certificate['gap'])} above the theoretical minimum"
 
     @property
     def latest(self) -> int:
