@@ -81,7 +81,7 @@ _FAST = 1.05
 REFINEMENTS = 3
 """How often a grid whose answer does not pass the audit is made twice as fine."""
 
-RENEWALS, FINER_RENEWALS = 2, 3
+RENEWALS, FINER_RENEWALS = 3, 2
 """How often cells are laid anew about the plan found; and how often more while the gap is too large
 to certify. Every other time they are twice as many."""
 
