@@ -65,6 +65,15 @@ LARGEST_USUAL = 50.0
 SPEED_MARGIN, FASTER = 1.2, 10.0
 """How much faster than the recorded speed positions may move, as a factor and beyond it [m/s]."""
 
+POOR = 3.0
+"""Ratio to the usual accuracy from which on a fix is compared with those around it."""
+
+TURNING = 2.0
+"""Acceleration [m/s²], along and across, by which a train departs from a straight line."""
+
+LONGEST_BETWEEN = 60.0
+"""Time [s] between two good fixes beyond which they do not say where one between them is."""
+
 UNSURE, UNSTEADY = 0.3, 2.0
 """By how much a step may differ from what was driven: as a share of it, and a second [m]."""
 
@@ -191,7 +200,8 @@ def leaping_fixes(table: Table, limits: Limits, seconds: FloatArray) -> BoolArra
     """Which satellite positions the train cannot have been at.
 
     The recorded speed bounds how far it gets from one to the next, else the largest speed that
-    `limits` allow.
+    `limits` allow. A fix whose own accuracy is stated to be much worse than usual is compared with
+    the good ones around it as well.
     """
     places = plane(table)
     if places is None:
@@ -202,7 +212,9 @@ def leaping_fixes(table: Table, limits: Limits, seconds: FloatArray) -> BoolArra
     usual = min(float(np.median(known)), LARGEST_USUAL) if known.size else FIX_STD
     tolerance = FIX_TOLERANCE + FIX_STDS * usual
     fastest = limits.of(GNSS_SPEED).high
-    return spikes(seconds, places, _fastest(table, seconds, fastest), tolerance)
+    leaps = spikes(seconds, places, _fastest(table, seconds, fastest), tolerance)
+    poor = np.isfinite(places) & (stated > POOR * usual) & ~leaps
+    return leaps | _beside(seconds, places, poor, np.isfinite(places) & ~leaps & ~poor, tolerance)
 
 
 def _fastest(table: Table, seconds: FloatArray, most: float) -> FloatArray:
@@ -216,6 +228,30 @@ def _fastest(table: Table, seconds: FloatArray, most: float) -> FloatArray:
     rests = np.repeat(at[found.last] - at[found.first] >= RESTING, found.samples)
     bound = np.where(rests, most, SPEED_MARGIN * column + FASTER)
     return np.minimum(np.interp(seconds, at, bound), most)
+
+
+def _beside(
+    seconds: FloatArray,
+    places: ComplexArray,
+    poor: BoolArray,
+    good: BoolArray,
+    tolerance: float,
+) -> BoolArray:
+    """Which of the poor fixes are further from the way between the good ones than a train gets."""
+    beside = np.zeros(places.size, dtype=np.bool_)
+    asked, known = np.flatnonzero(poor), np.flatnonzero(good)
+    after = np.searchsorted(known, asked)
+    between = (after > 0) & (after < known.size)
+    asked, after = asked[between], after[between]
+    if not asked.size:
+        return beside
+    a, b = known[after - 1], known[after]
+    since, until = seconds[asked] - seconds[a], seconds[b] - seconds[asked]
+    there = (places[a] * until + places[b] * since) / (since + until)
+    allowed = tolerance + 0.5 * TURNING * since * until
+    far = np.abs(places[asked] - there) > allowed
+    beside[asked] = far & (since + until <= LONGEST_BETWEEN)
+    return beside
 
 
 # ------------------------------------------------------------------ counters
