@@ -538,7 +538,7 @@ def columns_of(
     for name in list(candidates):
         kept, why = _content(layout, name)
         if kept is not None:
-            numbers[name] = motion.take(kept)
+            numbers[name] = kept[motion.order]
         elif not (why == "words" and roles.role_of(candidates[name])[0] == "/events.message"):
             left[name] = why if why != "words" else "holds words"
             del candidates[name]

@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.ndimage import median_filter
 
+from estimators.receiver import integral
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.ingest.mapping import degrees_of
 from trainlog.ingest.motion import driven_mass, rate_of
@@ -27,9 +27,6 @@ LEAST_WINDOWS = 6
 
 INLIER = 0.3
 """Deviation from the median ratio, as a share of it, up to which a window counts."""
-
-GAP = 30.0
-"""Step of time [s] across which nothing is integrated, unless all steps are as long."""
 
 CHORD = 15.0
 """Time [s] between two fixes whose distance is compared with the distance driven."""
@@ -83,28 +80,9 @@ class Motion:
         seconds = (time[order] - time[order[0]]) / NANOSECONDS
         return Motion(order, _spread(seconds))
 
-    def take(self, values: FloatArray) -> FloatArray:
-        """A column in order of time, single values that jump set to NaN."""
-        taken = values[self.order].copy()
-        known = np.flatnonzero(np.isfinite(taken))
-        if known.size > 7:
-            smooth = median_filter(taken[known], 7, mode="nearest")
-            scale = np.percentile(np.abs(taken[known] - smooth), 99)
-            wild = np.abs(taken[known] - smooth) > 20.0 * scale + 1e-9
-            wild &= np.abs(taken[known] - smooth) > 0.2 * np.percentile(np.abs(smooth), 99)
-            taken[known[wild]] = np.nan
-        return taken
-
     def integral(self, rate: FloatArray) -> FloatArray:
-        """The integral of a column over time, gaps left out; NaN-free."""
-        known = np.isfinite(rate)
-        if np.count_nonzero(known) < 2:
-            return np.zeros(self.seconds.size)
-        filled = np.interp(self.seconds, self.seconds[known], rate[known])
-        step = np.diff(self.seconds)
-        usual = float(np.median(step[step > 0])) if np.any(step > 0) else 1.0
-        step = np.where(step > max(GAP, 3.0 * usual), 0.0, step)
-        return np.concatenate(([0.0], np.cumsum(step * 0.5 * (filled[1:] + filled[:-1]))))
+        """The integral of a column over time, gaps on a line; 0 without two values."""
+        return np.nan_to_num(integral(self.seconds, rate)[0])
 
 
 def _spread(seconds: FloatArray) -> FloatArray:
@@ -125,37 +103,29 @@ def distance_ratio(motion: Motion, position: FloatArray, speed: FloatArray) -> R
     Windows in which the distance starts anew, or the speed stands still, do not count.
     """
     # A recorder may count the speed against its own direction.
-    forward = speed if np.nanmean(speed) >= 0.0 else -speed
-    return _window_ratio(position, motion.integral(forward))
-
-
-def _window_ratio(position: FloatArray, driven: FloatArray) -> Ratio:
+    driven = motion.integral(speed if np.nanmean(speed) >= 0.0 else -speed)
     known = np.flatnonzero(np.isfinite(position))
-    total = float(np.ptp(driven)) if driven.size else 0.0
+    total = float(np.ptp(driven))
     if known.size < 3 or total <= 0.0:
         return Ratio(np.nan, 0.0, 0)
-    # Equal parts of the distance driven; as wide as the column's steps need.
-    moved = np.abs(np.diff(position[known]))
-    steps = moved[moved > 0]
-    levels = float(np.sum(steps) / np.median(steps)) if steps.size else 0.0
-    count = int(np.clip(levels / 10.0, LEAST_WINDOWS + 2, WINDOWS))
-    marks = np.searchsorted(driven[known], np.linspace(driven[0], driven[-1], count + 1))
+    # Equal parts of the distance driven.
+    marks = np.searchsorted(driven[known], np.linspace(driven[0], driven[-1], WINDOWS + 1))
     marks = np.unique(np.clip(marks, 0, known.size - 1))
     gained = np.diff(driven[known][marks])
     shift = np.diff(position[known][marks])
-    usable = gained > 0.2 * total / count
-    if np.count_nonzero(usable) < 2:
+    usable = gained > 0.2 * total / WINDOWS
+    return _ratio_of(shift[usable] / gained[usable], INLIER)
+
+
+def _ratio_of(ratios: FloatArray, inlier: float) -> Ratio:
+    """The usual one of some ratios, and how well they agree; none of fewer than three."""
+    if ratios.size < 3:
         return Ratio(np.nan, 0.0, 0)
-    gained, shift = gained[usable], shift[usable]
-    middle = float(np.median(shift / gained))
-    if middle == 0.0:
-        return Ratio(0.0, 0.0, gained.size)
-    same = np.abs(shift / gained / middle - 1.0) < INLIER
-    if not same.any():
-        return Ratio(middle, 0.0, gained.size)
-    value = float(np.sum(shift[same]) / np.sum(gained[same]))
-    scatter = float(np.median(np.abs(shift / gained / value - 1.0)))
-    return Ratio(value, float(np.mean(same)), int(gained.size), scatter)
+    middle = float(np.median(ratios))
+    off = np.abs(ratios - middle) / max(abs(middle), 1e-12)
+    near = (off < inlier) & (middle != 0.0)
+    value = float(np.median(ratios[near])) if near.any() else middle
+    return Ratio(value, float(np.mean(near)), int(ratios.size), float(np.median(off)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,14 +171,7 @@ class Fixes:
         """
         gained = np.diff(np.interp(self.marks, motion.seconds, motion.integral(speed)))
         usable = gained > 0.5 * np.percentile(gained, 90) if gained.size else gained > 0.0
-        if np.count_nonzero(usable) < 3 or not np.any(gained > 0):
-            return Ratio(np.nan, 0.0, 0)
-        ratios = self.chords[usable] / gained[usable]
-        middle = float(np.median(ratios))
-        if middle == 0.0:
-            return Ratio(0.0, 0.0, int(ratios.size))
-        off = np.abs(ratios / middle - 1.0)
-        return Ratio(middle, float(np.mean(off < INLIER)), int(ratios.size), float(np.median(off)))
+        return _ratio_of(self.chords[usable] / np.maximum(gained[usable], 1e-9), INLIER)
 
 
 def same_motion(other: FloatArray, speed: FloatArray) -> Ratio:
@@ -217,12 +180,7 @@ def same_motion(other: FloatArray, speed: FloatArray) -> Ratio:
     known &= speed > 0.3 * np.nanpercentile(speed, 95)
     if np.count_nonzero(known) < 20:
         return Ratio(np.nan, 0.0, 0)
-    ratios = other[known] / speed[known]
-    middle = float(np.median(ratios))
-    if middle == 0.0:
-        return Ratio(0.0, 0.0, int(ratios.size))
-    near = np.abs(ratios / middle - 1.0) < 0.1
-    return Ratio(float(np.median(ratios[near])), float(np.mean(near)), int(ratios.size))
+    return _ratio_of(other[known] / speed[known], 0.1)
 
 
 def usual_acceleration(motion: Motion, speed: FloatArray) -> float:
