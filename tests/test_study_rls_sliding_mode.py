@@ -39,6 +39,11 @@ def every_wagon_pulls() -> study.Run:
     return study.run(BY_NAME["scalar"], train=study.eight_wagons())
 
 
+@pytest.fixture(scope="module")
+def first_pulls() -> study.Run:
+    return study.run(BY_NAME["scalar"], train=study.eight_wagons(first_pulls=True))
+
+
 def test_the_profile_has_the_speed_the_distance_and_the_time_of_the_paper() -> None:
     time = np.linspace(0.0, 1_200.0, 120_001)
     speeds = np.array([study.target(now).speed for now in time])
@@ -101,12 +106,10 @@ def test_additional_resistance_by_hand_and_by_the_product() -> None:
     assert way(34e3) == study.line().gradients(34e3)
 
 
-def test_softening_couplers_pull_a_little_more() -> None:
+def test_softening_couplers_pull_a_little_more(first_pulls: study.Run) -> None:
     """The worst case of eq. (4), epsilon below 0: the same draft at more stretch."""
-    hard, soft = (
-        study.run(BY_NAME["scalar"], train=study.eight_wagons(first_pulls=True, softening=each))
-        for each in (False, True)
-    )
+    train = study.eight_wagons(first_pulls=True, softening=True)
+    hard, soft = first_pulls, study.run(BY_NAME["scalar"], train=train)
     assert soft.coupler_forces.max() > hard.coupler_forces.max()
     assert soft.figures == pytest.approx(hard.figures, rel=1e-3)
     coupler = soft.train.couplers[0]
@@ -134,11 +137,13 @@ def test_the_samples_are_the_trains_of_the_paper() -> None:
 
 @pytest.mark.usefixtures("unpainted")
 def test_eight_wagons_are_controlled_as_closely_as_one_particle(
-    runs: dict[str, study.Run], every_wagon_pulls: study.Run, tmp_path: Path
+    runs: dict[str, study.Run],
+    every_wagon_pulls: study.Run,
+    first_pulls: study.Run,
+    tmp_path: Path,
 ) -> None:
     """An edge that passes under 200 m of train is met more gently than one under a point."""
-    every = every_wagon_pulls
-    first = study.run(BY_NAME["scalar"], train=study.eight_wagons(first_pulls=True))
+    every, first = every_wagon_pulls, first_pulls
     for run in (every, first):
         position, speed, stop = run.figures
         assert position < runs["scalar"].figures[0]

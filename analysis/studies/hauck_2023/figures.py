@@ -136,13 +136,16 @@ def gain_table(outcomes: Sequence[Outcome]) -> WordTable:
         "farthest from a stop m": lambda run: _most(run.stop_error),
     }
 
-    def both(figure: Callable[[Run], object]) -> Callable[[Outcome], str]:
-        return lambda each: (
-            "" if each.blind is None else f"{figure(each.informed)} / {figure(each.blind)}"
-        )
+    def both(figure: Callable[[Run], object]) -> Callable[[tuple[Outcome, Run]], str]:
+        return lambda row: f"{figure(row[0].informed)} / {figure(row[1])}"
 
-    of = _OF_OUTCOME | {name: both(figure) for name, figure in figures.items()}
-    return word_table("With the map / without: the same trips, axle by axle", outcomes, of)
+    of: Columns[tuple[Outcome, Run]] = {
+        "mass t": lambda row: f"{row[0].informed.mass / 1e3:.1f}",
+        **{name: both(figure) for name, figure in figures.items()},
+    }
+    rows = [(each, each.blind) for each in outcomes if each.blind is not None]
+    title = "Weather turns bad, with the map / without: the same trips, axle by axle"
+    return word_table(title, rows, of)
 
 
 def difference_table(outcomes: Sequence[Outcome]) -> WordTable:

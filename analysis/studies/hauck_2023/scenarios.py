@@ -245,7 +245,7 @@ class Outcome:
     informed : Run
         By the controller with the map.
     blind : Run, optional
-        By the one without; not as published.
+        By the one without, on the bad rail; not as published.
     bound : (k,) array [s]
         How late a train of this mass must be at each stop, whoever drives it; see `least_lateness`.
     deviation : (k,) array [m]
@@ -301,7 +301,7 @@ def drawn_masses(seed: int, count: int) -> FloatArray:
 
 
 def outcome(known: Setup, scenario: Scenario, mass: float, *, published: bool = False) -> Outcome:
-    """Drive a scenario with the map and, unless as published, without one.
+    """Drive a scenario with the map, and on the bad rail, unless as published, without one.
 
     Parameters
     ----------
@@ -316,7 +316,7 @@ def outcome(known: Setup, scenario: Scenario, mass: float, *, published: bool = 
     name, delay = f"{scenario.name}, {mass / 1e3:.1f} t", scenario.delay
     driven = run(name, informed, rail, mass, delay=delay, published=published)
     without = None
-    if not published:
+    if not published and scenario.weather == "bad":
         blind = with_map(plan, NO_LIMIT)
         without = run(f"{name}, no map", blind, rail, mass, delay=delay)
     bound = least_lateness([each.section for each in informed], mass, delay)
