@@ -142,10 +142,10 @@ def test_the_train_stands_within_the_tolerance_of_its_stops(
     outcomes: dict[tuple[str, float], study.Outcome],
 ) -> None:
     for each in outcomes.values():
-        assert np.abs(each.informed.stop_error).max() < 0.5
+        assert np.abs(each.informed.stop_error).max() < 0.3
 
 
-def test_the_second_day_beats_the_first_in_slip_and_is_punctual_to_half_a_second(
+def test_the_second_day_beats_the_first_in_slip_and_is_punctual(
     days: Days,
 ) -> None:
     first, second = days.days
@@ -153,7 +153,7 @@ def test_the_second_day_beats_the_first_in_slip_and_is_punctual_to_half_a_second
     assert second.slip_events == 0
     assert second.skid_energy == 0.0
     assert second.slip_energy < first.slip_energy
-    assert days.late(second).min() > -1.0
+    assert days.late(second).min() > -1.5
     assert days.late(second).max() < 0.5
     assert second.track is not None
     assert len(second.track.trips) == 2

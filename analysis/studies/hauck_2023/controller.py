@@ -26,7 +26,7 @@ from analysis.studies.hauck_2023.model import (
     lever_bounds,
 )
 from analysis.studies.hauck_2023.reference import SAMPLING, Reference
-from analysis.studies.hauck_2023.section import NO_LIMIT, smoothed_line
+from analysis.studies.hauck_2023.section import NO_LIMIT, STOPPING_TOLERANCE, smoothed_line
 from trainlog.arrays import FloatArray
 from trainlog.railway import Configuration, Line, StepProfile, TrackConditionMap, Train, Trajectory
 from trainlog.railway.condition import BIN_LENGTH, ConditionLayer
@@ -43,6 +43,11 @@ SHORTEST = 6
 
 BELOW = 0.02
 """The program stays this far below the ceiling [m/s]."""
+
+
+HOLDING_SPEED, SOONER = 0.5, 0.3
+"""Below this speed [m/s] a train at its stop is left to the holding brake, which stops it by so
+much sooner [m]."""
 
 
 class Controller(Protocol):
@@ -169,7 +174,7 @@ class MapController:
 
     def __init__(self, reference: Reference, due: float | None = None) -> None:
         section = reference.section
-        self._train = section.train
+        self._train, self._stop = section.train, section.destination.position
         line, train = smoothed_line(section.line), driven_train(section.driving_train)
         known = section.maximum_adhesion is not NO_LIMIT
         self._driver = Follower(
@@ -188,7 +193,8 @@ class MapController:
     def lever(self, time: float, position: float, speed: float) -> float:
         """See `Controller`."""
         wanted = self._driver.demand(Observation(time + DEPARTURE, position, speed, 0.0))
-        if self._driver.finished:
+        at_stop = speed < HOLDING_SPEED and abs(position - self._stop) < STOPPING_TOLERANCE
+        if self._driver.finished or at_stop:
             return 0.0
         effort = wanted.tractive_effort - wanted.braking_effort
         # Between two points the curve of effort lies above the lever's, by up to 0.01 per cent.
@@ -205,7 +211,10 @@ def driven_train(c: LeverTrain) -> Train:
 
 
 def trajectory_of(reference: Reference, line: Line, train: Train, due: float) -> Trajectory:
-    """A reference for both ends of the mass, stretched to arrive when it is due [s]."""
+    """A reference for both ends of the mass, stretched to arrive when it is due [s].
+
+    It ends `SOONER` beyond the stop.
+    """
     c, fine = reference.section.train, reference.fine
     ahead = np.diff(np.maximum.accumulate(fine[:, 0]), prepend=-np.inf) > 1e-6
     ahead &= fine[:, 0] < reference.positions[-1] - 1e-3
@@ -217,7 +226,7 @@ def trajectory_of(reference: Reference, line: Line, train: Train, due: float) ->
     return Trajectory(
         line.name,
         train.name,
-        np.append(position, reference.positions[-1]),
+        np.append(position, reference.positions[-1] + SOONER),
         tuple(
             Configuration(name, mass, rotating, c.resistance(mass), train.max_traction_power)
             for name, (mass, rotating) in masses.items()

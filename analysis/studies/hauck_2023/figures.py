@@ -44,15 +44,6 @@ _OF_OUTCOME: Columns[Outcome] = {
 }
 
 
-def published_table() -> WordTable:
-    """What Hauck et al. (2023) state of their scenarios, for 78.2 t and a map that is lost."""
-    of = {
-        "scenario": lambda each: each.name,
-        "errors; every constraint h is kept": lambda each: each.published,
-    }
-    return word_table("Published (Hauck et al., 2023)", SCENARIOS, of)
-
-
 def references_table(plan: Plan) -> WordTable:
     """The references that are followed, and how much time each has.
 

@@ -12,7 +12,6 @@ from analysis.studies.hauck_2023.figures import (
     difference_table,
     gain_table,
     lateness_table,
-    published_table,
     references_table,
     study_charts,
     tracking_table,
@@ -63,7 +62,7 @@ def main(report: StudyReport, options: MapOptions) -> None:
     watch = partial(report.track, description="references")
     known = prepared(options.seed, options.sections, watch)
     published = options.as_published
-    report.show(published_table(), references_table(known.plan))
+    report.show(references_table(known.plan))
     drawn = drawn_masses(options.seed, TRIPS).tolist()
     first = NOMINAL_MASS if published else drawn[0]
     outcomes: list[Outcome] = []

@@ -15,7 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.control.cooperative import adhesion_at, peak_slips
-from analysis.studies.hauck_2023.controller import Controller, MapController, PublishedController
+from analysis.studies.hauck_2023.controller import (
+    HOLDING_SPEED,
+    Controller,
+    MapController,
+    PublishedController,
+)
 from analysis.studies.hauck_2023.model import LeverTrain, constraints
 from analysis.studies.hauck_2023.reference import Reference
 from analysis.studies.hauck_2023.section import (
@@ -46,7 +51,7 @@ SHORTEST_DWELL = 20.0
 SHORT_OF_STOP = 30.0
 """A train that stands before its stop so long after its arrival was due has arrived there [s]."""
 
-DRIVE = Drive(braking_fade_speed=0.05, holding_speed=0.5)
+DRIVE = Drive(braking_fade_speed=0.05, holding_speed=HOLDING_SPEED)
 """The dynamic brake works down to where the holding brake is applied."""
 
 AXLE_ADHESION = np.array([0.97, 0.98, 0.99, 1.01, 1.02, 1.03])
