@@ -18,7 +18,7 @@ from pathlib import Path
 
 SAMPLE = Path(__file__).parents[2] / "sample_logs" / "stopping.mcap"
 LIMIT = 500.0
-"""What a command may take [MB]."""
+"""What a command may take [MB] that reads a log in pieces; what is read whole is marked, too."""
 
 
 def long_log(path: Path, gigabytes: float) -> None:
