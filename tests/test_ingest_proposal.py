@@ -299,7 +299,7 @@ def test_day_and_month(tmp_path: Path, days: list[str], pattern: str, opened: bo
 
 
 @pytest.mark.parametrize("pattern", ["%Y%m%dT%H%M%SZ", "%Y%m%d%H%M%S", "%d-%b-%Y %H:%M:%S"])
-def test_times_whose_parts_no_sign_tells(tmp_path: Path, pattern: str) -> None:
+def test_times_whose_parts_are_known_by_their_order(tmp_path: Path, pattern: str) -> None:
     truth = pd.date_range("2024-05-01T06:00:00Z", periods=300, freq="s")
     speed = 60.0 + 20.0 * np.sin(np.arange(300) / 30.0)
     rows = [f"{at},{v:.1f}" for at, v in zip(truth.strftime(pattern), speed, strict=True)]

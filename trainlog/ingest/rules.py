@@ -100,6 +100,10 @@ FEW = 0.01
 AGAINST = -0.5
 """Correlation of effort and acceleration below which the sign of the effort is wrong."""
 
+LEAST_EFFORT, LEAST_SECONDS = 0.2, 60.0
+"""Share of the largest effort from which on acceleration is expected to follow it, and the time [s]
+with such efforts that it takes to refuse their sign."""
+
 LEVER = "/train/controls.lever"
 
 
@@ -192,8 +196,9 @@ def _refuse_sign(table: Table) -> None:
 
 
 def _refuse_against(table: Table, speed: FloatArray, push: FloatArray, name: str) -> None:
-    driven = driven_mass(seconds_of(table), push, speed)
-    if driven.correlation < AGAINST:
+    strong = np.abs(push) >= LEAST_EFFORT * np.max(np.abs(push))
+    driven = driven_mass(seconds_of(table), np.where(strong, push, np.nan), speed)
+    if driven.seconds >= LEAST_SECONDS and driven.correlation < AGAINST:
         raise InputError(
             f"the train slows down whenever {name} would drive it"
             f" (correlation {driven.correlation:.2f})",

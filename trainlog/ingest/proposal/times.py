@@ -55,7 +55,7 @@ _FURTHER = (
     "%Y%m%dT%H%M%SZ", "%Y%m%dT%H%M%S", "%Y%m%dT%H%M%S.%f", "%Y%m%d%H%M%S", "%Y%m%d_%H%M%S",
     "%d-%b-%Y %H:%M:%S", "%d-%b-%Y %H:%M:%S.%f", "%d %b %Y %H:%M:%S", "%d %B %Y %H:%M:%S",
 )  # fmt: skip
-"""Formats of date and time in one column whose parts no sign tells."""
+"""Formats of date and time in one column whose parts are known by their order alone."""
 
 _DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?([01]\d)[-_.]?([0-3]\d)(?!\d)")
 _DAY_FIRST = re.compile(r"(?<!\d)([0-3]?\d)\.([01]?\d)\.(20\d\d)(?!\d)")
