@@ -65,7 +65,7 @@ class Motion:
     Attributes
     ----------
     order : (n,) int array
-        Rows that have a time, in its order, one an instant.
+        Rows that have a time, in its order.
     seconds : (n,) array [s]
     """
 
@@ -74,27 +74,14 @@ class Motion:
 
     @staticmethod
     def of(time: IntArray) -> Motion:
-        """The rows with a time, in its order; times that repeat are spread over their step."""
+        """The rows with a time, in its order."""
         known = np.flatnonzero(time != NO_TIME)
         order = known[np.argsort(time[known], kind="stable")]
-        seconds = (time[order] - time[order[0]]) / NANOSECONDS
-        return Motion(order, _spread(seconds))
+        return Motion(order, (time[order] - time[order[0]]) / NANOSECONDS)
 
     def integral(self, rate: FloatArray) -> FloatArray:
         """The integral of a column over time, gaps on a line; 0 without two values."""
         return np.nan_to_num(integral(self.seconds, rate)[0])
-
-
-def _spread(seconds: FloatArray) -> FloatArray:
-    """Times of whole seconds that repeat, spread evenly up to the next."""
-    change = np.flatnonzero(np.diff(seconds, prepend=-np.inf) > 0)
-    if change.size < 2 or change.size == seconds.size:
-        return seconds
-    # The last instant's rows lie as far apart as those before.
-    usual = float(np.median(np.diff(change)))
-    at = np.append(change, change[-1] + max(usual, 1.0))
-    instants = np.append(seconds[change], seconds[change[-1]] + np.median(np.diff(seconds[change])))
-    return np.asarray(np.interp(np.arange(seconds.size), at, instants))
 
 
 def distance_ratio(motion: Motion, position: FloatArray, speed: FloatArray) -> Ratio:
@@ -181,13 +168,6 @@ def same_motion(other: FloatArray, speed: FloatArray) -> Ratio:
     if np.count_nonzero(known) < 20:
         return Ratio(np.nan, 0.0, 0)
     return _ratio_of(other[known] / speed[known], 0.1)
-
-
-def usual_acceleration(motion: Motion, speed: FloatArray) -> float:
-    """The 98th percentile of the size of the acceleration, in the unit of `speed` a second."""
-    rate = rate_of(motion.seconds, speed)
-    known = rate[np.isfinite(rate)]
-    return float(np.percentile(np.abs(known), 98)) if known.size else np.nan
 
 
 SPEED_UNITS = {
@@ -287,7 +267,6 @@ class _Measured:
     """What is measured once, in the file's numbers."""
 
     fastest: float
-    acceleration: float
     distance: Ratio
     chords: Ratio
     slope: float
@@ -315,7 +294,6 @@ def units_of(question: Question) -> Answer:
         driven = driven_mass(motion.seconds, question.effort, np.abs(speed))
     measured = _Measured(
         float(np.percentile(known, 99.5)) if known.size else np.nan,
-        usual_acceleration(motion, speed),
         distance,
         chords,
         driven.mass if driven is not None and driven.decides else np.nan,
@@ -373,7 +351,7 @@ def _cost(units: Units, question: Question, measured: _Measured) -> float:
             cost += usual[unit]
     cost += sum(_off(ratio) for ratio in _mismatches(units, measured).values())
     metres = factor(units.speed, "m/s")[0] if units.speed else np.nan
-    cost += _implausible(metres * measured.fastest, metres * measured.acceleration)
+    cost += _implausible(metres * measured.fastest)
     mass = measured.slope * _mass_factor(units)
     if np.isfinite(mass):
         low, high = MASSES
@@ -409,17 +387,13 @@ def _off(ratio: float) -> float:
     return float(min(12.0, max(0.0, abs(np.log(max(ratio, 1e-12))) - TOLERANCE) / 0.04))
 
 
-def _implausible(fastest: float, acceleration: float) -> float:
-    """Cost of a highest speed [m/s] and a usual strongest acceleration [m/s²]."""
+def _implausible(fastest: float) -> float:
+    """Cost of a highest speed [m/s]."""
     cost = 0.0
     for bound, charge in ((3.0, 3.0), (9.0, 1.0), (15.0, 0.4)):
         cost += charge * (fastest < bound)
     for bound, charge in ((75.0, 0.7), (100.0, 3.0), (130.0, 5.0)):
         cost += charge * (fastest > bound)
-    for bound, charge in ((0.04, 1.0), (0.2, 0.4)):
-        cost += charge * (acceleration < bound)
-    for bound, charge in ((1.5, 1.2), (2.0, 2.5), (3.0, 3.0)):
-        cost += charge * (acceleration > bound)
     return cost
 
 
