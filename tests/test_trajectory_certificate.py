@@ -15,7 +15,7 @@ from analysis.trajectory.active_set import search
 from analysis.trajectory.continuous import continuous_bound
 from analysis.trajectory.discretisation import discretise, graded_mesh
 from analysis.trajectory.envelope import fastest_run
-from analysis.trajectory.guess import initial_guess, interpolated_guess
+from analysis.trajectory.guess import initial_guess
 from analysis.trajectory.optimiser import optimise
 from analysis.trajectory.problem import OptimiserOptions, TrajectoryProblem
 from trainlog.errors import InputError
@@ -161,26 +161,3 @@ def test_resistance_counts_where_time_is_worth_next_to_nothing() -> None:
     ).certificate
     assert back["energy"] < 0.0
     assert 0.0 <= back["gap"] <= 0.02
-
-
-def test_multipliers_of_a_coarse_grid_bound_the_energy_on_a_fine_one() -> None:
-    """What an answer's gap rests on when the time ends before the fine grid has a program."""
-    run = TrajectoryProblem(hilly_line(), FLIRT, observed(FLIRT, 0.95, 1.05), reserve=0.1)
-    fastest = fastest_run(run)
-    running_time = 1.1 * float(fastest.times.max())
-    coarse, fine = (
-        discretise(run, graded_mesh(run.breakpoints, fastest.positions, fastest.speeds[1], cells))
-        for cells in (60, 240)
-    )
-    begun = initial_guess(coarse, fastest.at(coarse.positions), running_time)
-    answer = search(coarse, begun, fastest.at(coarse.positions), running_time)
-    guess = interpolated_guess(answer, coarse.positions, fine)
-    found = search(fine, guess, fastest.at(fine.positions), running_time)
-    rows = list(guess.rows)
-    assert guess.multipliers is not None
-    own = replace(fastest, speeds=fastest.speeds[rows], elapsed=fastest.elapsed[rows])
-    bound = continuous_bound(
-        fine.select(rows), guess.plan, guess.multipliers, own, running_time, run
-    )
-    print(bound.value, found.solution.energy)
-    assert 0.88 * found.solution.energy < bound.value <= found.solution.energy

@@ -120,8 +120,6 @@ def _searched(
             solution = _optimum(part, plan, price, speeds[rows], running_time, tolerances, start)
         except OutOfTimeError as stop:
             last = stop.found or unpriced(DrivenPlan(part, plan, np.inf))
-            if stop.found is None and turns == 1 and guess.multipliers is not None:
-                last = replace(last, multipliers=guess.multipliers)
             words = (*statuses, *last.statuses, "time limit")
             stopped = Answer(even, plan, tuple(rows), last, turns, words)
             if coarse:

@@ -425,26 +425,6 @@ class Multipliers:
         chosen = list(rows)
         return Multipliers(**{name: values[chosen] for name, values in vars(self).items()})
 
-    def on_cells(self, before: FloatArray, after: FloatArray) -> Multipliers:
-        """The same on other cells: what counts per metre is linear between the cells' middles.
-
-        Weak duality holds for any multipliers; so does what these bound.
-
-        Parameters
-        ----------
-        before, after : (m + 1,), (n + 1,) array [m]
-            The ends of the cells.
-        """
-        (old, there), (new, here) = (
-            (np.diff(ends), 0.5 * (ends[1:] + ends[:-1])) for ends in (before, after)
-        )
-
-        def spread(values: FloatArray) -> FloatArray:
-            return np.array([np.interp(here, there, row) * new for row in values / old])
-
-        by_cell = ("pull", "power", "dynamic_power")
-        return replace(self, **{name: spread(getattr(self, name)) for name in by_cell})
-
     def convex(self) -> Multipliers:
         """The same with no more on the earliest times than leaves every second worth something.
 

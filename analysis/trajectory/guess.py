@@ -6,9 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.trajectory.convex import (
-    Multipliers,
-)
 from analysis.trajectory.discretisation import DiscreteProblem, Plan
 from analysis.trajectory.rollout import (
     capped_run,
@@ -34,15 +31,12 @@ class Guess:
     price : (rows,) array [J/(kg s)]
     statuses : tuple of str
         The solver's status of every program so far.
-    multipliers : Multipliers, optional
-        Of these configurations, where they are known.
     """
 
     rows: tuple[int, ...]
     plan: Plan
     price: FloatArray
     statuses: tuple[str, ...] = ()
-    multipliers: Multipliers | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +113,7 @@ def interpolated_guess(answer: Answer, coarse: FloatArray, problem: DiscreteProb
         z, plan.traction[cell], *(e[active][:, cell] for e in (plan.braking, plan.dynamic))
     )
     chosen = tuple(answer.active[row] for row in active)
-    multipliers = solution.multipliers.select(active.tolist()).on_cells(coarse, positions)
-    return Guess(chosen, guess, solution.time_price[active], answer.statuses, multipliers)
+    return Guess(chosen, guess, solution.time_price[active], answer.statuses)
 
 
 def _highest_resistance(problem: DiscreteProblem, least_times: FloatArray) -> int:
