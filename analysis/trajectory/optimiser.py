@@ -283,7 +283,8 @@ def _renewed(
     found: _Audited, fastest: Envelope, running_time: float, options: OptimiserOptions
 ) -> tuple[_Audited, ContinuousBound]:
     """The best plan, on cells laid anew where the bound of the last states that it loses most."""
-    cells, tolerance = found.problem.shape[1], options.tolerance
+    cells = first = found.problem.shape[1]
+    tolerance = options.tolerance
     bound = best_bound(found.answer, fastest, running_time)
     last, excess = found, bound.excess
     for number in range(RENEWALS + FINER_RENEWALS):
@@ -304,10 +305,15 @@ def _renewed(
             bound = other
         if again.energy <= found.energy:
             found = again
-        # By each other's power several lose what no cells regain.
-        several = len(found.answer.active) > 1
-        if gap_of(found.energy, bound.value) > _CUT * gap and (several or number > 0):
+        several, less = len(found.answer.active) > 1, gap_of(found.energy, bound.value)
+        if less <= _CUT * gap or (number == 0 and not several):
+            continue
+        # By each other's power several lose what no cells regain: more of them are tried once, but
+        # not where all are in the program.
+        all_count = several and found.problem.run.objective == "expected"
+        if less <= GAP_TOLERANCE or cells > first or all_count:
             break
+        cells = min(2 * cells, MOST_CELLS)
     return found, bound
 
 
