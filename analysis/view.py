@@ -340,7 +340,11 @@ class _Course:
     stands: list[tuple[int, int]] = field(default_factory=list)
     clock: list[IntArray] = field(default_factory=list)
     _last: int | None = None
-    _reached: float = -np.inf
+    _way: int = 0
+    _low: float = np.inf
+    _high: float = -np.inf
+    _before: float = np.nan
+    _furthest: tuple[int, int] = (0, 0)
     _stood: int | None = None
 
     def add(self, frame: pd.DataFrame, standing: float) -> None:
@@ -348,33 +352,56 @@ class _Course:
         time = pd.DatetimeIndex(frame.index).as_unit("ns").asi8
         self.clock.append(time[-self.samples % STRIDE :: STRIDE])
         before = time[:1] if self._last is None else np.array([self._last])
-        paused = np.diff(np.concatenate((before, time))) > PAUSE * NANOSECONDS
-        cuts = [*np.flatnonzero(paused).tolist(), *self._turned(frame["position"], paused)]
-        self.turns += [(self.samples + row, int(time[row])) for row in sorted(set(cuts))]
+        paused = np.flatnonzero(np.diff(np.concatenate((before, time))) > PAUSE * NANOSECONDS)
+        cuts = [(self.samples + row, int(time[row])) for row in paused.tolist()]
+        borders = [0, *paused.tolist(), time.size]
+        for first, last in pairwise(borders):
+            if first in paused:
+                self._begin()
+            cuts += self._turned(time[first:last], frame["position"].iloc[first:last], first)
+        self.turns += sorted(set(cuts))
         self._stands(time, frame["speed"].to_numpy(np.float64) <= standing)
         self.samples += time.size
         self._last = int(time[-1])
 
-    def _turned(self, position: pd.Series, paused: BoolArray) -> list[int]:
-        """Rows from which on the train runs the line anew."""
-        values = position.to_numpy(np.float64)
-        found, start = [], 0
-        fresh = np.flatnonzero(paused).tolist()
+    def _begin(self) -> None:
+        """A part begins: its direction is not known."""
+        self._way, self._low, self._high = 0, np.inf, -np.inf
+
+    def _turned(self, time: IntArray, position: pd.Series, offset: int) -> list[tuple[int, int]]:
+        """Samples from which on the train runs back, or the line anew, with their times.
+
+        Where it turned they are the furthest that it came; where the chainage jumped, behind the
+        jump.
+        """
+        values, found, start = position.to_numpy(np.float64), list[tuple[int, int]](), 0
+        far = 2.0 * LARGEST_SETBACK
+        earlier = np.concatenate(([self._before], values[:-1]))
         while start < values.size:
-            end = next((row for row in fresh if row > start), values.size)
-            if start in fresh:
-                self._reached = -np.inf
-            part = values[start:end]
-            reached = np.fmax.accumulate(np.concatenate(([self._reached], part)))[1:]
-            back = np.flatnonzero(reached - part > 2.0 * LARGEST_SETBACK)
-            if not back.size:
-                self._reached = float(reached[-1])
-                start = end
-                continue
-            start += int(back[0])
-            found.append(start)
-            self._reached = -np.inf
-            fresh = [row for row in fresh if row > start]
+            part = values[start:]
+            low = np.fmin.accumulate(np.concatenate(([self._low], part)))[1:]
+            high = np.fmax.accumulate(np.concatenate(([self._high], part)))[1:]
+            risen, fallen = part - low > far, high - part > far
+            moved = np.flatnonzero({0: risen | fallen, 1: fallen, -1: risen}[self._way])
+            stop = int(moved[0]) if moved.size else part.size
+            furthest = part[:stop] == (high if self._way > 0 else low)[:stop]
+            if self._way and furthest.any():
+                last = start + int(np.flatnonzero(furthest)[-1])
+                self._furthest = (self.samples + offset + last, int(time[last]))
+            if not moved.size:
+                self._low, self._high = float(low[-1]), float(high[-1])
+                break
+            start += stop
+            here = self.samples + offset + start, int(time[start])
+            if self._way == 0:
+                self._way, self._furthest = (1 if risen[stop] else -1), here
+            else:
+                jumped = abs(values[start] - earlier[start]) > far
+                found.append(here if jumped else self._furthest)
+                self._begin()
+            self._low = self._high = float(values[start])
+        known = values[np.isfinite(values)]
+        self._before = float(known[-1]) if known.size else self._before
         return found
 
     def _stands(self, time: IntArray, slow: BoolArray) -> None:

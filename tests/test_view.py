@@ -138,3 +138,34 @@ def test_what_is_no_trip_is_refused(tmp_path: Path) -> None:
         module.view_of(3)  # type: ignore[arg-type]
     state = read_log(folder() / "nonstop.mcap", [TRAIN_STATE.name])
     assert module.view_of(state).trip is state
+
+
+def test_a_long_log_is_parted_where_the_train_turned_back(tmp_path: Path, nonstop: Path) -> None:
+    """Out and back, with falling chainage on the way back: two runs, not one every few metres."""
+    trip = read_log(nonstop, [TRAIN_STATE.name])
+    state = trip[TRAIN_STATE.name]
+    length = float(state["position"].iloc[-1])
+    back = state.assign(position=length - state["position"])
+    back.index = state.index + (state.index[-1] - state.index[0]) + pd.Timedelta("2min")
+    back.index.name, back.attrs = "time", state.attrs
+    with LogWriter(tmp_path / "both.mcap") as writer:
+        writer.add(trip)
+        writer.add(trip.with_topic(back))
+        again = state.set_axis(back.index + (back.index[-1] - back.index[0]) + pd.Timedelta("2min"))
+        again.index.name, again.attrs = "time", state.attrs
+        writer.add(trip.with_topic(again))
+    rows = len(state) + 1_000
+    views = list(module.views_of(tmp_path / "both.mcap", [TRAIN_STATE.name], rows=rows))
+    ends = [view.trip[TRAIN_STATE.name]["position"].iloc[[0, -1]].tolist() for view in views]
+    assert len(views) == 3
+    for (first, last), way in zip(ends, (1, -1, 1), strict=True):
+        assert way * (last - first) > 0.95 * length
+
+
+def test_a_part_without_fixes_is_analysed_like_any_other(nonstop: Path) -> None:
+    trip = read_log(nonstop)
+    motion = trip[GNSS_MOTION.name].iloc[:0]
+    motion.attrs = trip[GNSS_MOTION.name].attrs
+    silent = trip.with_topic(motion)
+    assert fit_trip(silent).scale.source != "GNSS speed"
+    assert len(slip(silent).events) > 0

@@ -404,6 +404,8 @@ def seconds(frame: pd.DataFrame, origin: pd.Timestamp | None = None) -> FloatArr
     array([0. , 0.5])
     """
     index = pd.DatetimeIndex(frame.index)
+    if not len(index):
+        return np.empty(0)
     start = index[0] if origin is None else origin
     return np.asarray((index - start) / pd.Timedelta(seconds=1), dtype=np.float64)
 

@@ -77,7 +77,7 @@ LARGEST_GAIN_ERROR = 0.2
 SHORTEST_TIME = 200.0
 """Less usable time than this [s] is too short a trip."""
 
-TUNNEL_LAW_STD = 0.3
+TUNNEL_LAW_STD = 0.6
 """Standard deviation of the power of the cross-section by which tunnels resist."""
 
 SLIP_UNSEEN = (
@@ -677,14 +677,20 @@ def _masked_most(masked: dict[str, float], total: float) -> Reason:
 def _stretch_words(found: Stretch, timeline: Timeline, line: Line, origin: pd.Timestamp) -> str:
     """Where and when a trip is unlike itself, by how much, and what was made of it."""
     ends = np.array([found.start, found.end])
-    km = in_km(line, np.interp(ends, timeline.time, timeline.position))
+    places = np.interp(ends, timeline.time, timeline.position)
+    km = in_km(line, places)
     first, last = (f"{origin + pd.Timedelta(each, 's'):%H:%M:%S}" for each in ends)
     more = "more" if found.force > 0.0 else "less"
+    # Of two long parts either may be the unlike one.
+    drags = found.force > 0.0 or found.ambiguous
+    causes = "a dragging brake, wind" if drags else "wind, slip that is not recorded"
+    inside = line.tunnel_cross_section(np.linspace(places[0], places[1], 50))
+    causes += ", a tunnel" * bool(np.mean(inside > 0.0) > 0.5)
     made = "the band holds both" if found.ambiguous else "left to itself"
     return (
         f"from km {km[0]:.1f} to {km[1]:.1f} ({first} to {last} UTC) the train needs"
         f" {abs(found.force) / 1e3:.1f} ± {1.96 * found.std / 1e3:.1f} kN {more} than elsewhere:"
-        f" a dragging brake, wind, or wrong gradients; {made}"
+        f" {causes}, or wrong gradients; {made}"
     )
 
 

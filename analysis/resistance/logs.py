@@ -159,6 +159,11 @@ class Fits(Presented):
                 f" of these days. A head wind of {wind:.0f} m/s would be {more:.0%} of it at"
                 f" {STATED_AT * KMH:.0f} km/h; record it, or fit trips of several days."
             )
+        words += [
+            f"{fit.trip}: tunnels add {fit.tunnels.words}; the curve is that of open track."
+            for fit in self.trips
+            if fit.tunnels is not None
+        ]
         for fit in self.trips:
             doubts = (*diagnosed(fit.residuals).doubts, *fit.notes)
             words += [f"{fit.trip}: {doubt}" for doubt in doubts]

@@ -76,6 +76,8 @@ def frame_of(columns: Iterable[Column], rows: Iterable[Mapping[str, Any]]) -> pd
         values = found[column.name] = np.empty(len(given), dtype=kind)
         for number, row in enumerate(given):
             values[number] = row.get(column.name, _EMPTY[column.kind])
+        if kind is object:
+            found[column.name] = pd.Series(values, dtype=object)
     return pd.DataFrame(found)
 
 

@@ -188,7 +188,9 @@ class Account:
             "chunks": self.chunks,
             "bytes_lost": self.bytes_lost,
             "messages_lost": self.messages_lost,
-            "topics": {topic: {"lost": lost, "of": held} for topic, lost, held in self.topics},
+            "lost_by_topic": [
+                {"topic": topic, "lost": lost, "of": held} for topic, lost, held in self.topics
+            ],
             "losses": [asdict(loss) for loss in self.losses[:LISTED]],
             "losses_beyond": max(0, len(self.losses) - LISTED),
             "unfinished": asdict(self.unfinished) if self.unfinished else None,
