@@ -421,7 +421,7 @@ def fit_trip(
         ) from error
     gain_std = known.effort_gain.std / known.effort_gain.value
     covariance = _with_scale(regression, scale)
-    unlike = [_stretch_words(each, timeline, line, origin) for each in regression.stretches]
+    unlike = [_stretch_words(each, timeline, view, origin) for each in regression.stretches]
     _check_stretches(name, regression, unlike, asked, timeline, largest_std)
     _check_curve(name, regression, covariance, asked, timeline, largest_std)
     covariance = _with_gain(regression.beta, covariance, gain_std)
@@ -674,17 +674,17 @@ def _masked_most(masked: dict[str, float], total: float) -> Reason:
     return worst if masked[worst] > 0.5 * total else "too short"
 
 
-def _stretch_words(found: Stretch, timeline: Timeline, line: Line, origin: pd.Timestamp) -> str:
+def _stretch_words(found: Stretch, timeline: Timeline, view: TripView, origin: pd.Timestamp) -> str:
     """Where and when a trip is unlike itself, by how much, and what was made of it."""
     ends = np.array([found.start, found.end])
     places = np.interp(ends, timeline.time, timeline.position)
-    km = in_km(line, places)
+    km = in_km(view.own_line, view.line.length - places if view.backwards else places)
     first, last = (f"{origin + pd.Timedelta(each, 's'):%H:%M:%S}" for each in ends)
     more = "more" if found.force > 0.0 else "less"
     # Of two long parts either may be the unlike one.
     drags = found.force > 0.0 or found.ambiguous
     causes = "a dragging brake, wind" if drags else "wind, slip that is not recorded"
-    inside = line.tunnel_cross_section(np.linspace(places[0], places[1], 50))
+    inside = view.line.tunnel_cross_section(np.linspace(places[0], places[1], 50))
     causes += ", a tunnel" * bool(np.mean(inside > 0.0) > 0.5)
     made = "the band holds both" if found.ambiguous else "left to itself"
     return (
