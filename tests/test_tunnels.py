@@ -19,7 +19,7 @@ from trainlog.formats.ttobench import read_track, read_train as read_published_t
 from trainlog.railway import Line, Train, Tunnel
 from trainlog.railway.resistance import published_tunnel_coefficient
 from trainlog.simulation import draw_scenarios, simulate
-from trainlog.trip import TRAIN_ATTACHMENT, Trip
+from trainlog.trip import TRAIN_ATTACHMENT, Trip, nanoseconds
 
 PUBLISHED = Path(__file__).parents[2] / "shared" / "data" / "ttobench"
 
@@ -127,9 +127,8 @@ def test_a_stretch_of_a_reverse_trip_is_named_by_the_chainage_of_the_line() -> N
         if fit_trip(made).notes == ()
     )
     controls = trip["/train/controls"]
-    position = np.interp(
-        controls.index.asi8, trip["/train/state"].index.asi8, trip["/train/state"]["position"]
-    )
+    state = trip["/train/state"]
+    position = np.interp(nanoseconds(controls), nanoseconds(state), state["position"])
     on = (position > 4_000.0) & (position < 8_000.0)
     more = controls.assign(tractive_effort=controls["tractive_effort"] + 4e3 * on)
     more.attrs = controls.attrs

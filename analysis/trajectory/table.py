@@ -114,10 +114,9 @@ class PlannedRun(Presented):
             assumed = ", ".join(name.replace("_", " ") for name in names)
             found += [f"Assumed of the {what}: {assumed}."] if assumed else []
         if any(not each.protected_length for each in self.sections):
-            found.append(
-                "Speed limits hold for the train's front; for its whole length of"
-                f" {self.problem.train.length:.0f} m, plan with protect=train."
-            )
+            length = self.problem.train.length
+            whole = f" of {length:.0f} m, plan with protect=train" if length else ", state it"
+            found.append(f"Speed limits hold for the train's front; for its whole length{whole}.")
         permitted = float(self.problem.permitted_speed(np.array([self.problem.end]))[0])
         if self.problem.final_speed > permitted:
             found.append(
