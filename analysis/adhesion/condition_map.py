@@ -314,13 +314,8 @@ def adhesion_map(
     >>> [(each.layer, each.trips) for each in found.layers]
     [('dry', 1)]
     """
-    from analysis.adhesion.evidence import (
-        evidence,
-        evidence_of_log,
-        own_line,
-    )
-    from analysis.view import each_given, trip_of, view_of
-    from trainlog.mcap.reader import identity_of_log
+    from analysis.adhesion.evidence import evidence, evidence_of_log
+    from analysis.view import each_given, view_of
 
     if layer is not None:
         layer = given_condition(layer, () if known is None else known.layers)
@@ -330,19 +325,18 @@ def adhesion_map(
     for given in each_given(trips):
         path = given if isinstance(given, Path) else None
         try:
-            trip = trip_of(given, [])
+            view = view_of(given, [])
             if track is None:
-                track = empty_map(own_line(trip))
+                track = empty_map(view.own_line)
             digest = "" if path is None else sha256_of(path)
-            recorded = view_of(given).identity if path is None else identity_of_log(path)
             with MapFile.of_map(replace(track, layers={})) as ledger:
-                log = {"trip": trip.name, "sha256": digest}
-                why = ledger.reason(Recording("", log, recorded))
+                log = {"trip": view.name, "sha256": digest}
+                why = ledger.reason(Recording("", log, view.identity))
             if why:
-                held.append((trip.name, why))
+                held.append((view.name, why))
                 continue
             pieces.append(
-                evidence(view_of(given), track, layer=layer, weather=weather)
+                evidence(view, track, layer=layer, weather=weather)
                 if path is None
                 else evidence_of_log(path, track, layer, weather, sha256=digest)
             )

@@ -184,8 +184,7 @@ def with_details(
 
 def own_line(trip: Trip) -> Line:
     """The line of a trip in its own direction."""
-    line = line_of(trip)
-    return line.reversed() if trip.metadata.get("direction") == "reverse" else line
+    return view_of(trip).own_line
 
 
 def condition_of(

@@ -388,10 +388,6 @@ class Samples:
     gaps: tuple[Gap, ...] = ()
 
 
-def _states() -> list[tuple[str, str]]:
-    return [(source[0], source[1]) for source in POSITION_SOURCES[:2]]
-
-
 def samples_of(trip: Trip) -> Samples:
     """Speed, position and what else is recorded, on the clock of the position."""
     present = [
@@ -400,7 +396,7 @@ def samples_of(trip: Trip) -> Samples:
         for name in names
         if topic in trip and name in trip[topic]
     ]
-    for state, _ in _states():
+    for state, *_ in POSITION_SOURCES[:2]:
         if state not in trip or "position" not in trip[state]:
             continue
         columns = [f"{state}.speed", f"{state}.position", *present]
