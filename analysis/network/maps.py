@@ -64,6 +64,7 @@ from trainlog.railway.weather import given_condition, stated_condition
 if TYPE_CHECKING:
     from analysis.adhesion.evidence import Evidence
     from analysis.network.edges import EdgeOfLine
+    from trainlog.identity import TripIdentity
     from trainlog.railway.forecast import AdhesionForecast
     from trainlog.railway.weather import Weather
 
@@ -493,6 +494,13 @@ class LogOnEdges:
 
         return list(slips_of(views_of(self.path, TOPICS)))
 
+    @cached_property
+    def recorded(self) -> TripIdentity | None:
+        """Which drive the log is of."""
+        from trainlog.mcap.reader import identity_of_log
+
+        return identity_of_log(self.path)
+
     def evidence_on(
         self,
         edge: EdgeOfLine,
@@ -504,7 +512,6 @@ class LogOnEdges:
         """What the trip showed on an edge, in the bins of its map."""
         from analysis.adhesion.evidence import condition_of, with_details
         from analysis.network.edges import on_edge
-        from trainlog.mcap.reader import identity_of_log
 
         of_line = replace(track, line=self.line.name, length=self.line.length)
         # What the recording lacks goes before a rail condition that is not stated.
@@ -517,7 +524,7 @@ class LogOnEdges:
                 remedy="give trips that were recorded on it",
             )
         return with_details(parts, self.trip, track, condition, weather, sha256=digest,
-                            recorded=identity_of_log(self.path))  # fmt: skip
+                            recorded=self.recorded)  # fmt: skip
 
 
 class _EdgeUpdate(FileUpdate):
