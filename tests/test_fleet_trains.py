@@ -15,11 +15,11 @@ import pytest
 from analysis.charts import draw_charts
 from analysis.fleet.channels import channel_table
 from analysis.fleet.drift import Drift
-from analysis.fleet.mixed import Group, mixed_effects
 from analysis.fleet.plot import findings_charts
 from analysis.fleet.resistance import KindResistance, TrainResistance, fleet_resistance
 from analysis.fleet.trains import FleetTrains, fleet_trains, trains_in
 from analysis.reports.fleet import FleetFacts, attention_parts
+from estimators.mixed import Group, mixed_effects
 from trainlog.cli.terminal import as_json_text
 from trainlog.errors import InputError, NotIdentifiableError
 

@@ -15,9 +15,9 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import stdtr
 
-from analysis.fleet.mixed import TAIL, Group, MixedEffects, mixed_effects
 from analysis.fleet.resistance import FEWEST_TRAINS, KindResistance, periods_of, positive, ways_of
 from analysis.resistance.recording import RECORDED_DISTANCE
+from estimators.mixed import TAIL, Group, MixedEffects, mixed_effects
 from trainlog.arrays import BoolArray, FloatArray, IntArray, robust_std
 
 

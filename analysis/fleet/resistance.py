@@ -3,7 +3,7 @@
 Trains of a kind are alike, but not the same; a train's trips differ, too, by wind and weather, of
 which those of one period share a part; trips over one line share the errors of its survey, and
 those of a recorder of which no load shows the gain share that. All of it is one linear mixed model
-of the trips' summaries (`analysis.fleet.mixed`): a train with many trips has its own curve, one
+of the trips' summaries (`estimators.mixed`): a train with many trips has its own curve, one
 with few is drawn towards its kind, and one without any has the kind's, as wide as trains differ.
 """
 
@@ -17,7 +17,6 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
-from analysis.fleet.mixed import TAIL, Group, MixedEffects, mixed_effects
 from analysis.resistance.combination import (
     BETWEEN_TRIPS,
     PRIOR_TRIPS,
@@ -34,6 +33,7 @@ from analysis.resistance.curve import (
     curve_std,
     nearest_physical,
 )
+from estimators.mixed import TAIL, Group, MixedEffects, mixed_effects
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError, NotIdentifiableError

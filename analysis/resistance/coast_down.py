@@ -33,11 +33,12 @@ from analysis.resistance.coasting_fit import (
     TripCoastDown,
     fit_segments,
 )
-from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, SOFTWARE, random_effects
+from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, SOFTWARE, TOLERANCE
 from analysis.resistance.curve import powers
 from analysis.resistance.fit import check_speeds
 from analysis.resistance.motion import TOPICS, Motion, motion_of
 from analysis.view import Given, each_given, views_of
+from estimators.mixed import mixed_effects
 from trainlog.arrays import FloatArray
 from trainlog.display import counted, span
 from trainlog.errors import InputError, NotIdentifiableError
@@ -459,19 +460,21 @@ def combined(
     nodes = powers(np.linspace(*covered, 3))
     nodes /= np.abs(np.median(given @ nodes.T, axis=0))[:, None]
     back = np.linalg.inv(nodes)
-    found = random_effects(
-        given @ nodes.T, nodes @ left @ nodes.T, BETWEEN_TRIPS**2 * np.eye(3), PRIOR_TRIPS
-    )
-    weights = np.linalg.inv(found.between + nodes @ left @ nodes.T)
-    slope = back @ found.variance @ np.einsum("kij,kj->i", weights, slopes @ nodes.T)
+    found = mixed_effects(
+        given @ nodes.T, nodes @ left @ nodes.T, (), BETWEEN_TRIPS**2 * np.eye(3), PRIOR_TRIPS,
+        tail=np.inf, tolerance=TOLERANCE,
+    )  # fmt: skip
+    variance = found.block(0, 0)
+    weights = np.linalg.inv(found.within + nodes @ left @ nodes.T)
+    slope = back @ variance @ np.einsum("kij,kj->i", weights, slopes @ nodes.T)
     theta = np.concatenate(([ratio.value], back @ found.mean))
     covariance = np.zeros((4, 4))
-    covariance[1:, 1:] = back @ found.variance @ back.T
+    covariance[1:, 1:] = back @ variance @ back.T
     effect = np.concatenate(([1.0], slope)) * ratio.std
     curve = Curve(
         theta, covariance + np.outer(effect, effect), len(fits) - 1 + PRIOR_TRIPS, covered
     )
-    return curve, back @ found.between @ back.T, ratio
+    return curve, back @ found.within @ back.T, ratio
 
 
 def _common_ratio(fits: Sequence[TripCoastDown], expected: MassRatio) -> MassRatio:

@@ -2,12 +2,12 @@
 
 Trips differ: wind, weather, the train itself. Of a trip its summary is needed (`summarised`), not
 its log: a million trips are a million rows, in any order. Each trip's parameters are a draw from a
-normal distribution around the mean, seen with that trip's own covariance (`random_effects`):
+normal distribution around the mean, seen with that trip's own covariance:
 
-    single_i ~ N(mean, between),    value_i ~ N(single_i, variance_i).
+    single_i ~ N(mean, between),    value_i ~ N(single_i, variance_i),
 
-`between` is found by restricted maximum likelihood with a weak prior, by expectation maximisation
-in sums over the trips; its steps, which shrink geometrically, are extrapolated.
+a mixed model without groups (`estimators.mixed`); `between` is found by restricted maximum
+likelihood with a weak prior.
 
 A line is surveyed once (`shared_variance`). Trips over the same line in the same direction meet the
 same errors of its gradients, and their mean keeps them, however many trips there are. How alike
@@ -16,13 +16,6 @@ direction, and for independent between directions, though there they cancel in p
 the mean is rather too wide than too narrow. Of trips on routes in a network the errors of each edge
 are shared by all that ran over it, with the edge's share of the route's length. The gain of a
 recorder's efforts, where no recorded load shows it, is taken for the same on all trips.
-
-References
-----------
-Laird, N. M., Ware, J. H. (1982), Random-effects models for longitudinal data, Biometrics 38(4),
-eqs. (3.2)-(3.6).
-Varadhan, R., Roland, C. (2008), Simple and globally convergent methods for accelerating the
-convergence of any EM algorithm, Scandinavian Journal of Statistics 35(2), scheme S3.
 """
 
 from __future__ import annotations
@@ -45,6 +38,7 @@ from analysis.resistance.curve import (
 )
 from analysis.resistance.fit import TripFit
 from analysis.resistance.recording import TripRefusedError
+from estimators.mixed import mixed_effects
 from trainlog import __version__
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.display import counted, span
@@ -153,152 +147,6 @@ def _row(fit: TripFit) -> dict[str, object]:
     }
 
 
-ROUNDS = 200
-"""Most rounds of the expectation maximisation, each three steps."""
-
-TOLERANCE = 1e-9
-"""Relative change of the variance between trips in a step that ends the search."""
-
-_BLOCK = 8192
-"""Trips whose sums are made at once."""
-
-
-@dataclass(frozen=True, eq=False)
-class Effects:
-    """What trips have in common, and each of them.
-
-    Attributes
-    ----------
-    mean : (3,) array
-    variance : (3, 3) array
-        Of the mean.
-    between : (3, 3) array
-        Of one trip around the mean.
-    single, single_variance : (k, 3), (k, 3, 3) array
-        Each trip drawn towards the mean by as much as its own variance warrants.
-    """
-
-    mean: FloatArray
-    variance: FloatArray
-    between: FloatArray
-    single: FloatArray
-    single_variance: FloatArray
-
-
-def random_effects(
-    values: FloatArray, variances: FloatArray, expected: FloatArray, prior_trips: float
-) -> Effects:
-    """Mean of trips that differ, and the best estimate of each.
-
-    Parameters
-    ----------
-    values : (k, 3) array
-        Of about the same size in every column; sums go over the trips as they stand.
-    variances : (k, 3, 3) array
-    expected : (3, 3) array
-        Variance between trips that is expected beforehand.
-    prior_trips : float
-        This expectation counts as much as so many trips.
-    """
-    # Sums about the middle of the values: what trips have in common would cancel digits.
-    middle = values.mean(axis=0)
-    trips = _Trips((values - middle).T, variances[:, *_TRIANGLE].T, expected, prior_trips)
-    between = expected.copy()
-    for _ in range(ROUNDS):
-        first = trips.step(between)
-        second = trips.step(first)
-        if np.max(np.abs(second - first)) <= TOLERANCE * np.max(np.abs(first)):
-            between = second
-            break
-        change, bend = first - between, second - 2.0 * first + between
-        length = -float(np.linalg.norm(change) / max(float(np.linalg.norm(bend)), 1e-300))
-        leap = between - 2.0 * length * change + length**2 * bend
-        # A leap that leaves the covariances is not made.
-        sound = np.all(np.linalg.eigvalsh(leap) > 1e-6 * np.linalg.eigvalsh(second)[0])
-        between = trips.step(leap) if sound else second
-    mean, variance, _, _ = trips.mean(between)
-    single, single_variance = trips.single(between, mean, variance)
-    return Effects(mean + middle, variance, between, single + middle, single_variance)
-
-
-_TRIANGLE = np.triu_indices(3)
-_FULL = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-"""Where the entries of a symmetric matrix stand in its upper triangle, row by row."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Trips:
-    """Values (3, k) of the trips, upper triangles (6, k) of their variances, and the prior.
-
-    The weight of a trip is the inverse of its variance and that between trips. All that a step of
-    the expectation maximisation needs are the sums over the trips of the weights and of the
-    weighted values, and of the products of these nine.
-    """
-
-    values: FloatArray
-    variances: FloatArray
-    expected: FloatArray
-    prior_trips: float
-
-    def weights(self, between: FloatArray, part: slice = slice(None)) -> FloatArray:
-        """Upper triangles (6, n) of the weights, by cofactors."""
-        a, b, c, d, e, f = self.variances[:, part] + between[_TRIANGLE][:, None]
-        found = np.stack(
-            [
-                d * f - e * e,
-                c * e - b * f,
-                b * e - c * d,
-                a * f - c * c,
-                b * c - a * e,
-                a * d - b * b,
-            ]
-        )
-        found /= a * found[0] + b * found[1] + c * found[2]
-        return found
-
-    def mean(self, between: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Mean (3,) of the trips, its variance (3, 3), sums (9,) and products (9, 9)."""
-        sums, products = np.zeros(9), np.zeros((9, 9))
-        # In blocks that stay in the processor's cache.
-        for first in range(0, self.values.shape[1], _BLOCK):
-            part = slice(first, first + _BLOCK)
-            weights = self.weights(between, part)
-            weighted = np.einsum("ijk,jk->ik", weights[_FULL], self.values[:, part])
-            rows = np.concatenate([weights, weighted])
-            sums += rows.sum(axis=1)
-            products += rows @ rows.T
-        variance = np.linalg.inv(sums[:6][_FULL])
-        variance = 0.5 * (variance + variance.T)
-        return variance @ sums[6:], variance, sums, products
-
-    def step(self, between: FloatArray) -> FloatArray:
-        """One step of the expectation maximisation; Laird and Ware (1982), eq. (3.4).
-
-        With w the weight of a trip and d its value less the mean, the expected square of its
-        distance from the mean is ``between + between s between`` where
-        ``s = w d d' w - w + w variance w``.
-        """
-        mean, variance, sums, products = self.mean(between)
-        weights = products[:6, :6][_FULL[:, :, None, None], _FULL]
-        crossed = products[6:, :6][:, _FULL] @ mean
-        s = products[6:, 6:] - crossed - crossed.T - sums[:6][_FULL]
-        s += np.einsum("ijlm,jl->im", weights, variance + np.outer(mean, mean))
-        count = self.values.shape[1]
-        total = count * between + between @ s @ between
-        total = 0.5 * (total + total.T) + self.prior_trips * self.expected
-        return np.asarray(total / (count + self.prior_trips))
-
-    def single(
-        self, between: FloatArray, mean: FloatArray, variance: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Each trip drawn towards the mean, and its variance; Laird and Ware (1982), eq. (3.2)."""
-        gain = between @ self.weights(between)[_FULL].transpose(2, 0, 1)
-        rest = np.eye(3) - gain
-        single = mean + (gain @ (self.values.T - mean)[:, :, None])[:, :, 0]
-        found = between - gain @ between + rest @ variance @ rest.transpose(0, 2, 1)
-        return single, 0.5 * (found + found.transpose(0, 2, 1))
-
-
 def shared_variance(weights: FloatArray, survey: FloatArray, line: IntArray) -> FloatArray:
     """What shared errors add to the variance of a weighted mean, (3, 3).
 
@@ -332,6 +180,9 @@ BETWEEN_TRIPS = 0.05
 
 PRIOR_TRIPS = 2.0
 """This expectation counts as much as so many trips beside the observed ones."""
+
+TOLERANCE = 1e-9
+"""Relative change of the variance between trips in a step that ends the search for it."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -423,25 +274,29 @@ def combine(trips: pd.DataFrame | Sequence[TripFit]) -> CommonFit:
     curves = node_curves(rows)
     values, variances, gain_std = curves.values, curves.variances, curves.gain_std
     expected = BETWEEN_TRIPS**2 * np.eye(3)
-    found = random_effects(values, variances, expected, PRIOR_TRIPS)
-    weights = found.variance @ np.linalg.inv(variances + found.between)
+    found = mixed_effects(
+        values, variances, (), expected, PRIOR_TRIPS, tail=np.inf, tolerance=TOLERANCE
+    )
+    variance = found.block(0, 0)
+    weights = variance @ np.linalg.inv(variances + found.within)
     trip, line, share = surveyed_shares(rows)
     survey = share[:, None, None] * curves.survey[trip]
     shared = shared_variance(weights[trip], survey, line)
     back = np.linalg.inv(curves.nodes)
     gain = float(np.mean(gain_std)) * found.mean
-    covariance = back @ (found.variance + shared + np.outer(gain, gain)) @ back.T
+    covariance = back @ (variance + shared + np.outer(gain, gain)) @ back.T
+    single, single_variance = found.single()
     return CommonFit(
         train=str(rows["train"].iloc[0]),
         resistance=nearest_physical(back @ found.mean, covariance),
         covariance=covariance,
-        between=back @ found.between @ back.T,
+        between=back @ found.within @ back.T,
         freedom=len(rows) - 1 + int(PRIOR_TRIPS),
         asked=(float(rows["asked_lowest"].max()), curves.top),
         speed_range=(float(rows["speed_lowest"].min()), float(rows["speed_highest"].max())),
         trips=tuple(rows["trip"]),
-        betas=found.single @ back.T,
-        covariances=back @ found.single_variance @ back.T,
+        betas=single @ back.T,
+        covariances=back @ single_variance @ back.T,
     )
 
 

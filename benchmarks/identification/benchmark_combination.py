@@ -22,8 +22,9 @@ import numpy as np
 import pandas as pd
 
 from analysis.resistance import combine, parameter_set
-from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, TOLERANCE, random_effects
+from analysis.resistance.combination import BETWEEN_TRIPS, PRIOR_TRIPS, TOLERANCE
 from analysis.resistance.curve import powers
+from estimators.mixed import mixed_effects
 from trainlog.arrays import FloatArray
 from trainlog.formats.summaries import (
     COLUMNS,
@@ -109,6 +110,13 @@ def stacked(values: FloatArray, variances: FloatArray, expected: FloatArray) -> 
             return between
 
 
+def ours_alone(values: FloatArray, variances: FloatArray, expected: FloatArray) -> FloatArray:
+    """As the product combines trips."""
+    return mixed_effects(
+        values, variances, (), expected, PRIOR_TRIPS, tail=np.inf, tolerance=TOLERANCE
+    ).within
+
+
 def timed(action: Callable[[], Any]) -> tuple[float, Any]:
     began = process_time()
     found = action()
@@ -150,7 +158,7 @@ def main() -> None:
     print("\nvariance between trips alone, per trip")
     ours = 0.0
     for name, peer, count in (
-        ("this", lambda *a: random_effects(*a, PRIOR_TRIPS).between, arguments.trips),
+        ("this", ours_alone, arguments.trips),
         ("numpy, stacked", stacked, min(arguments.trips, 100 * arguments.fewer)),
         ("numpy, a loop", plain_loop, arguments.fewer),
     ):

@@ -38,11 +38,11 @@ from trainlog.arrays import BoolArray, FloatArray, IntArray
 TAIL = 5.0
 """Degrees of freedom of the Student distributions of trains and of trips."""
 
-ROUNDS = 20
+ROUNDS = 200
 """Most extrapolations, of two steps of the expectation maximisation each."""
 
 TOLERANCE = 1e-3
-"""Relative change of the spreads in a step that ends the search."""
+"""Relative change of the spreads in a step that ends the search, unless another is asked for."""
 
 LONGEST_STEP = 16.0
 """Times a step of the expectation maximisation that an extrapolation goes at most."""
@@ -117,6 +117,21 @@ class MixedEffects:
         effects, _ = model.solved(left - own_left, right - own_right)
         return model.expected(effects)[mine]
 
+    def single(self) -> tuple[FloatArray, FloatArray]:
+        """Each trip as its own errors leave it, (k, d), and its covariance (k, d, d).
+
+        Drawn towards what mean and effects make of it by as much as its own variance warrants;
+        Laird and Ware (1982), eq. (3.2).
+        """
+        gain, own = self._model.gains(self.within, self.weights)
+        effects = np.concatenate([self.mean[None], *self.effects])
+        expected = self._model.expected(effects)
+        value = expected + np.einsum("kij,kj->ki", gain, self._model.values - expected)
+        rest = np.eye(own.shape[-1]) - gain
+        shared = self._model.uncertainty(self.covariance)
+        found = own - gain @ own + rest @ shared @ rest.transpose(0, 2, 1)
+        return value, 0.5 * (found + found.transpose(0, 2, 1))
+
     def without(self, group: int) -> FloatArray:
         """What mean and effects but those of a group make of all trips, (k, d)."""
         effects = np.concatenate([self.mean[None], *self.effects])
@@ -156,6 +171,9 @@ def mixed_effects(
     groups: Sequence[Group],
     within: FloatArray,
     prior_trips: float,
+    *,
+    tail: float = TAIL,
+    tolerance: float = TOLERANCE,
 ) -> MixedEffects:
     """Mean and effects of trips.
 
@@ -170,6 +188,10 @@ def mixed_effects(
         Expected scale of the trips' own deviations.
     prior_trips : float
         This expectation counts as so many trips.
+    tail : float
+        Degrees of freedom of the Student distributions; infinite: all are normal.
+    tolerance : float
+        Relative change of the spreads in a step that ends the search.
 
     Examples
     --------
@@ -181,7 +203,7 @@ def mixed_effects(
     >>> [round(float(found.of(0, number)[0][0]), 1) for number in (0, 1)], found.weights[5] < 0.1
     ([1.1, 2.1], np.True_)
     """
-    model = _Model(values, variances, groups)
+    model = _Model(values, variances, groups, tail)
     start = _State(
         within, [group.spread for group in groups], [np.ones(group.count) for group in groups],
         np.ones(len(values)),
@@ -189,12 +211,12 @@ def mixed_effects(
     state, found = start, model.solve(start)
     for _ in range(ROUNDS):
         states, change = [state], np.inf
-        while len(states) < 3 and change >= TOLERANCE:
+        while len(states) < 3 and change >= tolerance:
             states.append(model.advanced(states[-1], found, within, prior_trips))
             found = model.solve(states[-1])
             change = _change(states[-2], states[-1])
         state = states[-1]
-        if change < TOLERANCE:
+        if change < tolerance:
             break
         state = _extrapolated(*states)
         found = model.solve(state)
@@ -269,8 +291,10 @@ Solution = tuple[FloatArray, FloatArray]
 class _Model:
     """The trips' values, and which effects they have."""
 
-    def __init__(self, values: FloatArray, variances: FloatArray, groups: Sequence[Group]) -> None:
-        self.values, self.variances, self.groups = values, variances, groups
+    def __init__(
+        self, values: FloatArray, variances: FloatArray, groups: Sequence[Group], tail: float
+    ) -> None:
+        self.values, self.variances, self.groups, self.tail = values, variances, groups, tail
         counts = [group.count for group in groups]
         self.first = (1 + np.concatenate([[0], np.cumsum(counts)])[:-1]).astype(int).tolist()
         self.size = 1 + sum(counts)
@@ -298,7 +322,7 @@ class _Model:
     ) -> _State:
         """The state after a step of the expectation maximisation."""
         square = self.deviations(found, state.scale, state.weights)
-        weights = _weights(square, state.scale)
+        weights = self.trusted(square, state.scale)
         scale = _spread(square, weights, within, prior_trips)
         spreads, heavies = list(state.spreads), list(state.heavies)
         for number, group in enumerate(self.groups):
@@ -307,7 +331,7 @@ class _Model:
             square = self.squares(found, number)
             used = self.met[number]
             if group.heavy:
-                heavies[number] = np.where(used, _weights(square, spreads[number]), 1.0)
+                heavies[number] = np.where(used, self.trusted(square, spreads[number]), 1.0)
             spreads[number] = _spread(
                 square[used], heavies[number][used], group.spread, group.prior
             )
@@ -370,11 +394,15 @@ class _Model:
                 total += part + part.transpose(0, 2, 1)
         return total
 
+    def gains(self, scale: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Share of a difference that is a trip's own, and its variance, each (k, d, d)."""
+        own = scale / weights[:, None, None]
+        return own @ np.linalg.inv(self.variances + own), own
+
     def deviations(self, found: Solution, scale: FloatArray, weights: FloatArray) -> FloatArray:
         """Expected squares (k, d, d) of the trips' own deviations."""
         effects, covariance = found
-        own = scale / weights[:, None, None]
-        gain = own @ np.linalg.inv(self.variances + own)
+        gain, own = self.gains(scale, weights)
         rest = np.einsum("kij,kj->ki", gain, self.values - self.expected(effects))
         square = rest[:, :, None] * rest[:, None, :] + own - gain @ own
         square += gain @ self.uncertainty(covariance) @ gain.transpose(0, 2, 1)
@@ -387,12 +415,12 @@ class _Model:
         own = effects[here]
         return np.asarray(own[:, :, None] * own[:, None, :] + covariance[here, :, here, :])
 
-
-def _weights(square: FloatArray, spread: FloatArray) -> FloatArray:
-    """Weight of each draw of a Student distribution, of its expected square (n, d, d)."""
-    size = spread.shape[0]
-    distance = np.einsum("kij,ji->k", square, np.linalg.inv(spread))
-    return np.asarray((TAIL + size) / (TAIL + distance))
+    def trusted(self, square: FloatArray, spread: FloatArray) -> FloatArray:
+        """Weight of each draw of a Student distribution, of its expected square (n, d, d)."""
+        if np.isinf(self.tail):
+            return np.ones(len(square))
+        distance = np.einsum("kij,ji->k", square, np.linalg.inv(spread))
+        return np.asarray((self.tail + spread.shape[0]) / (self.tail + distance))
 
 
 def _spread(
