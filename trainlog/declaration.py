@@ -15,7 +15,7 @@ import inspect
 import json
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
@@ -45,7 +45,6 @@ from trainlog.units import KMH, factor, to_si
 
 Thing = TypeVar("Thing")
 Result = TypeVar("Result")
-
 Stated = Literal["", "written", "required", "read", "never"]
 """When a field that has a default stands in the file: where it differs from it; always, and it may
 be left out; always; it may, and is not written; never. One without a default always does."""
@@ -126,7 +125,7 @@ CONFUSED: dict[str, Confused] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Form:
-    """How a field stands in the file.
+    """How a field stands in the file: as JSON has its type, or as a word of a Literal.
 
     Attributes
     ----------
@@ -147,13 +146,15 @@ class Form:
     shown: str = ""
     must: Must | None = None
 
-    found_as: ClassVar[tuple[tuple[type, ...], str]] = (), ""
-    """Types that JSON has it as, and how these are called; empty: any."""
-
-    def read(self, found: Any, kind: Any) -> Any:  # noqa: ARG002
+    def read(self, found: Any, kind: Any) -> Any:
         """The value, of type `kind`, that stands in the file as `found`; InputError if none."""
-        kinds, named = self.found_as
-        return _valid(found, kinds, named) if kinds else found
+        words = get_args(kind)
+        if get_origin(kind) is Literal and (found not in words or not isinstance(found, str)):
+            *most, last = (f"'{word}'" for word in words)
+            raise InputError(f"must be {', '.join(most)} or {last}" if most else f"must be {last}")
+        kinds = {str: "string", int: "integer", bool: "boolean", dict: "dictionary"}
+        held = get_origin(kind) or kind
+        return _valid(found, (held,), kinds[held]) if held in kinds else found
 
     def write(self, value: Any, in_si: bool = False) -> Any:  # noqa: ARG002
         """The value as it stands in the file, perhaps in SI units; None: it is left out."""
@@ -163,9 +164,14 @@ class Form:
         """The value in a summary."""
         return str(value)
 
-    def refused(self, value: Any, place: str, kind: Any = None) -> InputError | None:  # noqa: ARG002
+    def refused(self, value: Any, place: str, kind: Any = None) -> InputError | None:
         """Why the value of a field of type `kind` cannot be."""
-        if self.must is None or value is None or self.must.holds(value):
+        if value is None:
+            return None
+        if get_origin(kind) is Literal and value not in get_args(kind):
+            remedy = f"it is one of {', '.join(get_args(kind))}"
+            return InputError(f"no such {place} '{value}'", place=place, remedy=remedy)
+        if self.must is None or self.must.holds(value):
             return None
         problem = f"{self.words(value)} {self.must.otherwise}"
         return InputError(problem, place=place, remedy=self.must.remedy)
@@ -186,56 +192,14 @@ def _valid(found: Any, kinds: tuple[type, ...], what: str) -> Any:
 class Text(Form):
     """Text of at least so many characters."""
 
-    found_as = (str,), "string"
     least: int = 0
 
-    def read(self, found: Any, kind: Any) -> str:
+    def read(self, found: Any, kind: Any = str) -> str:  # noqa: ARG002
         """The text."""
-        text: str = super().read(found, kind)
+        text: str = super().read(found, str)
         if len(text) < self.least:
             raise InputError(f"must have at least {counted(self.least, 'character')}")
         return text
-
-
-@dataclass(frozen=True)
-class Choice(Form):
-    """One of the words of a Literal."""
-
-    def read(self, found: Any, kind: Any) -> str:
-        """The word."""
-        words = get_args(kind)
-        if found not in words or not isinstance(found, str):
-            *most, last = (f"'{word}'" for word in words)
-            raise InputError(f"must be {', '.join(most)} or {last}" if most else f"must be {last}")
-        return found
-
-    def refused(self, value: Any, place: str, kind: Any = None) -> InputError | None:
-        """Why the value is none of the words."""
-        if value in get_args(kind):
-            return None
-        remedy = f"it is one of {', '.join(get_args(kind))}"
-        return InputError(f"no such {place} '{value}'", place=place, remedy=remedy)
-
-
-@dataclass(frozen=True)
-class Whole(Form):
-    """A whole number."""
-
-    found_as = (int,), "integer"
-
-
-@dataclass(frozen=True)
-class Flag(Form):
-    """True or false."""
-
-    found_as = (bool,), "boolean"
-
-
-@dataclass(frozen=True)
-class Json(Form):
-    """A dictionary of values that JSON has."""
-
-    found_as = (dict,), "dictionary"
 
 
 @dataclass(frozen=True)
@@ -244,7 +208,7 @@ class Number(Form):
 
     gaps: bool = False
 
-    def read(self, found: Any, kind: Any) -> float:  # noqa: ARG002
+    def read(self, found: Any, kind: Any = float) -> float:  # noqa: ARG002
         """The number."""
         return np.nan if found is None and self.gaps else _number(found)
 
@@ -255,14 +219,9 @@ class Number(Form):
 
 def _number(found: Any) -> float:
     """A finite number."""
-    _valid(found, (int, float), "number")
-    try:
-        number = float(found)
-    except OverflowError:
-        number = np.inf
-    if not np.isfinite(number):
+    if not abs(_valid(found, (int, float), "number")) <= LARGEST:
         raise InputError("is not a finite number", remedy="give one")
-    return number
+    return float(found)
 
 
 @dataclass(frozen=True)
@@ -282,7 +241,7 @@ class Quantity(Form):
     Examples
     --------
     >>> mass = Quantity("t", "kg")
-    >>> mass.write(122e3), mass.read({"value": 500, "unit": "kg"}, float)
+    >>> mass.write(122e3), mass.read({"value": 500, "unit": "kg"})
     ({'value': 122, 'unit': 't'}, 500.0)
     """
 
@@ -291,7 +250,7 @@ class Quantity(Form):
     plausible: tuple[float, float, str] | None = None
     confused: Confused | None = None
 
-    def read(self, found: Any, kind: Any) -> float:  # noqa: ARG002
+    def read(self, found: Any, kind: Any = float) -> float:  # noqa: ARG002
         """The number in SI."""
         if type(found) in (int, float, str):
             example = {"value": 1 if isinstance(found, str) else found, "unit": self.unit}
@@ -299,7 +258,7 @@ class Quantity(Form):
                 f"{found!r} has no unit",
                 remedy=f"give value and unit, for example {json.dumps(example)}",
             )
-        value, unit = read_keys(found, value=_number, unit=Text())
+        value, unit = read_keys(found, value=_number, unit=Text().read)
         return float(in_si(value, unit, self.si))
 
     def write(self, value: Any, in_si: bool = False) -> Any:
@@ -330,16 +289,12 @@ class Quantity(Form):
         )
 
     def _of_file(self, value: float) -> float:
-        slope, offset = _factor(self.unit, self.si)
+        slope, offset = (1.0, 0.0) if self.unit == self.si else factor(self.unit, self.si)
         return (value - offset) / slope
 
     @property
     def _named(self) -> str:
         return {"permil": "per mille"}.get(self.unit, self.unit)
-
-
-def _factor(unit: str, si: str) -> tuple[float, float]:
-    return (1.0, 0.0) if unit == si else factor(unit, si)
 
 
 def in_si(values: ArrayLike, unit: str, si: str, where: str = "unit") -> FloatArray:
@@ -351,18 +306,24 @@ def in_si(values: ArrayLike, unit: str, si: str, where: str = "unit") -> FloatAr
     return converted
 
 
-def read_keys(found: Any, **forms: Form | Callable[[Any], Any]) -> list[Any]:
+def read_keys(found: Any, **reads: Callable[[Any], Any]) -> list[Any]:
     """What stands under the keys of an object that has exactly these."""
+    return list(_read_object(found, reads, reads.keys()).values())
+
+
+def _read_object(
+    found: Any, reads: Mapping[str, Callable[[Any], Any]], required: Collection[str] = ()
+) -> dict[str, Any]:
+    """What stands under the keys of an object, in the order in which they are declared."""
     _valid(found, (dict,), "dictionary")
-    problems = Problems(_unknown(key) for key in found if key not in forms)
-    values = []
-    for key, form in forms.items():
-        if key not in found:
+    problems = Problems(_unknown(key) for key in found if key not in reads)
+    values = {}
+    for key, read in reads.items():
+        if key in found:
+            with problems.at(key):
+                values[key] = read(found[key])
+        elif key in required:
             problems.append(_missing(key))
-            continue
-        with problems.at(key):
-            each = found[key]
-            values.append(form.read(each, None) if isinstance(form, Form) else form(each))
     problems.check()
     return values
 
@@ -386,9 +347,7 @@ def placed(error: InputError, before: str) -> list[InputError]:
     return [
         InputError(
             each.problem if each.file is None else f"{each.file}: {each.problem}",
-            place=before
-            if not each.place
-            else f"{before}{'' if each.place.startswith('[') else '.'}{each.place}",
+            place=f"{before}{'.' * ((each.place or '[')[0] != '[')}{each.place or ''}",
             remedy=each.remedy,
         )
         for each in error.each
@@ -398,10 +357,10 @@ def placed(error: InputError, before: str) -> list[InputError]:
 @contextmanager
 def at(place: str) -> Iterator[None]:
     """Put a place in front of those of the InputError that the block may raise."""
-    try:
+    problems = Problems()
+    with problems.at(place):
         yield
-    except InputError as error:
-        raise InputError.listing(placed(error, place)) from error
+    problems.check()
 
 
 class Problems(list[InputError]):
@@ -477,13 +436,6 @@ class Column(Form):
                     raise InputError(f"must be a finite number or '{word}'") from error
                 raise
 
-    def sound(self, cells: Sequence[Any]) -> bool:
-        """Whether all cells are plain numbers or, in a column of text, texts."""
-        kinds = set(map(type, cells))
-        if not self.unit:
-            return kinds <= {str}
-        return kinds <= {float, int} and all(-LARGEST <= cell <= LARGEST for cell in cells)
-
     def read_cells(self, cells: Sequence[Any], unit: str) -> Any:
         """The column in SI units."""
         if not self.unit:
@@ -513,9 +465,9 @@ class Column(Form):
         unit = self.si if in_si else self.unit
         if self.instead is None:
             return list(declared(numbers, unit, self.si))
-        word, _ = self.instead
-        written = declared(np.where(np.isfinite(numbers), numbers, 0.0), unit, self.si)
-        return [w if f else word for w, f in zip(written, np.isfinite(numbers), strict=True)]
+        finite = np.isfinite(numbers)
+        written = declared(np.where(finite, numbers, 0.0), unit, self.si)
+        return [w if f else self.instead[0] for w, f in zip(written, finite, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -547,28 +499,20 @@ class Table(Form):
         for number, column in enumerate(columns):
             if column.instead is NOT_SET:
                 cells[number] = [None if np.isnan(each) else each for each in cells[number]]
-        rows = zip(*cells, strict=True)
+        rows = list(zip(*cells, strict=True))
         row: Any = _row_of(kind)
         if not is_dataclass(row):
             return tuple(rows)
         with at("values"):
-            return tuple(_items(list(rows), lambda each: row(*each)))  # type: ignore[operator]
+            return tuple(_items(rows, lambda each: row(*each)))  # type: ignore[operator]
 
     def read_columns(self, found: Any, columns: tuple[Column, ...]) -> tuple[Any, ...]:
         """Each column in SI."""
-        names = [column.name for column in columns if column.unit]
-
-        def rows_of(values: Any) -> list[Any]:
-            rows: list[Any] = _valid(values, (list,), "list")
-            _check_rows(rows, columns)
-            return rows
-
+        names = dict.fromkeys((column.name for column in columns if column.unit), Text().read)
         units, rows = read_keys(
             found,
-            units=lambda each: dict(
-                zip(names, read_keys(each, **{name: Text() for name in names}), strict=True)
-            ),
-            values=rows_of,
+            units=lambda each: _read_object(each, names, names),
+            values=lambda each: _items(each, lambda row: _checked_row(row, columns)),
         )
         cells = list(zip(*rows, strict=True)) or [()] * len(columns)
         problems, read = Problems(), []
@@ -580,19 +524,15 @@ class Table(Form):
 
     def write(self, value: Any, in_si: bool = False) -> Any:
         """The table."""
-        if isinstance(value, tuple) and value and is_dataclass(value[0]):
-            columns = self.columns
-            names = [each.name for each in fields(value[0])]
-            content: Any = [[getattr(row, name) for row in value] for name in names]
-            content = [[np.nan if x is None else x for x in column] for column in content]
-        elif is_dataclass(value):
-            columns = self.columns or columns_of(type(value))
-            content = [getattr(value, each.name) for each in fields(value)]
+        columns = self.columns
+        if is_dataclass(value) and not isinstance(value, type):
+            columns = columns or columns_of(type(value))
+            content = list(vars_of(value).values())
         elif self.fields:
-            columns, content = self.columns, value
+            content = value
         else:
-            columns = self.columns
-            content = list(zip(*value, strict=True)) or [()] * len(columns)
+            rows = (vars_of(row).values() if is_dataclass(row) else row for row in value)
+            content = list(zip(*rows, strict=True)) or [()] * len(columns)
         cells = [
             column.write_cells(values, in_si)
             for column, values in zip(columns, content, strict=True)
@@ -602,9 +542,7 @@ class Table(Form):
 
     def words(self, value: Any) -> str:
         """How many rows there are."""
-        if is_dataclass(value):
-            return str(len(getattr(value, fields(value)[0].name)))
-        return str(len(value))
+        return str(len(next(iter(vars_of(value).values())) if is_dataclass(value) else value))
 
 
 def _row_of(kind: Any) -> Any:
@@ -612,26 +550,20 @@ def _row_of(kind: Any) -> Any:
     return get_args(kind)[0] if get_origin(kind) is tuple else kind
 
 
-def _check_rows(rows: list[Any], columns: tuple[Column, ...]) -> None:
-    """Refuse rows of a table that are no rows, or have wrong cells."""
-    size = len(columns)
-
-    def check_row(row: Any) -> None:
-        _valid(row, (list,), "list")
-        if len(row) > size:
-            raise InputError(f"must have at most {counted(size, 'item')}, not {len(row)}")
-        problems = Problems()
-        for number, column in enumerate(columns):
-            with problems.at(f"[{number}]"):
-                if number >= len(row):
-                    raise InputError(f"'{number}' is missing", remedy="add it")
-                column.check(row[number])
-        problems.check()
-
-    whole = all(type(row) is list and len(row) == size for row in rows)
-    cells = zip(*rows, strict=True) if whole else ()
-    if not whole or not all(c.sound(each) for c, each in zip(columns, cells, strict=bool(rows))):
-        _items(rows, check_row)
+def _checked_row(row: Any, columns: tuple[Column, ...]) -> Any:
+    """A row of a table, whose cells belong into its columns."""
+    if len(_valid(row, (list,), "list")) > len(columns):
+        raise InputError(f"must have at most {counted(len(columns), 'item')}, not {len(row)}")
+    problems = Problems()
+    for number, column in enumerate(columns):
+        try:
+            if number >= len(row):
+                raise InputError(f"'{number}' is missing", remedy="add it")
+            column.check(row[number])
+        except InputError as error:
+            problems += placed(error, f"[{number}]")
+    problems.check()
+    return row
 
 
 @dataclass(frozen=True)
@@ -641,7 +573,8 @@ class Array(Form):
     Attributes
     ----------
     si : str
-        What it is written in, exactly, and what it holds.
+        What it is written in, exactly, and what it holds. Empty: the numbers stand alone, in the
+        units of what they belong to.
     dimensions : {1, 2}
     gaps : bool
         Whether values may be missing: ``null`` in the file, NaN inside.
@@ -653,32 +586,31 @@ class Array(Form):
 
     def read(self, found: Any, kind: Any) -> FloatArray:  # noqa: ARG002
         """The array in SI."""
-        number = Number(gaps=self.gaps)
+        if not self.si:
+            return self._numbers(found, self.dimensions)
         unit, numbers = read_keys(
-            found,
-            unit=Text(),
-            values=lambda each: _numbers(each, number, self.dimensions),
+            found, unit=Text().read, values=lambda each: self._numbers(each, self.dimensions)
         )
         missing = np.isnan(numbers)
         converted = in_si(np.where(missing, 0.0, numbers), unit, self.si)
         return np.where(missing, np.nan, converted)
+
+    def _numbers(self, found: Any, dimensions: int) -> FloatArray:
+        """Finite numbers in a list, or in rows that are as long as each other."""
+        if dimensions == 1:
+            return np.array(_items(found, Number(gaps=self.gaps).read), dtype=np.float64)
+        rows = _items(found, lambda row: self._numbers(row, 1))
+        if len({len(row) for row in rows}) > 1:
+            raise InputError("rows differ in length", remedy="give as many numbers in each")
+        return np.array(rows, dtype=np.float64).reshape(len(rows), -1 if rows else 0)
 
     def write(self, value: Any, in_si: bool = False) -> Any:  # noqa: ARG002
         """The numbers with their unit."""
         values = np.asarray(value, dtype=np.float64)
         if self.gaps:
             values = np.where(np.isnan(values), None, values.astype(object))  # type: ignore[call-overload]
-        return {"unit": self.si, "values": shortest(values.tolist())}
-
-
-def _numbers(found: Any, form: Number, dimensions: int = 2) -> FloatArray:
-    """Finite numbers in a list, or in rows that are as long as each other."""
-    if dimensions == 1:
-        return np.array(_items(found, lambda each: form.read(each, None)), dtype=np.float64)
-    rows = _items(found, lambda row: _numbers(row, form, 1))
-    if len({len(row) for row in rows}) > 1:
-        raise InputError("rows differ in length", remedy="give as many numbers in each")
-    return np.array(rows, dtype=np.float64).reshape(len(rows), -1 if rows else 0)
+        written = shortest(values.tolist())
+        return {"unit": self.si, "values": written} if self.si else written
 
 
 def _items(found: Any, read: Callable[[Any], Any], least: int = 0) -> list[Any]:
@@ -708,15 +640,7 @@ class Named(Form):
 
     def read(self, found: Any, kind: Any) -> dict[str, float]:  # noqa: ARG002
         """The numbers that are there."""
-        _valid(found, (dict,), "dictionary")
-        problems = Problems(_unknown(key) for key in found if key not in self.quantities)
-        values = {}
-        for name, quantity in self.quantities.items():
-            if name in found:
-                with problems.at(name):
-                    values[name] = quantity.read(found[name], float)
-        problems.check()
-        return values
+        return _read_object(found, {name: each.read for name, each in self.quantities.items()})
 
     def write(self, value: Any, in_si: bool = False) -> Any:
         """The numbers with their units, in the order in which they are declared."""
@@ -737,25 +661,12 @@ class Ends(Form):
 
     def read(self, found: Any, kind: Any) -> tuple[float, ...]:  # noqa: ARG002
         """Both."""
-        return tuple(read_keys(found, lowest=self.quantity, highest=self.quantity))
+        return tuple(read_keys(found, lowest=self.quantity.read, highest=self.quantity.read))
 
     def write(self, value: Any, in_si: bool = False) -> Any:
         """Both, each with its unit."""
         lowest, highest = (self.quantity.write(each, in_si) for each in value)
         return {"lowest": lowest, "highest": highest}
-
-
-@dataclass(frozen=True)
-class Matrix(Form):
-    """Rows of numbers, whose units are those of what they belong to; an array inside."""
-
-    def read(self, found: Any, kind: Any) -> FloatArray:  # noqa: ARG002
-        """The matrix."""
-        return _numbers(found, Number())
-
-    def write(self, value: Any, in_si: bool = False) -> Any:  # noqa: ARG002
-        """Its rows."""
-        return shortest(value.tolist())
 
 
 @dataclass(frozen=True)
@@ -767,10 +678,10 @@ class Covariance(Form):
 
     def read(self, found: Any, kind: Any) -> FloatArray:  # noqa: ARG002
         """The covariance in SI units."""
-        names = [name for name, _ in self.units]
+        names = dict.fromkeys(dict(self.units), Text().read)
         units, rows = read_keys(
             found,
-            units=lambda each: read_keys(each, **{name: Text() for name in names}),
+            units=lambda each: _read_object(each, names, names),
             values=lambda each: _items(each, lambda row: _items(row, _number)),
         )
         size = len(names)
@@ -781,7 +692,7 @@ class Covariance(Form):
                 remedy=f"give {size} by {size}",
             )
         with at("units"):
-            scale = [factor(unit, si)[0] for unit, (_, si) in zip(units, self.units, strict=True)]
+            scale = [factor(units[name], si)[0] for name, si in self.units]
         return np.asarray(rows * np.outer(scale, scale))
 
     def write(self, value: Any, in_si: bool = False) -> Any:  # noqa: ARG002
@@ -797,9 +708,7 @@ class Part(Form):
 
     def read(self, found: Any, kind: Any) -> Any:
         """The thing."""
-        if isinstance(found, kind):
-            return found
-        return from_content(kind, found)
+        return found if isinstance(found, kind) else from_content(kind, found)
 
     def write(self, value: Any, in_si: bool = False) -> Any:
         """What describes it."""
@@ -832,32 +741,16 @@ class Many(Form):
 
     def read(self, found: Any, kind: Any) -> Any:
         """The things, in the type that holds them."""
-        form, inner = form_of(get_args(kind)[0]), without_none(get_args(kind)[0])
-        if not self.runs:
-            values = _items(found, lambda each: _within(form, each, inner), self.least)
-            if get_origin(kind) is tuple and get_args(kind)[-1] is not Ellipsis:
-                wanted = len(get_args(kind))
-                if len(values) != wanted:
-                    raise InputError(f"has {len(values)} entries", remedy=f"give {wanted}")
-            return values if get_origin(kind) is list else tuple(values)
-        things: list[Any] = []
-
-        def run(each: Any) -> None:
-            _valid(each, (dict,), "dictionary")
-            rest = {key: value for key, value in each.items() if key != "count"}
-            problems = Problems()
-            with problems.at("count"):
-                count = Whole().read(each.get("count", 1), int)
-                if not 0 < count <= 1000:
-                    remedy = "give how many there are"
-                    raise InputError(f"{count} is not between 1 and 1000", remedy=remedy)
-            with problems.at():
-                thing = form.read(rest, inner)
-            problems.check()
-            things.extend([thing] * count)
-
-        _items(found, run, self.least)
-        return tuple(things)
+        read = _reader(get_args(kind)[0])
+        if self.runs:
+            runs = _items(found, lambda each: _run(each, read), self.least)
+            return tuple(thing for run in runs for thing in run)
+        values = _items(found, read, self.least)
+        if get_origin(kind) is tuple and get_args(kind)[-1] is not Ellipsis:
+            wanted = len(get_args(kind))
+            if len(values) != wanted:
+                raise InputError(f"has {len(values)} entries", remedy=f"give {wanted}")
+        return values if get_origin(kind) is list else tuple(values)
 
     def write(self, value: Any, in_si: bool = False) -> Any:
         """What describes each of them."""
@@ -884,12 +777,33 @@ class Many(Form):
             yield from form_of(type(each)).implausible(each, f"{place}[{number}]")
 
 
-def _within(form: Form, found: Any, kind: Any) -> Any:
-    """One of several values, within the bounds of their form."""
-    value = form.read(found, kind)
-    if form.must is not None and (problem := form.refused(value, "", kind)) is not None:
-        raise problem
-    return value
+def _run(found: Any, read: Callable[[Any], Any]) -> list[Any]:
+    """So many equal things as the entry of a run counts."""
+    rest = dict(_valid(found, (dict,), "dictionary"))
+    problems, count = Problems(), 1
+    with problems.at("count"):
+        count = Form().read(rest.pop("count", 1), int)
+        if not 0 < count <= 1000:
+            remedy = "give how many there are"
+            raise InputError(f"{count} is not between 1 and 1000", remedy=remedy)
+    thing = None
+    with problems.at():
+        thing = read(rest)
+    problems.check()
+    return [thing] * count
+
+
+def _reader(hint: Any) -> Callable[[Any], Any]:
+    """Reads one of several values of a type, within the bounds of its form."""
+    form, kind = form_of(hint), bare(hint)
+
+    def read(found: Any) -> Any:
+        value = form.read(found, kind)
+        if form.must is not None and (problem := form.refused(value, "", kind)) is not None:
+            raise problem
+        return value
+
+    return read
 
 
 @dataclass(frozen=True)
@@ -898,53 +812,44 @@ class ByName(Form):
 
     def read(self, found: Any, kind: Any) -> dict[str, Any]:
         """The things by their names."""
-        inner = get_args(kind)[1]
-        form = form_of(inner)
-        _valid(found, (dict,), "dictionary")
-        read = read_keys(found, **{name: lambda each: _within(form, each, inner) for name in found})
-        return dict(zip(found, read, strict=True))
+        return _read_object(found, dict.fromkeys(found, _reader(get_args(kind)[1])))
 
     def write(self, value: Any, in_si: bool = False) -> Any:
         """What describes each of them."""
         return {name: form_of(type(each)).write(each, in_si) for name, each in value.items()}
 
 
+def _peeled(hint: Any) -> Iterator[Any]:
+    """A type, and what is in it when annotations and None are taken off, one by one."""
+    yield hint
+    if get_origin(hint) is Annotated:
+        yield from _peeled(get_args(hint)[0])
+    elif get_origin(hint) in (Union, UnionType):
+        rest = [each for each in get_args(hint) if each is not NoneType]
+        if len(rest) == 1:
+            yield from _peeled(rest[0])
+
+
+def bare(hint: Any) -> Any:
+    """A type without annotations and None."""
+    return [*_peeled(hint)][-1]
+
+
 def form_of(hint: Any) -> Form:
     """The form of a type: what an annotation states, else what follows from the type alone."""
-    for stated in getattr(hint, "__metadata__", ()):
-        if isinstance(stated, Form):
-            return stated
-    kind = without_none(hint)
-    if kind is not hint and get_origin(kind) is Annotated:
-        return form_of(kind)
+    for layer in _peeled(hint):
+        for stated in getattr(layer, "__metadata__", ()):
+            if isinstance(stated, Form):
+                return stated
+    kind = bare(hint)
     if is_dataclass(kind):
         return Table() if is_table(kind) else Part()
     origin = get_origin(kind)
     if origin in (tuple, list):
         return Many()
-    if origin is not None and isinstance(origin, type) and issubclass(origin, Mapping):
-        return Json() if get_args(kind)[1] is Any else ByName()
-    if origin is Literal:
-        return Choice()
-    known: dict[Any, Form] = {
-        str: Text(),
-        int: Whole(),
-        bool: Flag(),
-        float: Number(),
-        dict: Json(),
-    }
-    return known.get(kind, Form())
-
-
-def without_none(hint: Any) -> Any:
-    """The type of what may be None, without annotations."""
-    if get_origin(hint) is Annotated:
-        return without_none(get_args(hint)[0])
-    if get_origin(hint) in (Union, UnionType):
-        rest = [each for each in get_args(hint) if each is not NoneType]
-        if len(rest) == 1:
-            return without_none(rest[0]) if get_origin(rest[0]) is not Annotated else rest[0]
-    return hint
+    if isinstance(origin, type) and issubclass(origin, Mapping) and get_args(kind)[1] is not Any:
+        return ByName()
+    return Number() if kind is float else Form()
 
 
 # ------------------------------------------------------------------ the entries of a thing's file
@@ -995,40 +900,28 @@ def entries(kind: type) -> tuple[Entry, ...]:
         form = form_of(hint)
         if form.stated == "never" or not field.init:
             continue
+        if isinstance(form, Column) and form.table:
+            before = made.get(form.table, Entry(form.table, (), Table(fields=True), None, MISSING))
+            table = replace(before.form, columns=(*before.form.columns, form))  # type: ignore[attr-defined, call-arg]
+            made[form.table] = replace(before, names=(*before.names, field.name), form=table)
+            continue
+        name = field.name.replace("_", " ") if getattr(kind, "SPACED", False) else field.name
+        form = replace(form, key=form.key or name)
+        if isinstance(form, Table) and not form.columns:
+            form = replace(form, columns=columns_of(_row_of(bare(hint))))
         default = field.default
         if field.default_factory is not MISSING:
             default = field.default_factory()
-        if isinstance(form, Column) and form.table:
-            before = made.get(form.table)
-            columns = (*before.form.columns, form) if before is not None else (form,)  # type: ignore[attr-defined]
-            names = (*before.names, field.name) if before is not None else (field.name,)
-            table = Table(columns, fields=True)
-            made[form.table] = Entry(form.table, names, table, None, MISSING)
-            continue
-        name = field.name.replace("_", " ") if getattr(kind, "SPACED", False) else field.name
-        if isinstance(form, Part) and is_table(_bare(hint)):
-            form = Table(key=form.key, stated=form.stated, usual=form.usual, shown=form.shown)
-        form = replace(form, key=form.key or name)
-        if isinstance(form, Table) and not form.columns:
-            form = replace(form, columns=columns_of(_row_of(_bare(hint))))
         if isinstance(form, Number) and form.gaps and default is MISSING:
             default = np.nan
-        made[form.key] = Entry(form.key, (field.name,), form, _bare(hint), default)
+        made[form.key] = Entry(form.key, (field.name,), form, bare(hint), default)
     first = getattr(kind, "ORDER", ())
     return tuple([made[key] for key in first] + [e for k, e in made.items() if k not in first])
-
-
-def _bare(hint: Any) -> Any:
-    """The type of a field without annotations and None."""
-    kind = without_none(hint)
-    return without_none(kind) if get_origin(kind) is Annotated else kind
 
 
 @_once
 def is_table(kind: type) -> bool:
     """Whether the file of a thing is nothing but a table of its fields."""
-    if not is_dataclass(kind):
-        return False
     hints = get_type_hints(kind, include_extras=True)
     forms = [form_of(hints[each.name]) for each in fields(kind)]
     return all(isinstance(form, Column) and not form.table for form in forms)
@@ -1100,7 +993,7 @@ def from_content(kind: type[Thing], content: Any, judged: bool = False) -> Thing
         if key not in content or (found is None and not entry.always_written):
             if entry.required:
                 problems.append(_missing(key))
-            elif entry.form.stated != "never" and len(entry.names) == 1:
+            elif len(entry.names) == 1:
                 values.setdefault(entry.names[0], entry.default)
             continue
         with problems.at(key):
@@ -1113,7 +1006,6 @@ def from_content(kind: type[Thing], content: Any, judged: bool = False) -> Thing
             thing = kind(**values)
     if judged:
         problems += implausible(kind, values)
-    problems.sort(key=lambda each: not each.problem.startswith("unknown key "))
     problems.check()
     return thing  # type: ignore[no-any-return]
 
@@ -1133,7 +1025,7 @@ def content_of(thing: Any, in_si: bool = False) -> dict[str, Any]:
         value = held[0] if len(held) == 1 else held
         if value is None or entry.form.stated == "read":
             continue
-        if not entry.always_written and same(value, entry.default):
+        if not entry.always_written and same_values(value, entry.default):
             continue
         written = entry.form.write(value, in_si)
         if written is not None:
@@ -1246,7 +1138,7 @@ class Declared(Presented):
 
     def __eq__(self, other: object) -> bool:
         return type(self) is type(other) and all(
-            same(value, getattr(other, name)) for name, value in vars_of(self).items()
+            same_values(value, getattr(other, name)) for name, value in vars_of(self).items()
         )
 
     def __hash__(self) -> int:  # type: ignore[override]
@@ -1332,17 +1224,9 @@ def _bounded(kind: type) -> tuple[Entry, ...]:
     return tuple(
         entry
         for entry in entries(kind)
-        if len(entry.names) == 1 and (entry.form.must is not None or isinstance(entry.form, Choice))
+        if len(entry.names) == 1
+        and (entry.form.must is not None or get_origin(entry.kind) is Literal)
     )
-
-
-def same(first: Any, second: Any) -> bool:
-    """Whether two values of a field are equal, arrays number for number."""
-    if first is second:
-        return True
-    if isinstance(first, np.ndarray) or isinstance(second, np.ndarray):
-        return np.array_equal(first, second)
-    return same_values(first, second)
 
 
 def _hashed(value: Any) -> Any:
@@ -1366,7 +1250,9 @@ def summary_of(thing: Any) -> dict[str, str]:
     for entry in entries(type(thing)):
         row, _, words = entry.form.shown.partition(": ")
         value = getattr(thing, entry.names[0])
-        if row and not (value is None or (same(value, entry.default) and not entry.always_written)):
+        if row and not (
+            value is None or (same_values(value, entry.default) and not entry.always_written)
+        ):
             rows.setdefault(row, []).append((words or "{}").format(entry.form.words(value)))
     return {row: ", ".join(words) for row, words in rows.items()}
 

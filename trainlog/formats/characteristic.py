@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from trainlog.declaration import Column, Declared, Form, Json, Must, Quantity, Table, read_keys
+from trainlog.declaration import Column, Declared, Form, Must, Quantity, Table, read_keys
 from trainlog.errors import InputError
 from trainlog.formats.csv_tables import HeadedTable, read_headed
 from trainlog.formats.declared import built, file_content, read_thing, write_thing
@@ -59,7 +59,7 @@ class _Exponentials(Form):
 
     def read(self, found: Any, kind: Any) -> CreepCurve:  # noqa: ARG002
         """The curve."""
-        a, b, c = read_keys(found, **self._forms)
+        a, b, c = read_keys(found, **{n: form.read for n, form in self._forms.items()})
         return CreepCurve(a, b, c, c, self.variable)
 
     def write(self, value: Any, in_si: bool = False) -> Any:
@@ -103,7 +103,7 @@ class CharacteristicFile(Declared):
     table_over_slip_speed: Annotated[
         AdhesionTable | None, _Table(_SLIP_SPEEDS, variable="slip speed")
     ] = None
-    provenance: Annotated[dict[str, Any], Json(stated="written")] = field(default_factory=dict)
+    provenance: Annotated[dict[str, Any], Form(stated="written")] = field(default_factory=dict)
 
     def problems(self) -> Iterator[InputError]:
         """Not exactly one characteristic."""

@@ -18,9 +18,8 @@ from trainlog.arrays import FloatArray
 from trainlog.declaration import (
     Array,
     Declared,
-    Json,
+    Form,
     Many,
-    Matrix,
     Problems,
     content_beside,
     entries,
@@ -468,11 +467,11 @@ class CoastDownResult(Declared):
     train: str
     gradient: Gradient
     quantities: Annotated[tuple[Identified, ...], Many(least=1)]
-    covariance: Annotated[FloatArray, Matrix()]
+    covariance: Annotated[FloatArray, Array("", 2)]
     curve: DragCurve | None = None
     trips: Annotated[list[dict[str, Any]], Many(stated="written")] = field(default_factory=list)
     pieces: Annotated[list[dict[str, Any]], Many(stated="written")] = field(default_factory=list)
-    provenance: Annotated[dict[str, Any], Json(stated="written")] = field(default_factory=dict)
+    provenance: Annotated[dict[str, Any], Form(stated="written")] = field(default_factory=dict)
 
     def problems(self) -> Iterator[InputError]:
         """A covariance that is not of the quantities."""

@@ -28,7 +28,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from trainlog.arrays import IntArray
-from trainlog.declaration import Declared, Must, Whole
+from trainlog.declaration import Declared, Form, Must
 from trainlog.display import FORMULA
 from trainlog.errors import InputError, LogError
 from trainlog.extras import load
@@ -516,7 +516,7 @@ class TripIndex(Declared):
     FORMAT: ClassVar[str] = "trainlog/trip-parquet"
     SUFFIX: ClassVar[str] = ".parquet"
 
-    schema_version: Annotated[int, Whole(must=_KNOWN_SCHEMAS)]
+    schema_version: Annotated[int, Form(must=_KNOWN_SCHEMAS)]
     topics: tuple[_TopicEntry, ...]
     metadata: dict[str, str]
     provenance: list[dict[str, Any]]

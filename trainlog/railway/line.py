@@ -718,7 +718,7 @@ class Line(Declared):
     ]
     curvatures: Annotated[
         CurvatureProfile | None,
-        Part(
+        Table(
             usual=CurvatureProfile(
                 np.array([0.0, 900.0, 1_300.0]),
                 np.array([0.0, 2e-3, 0.0]),

@@ -27,7 +27,7 @@ from trainlog.declaration import (
     Covariance,
     Declared,
     Ends,
-    Json,
+    Form,
     Many,
     Must,
     Named,
@@ -35,7 +35,6 @@ from trainlog.declaration import (
     Quantity,
     Table,
     Text,
-    Whole,
     form_for,
 )
 from trainlog.display import span
@@ -132,8 +131,8 @@ class AxleGeometry(Declared):
     link_height: Annotated[float, _length(0.05, 2, "bodies are pulled at")]
     coupler_height: Annotated[float, _length(0.3, 2, "couplers are at")]
     centre_height: Annotated[float, _length(0.5, 3, "vehicles have their mass at")]
-    axles_per_bogie: Annotated[int, Whole(must=TWO_OR_MORE, stated="written")] = 2
-    powered_bogies: Annotated[int, Whole(must=ONE_OR_TWO, stated="written")] = 2
+    axles_per_bogie: Annotated[int, Form(must=TWO_OR_MORE, stated="written")] = 2
+    powered_bogies: Annotated[int, Form(must=ONE_OR_TWO, stated="written")] = 2
 
     def vehicles(self, axles: int) -> int:
         """Number of powered vehicles that `axles` powered axles make.
@@ -273,7 +272,7 @@ class Axles(Declared):
     16000.0
     """
 
-    count: Annotated[int, Whole(must=POSITIVE, stated="required")] = 4
+    count: Annotated[int, Form(must=POSITIVE, stated="required")] = 4
     adhesive_mass: Annotated[float, Quantity("t", "kg", must=POSITIVE, stated="required")] = 64e3
     wheel_radius: Annotated[
         float,
@@ -517,7 +516,7 @@ class Train(Declared):
     braking_curves: BrakingCurves | None = None
     traction_curve: Annotated[
         EffortCurve | None,
-        Part(
+        Table(
             usual=EffortCurve(
                 [0.0, 13.0, 100.0 / KMH, 160.0 / KMH], [200e3, 200e3, 93.6e3, 58.5e3]
             ),
@@ -526,15 +525,15 @@ class Train(Declared):
     ] = None
     dynamic_braking_curve: Annotated[
         EffortCurve | None,
-        Part(
+        Table(
             usual=EffortCurve(
                 np.array([0.0, 8.0, 62.4, 160.0]) / KMH, np.array([0.0, 150e3, 150e3, 58.5e3])
             ),
             shown="brakes: curve of {} speeds",
         ),
     ] = None
-    seats: Annotated[int | None, Whole(must=POSITIVE)] = None
-    coaches: Annotated[int | None, Whole(must=POSITIVE)] = None
+    seats: Annotated[int | None, Form(must=POSITIVE)] = None
+    coaches: Annotated[int | None, Form(must=POSITIVE)] = None
     source: Annotated[
         str, Text(stated="written", usual="template: replace every value by your train's")
     ] = ""
@@ -899,8 +898,8 @@ class ParameterSet(Declared):
         0.0,
     )
     details: Annotated[list[dict[str, Any]], Many(stated="written")] = field(default_factory=list)
-    provenance: Annotated[dict[str, Any], Json(stated="written")] = field(default_factory=dict)
-    cover: Annotated[dict[str, Any], Json(stated="written")] = field(default_factory=dict)
+    provenance: Annotated[dict[str, Any], Form(stated="written")] = field(default_factory=dict)
+    cover: Annotated[dict[str, Any], Form(stated="written")] = field(default_factory=dict)
 
     @property
     def weights(self) -> tuple[float, ...]:

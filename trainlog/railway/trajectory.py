@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trainlog.arrays import FloatArray, IntArray
-from trainlog.declaration import Array, Choice, Declared, Json, Many, Quantity, Table, Text
+from trainlog.declaration import Array, Declared, Form, Many, Quantity, Table, Text
 from trainlog.display import at_most, lateness, span
 from trainlog.errors import InputError
 from trainlog.presentation import WordTable, frame_table
@@ -237,9 +237,9 @@ class Trajectory(Declared):
     tractive_effort_fall: Annotated[FloatArray, Array("N", stated="written")] = field(
         default_factory=lambda: np.zeros(0)
     )
-    direction: Annotated[Literal["forward", "reverse"], Choice(stated="written")] = "forward"
-    certificate: Annotated[dict[str, Any], Json(stated="written")] = field(default_factory=dict)
-    provenance: Annotated[dict[str, Any], Json(stated="written")] = field(default_factory=dict)
+    direction: Annotated[Literal["forward", "reverse"], Form(stated="written")] = "forward"
+    certificate: Annotated[dict[str, Any], Form(stated="written")] = field(default_factory=dict)
+    provenance: Annotated[dict[str, Any], Form(stated="written")] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.tractive_effort_fall.size == 0:
