@@ -237,11 +237,9 @@ class Chart:
     x : str
         What the axis is, with its unit.
     panels : sequence of Panel
-    alt : str
-        What it shows, for those who do not see it; default: the titles.
     caption : str
-    places : sequence of (float, str)
-        Stations, marked in all panels and named in the first.
+    places : sequence of (float, str), optional
+        Marked in all panels and named in the first; default: the stations of the line.
     span : (float, float), optional
         Ends of the axis; default: those of the curves.
     line : Line, optional
@@ -263,9 +261,8 @@ class Chart:
 
     x: str
     panels: Sequence[Panel]
-    alt: str = ""
     caption: str = ""
-    places: Sequence[tuple[float, str]] = ()
+    places: Sequence[tuple[float, str]] | None = None
     span: tuple[float, float] | None = None
     line: Line | None = None
     title: str = ""
@@ -277,10 +274,23 @@ class Chart:
     equal: bool = False
 
     def __post_init__(self) -> None:
-        titles = filter(None, (self.title, *(panel.title for panel in self.panels)))
-        object.__setattr__(self, "alt", self.alt or "; ".join(titles))
         if self.line is not None and self.line.reference is not None:
             object.__setattr__(self, "x", "km")
+
+    @property
+    def marked(self) -> Sequence[tuple[float, str]]:
+        """The places, or the stations of the line."""
+        if self.places is not None or self.line is None:
+            return self.places or ()
+        return [(each.position / 1e3, each.name) for each in self.line.stations]
+
+    @property
+    def alt(self) -> str:
+        """What it shows, for those who do not see it: titles, axes and the legend."""
+        shown = ", ".join(filter(None, (each.title or each.y for each in self.panels)))
+        over = f"{shown} over {self.x}" if shown and self.x else shown
+        named = ", ".join(name for name, *_ in legend_of(self))
+        return ". ".join(" ".join(each.split()) for each in (self.title, over, named) if each)
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -298,11 +308,6 @@ class Chart:
         joined = np.concatenate([each for each in found if each.size] or [np.array([0.0, 1.0])])
         low, high = float(joined.min()), float(joined.max())
         return (low, high) if high > low else (low - 0.5, high + 0.5)
-
-
-def stations_of(line: Line | None) -> list[tuple[float, str]]:
-    """The stations of a line as places of a chart over km."""
-    return [] if line is None else [(each.position / 1e3, each.name) for each in line.stations]
 
 
 def limit_curve(line: Line, start: float, end: float) -> Curve:
@@ -325,8 +330,7 @@ def line_charts(line: Line) -> list[Chart]:
     return [
         Chart(
             "km", [Panel("km/h", limits, 1.0, from_zero=True), gradient_panel(line, *ends)],
-            f"Permitted speed and gradient of {line.name} over kilometres.",
-            places=stations_of(line), line=line, title=line.name,
+            line=line, title=line.name,
         )
     ]  # fmt: skip
 
@@ -413,7 +417,7 @@ def named_places(chart: Chart) -> Iterator[tuple[float, str, int]]:
     span = chart.ends
     width = span[1] - span[0]
     low, high = span[0] - 0.005 * width, span[1] + 0.005 * width
-    within = [each for each in chart.places if low <= each[0] <= high]
+    within = [each for each in chart.marked if low <= each[0] <= high]
     close = any(
         after[0] - before[0] < 0.011 * width * max(len(_short(before[1])), len(_short(after[1])))
         for before, after in pairwise(within)
@@ -510,7 +514,7 @@ def figure_of(charts: Chart | Sequence[Chart]) -> Figure:
 
     Examples
     --------
-    >>> chart = Chart("km", [Panel("km/h", [Curve("speed", [0.0, 1.0], [0.0, 80.0])])], "a run")
+    >>> chart = Chart("km", [Panel("km/h", [Curve("speed", [0.0, 1.0], [0.0, 80.0])])])
     >>> figure_of(chart).axes[0].get_ylabel()
     'km/h'
     """
@@ -583,7 +587,7 @@ def _draw_chart(figure: Figure | SubFigure, chart: Chart, share: float, known: s
     for axes, panel in zip(places, chart.panels, strict=True):
         _draw_panel(axes, panel)
         _draw_legend(axes, panel, share, known, chart.second is None)
-        for place, _ in chart.places:
+        for place, _ in chart.marked:
             axes.axvline(place, color=PALE, linewidth=0.9, zorder=0)
     last: Axes = places[-1]
     last.set_xlabel(chart.x, color=INK)

@@ -292,7 +292,8 @@ def test_an_interruption_leaves_the_page_of_before(
 def _chart() -> Chart:
     x = np.linspace(0.0, 10.0, 50)
     return Chart(
-        "km", [Panel("km/h", [Curve("speed", x, x**2, hover={"km": ["1"] * 50})])], "a curve"
+        "km",
+        [Panel("km/h", [Curve("speed", x, x**2, hover={"km": ["1"] * 50})])],
     )
 
 
@@ -341,7 +342,7 @@ def test_thinning_keeps_every_peak_and_both_ends() -> None:
 def test_a_band_is_not_drawn_over_what_is_not_known() -> None:
     x = np.arange(6.0)
     y = np.array([1.0, 1.0, np.nan, np.nan, 2.0, 2.0])
-    item = item_of(Chart("km", [Panel("y", [Curve("", x, y, low=y - 1, high=y + 1)])], "a band"))
+    item = item_of(Chart("km", [Panel("y", [Curve("", x, y, low=y - 1, high=y + 1)])]))
     assert item is not None
     glyphs = re.findall(r'"name": "VArea"', json.dumps(item))
     # Two stretches, each in its usual, muted and unselected form.

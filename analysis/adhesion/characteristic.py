@@ -501,7 +501,6 @@ def characteristic_charts(fit: CharacteristicFit) -> list[Chart]:
                     spans=[Span(scale * low, scale * min(high, end), label="optimum, 95 % band")],
                 )
             ],
-            f"Adhesion over {points.variable}, {words}.",
             span=(0.0, scale * end), title="" if number else title, width=0.5, beside=number > 0,
         )
         for number, (words, end) in enumerate((("up to the maximum", near), ("all points", last)))

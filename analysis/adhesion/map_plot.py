@@ -37,7 +37,6 @@ from analysis.charts import (
     Panel,
     Rule,
     Span,
-    stations_of,
 )
 from trainlog.arrays import FloatArray
 from trainlog.condition import known_before
@@ -146,14 +145,11 @@ def map_charts(
     strips = Chart(
         "km",
         panels,
-        f"Maximum adhesion to count on along {track.line}, a strip for each rail condition; grey"
-        f" where nothing was observed. {_places_in_words(places, line, 0.5 * track.bin_length)}",
-        "Colours: maximum adhesion to count on, the lower end of the 95 % band; where several bins"
-        " share a place that can be seen, the lowest. Grey: nothing was observed, the map has no"
-        " estimate. Numbers: the lowest places.",
-        stations_of(line),
-        (start / 1e3, end / 1e3),
-        line,
+        caption="Colours: maximum adhesion to count on, the lower end of the 95 % band; where"
+        " several bins share a place that can be seen, the lowest. Grey: nothing was observed, the"
+        " map has no estimate. Numbers: the lowest places.",
+        span=(start / 1e3, end / 1e3),
+        line=line,
         title=f"{track.line}: maximum adhesion to count on, {track.bin_length:.0f} m bins{when}",
     )
     details = [
@@ -205,15 +201,6 @@ def strip_cells(
     }
     names = dict(zip(ADHESION_CLASSES, ADHESION_COLOURS, strict=True))
     return Cells(edges, span, colours[None, :], names, hover=hover)
-
-
-def _places_in_words(places: Sequence[float], line: Line | None, back: float) -> str:
-    if not places:
-        return ""
-    words = ", ".join(
-        f"{number} {km_words(line, place - back)}" for number, place in enumerate(places, start=1)
-    )
-    return f"The lowest places: {words}."
 
 
 def _strip(
@@ -354,8 +341,7 @@ def detail(
     top = max(0.2, 0.1 * float(np.ceil(10.0 * bins["expected_high"].max())))
     return Chart(
         "km", [Panel("maximum adhesion" * first, curves, 0.9, limits=(0.0, top))],
-        f"Expected maximum adhesion around {km_words(line, place)} with its 95 % band.",
-        span=((place - AROUND) / 1e3, (place + AROUND) / 1e3), line=line,
+        span=((place - AROUND) / 1e3, (place + AROUND) / 1e3), line=line, places=(),
         title="\n".join(words), beside=not first, width=0.24 if first else 0.2,
     )  # fmt: skip
 
@@ -380,8 +366,6 @@ def difference_charts(found: MapDifference, *, line: Line | None = None) -> list
         Chart(
             "km",
             [_changed(found, name, reach) for name in names],
-            f"Maximum adhesion along {found.line}, {found.before} and {found.after}.",
-            places=stations_of(line),
             span=(0.0, reach),
             line=line,
             title="\n".join([compared, *textwrap.wrap(found.sentence, 140)]),
@@ -461,7 +445,7 @@ def history_charts(found: PlaceHistory) -> list[Chart]:
     first = min(_days(each["day"]).min() for each in (known, onsets, used) if not each.empty)
     words = f"{found.title}. {found.unmeasured}".removesuffix(". ")
     return [
-        Chart("", [panel], f"{found.title}: evidence and estimate by day.", dates=True,
+        Chart("", [panel], dates=True,
               span=(first - 0.02 * (end - first), end), title=textwrap.fill(words, 120))
     ]  # fmt: skip
 

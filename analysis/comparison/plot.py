@@ -72,7 +72,6 @@ def comparison_charts(found: ComparedDirection) -> list[Chart]:
     edges = (found.sections.edges / 1e3).tolist()
     along = Chart(
         "km in the direction of travel", panels,
-        f"Trips on {found.line.name} over kilometres: speed, time behind the reference, energy.",
         places=list(zip(edges, found.sections.ends, strict=True)),
         span=(edges[0], edges[-1]), line=found.line,
         title=f"{found.line.name}, {found.direction}: {len(found.trips)} trips against"
@@ -148,7 +147,7 @@ def _causes(shown: list[ComparedTrip]) -> Chart:
             Panel("", bars, 0.5 + 0.12 * len(compared), rows=[each.name for each in compared],
                   rules=[Rule(0.0, upright=True)], labels=labels)
         ],
-        "Seconds lost and gained by each trip, by cause.", span=(low - margin, high + margin),
+        span=(low - margin, high + margin),
     )  # fmt: skip
 
 
@@ -171,7 +170,6 @@ def calculation_charts(found: Calculation) -> list[Chart]:
             Panel("speed [km/h]", speeds, 1.3, from_zero=True),
             Panel("calculated less\nmeasured [km/h]", off, 0.8, rules=[Rule(0.0)]),
         ],
-        f"Measured and calculated speed of trip {found.trip} over kilometres.",
         line=found.line,
         title=f"Trip '{found.trip}' against the {found.model}: {found.words}",
     )
@@ -188,7 +186,6 @@ def calculation_charts(found: Calculation) -> list[Chart]:
     top = 1.3 * float(np.nanmax(np.append(ends[1], measured)))
     works = Chart(
         "", [Panel("tractive work [kWh]", bars, 0.8, limits=(0.0, top))],
-        "Measured and calculated tractive work, section by section.",
         ticks=[(float(row), str(name)) for row, name in zip(rows, found.table.index, strict=True)],
         span=(-0.6, rows.size - 0.4),
     )  # fmt: skip

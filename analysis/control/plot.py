@@ -22,7 +22,6 @@ from analysis.charts import (
     Rule,
     limit_curve,
     shades,
-    stations_of,
 )
 from trainlog.arrays import FloatArray
 from trainlog.display import counted
@@ -75,7 +74,7 @@ def following_charts(trips: Sequence[Trip]) -> list[Chart]:
         Panel("s", late, 0.7, "Behind the reference", rules=ZERO),
         Panel("km/h", error, 0.7, "Speed, as measured, less the reference's", rules=ZERO),
     ]
-    return [Chart("km", panels, places=stations_of(line), span=(0.0, line.length / 1e3), line=line)]
+    return [Chart("km", panels, span=(0.0, line.length / 1e3), line=line)]
 
 
 def _km(trip: Trip) -> FloatArray:

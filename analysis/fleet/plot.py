@@ -65,10 +65,9 @@ def resistance_charts(kind: KindResistance, found: FleetTrains) -> list[Chart]:
     words = f"{counted(len(kind.trains), 'train')} of kind {kind.kind}, {trips}"
     if not kind.compared:
         words += "; too few trains of the kind to call one unlike the others"
-    alt = f"Running resistance of the trains of kind {kind.kind}, with the spread of the kind."
     panel = Panel("running resistance [kN]", curves, 1.8, from_zero=True)
     return [
-        Chart("speed [km/h]", [panel], alt, title=words, width=0.55),
+        Chart("speed [km/h]", [panel], title=words, width=0.55),
         _by_train(kind, unlike),
     ]
 
@@ -97,7 +96,6 @@ def _by_train(kind: KindResistance, unlike: set[str]) -> Chart:
     )  # fmt: skip
     return Chart(
         "running resistance at 80 km/h [kN]", [panel],
-        f"Running resistance at 80 km/h of the trains of kind {kind.kind}.",
         title="by train, with 95 % band; grey: 95 % of trains of this kind",
         span=(least - margin, most + margin), beside=True, width=0.45,
     )  # fmt: skip
@@ -124,7 +122,7 @@ def drift_charts(kind: str, found: FleetTrains) -> list[Chart]:
     return [
         Chart(
             "", [panel for panel, _ in parts],
-            f"What is estimated of trains of kind {kind}, over time.", dates=True,
+            dates=True,
             title=f"Kind {kind}, {what}: {drawn} (grey), median of nine trips of a train (line)",
         )
     ]  # fmt: skip
@@ -201,7 +199,7 @@ def findings_charts(found: FleetTrains) -> list[Chart]:
         title = f"No finding in {found.unlike.train_months:.1f} months of trains"
         nothing = Label(0.5, title, 0.5, size=9.0)
         panel = Panel("", [], 0.4, labels=[nothing], bare=True)
-        return [Chart("", [panel], title, title=f"{title}\n{words.strip()}")]
+        return [Chart("", [panel], title=f"{title}\n{words.strip()}")]
     return [_finding(found, each, number) for number, each in enumerate(findings)]
 
 
@@ -222,6 +220,5 @@ def _finding(found: FleetTrains, finding: Finding, number: int) -> Chart:
     panel = Panel(f"{finding.channel} [{unit}]", points, 0.9, rules=[Rule(0.0, GREEN)])
     return Chart(
         "trip of this train", [panel],
-        f"Of train {finding.train}: {finding.channel}, trip by trip.",
         title=f"{finding.train}\n{finding.explanation.cause}", beside=number % 3 > 0, width=0.33,
     )  # fmt: skip

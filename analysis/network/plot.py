@@ -102,7 +102,6 @@ def network_charts(
         Chart(
             f"east [km]{dashed}" if on_earth else "no coordinates: distances are not true",
             [panel],
-            f"The network {network.name}, its edges and stations.",
             span=(low[0] - margin, low[0] + wide[0] + margin),
             title=title or f"{network.name}, {network.length / 1e3:.1f} km of line",
             ticks=() if on_earth else [(float(low[0]), "")],

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.charts import BLUE, Chart, Curve, Panel, limit_curve, stations_of, worded
+from analysis.charts import BLUE, Chart, Curve, Panel, limit_curve, worded
 from analysis.reports.page import Page, Part, Section, Warned
 from analysis.reports.results import line_of_trajectory
 from analysis.trajectory.advice import (
@@ -148,8 +148,5 @@ def _chart(found: JourneyAdvice, line: Line | None) -> Chart:
     return Chart(
         "km in the direction of travel",
         [Panel("km/h", [*limits, *curves], 1.2, from_zero=True)],
-        "Planned speed over kilometres, with the permitted speed and the stations.",
-        "",
-        stations_of(line),
         line=line,
     )

@@ -22,7 +22,6 @@ from analysis.charts import (
     Panel,
     limit_curve,
     rows_to_draw,
-    stations_of,
     worded,
 )
 from analysis.comparison.groups import TripCost, compare_groups, trip_cost
@@ -505,10 +504,9 @@ def _overlaid(group: str, curves: Sequence[Curve], lines: Mapping[str, Line]) ->
     line = next(iter(lines.values())) if len(lines) == 1 else None
     ends = [float(each) for curve in curves for each in (np.min(curve.x), np.max(curve.x))]
     limits = [] if line is None else [limit_curve(line, 1e3 * min(ends), 1e3 * max(ends))]
-    alt = f"Speeds of {counted(len(curves), 'trip')} in {group} over kilometres."
-    places = stations_of(line)
-    panels = [Panel("km/h", [*limits, *curves], 1.6, from_zero=True)]
-    return Chart("km in the direction of travel", panels, alt, "", places, line=line)
+    title = f"{counted(len(curves), 'trip')} in {group}"
+    panels = [Panel("km/h", [*limits, *curves], 1.6, title, from_zero=True)]
+    return Chart("km in the direction of travel", panels, line=line)
 
 
 # --------------------------------------------------------------------------------- provenance

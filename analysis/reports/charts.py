@@ -143,7 +143,7 @@ def _annotate(plot: Any, chart: Chart, panel: Panel, *, first: bool) -> None:
     """Lines, names of places and labels."""
     models: Any = import_module("bokeh.models")
     scale = _scale(chart)
-    for place, _ in chart.places:
+    for place, _ in chart.marked:
         plot.add_layout(models.Span(location=place, dimension="height", line_color=PALE))
     for rule in panel.rules:
         plot.add_layout(

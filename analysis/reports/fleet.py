@@ -351,7 +351,7 @@ def _by_day(trips: pd.DataFrame) -> Part:
     ]
     ends = (float(at[0]) - 0.6, float(at[-1]) + 0.6)
     panel = Panel("trips per day", bars, 0.8, from_zero=True)
-    return Chart("", [panel], "Trips of each day, by kind of train.", span=ends, dates=True)
+    return Chart("", [panel], span=ends, dates=True)
 
 
 # --------------------------------------------------------------------------------------- energy
@@ -443,9 +443,9 @@ def _bars(found: pd.DataFrame, what: str) -> Part:
     ]  # fmt: skip
     values = np.concatenate([each.x for each in bars] + [np.zeros(1)])
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    alt = f"Energy per kilometre by {what}: at the wheel, by the dynamic brake, and from the line."
-    panel = Panel("", bars, 0.3 + 0.085 * len(rows), rows=names, rules=[Rule(0.0, upright=True)])
-    return Chart("energy, kWh/km", [panel], alt, span=(1.05 * low, 1.05 * high or 1.0))
+    height, rules = 0.3 + 0.085 * len(rows), [Rule(0.0, upright=True)]
+    panel = Panel("", bars, height, f"by {what}", rows=names, rules=rules)
+    return Chart("energy, kWh/km", [panel], span=(1.05 * low, 1.05 * high or 1.0))
 
 
 def _lost(rows: pd.DataFrame) -> WordTable:

@@ -101,7 +101,6 @@ def _shifts(found: FleetDiff) -> Chart:
     return Chart(
         "shift over the half width of the band",
         [panel],
-        "Shifts of the means of estimates between two sides, in half widths of their bands.",
-        "Bars: 95 % band of the shift on the same trips.",
+        caption="Bars: 95 % band of the shift on the same trips.",
         span=(-largest, largest),
     )

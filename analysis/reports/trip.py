@@ -25,7 +25,6 @@ from analysis.charts import (
     gradient_panel,
     limit_curve,
     rows_to_draw,
-    stations_of,
     worded,
 )
 from analysis.comparison.groups import RECORDED_PART, TripCost, trip_cost
@@ -423,17 +422,13 @@ def trip_charts(trip: Trip, *, zone: Zone = Zone()) -> list[Chart]:
             *late,
             *([] if line is None else [gradient_panel(line, *ends)]),
         ],
-        f"Speed of trip {trip.name} against the permitted speed over kilometres,"
-        " with its efforts and the gradient below.",
-        "Speed against the permitted speed; tractive effort above, braking effort below zero.",
-        stations_of(line),
+        caption="Speed against the permitted speed; tractive effort above zero, braking below.",
         line=line,
     )
     minutes = (part.time - motion.time[0]).total_seconds().to_numpy() / 60.0
     over_time = Chart(
         f"minutes since {zone.time(motion.time[0])} {zone.name}",
         [Panel("km/h", [_speed_curve(minutes, part, line, zone)], 1.0, from_zero=True)],
-        f"Speed of trip {trip.name} over time, with its stops.",
     )
     return [over_km, over_time] if forward else [over_time]
 

@@ -107,8 +107,7 @@ def _together(fits: Fits, title: str) -> Chart:
     return Chart(
         SPEED,
         [Panel("running resistance [kN]", curves, 1.6, limits=limits)],
-        f"Running resistance of {common.train} over speed, with its 95 % band.",
-        "The curve of all trips together with the 95 % band of the mean, and those of each trip.",
+        caption="The curve of all trips with the 95 % band of the mean, and those of each trip.",
         title=title,
         width=0.6,
     )
@@ -134,7 +133,6 @@ def _observed(fits: Fits) -> Chart:
     return Chart(
         SPEED,
         [Panel("difference from the mean [%]", curves, 1.6, rules=[Rule(0.0)])],
-        "Observed configurations and trips over the speed, against the mean of all trips.",
         title=title, beside=True, width=0.4,
     )  # fmt: skip
 
@@ -149,7 +147,7 @@ def _per_trip(fits: Fits) -> list[Chart]:
             "", 0.5 * (edges[1:] + edges[:-1]), counts, SKY, "bars", width=np.diff(edges)[0]
         )
         title = f"mass of {counted(len(accepted), 'trip')}"
-        return [Chart("mass [t]", [Panel("trips", [bars])], title, title=title, width=0.6)]
+        return [Chart("mass [t]", [Panel("trips", [bars])], title=title, width=0.6)]
     std = np.sqrt(accepted["covariance_mass_mass"].to_numpy(np.float64)) / TONNE
     power = accepted["max_power"].to_numpy(np.float64) / 1e3
     shown = [("mass [t]", mass, std, BLUE)]
@@ -171,7 +169,6 @@ def _per_trip(fits: Fits) -> list[Chart]:
                     rows=names if number == 0 else [" "] * len(names),
                 )
             ],
-            f"{what.capitalize()} of each trip with its 95 % band.",
             title=what.split(" ")[0] + (", 95 % band" if number == 0 else " where it was reached"),
             span=_reach(value, each), beside=number > 0, width=0.34 if number == 0 else 0.26,
         )
@@ -196,7 +193,7 @@ def correlation_chart(covariance: FloatArray, title: str) -> Chart:
     cells = Cells(edges, edges, shades(correlation, "RdBu_r", (-1.0, 1.0)), words=words)
     return Chart(
         "", [Panel("", [cells], 1.1, rows=names, limits=(std.size - 0.5, -0.5))],
-        f"{title[0].upper()}{title[1:]}.", title=title, span=(-0.5, std.size - 0.5),
+        title=title, span=(-0.5, std.size - 0.5),
         ticks=list(enumerate(names)), beside=True, width=0.4,
     )  # fmt: skip
 
@@ -221,9 +218,8 @@ def residual_charts(trips: Sequence[TripFit]) -> list[Chart]:
     return [
         Chart(
             "speed, km/h", [Panel("residual, σ", [curve], 1.1)],
-            "Residuals of all windows over the speed, in standard deviations of the noise model.",
-            "What the fit did not explain: within 2 σ nearly always, without a trend, if the noise"
-            " is as the model has it.",
+            caption="What the fit did not explain: nearly always within 2 σ and without a trend, if"
+            " the noise is as the model has it.",
         )
     ]  # fmt: skip
 
@@ -242,8 +238,8 @@ def set_charts(found: ParameterSet) -> list[Chart]:
             "resistance": worded("{:.2f} kN", value),
         }
         curves.append(Curve(label, KMH * speed, value, colour, hover=hover, width=width))
-    alt = f"Running resistance of the configurations of {found.train} over speed."
-    return [Chart("speed, km/h", [Panel("running resistance, kN", curves, 1.6)], alt)]
+    title = f"configurations of {found.train}"
+    return [Chart("speed, km/h", [Panel("running resistance, kN", curves, 1.6, title)])]
 
 
 # -------------------------------------------------------------------------------------- one trip
@@ -291,7 +287,7 @@ def refused_chart(trip: str, refusal: TripRefusedError) -> Chart:
     title = f"{trip}: refused, {refusal.reason}\n{textwrap.fill(str(refusal), 130)}"
     if refusal.timeline is None or not refusal.timeline.time.size:
         nothing = Label(0.5, "nothing of it can be drawn", 0.5)
-        return Chart("", [Panel("", [], 0.6, labels=[nothing], bare=True)], title, title=title)
+        return Chart("", [Panel("", [], 0.6, labels=[nothing], bare=True)], title=title)
     return timeline_chart(refusal.timeline, title)
 
 
@@ -310,8 +306,7 @@ def timeline_chart(timeline: Timeline, title: str) -> Chart:
             for reason, mask in timeline.masks.items()
         ]
         panels.append(Panel("", bars, 0.1 + 0.1 * len(bars), rows=names))
-    alt = "Speed over time, with what was masked below it."
-    return Chart("time [min]", panels, alt, title=title)
+    return Chart("time [min]", panels, title=title)
 
 
 def _data(fit: TripFit) -> Chart:
@@ -339,7 +334,6 @@ def _data(fit: TripFit) -> Chart:
     limits = _resistance_limits(fit.resistance(speed), points.value[used])
     return Chart(
         SPEED, [Panel("running resistance [kN]", curves, 1.5, limits=limits)],
-        f"Running resistance of trip {fit.trip} over speed, with its 95 % band.",
         title=title, width=0.66,
     )  # fmt: skip
 
@@ -361,7 +355,6 @@ def _learning(fit: TripFit) -> Chart:
     title = "learnt as the trip went on"
     return Chart(
         "time [min]", [Panel("over the final estimate", curves, 1.5, limits=(0.7, 1.3))],
-        "What was learnt of resistance and mass as the trip went on.",
         title=title, beside=True, width=0.34,
     )  # fmt: skip
 
@@ -372,7 +365,6 @@ def _residual_chart(what: str, x: FloatArray, y: FloatArray, title: str, *, widt
     curve = Curve("", x, y, SKY, "points", width=1.2)
     return Chart(
         what, [Panel("residual [σ]", [curve], 1.0, rules=rules)],
-        f"Residuals over the {what.split(' ')[0]}, in standard deviations of the noise model.",
         title=title, width=width,
     )  # fmt: skip
 
@@ -387,7 +379,7 @@ def _neighbours(residuals: Residuals, title: str) -> Chart:
     return Chart(
         "lag [windows]",
         [Panel("autocorrelation", [bars], 1.0, limits=(-reach, reach), rules=rules)],
-        "Autocorrelation of the residuals.", title=title, beside=True, width=0.33,
+        title=title, beside=True, width=0.33,
         span=(0.4, correlation.size + 0.6),
     )  # fmt: skip
 
@@ -404,7 +396,6 @@ def _distribution(residuals: Residuals, title: str) -> Chart:
     ]
     return Chart(
         "normal quantile", [Panel("residual [σ]", curves)],
-        "Quantiles of the residuals over those of the normal distribution.",
         title=title, beside=True, width=0.33,
     )  # fmt: skip
 
@@ -446,7 +437,7 @@ def _segments(fit: TripCoastDown) -> Chart:
     title = f"{fit.trip}: coasting for {fit.coasted:.0f} s"
     return Chart(
         "chainage [km]", [Panel(SPEED, curves, 0.7, from_zero=True)],
-        f"Speed of trip {fit.trip} over chainage, with its coasting.", title=title,
+        title=title,
     )  # fmt: skip
 
 
@@ -482,7 +473,6 @@ def _coasting_curve(found: CoastDown, title: str) -> Chart:
     return Chart(
         SPEED,
         [Panel("running resistance over inertia [m/s²]", curves, 1.6, words, limits=(0.0, top))],
-        "Running resistance over inertia of the coasting train over speed, with its 95 % band.",
         title=title,
     )
 
@@ -505,7 +495,7 @@ def result_charts(result: CoastDownResult) -> list[Chart]:
     title = "Coasting with the gradient unknown"
     pieces_chart = Chart(
         "chainage [km]", [Panel("deceleration [m/s²]", curves, 1.6, "of each piece of track")],
-        "Deceleration of each piece of track that was coasted.", title=title, width=0.6,
+        title=title, width=0.6,
     )  # fmt: skip
     return [pieces_chart, _curve_without_gradient(result)]
 
@@ -536,8 +526,7 @@ def _curve_without_gradient(result: CoastDownResult) -> Chart:
         "95 % band": worded("{:.1f} to {:.1f} mm/s²", 1e3 * low, 1e3 * high),
     }
     line = Curve("curve, 95 %", KMH * speed, value, BLUE, "line", low, high, hover, 1.8)
-    return Chart(SPEED, [Panel(what, [line], 1.6, title)], f"{title[0].upper()}{title[1:]}.",
-                 beside=True, width=0.4)  # fmt: skip
+    return Chart(SPEED, [Panel(what, [line], 1.6, title)], beside=True, width=0.4)  # fmt: skip
 
 
 # ----------------------------------------------------------------------------------------- parts

@@ -19,7 +19,6 @@ from analysis.charts import (
     gradient_panel,
     limit_curve,
     rows_to_draw,
-    stations_of,
     worded,
 )
 from analysis.trajectory.optimiser import Front
@@ -77,9 +76,6 @@ def trajectory_charts(
         Chart(
             "km in the direction of travel",
             panels,
-            f"Planned speed over kilometres of {trajectory.train} on {trajectory.line}, with the"
-            " band of all configurations, the permitted speed, efforts and gradient.",
-            places=stations_of(line),
             span=(start / 1e3, end / 1e3),
             line=line,
             title=_title(trajectory),
@@ -221,7 +217,6 @@ def front_charts(front: Front) -> list[Chart]:
                 Panel("kWh", above, 1.5, rules=[least]),
                 Panel("Wh/s", below, 0.8, "What a second more saves", from_zero=True),
             ],
-            f"Least energy over the running time of {first.train} on {first.line}.",
             span=(min(shortest, times[0]) - reach, times[-1] + 1.2 * reach),
             title=f"{first.train} on {first.line}: {first.energy_label}",
             second=(

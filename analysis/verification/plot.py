@@ -54,7 +54,7 @@ def _quantiles(found: Verification, title: str) -> Chart:
         ]
     words = "Reliability of the maximum adhesion"
     return Chart("quantile forecast", [Panel("share of maxima below", curves, 1.3, words)],
-                 f"{words}: share of maxima below each quantile.", title=title)  # fmt: skip
+                 title=title)  # fmt: skip
 
 
 def _diagonal(label: str) -> Curve:
@@ -75,7 +75,7 @@ def _slips(found: Verification) -> Chart:
         "probability of slip forecast",
         [Panel("share of passages with slip", [_diagonal(""), points], 1.3, words,
                limits=(-0.05, 1.05), labels=_labels(forecast, share, passages, GREY))],
-        f"{words}.", span=(-0.03, 1.06),
+        span=(-0.03, 1.06),
     )  # fmt: skip
 
 
@@ -122,7 +122,7 @@ def _alarms(found: Verification) -> Chart:
         labels = [Label(0.5, "no probability of slip scored", 0.5)]
     panel = Panel("share of slips foreseen", curves, 1.3, words, limits=(0.0, 1.05), labels=labels)
     about = "false alarms per train-km on which the forecast is known"
-    return Chart(about, [panel], f"{words}: share of slips foreseen.", span=(0.0, top))
+    return Chart(about, [panel], span=(0.0, top))
 
 
 def _usual_first(alarm: Alarm) -> float:
@@ -136,7 +136,7 @@ def _days(found: Verification) -> Chart:
     words = "Gain of the log score, day by day"
     if not some.any():
         nothing = Label(0.5, "no onset scored", 0.5)
-        return Chart("", [Panel("nat per onset", [], 1.0, words, labels=[nothing])], words)
+        return Chart("", [Panel("nat per onset", [], 1.0, words, labels=[nothing])])
     days = found.days[some].astype(np.float64)
     own = found.scores["forecast"][some, 0]
     points = [
@@ -150,5 +150,5 @@ def _days(found: Verification) -> Chart:
     ]  # fmt: skip
     return Chart(
         "", [Panel("nat per onset", points, 1.0, words, rules=[Rule(0.0, PALE, width=1.0)])],
-        f"{words}.", span=(days.min() - 0.75, days.max() + 0.75), dates=True,
+        span=(days.min() - 0.75, days.max() + 0.75), dates=True,
     )  # fmt: skip
