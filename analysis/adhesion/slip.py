@@ -784,7 +784,7 @@ def event_rows(motion: Motion, slipping: BoolArray) -> pd.DataFrame:
             rows.append(
                 {
                     "axle": int(axles.numbers[axle]) + 1,
-                    **{name: axles.clock[row] for name, row in times.items()},
+                    **times,
                     "duration": axles.time[span[1]] - axles.time[span[0]],
                     "position": motion.position[began],
                     "speed": motion.speed[began],
@@ -803,7 +803,10 @@ def event_rows(motion: Motion, slipping: BoolArray) -> pd.DataFrame:
         "adhesion_std": "float64", "delay_std": "float64", "transfer_std": "float64",
         "energy": "float64", "energy_std": "float64", "measured": "bool",
     }  # fmt: skip
-    frame = pd.DataFrame(rows, columns=list(columns)).astype(columns)
+    frame = pd.DataFrame(rows, columns=list(columns))
+    for name in ("start", "onset", "peak", "release"):
+        frame[name] = axles.clock[frame[name].to_numpy(np.int64)]
+    frame = frame.astype(columns)
     frame.attrs["units"] = {
         "duration": "s", "position": "m", "speed": "m/s", "peak_slip": "m/s", "creepage": "1",
         "adhesion": "1", "adhesion_std": "1", "delay_std": "1", "transfer_std": "1", "energy": "J",
