@@ -351,20 +351,21 @@ class _Model:
         self, scale: FloatArray, weights: FloatArray, trips: IntArray
     ) -> tuple[FloatArray, FloatArray]:
         """What some trips add to both sides, (n, n, d, d) and (n, d)."""
-        d = self.values.shape[1]
-        left = np.zeros((self.size, self.size, d, d))
-        right = np.zeros((self.size, d))
+        d, n = self.values.shape[1], self.size
+        right, cells, parts = np.zeros((n, d)), list[IntArray](), list[FloatArray]()
         trust = np.linalg.inv(self.variances[trips] + scale / weights[trips, None, None])
         for number, (place, loading) in enumerate(zip(self.places, self.loadings, strict=True)):
             turned = loading[trips].transpose(0, 2, 1) @ trust
             one = place[trips]
-            np.add.at(right, one, np.einsum("kij,kj->ki", turned, self.values[trips]))
-            np.add.at(left, (one, one), turned @ loading[trips])
+            right += _summed(one, np.einsum("kij,kj->ki", turned, self.values[trips]), n)
+            cells.append(one * n + one)
+            parts.append(turned @ loading[trips])
             for other, load in zip(self.places[:number], self.loadings[:number], strict=True):
                 both = turned @ load[trips]
-                np.add.at(left, (one, other[trips]), both)
-                np.add.at(left, (other[trips], one), both.transpose(0, 2, 1))
-        return left, right
+                cells += [one * n + other[trips], other[trips] * n + one]
+                parts += [both, both.transpose(0, 2, 1)]
+        left = _summed(np.concatenate(cells), np.concatenate(parts), n * n)
+        return left.reshape(n, n, d, d), right
 
     def solved(self, left: FloatArray, right: FloatArray) -> Solution:
         """Effects and their covariance."""
@@ -421,6 +422,14 @@ class _Model:
             return np.ones(len(square))
         distance = np.einsum("kij,ji->k", square, np.linalg.inv(spread))
         return np.asarray((self.tail + spread.shape[0]) / (self.tail + distance))
+
+
+def _summed(place: IntArray, parts: FloatArray, count: int) -> FloatArray:
+    """Sums (count, ...) of parts (k, ...) by their place."""
+    cells = parts[0].size
+    flat = place[:, None] * cells + np.arange(cells)
+    sums = np.bincount(flat.ravel(), parts.ravel(), count * cells)
+    return np.asarray(sums.reshape(count, *parts.shape[1:]))
 
 
 def _spread(

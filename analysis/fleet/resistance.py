@@ -278,7 +278,11 @@ def fleet_resistance(table: pd.DataFrame) -> FleetResistance:
     >>> one.trips, bool(one.std(25.0) < found["FLIRT"]["another train"].std(25.0))
     (2, True)
     """
-    rows = drives_of(table)
+    return resistance_of_drives(drives_of(table))
+
+
+def resistance_of_drives(rows: pd.DataFrame) -> FleetResistance:
+    """The same of rows that `drives_of` made."""
     used = rows[rows["refused"] == ""]
     if used.empty:
         raise NotIdentifiableError(

@@ -16,7 +16,7 @@ from analysis.fleet.resistance import (
     KindResistance,
     TrainResistance,
     drives_of,
-    fleet_resistance,
+    resistance_of_drives,
 )
 from analysis.fleet.unlike import (
     FALSE_ALARMS,
@@ -337,7 +337,7 @@ def fleet_trains(
         If no trip determines a curve.
     """
     rows = joined(summaries, passports)
-    resistance = fleet_resistance(rows)
+    resistance = resistance_of_drives(rows)
     kinds = [(kind, trips_of(kind, rows)) for kind in resistance]
     unlike = unlike_trains(kinds, rate)
     drift = tuple(one for kind, trips in kinds for one in drift_of(kind, trips, unlike))

@@ -20,6 +20,7 @@ David, H. A., Nagaraja, H. N. (2003), Order Statistics, 3rd ed., eq. (2.1.3).
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -511,33 +512,43 @@ def _level(own: FloatArray, std: FloatArray, tail: float) -> tuple[float, float]
 def _changes(series: Series, own: FloatArray, std: FloatArray, days: FloatArray) -> FloatArray:
     """Least probability over the windows that end at each trip."""
     best = np.ones(own.size)
-    frame, sizes, when = pd.Series(own), pd.Series(std), pd.Series(days)
-    past = frame.rolling(BEFORE, min_periods=FEWEST_BEFORE).median()
-    count = frame.rolling(BEFORE, min_periods=1).count()
-    typical = sizes.rolling(BEFORE, min_periods=1).median()
-    centre = when.rolling(BEFORE, min_periods=1).mean()
+    if own.size < WINDOWS[0] + FEWEST_BEFORE:
+        return best
+    past, typical, centre = _medians(own, BEFORE), _medians(std, BEFORE), _means(days, BEFORE)
+    count = np.minimum(np.arange(1.0, own.size + 1.0), BEFORE)
     for window in WINDOWS:
         if own.size < window + FEWEST_BEFORE:
             break
-        level = past.shift(window).to_numpy()
-        size = sizes.rolling(window).median().to_numpy()
-        gap = (when.rolling(window).mean() - centre.shift(window)).to_numpy()
-        known = 0.5 * np.pi * typical.shift(window).to_numpy() ** 2 / count.shift(window).to_numpy()
-        apart = np.abs(frame.rolling(window).median().to_numpy() - level)
-        p = _median_beyond(
-            (apart - series.channel.tolerance) / size,
-            np.sqrt(known + series.wander * gap) / size,
-            window,
-            series.tail,
-        )
-        few = count.shift(window).to_numpy() < NORMAL_BEFORE
-        if few.any():
-            least = (apart[few] - series.channel.tolerance) / size[few]
-            scale = typical.shift(window).to_numpy()[few] / size[few]
-            before = count.shift(window).to_numpy()[few]
-            p[few] = _medians_apart(least, scale, before, window, series.tail)
-        best = np.fmin(best, p)
+        now = slice(window + FEWEST_BEFORE - 1, None)
+        earlier = slice(FEWEST_BEFORE - 1, own.size - window)
+        size, before = _medians(std, window)[now], count[earlier]
+        apart = np.abs(_medians(own, window)[now] - past[earlier]) - series.channel.tolerance
+        gap = _means(days, window)[now] - centre[earlier]
+        known = 0.5 * np.pi * typical[earlier] ** 2 / before
+        uncertain = np.sqrt(known + series.wander * gap)
+        p = _median_beyond(apart / size, uncertain / size, window, series.tail)
+        few = before < NORMAL_BEFORE
+        scale = typical[earlier] / size
+        p[few] = _medians_apart((apart / size)[few], scale[few], before[few], window, series.tail)
+        best[now] = np.minimum(best[now], p)
     return best
+
+
+def _medians(x: FloatArray, window: int) -> FloatArray:
+    """Median of the last values up to each, (n,): of so many, or of all that there are."""
+    before = np.concatenate([np.full(window - 1, np.inf), x])
+    ordered = np.sort(np.lib.stride_tricks.sliding_window_view(before, window), axis=1)
+    each = np.arange(x.size)
+    count = np.minimum(each + 1, window)
+    return np.asarray(0.5 * (ordered[each, (count - 1) // 2] + ordered[each, count // 2]))
+
+
+def _means(x: FloatArray, window: int) -> FloatArray:
+    """Mean of the last values up to each, (n,): of so many, or of all that there are."""
+    total = np.concatenate([np.zeros(window), np.cumsum(x)])
+    return np.asarray(
+        (total[window:] - total[:-window]) / np.minimum(np.arange(x.size) + 1, window)
+    )
 
 
 def _medians_apart(
@@ -549,10 +560,9 @@ def _medians_apart(
     all shares the least bound. The trips of the first deviate `scale` times as much.
     """
     share = _SHARES[:, None]
-    with np.errstate(invalid="ignore"):
-        after = _half_beyond(share * x, window, tail)
-        rest = _half_beyond((1.0 - share) * x / scale, before, tail)
-    best = np.fmin(np.fmin.reduce(after + rest, axis=0), 1.0)
+    after = _half_beyond(share * x, window, tail)
+    rest = _half_beyond((1.0 - share) * x / scale, before, tail)
+    best = np.minimum(np.min(after + rest, axis=0), 1.0)
     return np.where(x > 0.0, best, 1.0)
 
 
@@ -604,12 +614,17 @@ def _step_likelihood(own: FloatArray, std: FloatArray, tail: float) -> tuple[Flo
 def _least_change(series: Series, std: float, count: int, level: float) -> float:
     """Smallest change that is seen within five trips, with the probability `POWER`."""
     x = np.linspace(0.05, 60.0, 1200)
-    one = np.ones_like(x)
-    if count < NORMAL_BEFORE:
-        p = _medians_apart(x, one, count * one, 5, series.tail)
-    else:
-        p = _median_beyond(x, np.sqrt(0.5 * np.pi / count) * one, 5, series.tail)
-    seen = x[int(np.argmax(p < level))] if (p < level).any() else np.nan
+
+    def is_seen(place: int) -> bool:
+        here, one = x[place : place + 1], np.ones(1)
+        if count < NORMAL_BEFORE:
+            return bool(_medians_apart(here, one, count * one, 5, series.tail)[0] < level)
+        uncertain = np.sqrt(0.5 * np.pi / count) * one
+        return bool(_median_beyond(here, uncertain, 5, series.tail)[0] < level)
+
+    # The probability falls with the size of the change.
+    first = bisect_left(range(x.size), True, key=is_seen)
+    seen = x[first] if first < x.size else np.nan
     # The median of five trips is below its mean by this much in one case of ten.
     return float(series.channel.tolerance + std * (seen + 1.3 * np.sqrt(0.5 * np.pi / 5.0)))
 
