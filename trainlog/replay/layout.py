@@ -149,8 +149,8 @@ LEAST_MAP, TITLE = 90.0, 30.0
 CURSOR_HEIGHT, EVENTS_HEIGHT, ABOUT_HEIGHT = 190.0, 200.0, 260.0
 """Of the panels beside the plots, on a common screen [points]; what is left over they share."""
 
-Side = tuple[Any, float] | None
-"""A panel beside the plots and its height [points]; None where there is nothing to show."""
+Row = tuple[Any, float]
+"""A view and its height: relative to the other plots, or [points] of panels beside them."""
 
 
 MARGIN = 0.12
@@ -260,52 +260,45 @@ def _tabbed(pages: Sequence[Any], name: str) -> Any | None:
 
 def _page(trip: Shown, panels: tuple[str, ...], contents: Contents) -> Any:
     """Some panels of a trip, with lanes under the first; where it is, its events, particulars."""
-    rows, shares = _rows(trip, panels, DIFFERENCES.get(panels, 0))
-    place = _chart([trip], contents, trip.layer, SIDE_MAP)
-    side = [place, _cursor(trip), _events(trip), _about([trip])]
-    return _beside(rows, shares, side, trip.name)
-
-
-def _rows(trip: Shown, panels: Sequence[str], differences: int) -> tuple[list[Any], list[float]]:
-    """The panels that have something to show, differences and lanes; and their heights."""
-    rows, shares = [], []
-    for panel in trip.panels:
-        if panel.entity in panels and trip.shows(panel.entity):
-            rows.append(_panel(trip, panel))
-            shares.append(panel.share)
+    rows = [
+        (_panel(trip, panel), panel.share)
+        for panel in trip.panels
+        if panel.entity in panels and trip.shows(panel.entity)
+    ]
     at = min(1, len(rows))
-    if trip.reference:
-        for entity, title in _differences(trip.reference)[-differences:] if differences else ():
-            rows.insert(at, plot([f"{trip.root}/{entity}"], title))
-            shares.insert(at, 1.1)
-    _add_lanes(rows, shares, at, trip, tuple(LANES))
-    return rows, shares
+    differences = _differences(trip.reference) if trip.reference else ()
+    rows[at:at] = [
+        (plot([f"{trip.root}/{entity}"], title), 1.1)
+        for entity, title in differences[: DIFFERENCES.get(panels, 0)]
+    ]
+    _add_lanes(rows, at, trip, tuple(LANES))
+    place = _chart([trip], contents, trip.layer, SIDE_MAP)
+    return _beside(rows, [place, _cursor(trip), _events(trip), _about([trip])], trip.name)
 
 
 def _differences(reference: str) -> tuple[tuple[str, str], ...]:
-    """Entities of the differences and their titles, from the bottom to the top."""
+    """Entities of the differences and their titles, from the top down."""
     return (
-        (SLOWER, f"Speed minus that of {reference} [km/h]"),
         (BEHIND, f"Lateness against {reference} [s]: late above 0, early below"),
+        (SLOWER, f"Speed minus that of {reference} [km/h]"),
     )
 
 
-def _beside(rows: list[Any], shares: list[float], side: Sequence[Side], name: str) -> Any:
+def _stacked(rows: Sequence[Row], name: str | None = None) -> Any:
+    """Views below each other."""
+    views, heights = zip(*rows, strict=True)
+    return rrb.Vertical(*views, row_shares=list(heights), name=name)
+
+
+def _beside(rows: list[Row], side: Sequence[Row | None], name: str) -> Any:
     """Plots on the left, the rest on the right."""
     found = [each for each in side if each is not None]
-    views, heights = [view for view, _ in found], [height for _, height in found]
-    if not rows:
-        return rrb.Vertical(*views, name=name)
-    plots = rrb.Vertical(*rows, row_shares=shares)
-    if not found:
-        return rrb.Vertical(plots, name=name)
-    right = rrb.Vertical(*views, row_shares=heights)
-    return rrb.Horizontal(plots, right, column_shares=[2.6, 1.0], name=name)
+    if not (rows and found):
+        return rrb.Vertical(_stacked(rows), name=name) if rows else _stacked(found, name)
+    return rrb.Horizontal(_stacked(rows), _stacked(found), column_shares=[2.6, 1.0], name=name)
 
 
-def _add_lanes(
-    rows: list[Any], shares: list[float], at: int, trip: Shown, lanes: Sequence[str]
-) -> None:
+def _add_lanes(rows: list[Row], at: int, trip: Shown, lanes: Sequence[str]) -> None:
     """Put the lanes of a trip between the rows, as high as they need."""
     found = [lane for lane in lanes if trip.shows(lane)]
     if not found:
@@ -317,8 +310,8 @@ def _add_lanes(
         time_view=_axis(),
     )
     height = LANES_HEIGHT + LANE_HEIGHT * len(found)
-    rows.insert(at, view)
-    shares.insert(at, max(sum(shares), 1.0) * height / (COMMON_HEIGHT - height))
+    others = max(sum(share for _, share in rows), 1.0)
+    rows.insert(at, (view, others * height / (COMMON_HEIGHT - height)))
 
 
 def _panel(trip: Shown, panel: Panel) -> Any:
@@ -334,13 +327,12 @@ def _recorder(trip: Shown) -> Any | None:
     others = [each for each in trip.panels if each.beside and trip.shows(each.entity)]
     if not others:
         return None
-    rows = [_panel(trip, each) for each in others]
-    return rrb.Vertical(*rows, row_shares=[each.share for each in others], name=trip.name)
+    return _stacked([(_panel(trip, each), each.share) for each in others], trip.name)
 
 
 def _together(trips: Sequence[Shown], contents: Contents) -> Any:
     """Trips over each other, each direction apart: speeds, and differences to the reference."""
-    rows, shares = [], []
+    rows = list[Row]()
     named = len(trips) <= MOST_NAMED
     for direction in dict.fromkeys(trip.direction for trip in trips):
         group = [trip for trip in trips if trip.direction == direction]
@@ -355,29 +347,25 @@ def _together(trips: Sequence[Shown], contents: Contents) -> Any:
         if coloured:
             title = f"Speed {direction} [km/h]"
             drawn = [*coloured, *limits[:1], *plan]
-            rows.append(plot(drawn, title, top, coloured, legend=named))
-            shares.append(2.0)
+            rows.append((plot(drawn, title, top, coloured, legend=named), 2.0))
         for reference in dict.fromkeys(trip.reference for trip in group if trip.reference):
             compared = [trip for trip in group if trip.reference == reference]
-            for entity, title in reversed(_differences(reference)):
+            for entity, title in _differences(reference):
                 found = [f"{trip.root}/{entity}" for trip in compared if entity in trip.entities]
                 if found:
-                    rows.append(plot(found, title, legend=False))
-                    shares.append(1.2)
+                    rows.append((plot(found, title, legend=False), 1.2))
     first = next((trip for trip in trips if trip.shows("kilometre")), trips[0])
-    _add_lanes(rows, shares, len(rows), first, ("kilometre", "section"))
+    _add_lanes(rows, len(rows), first, ("kilometre", "section"))
     place = _chart(trips, contents, trips[0].layer, SIDE_MAP)
-    return _beside(rows, shares, [place, _cursor(first), _about(trips)], "All trips")
+    return _beside(rows, [place, _cursor(first), _about(trips)], "All trips")
 
 
 def _places(trips: Sequence[Shown], contents: Contents) -> Any | None:
     """The chart, large, and the maximum adhesion along each line; None without a place."""
-    rows: list[Any] = [
-        plot(
-            [f"{line}/maximum_adhesion/{path_of(layer)[1:]}/**" for layer in contents.layers],
-            "Maximum adhesion along the line, in its own direction [1]",
-            contents.adhesion,
-        )
+    title = "Maximum adhesion along the line, in its own direction [1]"
+    layers = [f"maximum_adhesion/{path_of(layer)[1:]}/**" for layer in contents.layers]
+    rows = [
+        (plot([f"{line}/{layer}" for layer in layers], title, contents.adhesion), 1.0)
         for line in dict.fromkeys(trip.line for trip in trips if trip.layer)
     ]
     layer = next((trip.layer for trip in trips if trip.layer), "")
@@ -385,16 +373,14 @@ def _places(trips: Sequence[Shown], contents: Contents) -> Any | None:
     if place is None and not rows:
         return None
     first = next((trip for trip in trips if trip.shows("cursor")), None)
-    shares = [1.0] * len(rows)
     if place is not None:
         view, height = place
-        rows.insert(0, view)
-        shares.insert(0, height * max(len(shares), 1) / (COMMON_HEIGHT - height))
-    side: list[Side] = [_about(trips)]
+        rows.insert(0, (view, height * max(len(rows), 1) / (COMMON_HEIGHT - height)))
+    side = [_about(trips)]
     if first is not None:
-        _add_lanes(rows, shares, len(rows), first, ("kilometre", "section"))
+        _add_lanes(rows, len(rows), first, ("kilometre", "section"))
         side = [_cursor(first), _events(first), *side]
-    return _beside(rows, shares, side, "Map")
+    return _beside(rows, side, "Map")
 
 
 def plot(
@@ -444,7 +430,7 @@ def _speed(trip: Shown) -> str:
 
 def _chart(
     trips: Sequence[Shown], contents: Contents, layer: str, size: tuple[float, float]
-) -> Side:
+) -> Row | None:
     """The line, the stations and the trains from above; None without a place.
 
     As high as it needs in its width, and at most as `size` has it.
@@ -486,7 +472,7 @@ def _zoom(extent: FloatArray, size: tuple[float, float]) -> float:
     return float(np.clip(levels.min(), 1.0, 18.0))
 
 
-def _events(trip: Shown) -> Side:
+def _events(trip: Shown) -> Row | None:
     if not trip.shows("events"):
         return None
     # Where the train was then the cursor's panel states; the texts need the width.
@@ -495,14 +481,14 @@ def _events(trip: Shown) -> Side:
     return view, EVENTS_HEIGHT
 
 
-def _cursor(trip: Shown) -> Side:
+def _cursor(trip: Shown) -> Row | None:
     if not trip.shows("cursor"):
         return None
     name = f"At the cursor: {trip.name}"
     return rrb.TextDocumentView(origin=f"{trip.root}/cursor", name=name), CURSOR_HEIGHT
 
 
-def _about(trips: Sequence[Shown]) -> Side:
+def _about(trips: Sequence[Shown]) -> Row | None:
     """Particulars of trips, of several one tab each."""
     views = [
         rrb.TextDocumentView(origin=f"{trip.root}/about", name=f"Trip {trip.name}")

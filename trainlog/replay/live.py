@@ -6,7 +6,6 @@ recording, or closed, samples are not drawn, and counted: the recording never wa
 
 from __future__ import annotations
 
-import os
 import queue
 import subprocess
 import threading
@@ -40,8 +39,7 @@ from trainlog.replay.viewer import (
     end_viewer,
     free_port,
     has_display,
-    offline,
-    viewer_command,
+    start_viewer,
     web_viewer,
 )
 from trainlog.resampling import POSITION_SOURCES, known_rows, time_distance
@@ -188,14 +186,7 @@ class LiveReplay:
                 "there is no display here to open a window on", remedy="draw to the browser"
             )
         port = free_port()
-        self._viewer = subprocess.Popen(
-            viewer_command("--hide-welcome-screen", "--port", str(port)),
-            env=offline(os.environ),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
+        self._viewer = start_viewer("--hide-welcome-screen", "--port", str(port))
         self._stream.connect_grpc(f"rerun+http://{HOST}:{port}/proxy")
         self.where = "the Rerun viewer shows the trip as it is recorded; it stays open"
         try:

@@ -22,7 +22,7 @@ from trainlog.replay.viewer import (
     end_viewer,
     free_port,
     offline,
-    viewer_command,
+    start_viewer,
 )
 from trainlog.units import NANOSECONDS
 
@@ -242,16 +242,12 @@ def _headless(
         log = Path(folder) / "log"
         window = f"{size[0]}x{size[1] + MENU}"
         with log.open("wb") as output, fed.open("rb") as source:
-            process = subprocess.Popen(
-                viewer_command(
-                    *("--headless", "--hide-welcome-screen", "--window-size", window),
-                    *("--port", str(port), *files),
-                ),
-                env=offline({"XDG_RUNTIME_DIR": folder, **os.environ}),
+            process = start_viewer(
+                *("--headless", "--hide-welcome-screen", "--window-size", window),
+                *("--port", str(port), *files),
+                environment=offline({"XDG_RUNTIME_DIR": folder, **os.environ}),
                 stdin=source,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
+                output=output,
             )
             try:
                 yield _connected(process, port, recording, log)

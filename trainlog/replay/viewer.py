@@ -175,6 +175,23 @@ def offline(environment: Mapping[str, str], *, tiles: bool = False) -> dict[str,
     return {**environment, **named, "CI": "true"}
 
 
+def start_viewer(
+    *arguments: str,
+    environment: Mapping[str, str] | None = None,
+    stdin: Any = subprocess.DEVNULL,
+    output: Any = subprocess.DEVNULL,
+) -> subprocess.Popen[bytes]:
+    """Start a viewer in a process group of its own, which asks for nothing on the network."""
+    return subprocess.Popen(
+        viewer_command(*arguments),
+        env=environment or offline(os.environ),
+        stdin=stdin,
+        stdout=output,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
+    )
+
+
 def viewer_command(*arguments: str) -> list[str]:
     """The command that starts the viewer of the installed Rerun, on this machine alone."""
     return [sys.executable, "-m", "rerun_cli", "--bind", HOST, *arguments]
@@ -224,15 +241,8 @@ def _existing(path: str | Path) -> Path:
 
 @contextmanager
 def _running(*arguments: str, tiles: bool = False) -> Iterator[subprocess.Popen[bytes]]:
-    """A viewer in a process group of its own, which ends with the block."""
-    process = subprocess.Popen(
-        viewer_command(*arguments),
-        env=offline(os.environ, tiles=tiles),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    """A viewer that ends with the block."""
+    process = start_viewer(*arguments, environment=offline(os.environ, tiles=tiles))
     try:
         yield process
     finally:
