@@ -52,7 +52,7 @@ trainlog.write_parquet(trip, folder / "oil")
 assert trainlog.read_parquet(folder / "oil")["/train/supply"].equals(trip["/train/supply"])
 
 (curve,) = [curve for curve in curves_of(trip) if curve.entity == "oil"]
-assert round(curve.strokes[0].scale) == 60_000 and not curve.held
+assert round(curve.scales[0]) == 60_000 and not curve.held
 assert [panel.title for panel in panels_of(trip) if panel.entity == "oil"] == ["Oil [l/min]"]
 assert "| `oil_flow` | m^3/s |" in topics_table() and "0 to 1200 l/min" in topics_table()
 """

@@ -275,8 +275,8 @@ def replay(
             say(f"compared along the line with {', '.join(made.references)}")
         if in_words and made.thinned:
             say(
-                f"{counted(len(made.trips), 'trip')}, thinned: of each 10 m or 0.4 s the lowest and"
-                " the highest speed; every sample with --km, --from, --to, --full, or fewer trips"
+                f"{counted(len(made.trips), 'trip')}, thinned: of each 0.4 s the lowest and the"
+                " highest speed; every sample with --km, --from, --to, --full, or fewer trips"
             )
         if saved is not None:
             wrote(saved)

@@ -6,9 +6,10 @@ value is held between samples, is in the table of topics (`trainlog.topics.Drawn
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
-from trainlog.topics import RECORDED, TOPICS, Drawn, Field, Topic, topic_of_frame
+from trainlog.topics import RECORDED, TOPICS, Topic, topic_of_frame
 from trainlog.trip import Trip
 from trainlog.units import factor
 
@@ -60,39 +61,23 @@ PHASES: dict[str, Colour] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Stroke:
-    """One field of a topic as a line; a field ``per_axle`` gives one line an axle or coupler.
-
-    Attributes
-    ----------
-    field : str
-    name : str
-        Legend; lines of one name share an entry. Axles with ``{}`` in it, for the axle's number,
-        each have their own entry and one of the colours `AXLES`.
-    colour : Colour
-    scale, offset : float
-        What is shown is ``scale`` times the stored value, plus ``offset``.
-    """
-
-    field: str
-    name: str
-    colour: Colour
-    scale: float = 1.0
-    offset: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
 class Curve:
-    """Lines that share a topic, hence a clock.
+    """Lines that share a topic, hence a clock: one a field, or one an axle or coupler of a field.
 
     Attributes
     ----------
     entity : str
         Where it is kept below its trip; the first part is its panel.
     topic : Topic
-    strokes : tuple of Stroke
-    std : str or None
-        Field with the standard deviation: a band of one deviation either side.
+    fields : tuple of str
+    names : tuple of str
+        Legend; lines of one name share an entry. Axles with ``{}`` in it, for the axle's number,
+        each have their own entry and one of the colours `AXLES`.
+    colours : tuple of Colour
+    scales, offsets : tuple of float
+        What is shown is the scale times the stored value, plus the offset.
+    std : str
+        Field with the standard deviation: a band of one deviation either side; none if empty.
     magnitude : bool
         Shown without its sign.
     width : float
@@ -101,8 +86,12 @@ class Curve:
 
     entity: str
     topic: Topic
-    strokes: tuple[Stroke, ...]
-    std: str | None = None
+    fields: tuple[str, ...]
+    names: tuple[str, ...]
+    colours: tuple[Colour, ...]
+    scales: tuple[float, ...] = (1.0,)
+    offsets: tuple[float, ...] = (0.0,)
+    std: str = ""
     magnitude: bool = False
     width: float = 1.5
 
@@ -114,34 +103,36 @@ class Curve:
     @property
     def held(self) -> bool:
         """Whether a value holds until the next sample."""
-        rules = {self.topic.field(stroke.field).interpolation for stroke in self.strokes}
-        return rules == {"previous"}
+        return {self.topic.field(name).interpolation for name in self.fields} == {"previous"}
 
     @property
     def per_axle(self) -> bool:
         """Whether there is one line an axle."""
-        return self.topic.field(self.strokes[0].field).per_axle
+        return self.topic.field(self.fields[0]).per_axle
 
 
-def _stroke(field: Field, drawn: Drawn) -> Stroke:
-    """A field in its usual unit."""
-    slope, offset = factor(field.usual_unit, field.unit)
-    scale = round(1.0 / slope, 9) * (-1.0 if drawn.down else 1.0)
-    return Stroke(field.name, drawn.legend, COLOURS[drawn.colour], scale, -offset * scale)
-
-
-def _curves(topic: Topic) -> list[Curve]:
+def _curves(topic: Topic) -> Iterator[Curve]:
     """The curves of a topic: fields that are drawn under the same name are one."""
-    groups: dict[str, list[tuple[Field, Drawn]]] = {}
-    for field in topic.fields:
-        if field.drawn is not None:
-            groups.setdefault(field.drawn.curve, []).append((field, field.drawn))
-    found = []
-    for entity, fields in groups.items():
-        strokes = tuple(_stroke(field, drawn) for field, drawn in fields)
-        first = fields[0][1]
-        found.append(Curve(entity, topic, strokes, first.std or None, first.magnitude, first.width))
-    return found
+    drawn = [(field, field.drawn) for field in topic.fields if field.drawn is not None]
+    for entity in dict.fromkeys(how.curve for _, how in drawn):
+        fields, styles = zip(*(each for each in drawn if each[1].curve == entity), strict=True)
+        units = [factor(field.usual_unit, field.unit) for field in fields]
+        signs = [-1.0 if how.down else 1.0 for how in styles]
+        scales = [
+            round(1.0 / slope, 9) * sign for (slope, _), sign in zip(units, signs, strict=True)
+        ]
+        yield Curve(
+            entity,
+            topic,
+            tuple(field.name for field in fields),
+            tuple(how.legend for how in styles),
+            tuple(COLOURS[how.colour] for how in styles),
+            tuple(scales),
+            tuple(-offset * scale for (_, offset), scale in zip(units, scales, strict=True)),
+            styles[0].std,
+            styles[0].magnitude,
+            styles[0].width,
+        )
 
 
 CURVES: tuple[Curve, ...] = tuple(curve for topic in TOPICS.values() for curve in _curves(topic))
@@ -197,7 +188,7 @@ def _further_panels() -> tuple[Panel, ...]:
     """Panels that curves name and `PANELS` does not list: titled by name and unit."""
     listed = {panel.entity for panel in PANELS}
     units = {
-        curve.panel: curve.topic.field(curve.strokes[0].field).usual_unit
+        curve.panel: curve.topic.field(curve.fields[0]).usual_unit
         for curve in CURVES
         if curve.panel not in listed
     }
@@ -213,10 +204,10 @@ def curves_of(trip: Trip) -> tuple[Curve, ...]:
     units = _units(own)
     curves = []
     for number, (topic, name) in enumerate(own):
-        stroke = Stroke(name, name.replace("_", " "), TRIPS[number % len(TRIPS)])
         panel = f"recorded_{units.index(topic.field(name).unit) + 1}"
         entity = f"{panel}/{topic.name.removeprefix(RECORDED)}/{name}"
-        curves.append(Curve(entity, topic, (stroke,)))
+        colour = TRIPS[number % len(TRIPS)]
+        curves.append(Curve(entity, topic, (name,), (name.replace("_", " "),), (colour,)))
     return CURVES + tuple(curves)
 
 
@@ -243,11 +234,11 @@ def _units(fields: list[tuple[Topic, str]]) -> list[str]:
 
 def legend(curve: Curve, lines: int) -> tuple[list[str], list[Colour]]:
     """Name and colour of each of `lines` lines of a curve."""
-    if curve.per_axle:
-        (stroke,) = curve.strokes
-        apart = "{}" in stroke.name
-        return (
-            [stroke.name.format(axle) for axle in range(1, lines + 1)],
-            [AXLES[axle % len(AXLES)] if apart else stroke.colour for axle in range(lines)],
-        )
-    return [stroke.name for stroke in curve.strokes], [stroke.colour for stroke in curve.strokes]
+    if not curve.per_axle:
+        return list(curve.names), list(curve.colours)
+    (name,), (colour,) = curve.names, curve.colours
+    apart = "{}" in name
+    return (
+        [name.format(axle) for axle in range(1, lines + 1)],
+        [AXLES[axle % len(AXLES)] if apart else colour for axle in range(lines)],
+    )

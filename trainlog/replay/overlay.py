@@ -1,7 +1,7 @@
 """Trips over each other by position: how far each is behind a reference, and how much slower.
 
-Also how trips are thinned where there are too many to draw every sample: of each piece of the line,
-and of each moment of a stop, the rows with the lowest and the highest speed remain.
+Also how trips are thinned where there are too many to draw every sample: of each moment the rows
+with the lowest and the highest speed remain.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from inspect import signature
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -20,13 +19,12 @@ import pandas as pd
 from trainlog.arrays import FloatArray, IntArray
 from trainlog.errors import InputError
 from trainlog.railway import Trajectory
-from trainlog.replay.clock import Clock, Instants, Nanoseconds
+from trainlog.replay.clock import Clock, Instants
 from trainlog.replay.curves import Colour
 from trainlog.replay.samples import Samples, changes, send_curve
 from trainlog.replay.survey import GRID_STEP, Pieces, Survey, survey
 from trainlog.resampling import (
     OnGrid,
-    TimeDistance,
     difference,
     grid_over,
     known_rows,
@@ -52,8 +50,8 @@ SATELLITES: dict[str, list[str]] = {
 }
 """What is read besides of a trip without line, or without speed of its own."""
 
-PIECE_LENGTH, PIECE_TIME = 10.0, 400_000_000
-"""Of each such piece of the line [m], and of each such moment [ns], two samples remain."""
+MOMENT = 400_000_000
+"""Of each such moment [ns] two samples remain."""
 
 RARE = 10 * NANOSECONDS
 """How often a satellite fix of a thinned trip remains [ns]."""
@@ -199,16 +197,8 @@ def thinned_trips(sources: Sequence[Pieces]) -> Iterator[tuple[Survey, Trip]]:
     LogError
         If a trip holds no samples, or cannot be read.
     """
-    threads = min(4, os.cpu_count() or 1)
-    with ThreadPoolExecutor(threads) as pool:
-        waiting = iter(sources)
-        running = [pool.submit(_thinned, each) for each in islice(waiting, threads + 1)]
-        try:
-            while running:
-                yield running.pop(0).result()
-                running += [pool.submit(_thinned, each) for each in islice(waiting, 1)]
-        finally:
-            pool.shutdown(cancel_futures=True)
+    with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
+        yield from pool.map(_thinned, sources)
 
 
 def _thinned(source: Pieces) -> tuple[Survey, Trip]:
@@ -216,7 +206,7 @@ def _thinned(source: Pieces) -> tuple[Survey, Trip]:
     if not (LINE_ATTACHMENT in pieces[0].attachments and any(map(_knows_speed, pieces))):
         pieces = list(_part(source, OVERVIEW | SATELLITES))
     known = survey(lambda: pieces)
-    parts = [thinned_trip(piece, known.clock) for piece in pieces]
+    parts = list(map(thinned_trip, pieces))
     topics = {
         name: _joined([part[name] for part in parts if name in part])
         for name in dict.fromkeys(name for part in parts for name in part)
@@ -238,7 +228,7 @@ def _part(source: Pieces, wanted: dict[str, list[str]]) -> Iterator[Trip]:
         yield replace(piece, topics=topics)
 
 
-def thinned_trip(trip: Trip, clock: TimeDistance) -> Trip:
+def thinned_trip(trip: Trip) -> Trip:
     """What remains of a trip, or of a piece of one, where there are too many to draw all."""
     topics = {}
     for name, frame in trip.topics.items():
@@ -249,23 +239,15 @@ def thinned_trip(trip: Trip, clock: TimeDistance) -> Trip:
             kept = np.unique(time // RARE, return_index=True)[1]
         elif name == ENVIRONMENT.name:
             # Rows far apart would be taken for a gap.
-            each = np.unique(time // PIECE_TIME, return_index=True)[1]
+            each = np.unique(time // MOMENT, return_index=True)[1]
             kept = np.union1d(changes(frame.to_numpy(dtype=np.float64)), each)
         else:
-            speed = frame["speed"].to_numpy(dtype=np.float64)
-            kept = extremes(speed, pieces_at(time, clock.position_at(time)))
+            kept = extremes(frame["speed"].to_numpy(dtype=np.float64), time // MOMENT)
         topics[name] = frame.iloc[kept]
         topics[name].attrs = frame.attrs
     if TRAIN_STATE.name in topics and np.isfinite(topics[TRAIN_STATE.name]["speed"]).any():
         topics.pop(GNSS_MOTION.name, None)
     return replace(trip, topics=topics)
-
-
-def pieces_at(time: Nanoseconds, position: FloatArray) -> IntArray:
-    """Number of the piece of line and time that each sample is in, never decreasing; (n,)."""
-    place, moment = np.floor(position / PIECE_LENGTH), time // PIECE_TIME
-    changed = (np.diff(place) != 0.0) | (np.diff(moment) != 0)
-    return np.concatenate(([0], np.cumsum(changed))).astype(np.int64)
 
 
 def extremes(values: FloatArray, piece: IntArray) -> IntArray:
@@ -306,11 +288,10 @@ def _joined(frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
 
 
 def _thinned_clock(clock: Clock) -> Clock:
-    """The clock at the ends of pieces, between which it is a line to within a piece's length."""
+    """The clock at the ends of moments, in which it is nearly a line."""
     if clock.time.size == 0:
         return clock
-    piece = pieces_at(clock.time, clock.position)
-    begins = np.flatnonzero(np.concatenate(([True], np.diff(piece) != 0)))
+    begins = np.unique(clock.time // MOMENT, return_index=True)[1]
     kept = np.unique(np.concatenate((begins, begins[1:] - 1, [clock.time.size - 1])))
     return Clock(clock.start, clock.time[kept], clock.position[kept])
 

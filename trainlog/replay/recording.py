@@ -53,8 +53,8 @@ class ReplayOptions:
         Number of the trip with which the others are compared by position. Default: the trajectory
         if there is one, else the first trip of each line and direction.
     thinned : bool or None
-        Only the overview, with the lowest and the highest speed of each 10 m of the line and each
-        0.4 s. Default: of more than 16 trips.
+        Only the overview, with the lowest and the highest speed of each 0.4 s. Default: of more
+        than 16 trips.
     tiles : bool
         Places over the tiles of a map that the viewer asks a server for, instead of on a plan.
     line : Line or None

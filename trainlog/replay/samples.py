@@ -75,10 +75,7 @@ class Pen:
         if values is None or not (self._begun or np.isfinite(values).any()):
             return None
         frame = trip[curve.topic.name]
-        variances = None
-        if curve.std is not None:
-            scale = [stroke.scale for stroke in curve.strokes]
-            variances = (_block(frame, [curve.std]) * scale) ** 2
+        variances = (_block(frame, [curve.std]) * curve.scales) ** 2 if curve.std else None
         points = Samples(nanoseconds(frame), values, variances)
         if self._longest is None:
             self._longest = longest_pause(points.time)
@@ -95,8 +92,7 @@ def shown_values(curve: Curve, trip: Trip) -> FloatArray | None:
     names = _columns(curve, frame)
     if not names:
         return None
-    values = _block(frame, names) * [stroke.scale for stroke in curve.strokes]
-    values += [stroke.offset for stroke in curve.strokes]
+    values = _block(frame, names) * curve.scales + curve.offsets
     return np.abs(values) if curve.magnitude else values
 
 
@@ -223,8 +219,8 @@ def _pulls(frame: pd.DataFrame) -> tuple[FloatArray, ...]:
 
 def _columns(curve: Curve, frame: pd.DataFrame) -> list[str]:
     if not curve.per_axle:
-        return [stroke.field for stroke in curve.strokes]
-    prefix = f"{curve.strokes[0].field}_"
+        return list(curve.fields)
+    prefix = f"{curve.fields[0]}_"
     return [name for name in frame.columns if name.startswith(prefix)]
 
 
@@ -289,23 +285,14 @@ def send_curve(
 
 def send_samples(recording: Any, entity: str, instants: Instants, points: Samples) -> None:
     """Send further points of a curve."""
-    variances = points.variances
-    if variances is None:
-        send_rows(
-            recording,
-            entity,
-            instants,
-            lambda rows: rr.Scalars.columns(scalars=_rows(points.ordinates[rows])),
-        )
-        return
-    send_rows(
-        recording,
-        entity,
-        instants,
-        lambda rows: rr.Measurements.columns(
-            values=_rows(points.ordinates[rows]), variances=_rows(variances[rows])
-        ),
-    )
+
+    def columns(rows: slice) -> Any:
+        values = _rows(points.ordinates[rows])
+        if points.variances is None:
+            return rr.Scalars.columns(scalars=values)
+        return rr.Measurements.columns(values=values, variances=_rows(points.variances[rows]))
+
+    send_rows(recording, entity, instants, columns)
 
 
 def send_dots(

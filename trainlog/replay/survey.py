@@ -11,6 +11,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
@@ -200,37 +201,20 @@ def neighboured(pieces: Iterable[Trip]) -> Iterator[tuple[Trip, pd.DataFrame | N
     What is read between two samples of the train's state then has no seams.
     """
     before: pd.DataFrame | None = None
-    waiting: Trip | None = None
-    for piece in pieces:
-        if waiting is not None:
-            yield waiting, _state(before, waiting, piece)
-            before = _last_state(before, waiting)
-        waiting = piece
-    if waiting is not None:
-        yield waiting, _state(before, waiting, None)
-
-
-def _state(before: pd.DataFrame | None, piece: Trip, after: Trip | None) -> pd.DataFrame | None:
-    name = TRAIN_STATE.name
-    if name not in piece:
-        return None
-    frame = piece[name]
-    parts = [
-        part
-        for part in (before, frame, None if after is None else after[name].iloc[:1])
-        if part is not None and len(part)
-    ]
-    if len(parts) < 2:
-        return parts[0] if parts else frame
-    joined = pd.concat(parts)
-    joined.attrs = frame.attrs
-    return joined
-
-
-def _last_state(before: pd.DataFrame | None, piece: Trip) -> pd.DataFrame | None:
-    if TRAIN_STATE.name not in piece or piece[TRAIN_STATE.name].empty:
-        return before
-    return piece[TRAIN_STATE.name].iloc[-1:]
+    for piece, after in pairwise(chain(pieces, [None])):
+        assert piece is not None
+        state, behind = (
+            None if each is None else each.topics.get(TRAIN_STATE.name) for each in (piece, after)
+        )
+        if state is None:
+            yield piece, None
+            continue
+        around = (before, state, None if behind is None else behind.iloc[:1])
+        parts = [part for part in around if part is not None and len(part)]
+        joined = pd.concat(parts) if len(parts) > 1 else parts[0] if parts else state
+        joined.attrs = state.attrs
+        yield piece, joined
+        before = state.iloc[-1:] if len(state) else before
 
 
 def _digest(digest: Any, piece: Trip) -> None:

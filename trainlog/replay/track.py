@@ -224,35 +224,31 @@ class Whereabouts:
     ) -> list[str]:
         """What is written at each position [m], speed [m/s] and lateness [s]; Markdown."""
         line = self._line
-        kilometre = in_km(line, position)
-        speeds = [
-            "speed not known" if np.isnan(each) else f"{each:.1f} km/h"
-            for each in (KMH * speed).tolist()
-        ]
-        heads = [
-            f"# km {place:.3f}\n\n## {shown}"
-            for place, shown in zip(kilometre.tolist(), speeds, strict=True)
+        columns = [
+            [f"# km {each:.3f}" for each in in_km(line, position).tolist()],
+            [
+                "## speed not known" if np.isnan(each) else f"## {each:.1f} km/h"
+                for each in (KMH * speed).tolist()
+            ],
         ]
         if late is not None:
-            heads = [
-                head if np.isnan(each) else f"{head}\n\n{signed_lateness(each)}"
-                for head, each in zip(heads, late.tolist(), strict=True)
-            ]
-        if line is None:
-            return heads
-        inside = np.clip(position, 0.0, line.length)
-        limits, slopes = KMH * line.speed_limit(inside), PER_MILLE * line.gradient(inside)
-        names: list[str] = [""] * position.size
-        if len(line.stations) > 1:
-            stations = np.sort([each.position for each in line.stations])
-            titles = section_names(line)
-            names = [f"\n\n{titles[row + 1]}" for row in section_of(stations, position).tolist()]
-        return [
-            f"{head}\n\nlimit {limit:.0f} km/h, gradient {slope:+.1f} ‰{name}"
-            for head, limit, slope, name in zip(
-                heads, limits.tolist(), slopes.tolist(), names, strict=True
+            columns.append(
+                ["" if np.isnan(each) else signed_lateness(each) for each in late.tolist()]
             )
-        ]
+        if line is not None:
+            inside = np.clip(position, 0.0, line.length)
+            limits, slopes = KMH * line.speed_limit(inside), PER_MILLE * line.gradient(inside)
+            columns.append(
+                [
+                    f"limit {limit:.0f} km/h, gradient {slope:+.1f} ‰"
+                    for limit, slope in zip(limits.tolist(), slopes.tolist(), strict=True)
+                ]
+            )
+            if len(line.stations) > 1:
+                stations = np.sort([each.position for each in line.stations])
+                titles = section_names(line)
+                columns.append([titles[row + 1] for row in section_of(stations, position).tolist()])
+        return ["\n\n".join(filter(None, each)) for each in zip(*columns, strict=True)]
 
 
 def signed_lateness(seconds: float) -> str:
