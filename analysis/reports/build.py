@@ -36,20 +36,17 @@ from analysis.reports.results import (
     study_sections,
     trajectory_sections,
 )
-from analysis.reports.summary import copies_in, report
+from analysis.reports.summary import content_of, copies_in, report, results_in
 from analysis.reports.trip import Motion, Zone, recorded_trip, trip_sections
 from trainlog import __version__
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.files import (
-    beginning,
     check_kind,
-    is_map,
     logs_of,
     read_bytes,
     sha256,
     sha256_of,
-    stated_format,
     to_bytes,
 )
 from trainlog.formats.mapfile import MapFile
@@ -67,9 +64,6 @@ MOST_DETAILED = 4
 
 MOST_DRAWN = 40
 """Trips whose speeds one chart shows."""
-
-_SHOWN = ("parameters", "trajectory", "coast-down")
-"""Formats of JSON files that a report shows."""
 
 
 @dataclass(frozen=True)
@@ -144,20 +138,26 @@ def report_page(source: Path, options: ReportOptions) -> Page:
     else:
         kind = kind_of(source)
         sections = _collected(source, kind, options)
-        title = f"{_TITLES[kind]}: {source.stem}"
+        title = f"{KINDS[kind][0]}: {source.stem}"
         page = Page(title, "", [*sections, _origin([source], options, source)])
     if find_spec("bokeh") is None:
         return replace(page, subtitle=WITHOUT_BOKEH)
     return page
 
 
-_TITLES = {
-    "trip": "Trip",
-    "map": "Track-condition map",
-    "parameters": "Running resistance",
-    "trajectory": "Trajectory",
-    "coast-down": "Coast-down",
+KINDS: dict[str, tuple[str, Callable[[Path, ReportOptions], list[Section]]]] = {
+    "parameters": (
+        "Running resistance",
+        lambda path, options: fit_sections(
+            path, [log for each in options.logs for log in logs_of(each)]
+        ),
+    ),
+    "coast-down": ("Coast-down", lambda path, _: coast_down_sections(path)),
+    "map": ("Track-condition map", lambda path, options: map_sections(path, options.line)),
+    "trajectory": ("Trajectory", lambda path, options: trajectory_sections(path, options.line)),
+    "trip": ("Trip", lambda path, options: trip_sections(path, options.zone)),
 }
+"""Of each kind of result its title, and what makes its sections."""
 
 
 def kind_of(path: Path) -> str:
@@ -176,13 +176,8 @@ def kind_of(path: Path) -> str:
     Traceback (most recent call last):
     trainlog.errors.InputError: sample_logs/README.md: is no result...
     """
-    start = beginning(path)
-    if start.startswith(b"\x89MCAP") or path.suffix == ".mcap":
-        return "trip"
-    if is_map(start) or path.suffix == ".map":
-        return "map"
-    what = stated_format(start).removeprefix("trainlog/")
-    if what in _SHOWN:
+    what = content_of(path)
+    if what in KINDS:
         return what
     raise InputError(
         f"is no result that a report shows{f' but a {what} file' if what else ''}",
@@ -191,25 +186,12 @@ def kind_of(path: Path) -> str:
     )
 
 
-def _sections_of(path: Path, kind: str, options: ReportOptions) -> list[Section]:
-    if kind == "trip":
-        return trip_sections(path, options.zone)
-    if kind == "map":
-        return map_sections(path, options.line)
-    if kind == "parameters":
-        logs = [log for each in options.logs for log in logs_of(each)]
-        return fit_sections(path, logs)
-    if kind == "trajectory":
-        return trajectory_sections(path, options.line)
-    return coast_down_sections(path)
-
-
 def _collected(path: Path, kind: str, options: ReportOptions) -> list[Section]:
     """The sections of a file, and what was warned of while they were made."""
     note(path.name)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        sections = _sections_of(path, kind, options)
+        sections = KINDS[kind][1](path, options)
     said = dict.fromkeys(
         str(each.message) for each in caught if issubclass(each.category, UserWarning)
     )
@@ -230,26 +212,36 @@ def _folder_page(folder: Path, options: ReportOptions) -> Page:
         sections = study_sections(folder)
         files = [folder / TABLES, *sorted(folder.glob("*.mcap"))]
         return Page(f"Study: {folder.name}", "", [*sections, _origin(files, options, folder)])
-    found = _Folder.of(folder)
+    inner = sorted(path for path in folder.iterdir() if path.is_dir())
+    studies = [path for path in inner if (path / TABLES).is_file()]
+    every = {
+        _name(path, folder): tuple(sorted(path.glob("*.mcap")))
+        for path in (folder, *inner)
+        if path not in studies
+    }
+    groups = {name: logs for name, logs in every.items() if logs}
     sections, problems, used = list[Section](), dict[str, str](), list[Path]()
-    driven = list[_Driven]()
-    for kind, path in found.results:
-        name = _name(path, folder)
+    driven, results = list[_Driven](), results_in(folder)
+    apart = [each for each in KINDS if each != "trip"]
+    for kind, path in ((each, path) for each in apart for path in results.get(each, ())):
+        name, own = path.name, options
+        if kind == "parameters" and not options.logs:
+            # The logs in ``trips`` are what it was fitted to.
+            own = replace(options, logs=groups.get("trips", ()))
         try:
-            own = _own_options(kind, found, options)
             parts = _collected(path, kind, own)
         except TrainlogError as error:
             problems[name] = _reason(error, path)
             continue
         used.append(path)
-        sections.append(Section(f"{_TITLES[kind]}: {name}", parts, whole_page=True))
-    detailed = sum(map(len, found.logs.values())) <= MOST_DETAILED
-    for group, logs in found.logs.items():
+        sections.append(Section(f"{KINDS[kind][0]}: {name}", parts, whole_page=True))
+    detailed = sum(map(len, groups.values())) <= MOST_DETAILED
+    for group, logs in groups.items():
         section = _trips(group, logs, folder, options, (problems, driven), detailed=detailed)
         if section is not None:
             used += [log for log in logs if _name(log, folder) not in problems]
             sections.append(section)
-    for study in found.studies:
+    for study in studies:
         note(study.name)
         parts = study_sections(study)
         sections.append(Section(f"Study: {_name(study, folder)}", parts, whole_page=True))
@@ -263,40 +255,10 @@ def _folder_page(folder: Path, options: ReportOptions) -> Page:
             " shown, in the folder and in those in it",
         )
     summary = _folder_summary(folder, driven)
-    first = replace(summary, parts=[*_bad(problems), *summary.parts, *_saved(found)])
-    every = [first, *sections, _origin(used, options, folder)]
+    first = replace(summary, parts=[*_bad(problems), *summary.parts, *_saved(groups)])
     stated = tuple(f"{name}: {words}" for name, words in problems.items())
-    return Page(f"Results: {folder.resolve().name}", "", every, stated)
-
-
-@dataclass(frozen=True)
-class _Folder:
-    """What a folder holds that a report shows: results, logs by their folder, studies."""
-
-    results: tuple[tuple[str, Path], ...]
-    logs: Mapping[str, tuple[Path, ...]]
-    studies: tuple[Path, ...]
-
-    @staticmethod
-    def of(folder: Path) -> _Folder:
-        inner = sorted(path for path in folder.iterdir() if path.is_dir())
-        studies = tuple(path for path in inner if (path / TABLES).is_file())
-        plain = [path for path in (folder, *inner) if path not in studies]
-        results = []
-        for kind in ("parameters", "coast-down", "map", "trajectory"):
-            files = [
-                each for path in plain[:1] for each in sorted(path.iterdir()) if each.is_file()
-            ]
-            results += [(kind, path) for path in files if _kind_or_none(path) == kind]
-        logs = {_name(path, folder): tuple(sorted(path.glob("*.mcap"))) for path in plain}
-        return _Folder(tuple(results), {name: each for name, each in logs.items() if each}, studies)
-
-
-def _kind_or_none(path: Path) -> str | None:
-    try:
-        return kind_of(path)
-    except TrainlogError:
-        return None
+    shown = [first, *sections, _origin(used, options, folder)]
+    return Page(f"Results: {folder.resolve().name}", "", shown, stated)
 
 
 def _name(path: Path, folder: Path) -> str:
@@ -304,13 +266,6 @@ def _name(path: Path, folder: Path) -> str:
         return path.name
     relative = path.relative_to(folder)
     return str(relative) if relative.parts else "trips"
-
-
-def _own_options(kind: str, found: _Folder, options: ReportOptions) -> ReportOptions:
-    """For a fit the logs in ``trips`` are what it was fitted to, unless others are given."""
-    if kind != "parameters" or options.logs or "trips" not in found.logs:
-        return options
-    return ReportOptions(options.line, found.logs["trips"], options.zone)
 
 
 def _reason(error: TrainlogError, path: Path) -> str:
@@ -400,13 +355,13 @@ def _folder_summary(folder: Path, trips: Sequence[_Driven]) -> Section:
     return summary_section(said["driven"], recording, said["slippery"], said["cost"], steps)
 
 
-def _saved(found: _Folder) -> list[Part]:
+def _saved(groups: Mapping[str, Sequence[Path]]) -> list[Part]:
     """Drivers' trips against those that followed, where there are both."""
-    if not {"trips", "driven"} <= set(found.logs):
+    if not {"trips", "driven"} <= set(groups):
         return []
     note("comparison")
     try:
-        return [*compare_groups(found.logs["trips"], found.logs["driven"]).shown()]
+        return [*compare_groups(groups["trips"], groups["driven"]).shown()]
     except TrainlogError as error:
         return [f"Trips and followed trips were not compared: {error}."]
 
@@ -523,34 +478,29 @@ def _origin(files: Sequence[Path], options: ReportOptions, source: Path) -> Sect
         )
         if value
     )
-    name = shlex.quote(source.resolve().name)
-    folder = source if source.is_dir() else source.parent
-    return origin(files, folder, f"trainlog report {name}{given} -o report.html")
-
-
-def origin(files: Sequence[Path], folder: Path, command: str) -> Section:
-    """Files with their digests, what they were made of, and the commands, of which one is given."""
     note("provenance")
+    folder = source if source.is_dir() else source.parent
     table = new_table("Files shown", "file", "bytes", "SHA-256")
-    heads = ("file", "step", "software", "input or setting", "value")
-    steps = new_table("What they were made of", *heads)
+    steps = new_table("What they were made of", "file", "step", "software", "inputs and settings")
     made_by: dict[str, list[str]] = {}
     for number, path in enumerate(files):
-        table.add_row(_name(path, folder), f"{path.stat().st_size}", sha256_of(path))
+        name = _name(path, folder)
+        table.add_row(name, f"{path.stat().st_size}", sha256_of(path))
         for step in _steps(path):
-            name = str(step.get("step", ""))
-            made_by.setdefault(name, []).append(_name(path, folder))
-            about = (_name(path, folder), name, str(step.get("software", "")))
-            settings = _settings({k: v for k, v in step.items() if k not in UNLISTED})
-            for setting in (settings or [("", "")]) if number < MOST_TRACED else ():
-                steps.add_row(*about, *setting)
-                about = ("", "", "")
+            what = str(step.get("step", ""))
+            made_by.setdefault(what, []).append(name)
+            if number < MOST_TRACED:
+                about = {key: each for key, each in step.items() if key not in UNLISTED}
+                steps.add_row(name, what, str(step.get("software", "")), _brief(about, "\n"))
     if len(files) > MOST_TRACED:
         steps.caption = f"{len(files) - MOST_TRACED} more files; 'trainlog show' states theirs"
     commands = [
-        _COMMANDS[name].format(_some(made)) for name, made in made_by.items() if name in _COMMANDS
+        _COMMANDS[name].format(names[0] + (f" and {len(names) - 1} more" * (len(names) > 1)))
+        for name, names in made_by.items()
+        if name in _COMMANDS
     ]
-    commands.append(command)
+    name = shlex.quote(source.resolve().name)
+    commands.append(f"trainlog report {name}{given} -o report.html")
     parts: list[Part] = [table, *([steps] if steps.rows else [])]
     parts.append("Commands, without the options that the files do not state:")
     parts.append(Commands(tuple(commands)))
@@ -596,34 +546,17 @@ MOST_TRACED = 12
 """Files whose steps of provenance are listed one by one."""
 
 
-def _some(names: Sequence[str]) -> str:
-    return names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "")
-
-
 UNLISTED = ("step", "software", "report")
 """Of a step of provenance."""
 
 
-def _settings(step: Mapping[str, Any], of: str = "") -> list[tuple[str, str]]:
-    """Names and values of inputs and settings; of many in one the first, digests by their begin."""
-    rows = list[tuple[str, str]]()
-    for name, value in step.items():
-        if isinstance(value, Mapping):
-            inner = _settings(value, f"{of}{name}, ")
-            rows += inner[:_MOST_NAMED]
-            more = len(inner) - _MOST_NAMED
-            rows += [(f"{of}{name}", f"and {more} more")] * (more > 0)
-        elif isinstance(value, list | tuple):
-            words = [_brief(each) for each in value[:_MOST_NAMED]]
-            more = len(value) - _MOST_NAMED
-            rows.append((f"{of}{name}", ", ".join(words) + f" and {more} more" * (more > 0)))
-        elif value is not None:
-            rows.append((f"{of}{name}", _brief(value)))
-    return rows
-
-
-def _brief(value: object) -> str:
+def _brief(value: object, apart: str = ", ") -> str:
+    """An input or a setting in words; of many in one the first, digests by their begin."""
+    if isinstance(value, Mapping):
+        value = [f"{name}: {_brief(each)}" for name, each in value.items() if each is not None]
+    if isinstance(value, list | tuple):
+        return apart.join(_named([_brief(each) for each in value]))
     text = f"{value:.6g}" if isinstance(value, float) else str(value)
     if re.fullmatch(r"[0-9a-f]{64}", text):
         return f"{text[:12]}…"
-    return text if len(text) <= 80 else f"{text[:79]}…"
+    return text

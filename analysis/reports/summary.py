@@ -16,7 +16,7 @@ from analysis.trajectory.table import section_name
 from analysis.truth import SimulatedLogs, Truth, curve_error, map_error
 from trainlog.display import counted, lateness, span
 from trainlog.errors import InputError, LogError, TrainlogError
-from trainlog.formats.files import beginning, stated_format
+from trainlog.formats.files import beginning, is_map, stated_format
 from trainlog.formats.mapfile import MapFile, read_map
 from trainlog.formats.railway import (
     line_of_plan,
@@ -115,14 +115,14 @@ def report(folder: str | Path) -> Report:
             remedy="name the folder that holds the results",
         )
     logs = _logs_in(folder)
-    simulated = SimulatedLogs(logs)
+    simulated, results = SimulatedLogs(logs), results_in(folder)
     rows = [
         _recorded(logs),
-        *(_fitted(path, simulated) for path in _of_format(folder, "parameters", "parameters.json")),
-        *(_coasted(path) for path in _of_format(folder, "coast-down")),
-        *(_mapped(path, simulated) for path in sorted(folder.glob("*.map"))),
-        *(_drawn(path) for path in _of_format(folder, "line")),
-        *_planned(_of_format(folder, "trajectory", "trajectory.json")),
+        *(_fitted(path, simulated) for path in results.get("parameters", ())),
+        *(_coasted(path) for path in results.get("coast-down", ())),
+        *(_mapped(path, simulated) for path in results.get("map", ())),
+        *(_drawn(path) for path in results.get("line", ())),
+        *_planned(results.get("trajectory", ())),
         _saved(folder / "driven", logs),
         _followed(folder),
     ]
@@ -168,15 +168,31 @@ def _recorded(logs: Sequence[Path]) -> tuple[str, str, str] | None:
     return "recorded", words, ", ".join(places)
 
 
-def _of_format(folder: Path, kind: str, usual: str = "") -> list[Path]:
-    """The files of a format in a folder, that of the usual name first, whatever is in it."""
-    others = [path for path in sorted(folder.glob("*.json")) if path.name != usual]
-    found = [
-        path
-        for path in others
-        if path.is_file() and stated_format(beginning(path)) == f"trainlog/{kind}"
-    ]
-    return [folder / usual, *found] if usual and (folder / usual).exists() else found
+def content_of(path: Path) -> str:
+    """What a file holds: ``"trip"``, ``"map"``, the format of a file of ours, or "".
+
+    Examples
+    --------
+    >>> content_of(Path("sample_logs/nonstop.mcap")), content_of(Path("sample_logs/README.md"))
+    ('trip', '')
+    """
+    start = beginning(path)
+    if start.startswith(b"\x89MCAP") or path.suffix == ".mcap":
+        return "trip"
+    if is_map(start) or path.suffix == ".map":
+        return "map"
+    return stated_format(start).removeprefix("trainlog/")
+
+
+def results_in(folder: Path) -> dict[str, list[Path]]:
+    """The files of a folder by what they hold, in order of name."""
+    found = dict[str, list[Path]]()
+    for path in sorted(folder.iterdir()):
+        # A file that cannot be read says nothing of the others.
+        with suppress(TrainlogError):
+            if path.is_file():
+                found.setdefault(content_of(path), []).append(path)
+    return found
 
 
 def _coasted(path: Path) -> tuple[str, str, str]:
