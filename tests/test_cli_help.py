@@ -14,7 +14,7 @@ import typer
 from command import Shell
 
 from trainlog.cli import main as cli
-from trainlog.cli.commands import WORDS
+from trainlog.cli.commands import FORMER, WORDS
 
 DOCS = Path(__file__).parents[1] / "docs"
 sys.path.insert(0, str(DOCS / "tools"))
@@ -86,6 +86,14 @@ def test_every_command_has_an_example_that_parses_and_at_most_twelve_options(
     assert len(own_options(words, command)) <= 12
 
 
+def test_former_names_are_answered_with_the_new_one(shell: Shell) -> None:
+    for former, new in FORMER.items():
+        status, shown, complaint = shell(*former.split(), "-x")
+        assert (status, shown, complaint.count("\n")) == (2, "", 1), former
+        assert f"'{former}' is now 'trainlog {new}'" in complaint
+        assert new.split()[0] in WORDS
+
+
 def test_the_help_of_the_program_says_of_each_word_what_its_own_help_does(shell: Shell) -> None:
     _, shown, _ = shell("--help")
     every = " ".join(shown.replace("│", " ").split())
@@ -130,6 +138,10 @@ def test_a_word_alone_shows_the_help_of_its_commands(words: list[str], shell: Sh
         (["map", "update", "x"], "for example: trainlog map update results/trips --map"),
         (["advice"], "Missing argument 'TRAJECTORIES'; for example: trainlog advice results/"),
         (["pln", "x"], "No such command 'pln'. Did you mean 'plan'?"),
+        (["optimise", "x"], "'optimise' is now 'trainlog plan'"),
+        (["catalogue", "list"], "'catalogue list' is now 'trainlog fleet show'"),
+        (["fleet", "status"], "'fleet status' is now 'trainlog fleet show'"),
+        (["simulate", "--count", "2"], "'simulate' is now 'trainlog simulate drive"),
         (["map", "udate"], "Did you mean 'update'?; see 'trainlog map --help'"),
         (["fit", "x", "--cvr", "3"], "No such option: --cvr (Possible options: --cover)"),
     ],

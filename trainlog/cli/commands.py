@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from functools import cache
 from importlib import import_module
 from keyword import iskeyword
@@ -58,6 +59,48 @@ PANELS = {
 
 WORDS = {word: (panel, module) for panel, words in PANELS.items() for word, module in words.items()}
 """Panel and module of each word."""
+
+FORMER = {
+    "samples": "new samples",
+    "info": "show",
+    "check": "show --check",
+    "recover": "convert",
+    "cut": "convert --km",
+    "merge": "convert",
+    "line": "new line --from",
+    "line build": "new line --from",
+    "network": "show",
+    "network import": "import",
+    "network build": "new network --from",
+    "network show": "show",
+    "network route": "show 'NET#A,B'",
+    "network export": "convert NET.network.json -o NET.geojson",
+    "coast-down": "fit coasting",
+    "adhesion": "fit adhesion",
+    "adhesion fit": "fit adhesion",
+    "map history": "map show --km 12.3",
+    "optimise": "plan",
+    "optimize": "plan",
+    "driver-advice": "advice",
+    "advise": "advice --onto",
+    "catalogue": "fleet",
+    "catalogue add": "fleet add",
+    "catalogue list": "fleet show",
+    "catalogue query": "fleet query",
+    "catalogue sql": "fleet query",
+    "catalogue export": "fleet query -o",
+    "catalogue refresh": "fleet refresh",
+    "catalogue remove": "fleet remove",
+    "fleet status": "fleet show",
+    "fleet report": "report CATALOGUE",
+    "fleet demo": "demo --fleet",
+    "simulate": "simulate drive', 'follow', 'days' or 'fleet",
+    "settings show": "settings",
+    "settings set": "settings KEY VALUE",
+    "settings unset": "settings KEY --unset",
+    "settings edit": "settings --edit",
+}
+"""Former names of commands, and what is called today."""
 
 
 def end_in_part(failed: int, of: int) -> None:
@@ -225,6 +268,15 @@ class Group(_Described, TyperGroup):
         if meant and args and args[0] not in self.commands and args[0] not in ("-h", "--help"):
             args = [meant, *args]
         return super().parse_args(ctx, args)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command that is called; of a former name one line states the new one."""
+        words = [*ctx.command_path.split()[1:], *args, ""]
+        for former in (" ".join(words[:2]), words[0]):
+            asked = former not in WORDS or re.match(r"-(?!h$|-help$)", words[1])
+            if former in FORMER and asked:
+                ctx.fail(f"'{former}' is now 'trainlog {FORMER[former]}'")
+        return super().resolve_command(ctx, args)
 
 
 class Words(Group):
