@@ -9,7 +9,7 @@ import pytest
 from refusals import refused
 
 from analysis.adhesion.condition_map import empty_map
-from analysis.adhesion.condition_table import LINE_UNITS, line_table
+from analysis.adhesion.condition_table import line_table
 from trainlog.errors import InputError
 from trainlog.formats.railway import read_line
 from trainlog.formats.samples import sample
@@ -36,39 +36,37 @@ def made_up(**changes: object) -> Line:
 def test_each_bin_states_what_the_line_is_within_it(name: str) -> None:
     line = made_up() if name == "made up" else read_line(sample(f"{name}.line.json"))
     table = line_table(line, empty_map(line))
-    assert table.columns.tolist() == list(LINE_UNITS)[:-1]
-    assert table.attrs["units"].keys() == set(table.columns)
-    assert table["end"].iloc[-1] == line.length
+    assert table["end_m"].iloc[-1] == line.length
     for row in table.iloc[:: max(1, len(table) // 150)].to_dict("records"):
         # Every centimetre of the bin, its last one left out: there the next begins.
-        within = np.arange(row["start"], row["end"] - 0.005, 0.01)
+        within = np.arange(row["start_m"], row["end_m"] - 0.005, 0.01)
         assert row["tunnel"] == bool(line.tunnel_cross_section(within).any())
-        assert row["gradient"] == pytest.approx(1e3 * line.gradient(within).mean(), abs=0.02)
-        assert row["speed_limit"] == pytest.approx(3.6 * line.speed_limit(within).min())
+        assert row["gradient_permil"] == pytest.approx(1e3 * line.gradient(within).mean(), abs=0.02)
+        assert row["speed_limit_km_h"] == pytest.approx(3.6 * line.speed_limit(within).min())
         if line.curvatures is None:
-            assert np.isnan(row["curve_radius"])
+            assert np.isnan(row["curvature_per_km"])
             continue
         sharpest = np.abs(line.curvature(within)).max()
-        assert 1.0 / row["curve_radius"] == pytest.approx(sharpest, rel=2e-3, abs=1e-9)
+        assert row["curvature_per_km"] == pytest.approx(1e3 * sharpest, rel=2e-3, abs=1e-6)
 
 
 def test_stations_stand_in_their_bins() -> None:
     table = line_table(made_up(), empty_map(made_up()))
-    named = table.station[table.station != ""]
+    named = table.station.dropna()
     assert named.to_dict() == {0: "A", 20: "B west, B", 40: "C"}
 
 
 def test_what_the_line_does_not_state_is_not_a_number() -> None:
     line = made_up(curvatures=None, assumed=("gradients", "speed_limits", "stations"))
     table = line_table(line, empty_map(line))
-    unknown = table[["gradient", "curve_radius", "speed_limit"]]
+    unknown = table[["gradient_permil", "curvature_per_km", "speed_limit_km_h"]]
     assert unknown.isna().all(axis=None)
-    assert (table.station == "").all()
+    assert table.station.isna().all()
 
 
-def test_a_straight_line_has_an_infinite_radius() -> None:
+def test_a_straight_line_has_no_curvature() -> None:
     straight = made_up(curvatures=CurvatureProfile([0.0], [0.0], [0.0]))
-    assert np.isinf(line_table(straight, empty_map(straight)).curve_radius).all()
+    assert (line_table(straight, empty_map(straight)).curvature_per_km == 0.0).all()
 
 
 def test_a_map_of_another_line_is_refused() -> None:
@@ -79,8 +77,7 @@ def test_a_map_of_another_line_is_refused() -> None:
 def test_limits_of_both_directions_stand_where_they_differ() -> None:
     line = made_up(speed_limits_reverse=StepProfile([0.0, 600.0], [15.0, 35.0]))
     table = line_table(line, empty_map(line))
-    assert table.speed_limit.iloc[[0, -1]].tolist() == pytest.approx([108.0, 90.0])
-    assert table.speed_limit_reverse.iloc[[0, -1]].tolist() == pytest.approx([54.0, 126.0])
-    assert table.attrs["units"]["speed_limit_reverse"] == "km/h"
+    assert table.speed_limit_km_h.iloc[[0, -1]].tolist() == pytest.approx([108.0, 90.0])
+    assert table.speed_limit_reverse_km_h.iloc[[0, -1]].tolist() == pytest.approx([54.0, 126.0])
     unknown = replace(line, assumed=("speed_limits",))
-    assert line_table(unknown, empty_map(line)).speed_limit_reverse.isna().all()
+    assert line_table(unknown, empty_map(line)).speed_limit_reverse_km_h.isna().all()

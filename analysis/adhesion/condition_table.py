@@ -33,18 +33,6 @@ RESOLUTION = 0.01
 """Adhesion by which the bins of one section may differ."""
 
 
-LINE_UNITS = {
-    "start": "m",
-    "end": "m",
-    "gradient": "per mille",
-    "curve_radius": "m",
-    "tunnel": "",
-    "station": "",
-    "speed_limit": "km/h",
-    "speed_limit_reverse": "km/h",
-}
-"""Unit of each column of `line_table`; the last one where limits differ by direction."""
-
 LAYER = Column("rail\ncondition", key="layer")
 KM = Column("km", KILOMETRE, key="start_km")
 NEAR = Column("near", rank=1)
@@ -176,7 +164,7 @@ def bins_table(
         check_course(track, line)
     edges = track.edges
     where = kilometres(line, edges[:-1], edges[1:])
-    beside = {} if line is None else _line_attributes(line, track)
+    beside = {} if line is None else dict(line_table(line, track).iloc[:, 2:])
     parts = []
     for name, layer in chosen_layers(track, layers).items():
         columns: dict[str, object] = {
@@ -266,28 +254,44 @@ def spots_table(
     """
     chosen = chosen_layers(track, layers)
     found = [(name, spot) for name, each in chosen.items() for spot in each.spots]
-    lengths = [len(each.spots) for each in chosen.values()]
-    spots = [spot for _, spot in found]
+    day = {f"{name}_day": name for name in ("first", "last", "checked")}
+    values = {name: name for name in ("adhesion", "low", "high")}
+    table = _parts_table(
+        track, line, found, values | day | {"present_when_checked": "present", "life_days": "life"}
+    )
     now = time or last_evidence(track)
-    likely = np.array([np.nan if now is None else spot.alive(now) for spot in spots])
+    likely = np.array([np.nan if now is None else spot.alive(now) for _, spot in found])
+    table.insert(table.columns.get_loc("life_days"), "probability", likely)
+    table["may_be_change"] = np.array(
+        [may_be_change(track, track.layer(name), spot) for name, spot in found], dtype=np.bool_
+    )
+    order = np.lexsort((-likely, pd.factorize(table["layer"])[0]))
+    return table.iloc[order].reset_index(drop=True)
+
+
+_DAYS = ("first", "last", "checked", "day", "earliest", "latest")
+"""Attributes of spots and changes that are days."""
+
+
+def _parts_table(
+    track: TrackConditionMap,
+    line: Line | None,
+    found: Sequence[tuple[str, PassingSpot | ConditionChange]],
+    columns: Mapping[str, str],
+) -> pd.DataFrame:
+    """One row a part of the line, with its layer; of each column the attribute that it has."""
+
+    def each(name: str) -> FloatArray:
+        return np.array([getattr(part, name) for _, part in found], dtype=np.float64)
+
     rows = {
         "line": [track.line] * len(found),
-        "layer": [name for name, _ in found],
-        **kilometres(line, _each(spots, "start"), _each(spots, "end")),
-        "adhesion": _each(spots, "adhesion"),
-        "low": _each(spots, "low"),
-        "high": _each(spots, "high"),
-        **{f"{name}_day": _days_of(spots, name) for name in ("first", "last", "checked")},
-        "present_when_checked": _each(spots, "present"),
-        "probability": likely,
-        "life_days": _each(spots, "life"),
-        "may_be_change": np.array(
-            [may_be_change(track, track.layer(name), spot) for name, spot in found], dtype=np.bool_
-        ),
+        "layer": np.array([name for name, _ in found], dtype=object),
+        **kilometres(line, each("start"), each("end")),
     }
-    layer = np.repeat(np.arange(len(lengths)), lengths)
-    order = np.lexsort((-likely, layer))
-    return pd.DataFrame(rows).iloc[order].reset_index(drop=True)
+    for column, name in columns.items():
+        rows[column] = dates(each(name)) if name in _DAYS else each(name)
+    return pd.DataFrame(rows)
 
 
 def may_be_change(track: TrackConditionMap, layer: ConditionLayer, spot: PassingSpot) -> bool:
@@ -349,21 +353,15 @@ def changes_table(
         for name, layer in chosen_layers(track, layers).items()
         for each in layer.changes
     ]
-    changes = [each for _, each in found]
-    rows: dict[str, object] = {
-        "line": [track.line] * len(found),
-        "layer": [name for name, _ in found],
-        **kilometres(line, _each(changes, "start"), _each(changes, "end")),
-        **{name: _days_of(changes, name) for name in ("day", "earliest", "latest")},
-    }
+    names = ("day", "earliest", "latest", "before", "before_std", "after", "after_std")
+    table = _parts_table(
+        track, line, found, {name: name for name in names} | {"log_odds": "significance"}
+    )
     for name in ("before", "after"):
-        value, std = _each(changes, name), _each(changes, f"{name}_std")
-        rows |= {
-            name: value,
-            f"{name}_low": value * np.exp(-1.96 * std),
-            f"{name}_high": value * np.exp(1.96 * std),
-        }
-    return pd.DataFrame(rows | {"log_odds": _each(changes, "significance")})
+        at, reach = table.columns.get_loc(f"{name}_std"), 1.96 * table.pop(f"{name}_std")
+        table.insert(at, f"{name}_low", table[name] * np.exp(-reach))
+        table.insert(at + 1, f"{name}_high", table[name] * np.exp(reach))
+    return table
 
 
 ADHESIONS = ("adhesion", "low", "high", "expected", "expected_low", "expected_high")
@@ -425,16 +423,8 @@ def _evidence(track: TrackConditionMap, layer: ConditionLayer) -> dict[str, obje
 
 def dates(days: ArrayLike, known: ArrayLike = True) -> NDArray[np.datetime64]:
     """Days counted from 1970-01-01; none where they are not known."""
-    found = np.where(known, days, 0).astype("datetime64[D]")
+    found = np.where(known, days, 0).astype(np.int64).astype("datetime64[D]")
     return np.where(known, found, np.datetime64("NaT")).astype("datetime64[s]")
-
-
-def _days_of(parts: Sequence[object], name: str) -> NDArray[np.datetime64]:
-    return dates(np.array([getattr(each, name) for each in parts], dtype=np.int64))
-
-
-def _each(parts: Sequence[object], name: str) -> FloatArray:
-    return np.array([getattr(each, name) for each in parts], dtype=np.float64)
 
 
 def kilometres(line: Line | None, start: FloatArray, end: FloatArray) -> dict[str, object]:
@@ -448,24 +438,6 @@ def kilometres(line: Line | None, start: FloatArray, end: FloatArray) -> dict[st
         "start_km": ends[0].round(6),
         "end_km": ends[1].round(6),
         "near": near(line, 0.5 * (start + end)),
-    }
-
-
-def _line_attributes(line: Line, track: TrackConditionMap) -> dict[str, object]:
-    table = line_table(line, track)
-    station = table["station"].to_numpy(dtype=object)
-    limits = {
-        f"{name}_km_h": table[name].to_numpy().round(3)
-        for name in ("speed_limit", "speed_limit_reverse")
-        if name in table
-    }
-    return {
-        "gradient_permil": table["gradient"].to_numpy().round(3),
-        # Straight track has a curvature that every format can hold.
-        "curvature_per_km": (1e3 / table["curve_radius"].to_numpy()).round(6),
-        **limits,
-        "tunnel": table["tunnel"].to_numpy(),
-        "station": [name or None for name in station],
     }
 
 
@@ -484,12 +456,12 @@ def line_table(line: Line, track: TrackConditionMap) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row a bin: ``start``, ``end`` [m]; ``gradient`` [per mille], its mean, uphill positive;
-        ``curve_radius`` [m], the least, infinite where the line is straight; ``tunnel``, whether
-        any of the bin lies in one that the line states; ``station``, the names of those in the
-        bin, joined by a comma, else empty; ``speed_limit`` [km/h], the least along the line, and
-        where limits differ by direction ``speed_limit_reverse``, the least against it. NaN is what
-        the line does not state. Units are in ``attrs["units"]``.
+        One row a bin: ``start_m``, ``end_m``; ``gradient_permil``, its mean, uphill positive;
+        ``curvature_per_km``, the largest, 0 where the line is straight; ``speed_limit_km_h``, the
+        least along the line, and where limits differ by direction ``speed_limit_reverse_km_h``, the
+        least against it; ``tunnel``, whether any of the bin lies in one that the line states;
+        ``station``, the names of those in the bin, joined by a comma. What the line does not state
+        is empty.
 
     Raises
     ------
@@ -502,34 +474,36 @@ def line_table(line: Line, track: TrackConditionMap) -> pd.DataFrame:
     >>> line = trainlog.read_line("sample_logs/CH_StGallen_Wil.line.json")
     >>> track = trainlog.read_map("sample_logs/CH_StGallen_Wil.map")
     >>> table = line_table(line, track)
-    >>> table.loc[400, ["gradient", "curve_radius", "speed_limit"]].astype(float).round(1).tolist()
-    [-3.3, 1694.8, 125.0]
-    >>> table.station[table.station != ""].tolist()
+    >>> names = ["gradient_permil", "curvature_per_km", "speed_limit_km_h"]
+    >>> table.loc[400, names].astype(float).round(2).tolist()
+    [-3.3, 0.59, 125.0]
+    >>> table.station.dropna().tolist()
     ['St.Gallen', 'Gossau SG', 'Flawil', 'Uzwil', 'Wil']
     """
     check_line(track, "line file", line.name, line.length)
     start, end = track.edges[:-1], track.edges[1:]
-    sharpest = _sharpest(line, start, end)
-    with np.errstate(divide="ignore"):
-        radius = 1.0 / sharpest
-    columns: dict[str, object] = {
-        "start": start,
-        "end": end,
-        "gradient": PER_MILLE * line.gradients.mean(start, end),
-        "curve_radius": radius,
-        "tunnel": _in_tunnel(line, start, end),
-        "station": _stations(line, track),
-        "speed_limit": KMH * _least(line.speed_limits, start, end),
-    }
+    limits = {"speed_limit_km_h": line.speed_limits}
     if line.speed_limits_reverse is not None:
-        columns["speed_limit_reverse"] = KMH * _least(line.speed_limits_reverse, start, end)
-    sources = {"gradient": "gradients", "speed_limit": "speed_limits"}
-    for column in columns:
-        if sources.get(column.removesuffix("_reverse")) in line.assumed:
-            columns[column] = np.full(start.size, np.nan)
-    table = pd.DataFrame(columns)
-    table.attrs["units"] = {name: LINE_UNITS[name] for name in table.columns}
-    return table
+        limits["speed_limit_reverse_km_h"] = line.speed_limits_reverse
+    unknown = np.full(start.size, np.nan)
+    gradient = PER_MILLE * line.gradients.mean(start, end)
+    return pd.DataFrame(
+        {
+            "start_m": start,
+            "end_m": end,
+            "gradient_permil": unknown if "gradients" in line.assumed else gradient.round(3),
+            # Straight track has a curvature that every format can hold.
+            "curvature_per_km": (1e3 * _sharpest(line, start, end)).round(6),
+            **{
+                name: unknown
+                if "speed_limits" in line.assumed
+                else (KMH * _least(each, start, end)).round(3)
+                for name, each in limits.items()
+            },
+            "tunnel": _in_tunnel(line, start, end),
+            "station": _stations(line, track),
+        }
+    )
 
 
 def _least(profile: StepProfile, start: FloatArray, end: FloatArray) -> FloatArray:
@@ -575,9 +549,9 @@ def _in_tunnel(line: Line, start: FloatArray, end: FloatArray) -> BoolArray:
     return inside
 
 
-def _stations(line: Line, track: TrackConditionMap) -> list[str]:
+def _stations(line: Line, track: TrackConditionMap) -> list[str | None]:
     """Names of the stations in each bin; ends that only close a line are none."""
     names: list[list[str]] = [[] for _ in range(track.bins)]
     for station in () if "stations" in line.assumed else line.stations:
         names[int(track.bin_of(station.position))].append(station.name)
-    return [", ".join(each) for each in names]
+    return [", ".join(each) or None for each in names]

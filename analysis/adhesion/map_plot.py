@@ -20,6 +20,7 @@ from analysis.adhesion.condition_table import (
     check_course,
     day_name,
     last_evidence,
+    lowest_apart,
 )
 from analysis.charts import (
     BLUE,
@@ -161,15 +162,11 @@ def map_charts(
 
 def lowest_bins(bins: pd.DataFrame, most: int = LOWEST) -> pd.DataFrame:
     """The bins with the lowest adhesion to count on; those of one line apart from each other."""
-    observed = bins[bins["observed"]].sort_values("expected_low", kind="stable")
+    observed = bins[bins["observed"]]
     middle = 0.5 * (observed["start_m"] + observed["end_m"])
-    taken, rows = list[tuple[str, float]](), list[int]()
-    for row, (line, place) in enumerate(zip(observed["line"], middle, strict=True)):
-        if all(line != known or abs(place - other) >= APART for known, other in taken):
-            taken.append((line, place))
-            rows.append(row)
-        if len(rows) == most:
-            break
+    # Lines are further apart than any place of one from another.
+    place = middle + 1e9 * pd.factorize(observed["line"])[0]
+    rows = lowest_apart(place, observed["expected_low"], np.ones(len(place)), APART, most)
     return observed.iloc[rows]
 
 
