@@ -251,40 +251,26 @@ def _trip_of_folder(path: Path) -> Contents:
 
 def _of_format(path: Path, stated: str) -> Contents:
     """What a file of trainlog's own formats holds."""
+    from trainlog.formats import railway
     from trainlog.formats.characteristic import read_characteristic
     from trainlog.formats.declared import read_thing
-    from trainlog.formats.railway import (
-        read_coast_down,
-        read_consist,
-        read_journey,
-        read_line,
-        read_parameters,
-        read_train,
-        read_trajectory,
-    )
-    from trainlog.ingest.profile import PROFILE_FORMAT, read_profile
+    from trainlog.ingest.profile import read_profile
     from trainlog.railway.passport import Passport
 
-    readers: dict[str, tuple[str, Callable[[Path], Any]]] = {
-        "trainlog/line": ("line", read_line),
-        "trainlog/network": ("network", read_network),
-        "trainlog/train": ("train", read_train),
-        "trainlog/consist": ("consist", read_consist),
-        "trainlog/journey": ("journey", read_journey),
-        "trainlog/parameters": ("parameter set", read_parameters),
-        "trainlog/coast-down": ("coast-down", read_coast_down),
-        "trainlog/trajectory": ("trajectory", read_trajectory),
-        "trainlog/characteristic": ("adhesion characteristic", read_characteristic),
-        "trainlog/passport": ("passport", partial(read_thing, Passport)),
-        PROFILE_FORMAT: ("profile", read_profile),
+    others: dict[str, tuple[str, Callable[[Path], Any]]] = {
+        "characteristic": ("adhesion characteristic", read_characteristic),
+        "passport": ("passport", partial(read_thing, Passport)),
+        "recorder-profile": ("profile", read_profile),
     }
-    if stated not in readers:
+    name = stated.removeprefix("trainlog/")
+    kind, read = others.get(name, ("parameter set" if name == "parameters" else name, None))
+    read = read or getattr(railway, f"read_{name.replace('-', '_')}", None)
+    if read is None:
         raise InputError(
             f"is a {stated} file, which is not shown",
             file=path,
             remedy="it is part of a trip or folder: show that",
         )
-    kind, read = readers[stated]
     return Contents(path, kind, read(path))
 
 

@@ -248,7 +248,7 @@ def test_what_is_no_result_is_one_error_and_no_page(tmp_path: Path) -> None:
     assert kind_of(sample("CH_StGallen_Wil.map")) == "map"
     with pytest.raises(InputError, match="but a line file"):
         kind_of(sample("CH_StGallen_Wil.line.json"))
-    with pytest.raises(InputError, match="no time zone is called"):
+    with pytest.raises(InputError, match="is no time zone"):
         known_zone("Europe/Wil")
 
 

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from multiprocessing import get_context, parent_process
 from typing import Any, TypeVar
 
@@ -96,3 +96,16 @@ def _spread(work: Any, shared: object, pieces: Sequence[Any], jobs: int) -> Iter
             yield waiting.popleft().result()
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def handled(handler: Callable[[int, Any], None], *signals: signal.Signals) -> Iterator[None]:
+    """Have signals handled by a function while the block runs, in the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        signals = ()
+    before = [signal.signal(each, handler) for each in signals]
+    try:
+        yield
+    finally:
+        for each, former in zip(signals, before, strict=True):
+            signal.signal(each, former)

@@ -261,7 +261,7 @@ def spots_table(
     )
     now = time or last_evidence(track)
     likely = np.array([np.nan if now is None else spot.alive(now) for _, spot in found])
-    table.insert(table.columns.get_loc("life_days"), "probability", likely)
+    table.insert(list(table).index("life_days"), "probability", likely)
     table["may_be_change"] = np.array(
         [may_be_change(track, track.layer(name), spot) for name, spot in found], dtype=np.bool_
     )
@@ -358,7 +358,7 @@ def changes_table(
         track, line, found, {name: name for name in names} | {"log_odds": "significance"}
     )
     for name in ("before", "after"):
-        at, reach = table.columns.get_loc(f"{name}_std"), 1.96 * table.pop(f"{name}_std")
+        at, reach = list(table).index(f"{name}_std"), 1.96 * table.pop(f"{name}_std")
         table.insert(at, f"{name}_low", table[name] * np.exp(-reach))
         table.insert(at + 1, f"{name}_high", table[name] * np.exp(reach))
     return table

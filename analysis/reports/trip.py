@@ -7,7 +7,7 @@ from collections.abc import Hashable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -32,7 +32,7 @@ from analysis.reports.answers import Verdict, slip_words, summary_section, verdi
 from analysis.reports.page import Part, Section, Warned
 from analysis.view import SHORTEST_STOP, TOPICS, TripView, view_of
 from trainlog.arrays import FloatArray
-from trainlog.display import counted, lateness
+from trainlog.display import counted, is_number, lateness
 from trainlog.errors import InputError, TrainlogError
 from trainlog.formats.railway import line_of, passport_of
 from trainlog.ingest.report import report_of
@@ -42,7 +42,7 @@ from trainlog.presentation import Columns, WordTable, facts_table, kwh, word_tab
 from trainlog.railway import Line
 from trainlog.railway.line import in_km, station_at
 from trainlog.resampling import interpolated
-from trainlog.spans import runs_of
+from trainlog.spans import check_zone, runs_of
 from trainlog.topics import REFERENCE, STANDSTILL, TRAIN_CONTROLS
 from trainlog.trip import POSITION_TOPICS, Trip
 from trainlog.units import KMH, PER_MILLE, clock
@@ -100,14 +100,8 @@ def known_zone(name: str) -> Zone:
     >>> known_zone("Europe/Zurich").name
     'Europe/Zurich'
     """
-    try:
-        zone = Zone(name)
-        zone.time(pd.Timestamp(0, tz="UTC"))
-    except (KeyError, ValueError, OSError) as error:
-        raise InputError(
-            f"no time zone is called '{name}'", remedy="write it as Europe/Zurich"
-        ) from error
-    return zone
+    check_zone(name)
+    return Zone(name)
 
 
 @dataclass(frozen=True)
@@ -306,7 +300,7 @@ def _facts(trip: Trip, motion: Motion, zone: Zone) -> WordTable:
         "to": end,
         "train": known.get("train", ""),
         "line": ", ".join(filter(None, [known.get("line", ""), known.get("direction", "")])),
-        "load": f"{float(known['load']) / 1e3:.1f} t" if _number(known.get("load")) else "",
+        "load": f"{float(known['load']) / 1e3:.1f} t" if is_number(known.get("load", "")) else "",
         "rail": known.get("weather", ""),
         "clock of the recording": known.get("clock", ""),
     }
@@ -362,13 +356,6 @@ def _next_steps(log: Path, slipped: object, judged: Verdict, line: Line | None) 
     return steps
 
 
-def _number(word: str | None) -> bool:
-    try:
-        return word is not None and bool(np.isfinite(float(word)))
-    except ValueError:
-        return False
-
-
 def trip_charts(trip: Trip, *, zone: Zone = Zone()) -> list[Chart]:
     """Speed and efforts of a trip over km, and its speed over time.
 
@@ -396,15 +383,15 @@ def trip_charts(trip: Trip, *, zone: Zone = Zone()) -> list[Chart]:
             remedy="there is no course to draw: ingest the recording with the line",
         )
     efforts = _efforts(trip, motion.time)
-    rows = rows_to_draw(motion.speed, *(each.values for each in efforts[:2]))
+    rows = rows_to_draw(motion.speed, *(values for _, _, values, _ in efforts[:2]))
     part = Motion(motion.time[rows], motion.position[rows], motion.speed[rows])
     forward, km = bool(np.all(np.diff(part.position) >= -50.0)), part.position / 1e3
     ends = float(motion.position.min()), float(motion.position.max())
     speeds = [] if line is None else [limit_curve(line, *ends)]
     speeds.append(_speed_curve(km, part, line, zone))
     areas = [
-        Curve(each.label, km, each.values[rows] / 1e3, each.colour, "area", each.base[rows] / 1e3)
-        for each in efforts
+        Curve(label, km, values[rows] / 1e3, colour, "area", base[rows] / 1e3)
+        for label, colour, values, base in efforts
     ]
     late = list[Panel]()
     reference = trip.topics.get(REFERENCE.name)
@@ -451,21 +438,15 @@ def _speed_curve(x: FloatArray, part: Motion, line: Line | None, zone: Zone) -> 
     return Curve("speed", x, KMH * part.speed, BLUE, hover=hover)
 
 
-class _Effort(NamedTuple):
-    """An effort [N] at the samples of the motion, and where its area begins."""
+def _efforts(trip: Trip, time: pd.DatetimeIndex) -> list[tuple[str, str, FloatArray, FloatArray]]:
+    """Tractive and braking efforts, as far as recorded: the latter below zero, one on the other.
 
-    label: str
-    colour: str
-    values: FloatArray
-    base: FloatArray
-
-
-def _efforts(trip: Trip, time: pd.DatetimeIndex) -> list[_Effort]:
-    """Tractive and braking efforts, as far as recorded: the latter below zero, one on the other."""
+    Of each its name, its colour, the effort [N] at each time, and where its area begins.
+    """
     frame = trip.topics.get(TRAIN_CONTROLS.name)
     if frame is None or frame.empty:
         return []
-    found, base = list[_Effort](), np.zeros(time.size)
+    found, base = list[tuple[str, str, FloatArray, FloatArray]](), np.zeros(time.size)
     for label, name, sign, colour in (
         ("traction", "tractive_effort", 1.0, RED),
         ("dynamic brake", "dynamic_braking_effort", -1.0, BLUE),
@@ -473,7 +454,7 @@ def _efforts(trip: Trip, time: pd.DatetimeIndex) -> list[_Effort]:
     ):
         if name in frame.columns and np.isfinite(frame[name].to_numpy(np.float64)).any():
             values = base + sign * interpolated(frame, name, time, 2.0)
-            found.append(_Effort(label, colour, values, base))
+            found.append((label, colour, values, base))
             base = values if sign < 0.0 else base
     return found
 

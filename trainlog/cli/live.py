@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import trainlog
 from trainlog.cli.options import Written, line_or_network, pairs
-from trainlog.cli.progress_bar import handled
 from trainlog.cli.terminal import console, say, state, wrote
 from trainlog.display import counted
 from trainlog.errors import InputError
+from trainlog.processes import handled
 from trainlog.progress import task
 from trainlog.units import KMH, TIME
 

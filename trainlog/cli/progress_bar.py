@@ -7,13 +7,13 @@ of how much, the rate and the remaining time. Nothing is drawn where standard er
 from __future__ import annotations
 
 import signal
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any
 
 from trainlog.cli import terminal
+from trainlog.processes import handled
 from trainlog.progress import Step, shown_by
 
 if TYPE_CHECKING:
@@ -203,16 +203,3 @@ def interruption() -> Iterator[Callable[[], None]]:
 
     with handled(press, signal.SIGINT):
         yield check
-
-
-@contextmanager
-def handled(handler: Callable[[int, Any], None], *signals: signal.Signals) -> Iterator[None]:
-    """Have signals handled by a function while the block runs, in the main thread."""
-    if threading.current_thread() is not threading.main_thread():
-        signals = ()
-    before = [signal.signal(each, handler) for each in signals]
-    try:
-        yield
-    finally:
-        for each, former in zip(signals, before, strict=True):
-            signal.signal(each, former)

@@ -21,6 +21,7 @@ from typing import Any
 import rerun as rr
 
 from trainlog.errors import InputError
+from trainlog.processes import handled
 
 HOST = "127.0.0.1"
 """Rerun would else listen on every network."""
@@ -252,25 +253,14 @@ def _running(*arguments: str, tiles: bool = False) -> Iterator[subprocess.Popen[
 @contextmanager
 def interruptible() -> Iterator[None]:
     """A request to end this process (SIGTERM, SIGHUP) ends it as Ctrl-C does: nothing is left."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
 
-    def interrupt(number: int, frame: object) -> None:  # noqa: ARG001
+    def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
     # A shell that starts a command in the background has it ignore Ctrl-C; a viewer is ended so.
-    numbers = [
-        signal.SIGINT,
-        signal.SIGTERM,
-        *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else []),
-    ]
-    before = {number: signal.signal(number, interrupt) for number in numbers}
-    try:
+    names = ("SIGINT", "SIGTERM", "SIGHUP")
+    with handled(interrupt, *(getattr(signal, name) for name in names if hasattr(signal, name))):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 # ----------------------------------------------------------------------------------- in a browser
