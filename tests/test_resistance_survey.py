@@ -16,7 +16,7 @@ from analysis.resistance import TripFit, combine, fit_trip, summarised
 from analysis.resistance.combination import shared_variance
 from analysis.resistance.curve import powers
 from analysis.resistance.noise import NoiseModel
-from analysis.resistance.regression import regress
+from analysis.resistance.regression import fit_windows
 from analysis.resistance.windows import build_windows
 from trainlog.formats.railway import line_to_bytes
 from trainlog.formats.summaries import SURVEY, read_summaries, surveys_of, write_summaries
@@ -28,7 +28,7 @@ def test_what_the_survey_brings_in_is_what_its_errors_do() -> None:
     """Against least squares with dense matrices, the map's errors propagated one by one."""
     windows = rough(build_windows(recording(duration=1500.0)))
     windows = replace(windows, y=windows.y + drawn_errors(windows, NOISE, seed=4))
-    fit = regress(windows, 130e3, 20e3)
+    fit = fit_windows(windows, 130e3, 20e3)
     precision = np.linalg.inv(dense(windows, fit.noise))
     x = np.column_stack([windows.x, windows.effort_change, windows.braking])
     prior = np.array([20e3 / 130e3**2, 1.0, 0.1, 0.01, 0.05 / 130e3, 0.02 / 130e3])
@@ -57,7 +57,7 @@ def test_a_covariance_scatters_as_its_degrees_of_freedom_say(noise: NoiseModel) 
     sizes, freedom = [], []
     for seed in range(40):
         wrong = replace(windows, y=windows.y + drawn_errors(windows, noise, seed))
-        fit = regress(wrong, 130e3, 20e3)
+        fit = fit_windows(wrong, 130e3, 20e3)
         sizes.append(np.linalg.slogdet(fit.covariance / fit.cluster_factor)[1] / 4.0)
         freedom.append(fit.freedom)
     assert 0.6 < np.median(freedom) * np.var(sizes) / 2.0 < 1.6

@@ -16,7 +16,7 @@ from analysis.resistance.regression import (
     DELAY_STD,
     DRAG_STD,
     condition_number,
-    regress,
+    fit_windows,
 )
 from analysis.resistance.windows import Windows, build_windows
 from trainlog.arrays import FloatArray
@@ -120,7 +120,7 @@ def rough(windows: Windows) -> Windows:
 def test_covariance_is_that_of_generalised_least_squares() -> None:
     """Written out: full matrices, and what the parameters do to mass and resistance by steps."""
     made = recording(noise=0.02, seed=5)
-    found = regress(windows := rough(build_windows(made)), 130e3, 20e3)
+    found = fit_windows(windows := rough(build_windows(made)), 130e3, 20e3)
     used = windows.select(found.kept)
     regressors = np.column_stack([used.x, used.effort_change, used.braking])
     spread = np.array([20e3 / 130e3**2, *DRAG_STD, DELAY_STD / 130e3, BRAKE_SCALE_STD / 130e3])
@@ -211,7 +211,7 @@ def test_regression_is_generalised_least_squares() -> None:
     """The recursion's last answer against the normal equations with the dense covariance."""
     windows = build_windows(recording(noise=0.03, seed=3))
     mass, mass_std = 130e3, 20e3
-    fit = regress(windows, mass, mass_std)
+    fit = fit_windows(windows, mass, mass_std)
     covariance = dense(windows, fit.noise, mass)
     x = np.column_stack([windows.x, windows.effort_change, windows.braking])
     prior_std = np.array([mass_std / mass**2, 1.0, 0.1, 0.01, 0.05 / mass, 0.02 / mass])
@@ -228,7 +228,7 @@ def test_regression_finds_the_truth_within_its_deviation() -> None:
     z = []
     truth = np.array([RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2, 130e3])
     for seed in range(30):
-        fit = regress(build_windows(recording(noise=0.03, seed=seed)), 120e3, 20e3)
+        fit = fit_windows(build_windows(recording(noise=0.03, seed=seed)), 120e3, 20e3)
         z.append((fit.beta - truth) / np.sqrt(np.diag(fit.covariance)))
     assert np.all(np.abs(np.mean(z, axis=0)) < 4.0 / np.sqrt(30.0))
     assert np.all(np.std(z, axis=0) < 1.4)
@@ -236,13 +236,13 @@ def test_regression_finds_the_truth_within_its_deviation() -> None:
 
 
 def test_exact_data_give_the_exact_answer() -> None:
-    fit = regress(build_windows(recording()), 120e3, 20e3)
+    fit = fit_windows(build_windows(recording()), 120e3, 20e3)
     truth = np.array([RESISTANCE.r0, RESISTANCE.r1, RESISTANCE.r2, 130e3])
     np.testing.assert_allclose(fit.beta, truth, rtol=2e-3)
 
 
 def test_history_ends_with_the_result_and_gets_sharper() -> None:
-    fit = regress(build_windows(recording(noise=0.03)), 120e3, 20e3)
+    fit = fit_windows(build_windows(recording(noise=0.03)), 120e3, 20e3)
     np.testing.assert_array_equal(fit.history[-1], fit.beta)
     np.testing.assert_array_equal(fit.history_covariance[-1], fit.covariance)
     mass_std = np.sqrt(fit.history_covariance[:, 3, 3])
@@ -253,7 +253,7 @@ def test_outliers_are_left_out() -> None:
     windows = build_windows(recording(noise=0.03))
     spoilt = windows.y.copy()
     spoilt[[100, 400]] += np.array([0.5, -0.8])
-    clean, dirty = (regress(w, 120e3, 20e3) for w in (windows, replace(windows, y=spoilt)))
+    clean, dirty = (fit_windows(w, 120e3, 20e3) for w in (windows, replace(windows, y=spoilt)))
     assert clean.kept.all()
     assert not dirty.kept[[100, 400]].any()
     assert dirty.kept.sum() >= windows.count - 6
@@ -266,7 +266,7 @@ def test_errors_that_stay_for_kilometres_widen_the_covariance() -> None:
     calm = build_windows(recording(noise=0.03))
     gusts = 0.003 * np.sin(np.arange(calm.count) / 60.0)
     windy = replace(calm, y=calm.y + gusts)
-    first, second = (regress(w, 120e3, 20e3) for w in (calm, windy))
+    first, second = (fit_windows(w, 120e3, 20e3) for w in (calm, windy))
     assert np.sqrt(second.covariance[0, 0]) > 2.0 * np.sqrt(first.covariance[0, 0])
 
 
@@ -276,7 +276,7 @@ def test_delay_and_brake_scale_do_not_spoil_the_fit() -> None:
     braking = np.maximum(-made.effort, 0.0)
     wrong = made.effort - 0.03 * braking
     late = np.interp(made.time - 0.1, made.time, wrong)
-    fit = regress(
+    fit = fit_windows(
         build_windows(replace(made, effort=late, braking=1.03 * braking)),
         120e3,
         20e3,
@@ -289,9 +289,9 @@ def test_delay_and_brake_scale_do_not_spoil_the_fit() -> None:
 
 
 def test_condition_number_tells_constant_speed_from_varied() -> None:
-    assert regress(build_windows(recording()), 120e3, 20e3).condition < 100.0
+    assert fit_windows(build_windows(recording()), 120e3, 20e3).condition < 100.0
     cruise = recording(constant_speed, noise=0.03)
-    assert regress(build_windows(cruise), 120e3, 20e3).condition > 1000.0
+    assert fit_windows(build_windows(cruise), 120e3, 20e3).condition > 1000.0
     assert condition_number(np.zeros((3, 2))) == np.inf
     assert condition_number(np.eye(3)) == pytest.approx(1.0)
 

@@ -25,6 +25,7 @@ from trainlog.errors import InputError, LogError
 from trainlog.formats.samples import folder
 from trainlog.mcap import LogWriter, read_log, write_log
 from trainlog.mcap.reader import rows_of_log
+from trainlog.railway.passport import Quantity
 from trainlog.topics import GNSS_MOTION, TRAIN_STATE
 from trainlog.trip import Trip
 
@@ -53,13 +54,13 @@ def test_what_analyses_share_is_computed_once(
     nonstop: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[str] = []
-    search = passports._Motion.search
+    search = passports._Motion.quantities
 
-    def counted(self: passports._Motion) -> float:
+    def counted(self: passports._Motion) -> tuple[Quantity, Quantity, Quantity]:
         asked.append("delay")
         return search(self)
 
-    monkeypatch.setattr(passports._Motion, "search", counted)
+    monkeypatch.setattr(passports._Motion, "quantities", counted)
     view = module.view_of(nonstop)
     known, found = passport(view), slip(view)
     assert fit_trip(view).passport is known

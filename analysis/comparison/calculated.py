@@ -56,6 +56,7 @@ from analysis.resistance.observed import FitOfTrips, parameter_set
 from analysis.resistance.passport import estimated_passport, with_effort_delay
 from analysis.resistance.recording import LEAST_EFFORT, recorded_head_wind, scale_of
 from analysis.view import Given, TripView, view_of
+from estimators.regression import Free, regress
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.display import counted
 from trainlog.errors import InputError, TrainlogError
@@ -794,27 +795,25 @@ def explained_by(inputs: Inputs, cells: Cells) -> tuple[dict[str, float], float]
         mass_std = max(mass_std, FILE_MASS * inputs.mass.value)
     powers = np.stack([summed(step), summed(step * speed), summed(step * speed**2)], axis=1)
     gain_std = inputs.gain.std / inputs.gain.value
-    tilt = np.eye(count) * (GRADIENT_STD * GRAVITY * inputs.mass.value * summed(step))[:, None]
-    causes = {
-        "running resistance": powers @ root,
-        # What the motion under recorded efforts shows is the ratio of the two.
-        "mass or gain of efforts": np.stack(
-            [mass_std * summed(kinetic + cells.track), -gain_std * summed(net)], axis=1
-        ),
-        "gradients": tilt,
-    }
     length = np.maximum(summed(step), 1e-9)
     edge = inputs.inertia * np.sqrt(2.0) * SPEED_STD * summed(step * speed) / length
     noise = np.hypot(edge, 0.01 * summed(np.abs(net))) + 1.0 * ~known
-    design = np.concatenate(list(causes.values()), axis=1) / noise[:, None]
-    normal = design.T @ design + np.eye(design.shape[1])
-    beta = np.linalg.solve(normal, design.T @ (residual / noise))
+    tilt = np.eye(count) * (GRAVITY * inputs.mass.value * summed(step))[:, None]
+    causes = [Free("running resistance", column, 1.0) for column in (powers @ root).T]
+    # What the motion under recorded efforts shows is the ratio of the two.
+    name = "mass or gain of efforts"
+    causes += [
+        Free(name, summed(kinetic + cells.track), mass_std),
+        Free(name, summed(net), gain_std),
+    ]
+    causes += [Free("gradients", column, GRADIENT_STD) for column in tilt.T]
+    found = regress(residual / noise, [replace(c, column=c.column / noise) for c in causes])
     total = float(residual @ residual)
-    shares, first, left = {}, 0, residual.copy()
-    for name, columns in causes.items():
-        part = columns @ beta[first : first + columns.shape[1]]
-        shares[name] = float(part @ residual) / total
-        first, left = first + columns.shape[1], left - part
+    shares, left = dict[str, float](), residual.copy()
+    for cause, size in zip(causes, found.estimate.tolist(), strict=True):
+        part = size * cause.column
+        shares[cause.name] = shares.get(cause.name, 0.0) + float(part @ residual) / total
+        left -= part
     slipped = np.zeros(count, dtype=np.bool_)
     if "slip" in inputs.driven.flags:
         slipped[window[inputs.driven.share_of("slip", cells.nodes) > 0.0]] = True

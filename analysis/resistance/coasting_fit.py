@@ -23,7 +23,7 @@ from analysis.resistance.curve import DragCurve, powers
 from analysis.resistance.motion import Motion
 from analysis.resistance.noise import Expected, NoiseParts
 from analysis.resistance.recording import Recording, SpeedScale, gradient_pieces, track_slope
-from analysis.resistance.regression import Regression, regress
+from analysis.resistance.regression import WindowFit, fit_windows
 from analysis.resistance.windows import WINDOW, WindowPoints, Windows, build_windows
 from trainlog.arrays import FloatArray
 from trainlog.errors import NotIdentifiableError
@@ -244,7 +244,7 @@ def fit_segments(
         windows = build_windows(coasting_recording(motion, line, segments, strip_length), width)
         _check_windows(motion, windows)
         # In the acceleration form k stands in the place of 1/m.
-        regression = regress(
+        regression = fit_windows(
             windows, 1.0 / expected.value, FREE_RATIO_STD / expected.value**2, noise
         )
         worst = _outlier_segment(segments, windows, regression)
@@ -330,7 +330,7 @@ def _check_windows(motion: Motion, windows: Windows) -> None:
 
 
 def _outlier_segment(
-    segments: tuple[Segment, ...], windows: Windows, regression: Regression
+    segments: tuple[Segment, ...], windows: Windows, regression: WindowFit
 ) -> int | None:
     """The segment that contradicts the others most, if any does beyond chance."""
     if len(segments) < 3:
@@ -349,7 +349,7 @@ def _result(
     segments: tuple[Segment, ...],
     outlier_segments: tuple[Segment, ...],
     windows: Windows,
-    regression: Regression,
+    regression: WindowFit,
     expected: MassRatio,
 ) -> TripCoastDown:
     theta, covariance = _acceleration_form(regression)
@@ -380,7 +380,7 @@ def _result(
 
 
 def _misjudged(
-    segments: tuple[Segment, ...], windows: Windows, regression: Regression, covariance: FloatArray
+    segments: tuple[Segment, ...], windows: Windows, regression: WindowFit, covariance: FloatArray
 ) -> FloatArray:
     """Covariance (4, 4) that efforts bring in which were taken for coasting.
 
@@ -397,7 +397,7 @@ def _misjudged(
     return np.asarray((moved * doubt * SPACING**2) @ moved.T)
 
 
-def _points(windows: Windows, regression: Regression, theta: FloatArray) -> WindowPoints:
+def _points(windows: Windows, regression: WindowFit, theta: FloatArray) -> WindowPoints:
     """The windows that were used, joined, and the outliers one by one."""
     joined, left_out = windows.select(regression.kept).merged(), windows.select(~regression.kept)
     parts = (joined, left_out)
@@ -412,7 +412,7 @@ def _points(windows: Windows, regression: Regression, theta: FloatArray) -> Wind
     )
 
 
-def _acceleration_form(regression: Regression) -> tuple[FloatArray, FloatArray]:
+def _acceleration_form(regression: WindowFit) -> tuple[FloatArray, FloatArray]:
     """k, c0, c1, c2 and their covariance from r0/m, r1/m, r2/m and 1/k."""
     beta, inverse = regression.beta, regression.beta[3]
     theta = np.concatenate(([1.0], beta[:3])) / inverse

@@ -33,7 +33,7 @@ from analysis.resistance.recording import (
     sound,
     tunnel_coefficient,
 )
-from analysis.resistance.regression import DELAY_STD, Regression, Residuals, Stretch, regress
+from analysis.resistance.regression import DELAY_STD, Residuals, Stretch, WindowFit, fit_windows
 from analysis.resistance.windows import WindowPoints, Windows, build_windows
 from analysis.view import Given, TripView, view_of
 from trainlog.arrays import FloatArray
@@ -129,7 +129,7 @@ class TunnelResistance:
     std: float
 
     @staticmethod
-    def of(view: TripView, prepared: Prepared, regression: Regression) -> TunnelResistance | None:
+    def of(view: TripView, prepared: Prepared, regression: WindowFit) -> TunnelResistance | None:
         """Of a trip; None if it ran through no tunnel."""
         if regression.tunnels is None:
             return None
@@ -410,7 +410,7 @@ def fit_trip(
     estimated = known.effort_delay.source == "estimated"
     delay_std = DELAY_STD if estimated else known.effort_delay.std
     try:
-        regression = regress(windows, mass, mass_std, Expected.on(line), delay_std, search=True)
+        regression = fit_windows(windows, mass, mass_std, Expected.on(line), delay_std, search=True)
     except np.linalg.LinAlgError as error:
         raise TripRefusedError(
             "condition",
@@ -630,7 +630,7 @@ def _digest(profile: StepProfile) -> str:
     return sha256(np.stack([profile.positions, profile.values]).astype("<f8").tobytes())
 
 
-def _with_scale(regression: Regression, scale: SpeedScale) -> FloatArray:
+def _with_scale(regression: WindowFit, scale: SpeedScale) -> FloatArray:
     """The covariance with the uncertainty of the speed scale added.
 
     If true speed is measured speed over kappa, r1, r2 and mass come out as r1/kappa, r2/kappa²
@@ -696,7 +696,7 @@ def _stretch_words(found: Stretch, timeline: Timeline, view: TripView, origin: p
 
 def _check_stretches(
     name: str,
-    regression: Regression,
+    regression: WindowFit,
     words: list[str],
     asked: tuple[float, float],
     timeline: Timeline,
@@ -716,7 +716,7 @@ def _check_stretches(
 
 def _check_curve(
     name: str,
-    regression: Regression,
+    regression: WindowFit,
     covariance: FloatArray,
     asked: tuple[float, float],
     timeline: Timeline,
@@ -747,7 +747,7 @@ def _check_curve(
         )
 
 
-def _points(used: Windows, outliers: Windows, regression: Regression) -> WindowPoints:
+def _points(used: Windows, outliers: Windows, regression: WindowFit) -> WindowPoints:
     mass, sizes = regression.beta[3], regression.noise
     parts = []
     for windows in (used, outliers):

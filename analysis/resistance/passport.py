@@ -7,10 +7,9 @@ loaded mass m,
     Δv + ∫ a_track dt + Δp_rot / m = 1/(g m) ∫ F(t + d) dt - ∫ R(v) dt / m.
 
 Windows of a second are whitened by a Kalman filter with noise of the speed and errors of the
-line's gradients (`analysis.resistance.noise`); the filter is linear, so that one pass whitens the
-impulses for all delays of a grid. The delay of least squares is refined between its neighbours and
-once more around itself. Uncertainties are cluster-robust (Liang and Zeger 1986, Biometrika 73(1),
-eq. 6).
+line's gradients (`analysis.resistance.noise`). The efforts are shifted by the delay of their
+regression (`estimators.regression`) until nothing of it is left. Uncertainties are cluster-robust
+(Liang and Zeger 1986, Biometrika 73(1), eq. 6).
 
 The motion determines g m only. Gain and load are separated by what is known beforehand: the load
 that was recorded, with a weighing error, or any load up to the largest; and the accuracy of a
@@ -31,7 +30,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
-from analysis.resistance.noise import Expected, NoiseParts
+from analysis.resistance.noise import Expected
 from analysis.resistance.recording import (
     UNCALIBRATED_SCALE_STD,
     SpeedScale,
@@ -41,9 +40,10 @@ from analysis.resistance.recording import (
     scale_of,
     sound,
 )
-from analysis.resistance.regression import BRAKE_SCALE_STD, CLUSTER, DRAG_STD
-from analysis.resistance.windows import Windows, build_windows, effort_impulse, window_width
+from analysis.resistance.regression import BRAKE_SCALE_STD, CLUSTER, DRAG_STD, White
+from analysis.resistance.windows import Windows, build_windows, window_width
 from analysis.view import Given, TripView, view_of
+from estimators.regression import Cut, Free, Regression, regress
 from trainlog.arrays import FloatArray, robust_std
 from trainlog.display import counted
 from trainlog.errors import NotIdentifiableError
@@ -78,17 +78,20 @@ between two of them."""
 DELAY_STD = 0.25
 """Standard deviation of the delay [s] where the trip does not show it."""
 
-DELAYS = np.round(np.arange(-0.5, 2.55, 0.1), 3)
-"""Delays [s] among which the least squares are sought."""
+DELAYS = -0.5, 2.5
+"""Delays [s] between which the least squares are sought."""
+
+SAME_DELAY = 0.002
+"""A change of the delay [s] in a step that ends the search."""
+
+STEPS = 8
+"""Most steps of the search."""
 
 LEAST_DELAY = 0.02
 """Smaller delays [s] are not corrected."""
 
 MOST_DELAY = 1.0
 """Standard deviation [s] of the delay that is sought, beforehand."""
-
-DELAY_STEP = 0.1
-"""Half the difference [s] by which the effect of a small delay is taken."""
 
 RESISTANCE_SHARE = 0.3
 """Standard deviation of each coefficient of running resistance, over that of the train's file."""
@@ -111,8 +114,11 @@ LARGEST_DELAY_STD = 0.15
 LARGEST_RATIO_STD = 0.08
 """Effort over mass known worse than this is not taken from the trip."""
 
+CUT = Cut(5.0, own_scale=True)
+"""Of windows, whose noise is not sized here."""
+
 OUTLIER = 5.0
-"""Windows further off than this many standard deviations are left out."""
+"""Speeds that differ by more than so many standard deviations are left out of their ratio."""
 
 SHARPER = 0.6
 """Gain and load count as estimated where the trip leaves less of their standard deviation."""
@@ -353,9 +359,7 @@ def _delay_and_ratio(
             if attachment not in view.trip.attachments:
                 raise NotIdentifiableError(f"the trip carries no {what}")
         check_recorded(view.trip)
-        motion = _Motion(view, noise)
-        delay = motion.search()
-        return motion.quantities(delay)
+        return _Motion(view, noise).quantities()
     except NotIdentifiableError as error:
         reason = str(error).removeprefix(f"trip '{view.name}': ")
         none = Quantity(np.nan, np.nan, "assumed", reason)
@@ -383,51 +387,42 @@ class _Motion:
         per_end = (white if np.isfinite(white) else 0.1) * np.sqrt(step / self._width)
         self._noise = replace(Expected.on(view.line).sizes, speed=max(float(per_end), 0.002))
 
-    def search(self) -> float:
-        """The delay [s] of least squares, to about a tenth of a second."""
-        windows, impulse, momentum = self._windows(0.0, DELAYS)
-        rows = self._whitened(windows, impulse[:, 0], momentum, impulse)
-        squares = np.array(
-            [self._solved(rows[:, [5 + k, 1, 2, 3, 4, -1]])[2] for k in range(DELAYS.size)]
-        )
-        best = int(np.argmin(squares))
-        if not 0 < best < DELAYS.size - 1:
-            raise NotIdentifiableError(
-                f"no delay of the efforts from {DELAYS[0]:g} to {DELAYS[-1]:g} s explains the"
-                " motion"
-            )
-        before, here, after = squares[best - 1 : best + 2]
-        bend = before - 2.0 * here + after
-        return float(DELAYS[best] + DELAY_STEP * 0.5 * (before - after) / max(bend, 1e-12))
+    def quantities(self) -> tuple[Quantity, Quantity, Quantity]:
+        """Delay, effort over mass, and lead by creep.
 
-    def quantities(self, delay: float) -> tuple[Quantity, Quantity, Quantity]:
-        """Delay, effort over mass, and lead by creep, refined around a delay [s]."""
-        for _ in range(2):
-            found, covariance, inertia, used = self._around(delay)
-            change = float(found[5] / found[0])
+        The efforts are shifted by what is left of their delay until nothing is.
+        """
+        delay = 0.0
+        for _ in range(STEPS):
+            windows = self._windows(delay)
+            found = self._regressed(windows)
+            change, delay_std = found.over("delay", "1/m")
             delay += change
-            if abs(change) < 0.02:
+            if abs(change) < SAME_DELAY or not DELAYS[0] <= delay <= DELAYS[1]:
                 break
-        gradient = np.array([-found[5] / found[0] ** 2, 0.0, 0.0, 0.0, 0.0, 1.0 / found[0]])
-        delay_std = float(np.hypot(np.sqrt(gradient @ covariance @ gradient), self._sampling))
-        ratio = 1.0 / (found[0] * self._train.mass)
-        relative = float(np.sqrt(covariance[0, 0])) / abs(float(found[0]))
+        if not DELAYS[0] < delay < DELAYS[1]:
+            raise NotIdentifiableError(
+                f"no delay of the efforts from {DELAYS[0]:g} to {DELAYS[1]:g} s explains the motion"
+            )
+        delay_std = float(np.hypot(delay_std, self._sampling))
+        ratio = 1.0 / (found["1/m"] * self._train.mass)
         # A wrong speed scale enters like mass; so does a wrong share of the rotating parts.
-        turning = inertia * GAIN_STD
-        parts = (relative, self._scale.std, turning, EFFORT_DRIFT)
+        turning = self._train.rotating_mass / self._mass * GAIN_STD
+        parts = (found.std("1/m") / found["1/m"], self._scale.std, turning, EFFORT_DRIFT)
         ratio_std = ratio * float(np.linalg.norm(parts))
         if not delay_std < LARGEST_DELAY_STD or not ratio > 0.0:
             raise NotIdentifiableError(
                 "the efforts vary too little for their delay to be seen in the motion"
             )
-        lead = self.creep_lead(used)
-        late = Quantity(
-            float(delay) + lead.value, float(np.hypot(delay_std, lead.std)), "estimated"
-        )
+        used = windows.select(found.kept)
+        force = np.quantile(np.abs(used.x[:, 0] + used.momentum) / used.duration, ADHESION_QUANTILE)
+        share = self._train.axles.adhesive_mass / self._train.mass
+        lead = self.creep_lead(float(force) * found["1/m"] / (GRAVITY * share))
+        late = Quantity(delay + lead.value, float(np.hypot(delay_std, lead.std)), "estimated")
         if not ratio_std < LARGEST_RATIO_STD * ratio:
             reason = "the efforts vary too little for the mass to be seen in the motion"
             return late, Quantity(np.nan, np.nan, "assumed", reason), lead
-        return late, Quantity(float(ratio), ratio_std, "estimated"), lead
+        return late, Quantity(ratio, ratio_std, "estimated"), lead
 
     def creep_lead(self, used: float) -> Quantity:
         """By how much efforts seem early as wheels creep [s], from the most adhesion in use.
@@ -452,90 +447,42 @@ class _Motion:
         reason = "the speeds of the wheels, which creep, are not recorded"
         return Quantity(mean, std, "assumed", reason)
 
-    def _around(self, delay: float) -> tuple[FloatArray, FloatArray, float, float]:
-        """Parameters (6,), their covariance, share of the rotating parts in the inertia, adhesion.
-
-        With the efforts shifted by a delay [s]; the last parameter is what is left of it.
-        """
-        windows, impulse, momentum = self._windows(delay, np.array([-DELAY_STEP, 0.0, DELAY_STEP]))
-        change = (impulse[:, 2] - impulse[:, 0]) / (2.0 * DELAY_STEP)
-        kept = np.ones(windows.count, dtype=bool)
-        for _ in range(4):
-            used = windows.select(kept)
-            rows = self._whitened(used, impulse[kept, 1], momentum[kept], change[kept])
-            found, covariance, _ = self._solved(rows, used.start)
-            residual = rows[:, -1] - rows[:, :-1] @ found
-            spread = robust_std(residual)
-            far = np.abs(residual) > OUTLIER * max(spread, 1e-9)
-            if not far.any():
-                break
-            kept[np.flatnonzero(kept)[far]] = False
-        force = np.abs(impulse[kept, 1]) / windows.duration[kept]
-        share = self._train.axles.adhesive_mass / self._train.mass
-        adhesion = np.quantile(force, ADHESION_QUANTILE) * abs(found[0]) / (GRAVITY * share)
-        return found, covariance, self._train.rotating_mass / self._mass, float(adhesion)
-
-    def _windows(self, delay: float, shifts: FloatArray) -> tuple[Windows, FloatArray, FloatArray]:
-        """Windows with the efforts shifted by a delay [s], and impulses (n, k) for further shifts.
-
-        The last are the changes of the rotating parts' momentum (n,).
-        """
+    def _windows(self, delay: float) -> Windows:
+        """Windows with the efforts shifted by a delay [s]."""
         prepared = prepare(self._view, with_effort_delay(sound(self._view), delay))
-        recording = prepared.recording
         self._slipped = bool(prepared.masks["slip"].any())
-        windows = build_windows(recording, self._width)
+        windows = build_windows(prepared.recording, self._width)
         if windows.count < LEAST_WINDOWS:
             raise NotIdentifiableError(
                 f"only {counted(windows.count, 'second')} can be used: the rest is standstill,"
                 " friction braking, slip or gaps"
             )
-        shifts = np.concatenate(([0.0], shifts))
-        impulse = effort_impulse(recording, windows, shifts, self._width)
-        return windows, impulse[:, 1:], impulse[:, 0] - windows.x[:, 0]
+        return windows
 
-    def _whitened(
-        self, windows: Windows, impulse: FloatArray, momentum: FloatArray, others: FloatArray
-    ) -> FloatArray:
-        """Columns of the regression, whitened: impulse, 1, v, v², braking, others, left side."""
-        left = windows.y + momentum / self._mass
-        columns = np.column_stack([impulse, windows.x[:, 1:], windows.braking, others, left])
-        return NoiseParts.of(windows, self._mass).whiten(self._noise, columns)
-
-    def _solved(
-        self, rows: FloatArray, start: FloatArray | None = None
-    ) -> tuple[FloatArray, FloatArray, float]:
-        """Parameters over mass of whitened rows, their covariance, and the sum of squares.
-
-        With the start of each window the covariance is cluster-robust.
-        """
-        resistance, mass = self._train.resistance, self._mass
-        coefficients = resistance.coefficients / mass
-        expected = np.zeros(rows.shape[1] - 1)
-        expected[0], expected[1:4] = 1.0 / mass, coefficients
-        spread = np.full(expected.size, MOST_DELAY / mass)
-        spread[0] = ANY_UNIT / mass
-        spread[1:4] = np.abs(coefficients) * RESISTANCE_SHARE + 0.01 * np.array(DRAG_STD)
-        spread[4] = BRAKE_SCALE_STD / mass
-        # In units of what is expected, so that the products are of one size.
-        x, y = rows[:, :-1] * spread, rows[:, -1] - rows[:, :-1] @ expected
-        precision = x.T @ x + np.eye(expected.size)
-        inverse = np.linalg.inv(precision)
-        step = inverse @ (x.T @ y)
-        residual = y - x @ step
-        squares = float(residual @ residual + step @ step)
-        covariance = inverse * max(1.0, float(residual @ residual) / max(y.size - x.shape[1], 1))
-        if start is not None:
-            begin = np.flatnonzero(np.diff(start // CLUSTER, prepend=-1.0))
-            scores = np.add.reduceat(x * residual[:, None], begin, axis=0)
-            if (count := begin.size) < FEWEST_CLUSTERS:
-                covariance = covariance * SHORT_TRIP**2
-            else:
-                robust = inverse @ (scores.T @ scores) @ inverse * count / (count - 1)
-                larger = np.sqrt(np.maximum(np.diag(robust) / np.diag(covariance), 1.0))
-                # So few clusters know their own spread as badly as Student's t says.
-                larger *= float(stdtrit(count - 1, 0.975)) / 1.96
-                covariance = covariance * np.outer(larger, larger)
-        return expected + spread * step, covariance * np.outer(spread, spread), squares
+    def _regressed(self, windows: Windows) -> Regression:
+        """What is left of the delay, and the mass, in the measure of the efforts."""
+        mass, coefficients = self._mass, self._train.resistance.coefficients
+        spread = RESISTANCE_SHARE * np.abs(coefficients) / mass + 0.01 * np.array(DRAG_STD)
+        free = [
+            # The momentum of the rotating parts stands on the left: it is no effort.
+            Free("1/m", windows.x[:, 0] + windows.momentum, ANY_UNIT / mass, 1.0 / mass),
+            *(
+                Free(f"r{k}", windows.x[:, 1 + k], spread[k], coefficients[k] / mass)
+                for k in range(coefficients.size)
+            ),
+            Free("delay", windows.effort_change, MOST_DELAY / mass),
+            Free("brake", windows.braking, BRAKE_SCALE_STD / mass),
+        ]
+        left = windows.y + windows.momentum / mass
+        found = regress(White(windows, mass, free, left, self._noise), free, CUT)
+        rest = max(len(found.rows) - len(free), 1)
+        least = max(1.0, float(found.residual @ found.residual) / rest)
+        larger, _, count = found.clustered(windows.start[found.kept] // CLUSTER)
+        if count < FEWEST_CLUSTERS:
+            return found.wider(SHORT_TRIP * np.sqrt(least))
+        # So few clusters know their own spread as badly as Student's t says.
+        student = float(stdtrit(count - 1, 0.975)) / 1.96
+        return found.wider(student * np.sqrt(np.maximum(larger, least)))
 
 
 def _creep_at(adhesion: float, a: float, b: float, scale: float) -> float:

@@ -1,24 +1,22 @@
-"""The regression over the windows: generalised least squares, run as a recursion.
+"""The regression over the windows of a trip: `estimators.regression`, with its noise.
 
-The windows are whitened (`analysis.resistance.noise`) and handed one by one to the UD-factorised
-recursion of `estimators.rls`: its answer after the last window is the generalised least-squares
-estimate, its answers on the way are what was known on the way.
+The windows are whitened (`analysis.resistance.noise`), so that their regression is generalised
+least squares. Handed one by one to the UD-factorised recursion of `estimators.rls` they give what
+was known on the way.
 
 Two errors of the recorded efforts are estimated along as nuisances, with a prior: a delay against
 the speed, and a wrong scale of the dynamic brake against traction. So is the resistance of tunnels
 where a trip runs through any: how many times what is expected of it.
 
 The covariance is that of the noise model, made larger where neighbouring windows err together
-more than the model says (wind, say): the cluster-robust covariance of Liang and Zeger (1986,
-Biometrika 73(1), eq. 6), clusters being stretches of consecutive windows, gives the factor.
+more than the model says (wind, say): the cluster-robust covariance, clusters being stretches of
+consecutive windows, gives the factor.
 
 `diagnosed` judges the residuals: whitened, they should be independent, normal, of unit variance,
 and have nothing to do with speed. Where they are not, the band holds less than it states.
 
 References
 ----------
-Liang, K.-Y., Zeger, S. L. (1986), Longitudinal data analysis using generalized linear models,
-Biometrika 73(1), eq. (6).
 Ljung, G. M., Box, G. E. P. (1978), On a measure of lack of fit in time series models, Biometrika
 65(2): the statistic over several lags.
 Jarque, C. M., Bera, A. K. (1987), A test for normality of observations and regression residuals,
@@ -27,11 +25,13 @@ International Statistical Review 55(2).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from analysis.resistance.noise import (
+    PRIOR,
     Expected,
     Likelihood,
     NoiseModel,
@@ -40,6 +40,7 @@ from analysis.resistance.noise import (
     shares,
 )
 from analysis.resistance.windows import Windows
+from estimators.regression import Cut, Free, regress
 from estimators.rls import RecursiveLeastSquares
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 
@@ -143,15 +144,8 @@ TUNNEL_STD = 0.7
 DRAG_STD = (1.0, 0.1, 0.01)
 """Prior standard deviation of r0, r1, r2 over mass [m/s², 1/s, 1/m]: any train, many times."""
 
-OUTLIER = 5.0
-"""Windows whose whitened residual exceeds this many standard deviations are left out."""
-
-NEIGHBOURS = 9
-"""Of so many consecutive windows only the worst is left out in one round."""
-
-ROUNDS = 60
-"""Most rounds of leaving out outliers. Each leaves out one window at least and most trips take one
-to three; what is still far off after so many stays in and widens the noise."""
+CUT = Cut(5.0, apart=9, rounds=60)
+"""Of windows. Each round leaves out one at least, and most trips take one to three."""
 
 _BLOCK = 4096
 """Windows whose history is made at once."""
@@ -212,7 +206,7 @@ class Stretch:
 
 
 @dataclass(frozen=True, eq=False)
-class Regression:
+class WindowFit:
     """Running resistance and mass from a set of windows.
 
     Attributes
@@ -261,7 +255,48 @@ class Regression:
     tunnels: tuple[float, float] | None = None
 
 
-def regress(
+class White:
+    """Windows whitened by noise whose sizes are given, or found of those that are used.
+
+    Parameters
+    ----------
+    windows : Windows
+    mass : float [kg]
+        To turn effort into acceleration.
+    free : sequence of Free
+    left : (n,) array [m/s]
+        Left-hand side.
+    noise : NoiseModel or Expected
+    """
+
+    def __init__(
+        self,
+        windows: Windows,
+        mass: float,
+        free: Sequence[Free],
+        left: FloatArray,
+        noise: NoiseModel | Expected,
+    ) -> None:
+        self.windows, self.mass, self.noise = windows, mass, PRIOR
+        self.expected = noise
+        self.columns = np.column_stack([*(each.column for each in free), left])
+        self.prior = np.column_stack(
+            [np.diag([1.0 / each.std for each in free]), [each.mean / each.std for each in free]]
+        )
+
+    def __call__(self, kept: BoolArray) -> FloatArray:
+        """Regressors and left-hand side of the windows used."""
+        self.used = self.windows.select(kept)
+        parts, columns = NoiseParts.of(self.used, self.mass), self.columns[kept]
+        if isinstance(self.expected, NoiseModel):
+            self.noise = self.expected
+        else:
+            self.likelihood = Likelihood(parts, columns, self.prior, self.expected)
+            self.noise = estimate_noise(self.likelihood)
+        return parts.whiten(self.noise, columns)
+
+
+def fit_windows(
     windows: Windows,
     mass: float,
     mass_std: float,
@@ -270,7 +305,7 @@ def regress(
     *,
     search: bool = False,
     stretches: tuple[Stretch, ...] = (),
-) -> Regression:
+) -> WindowFit:
     """Fit the windows: ``(1/m, r0/m, r1/m, r2/m, delay/m, (brake scale - 1)/m)``, and more.
 
     Parameters
@@ -291,79 +326,61 @@ def regress(
 
     Returns
     -------
-    Regression
+    WindowFit
     """
-    from scipy.ndimage import maximum_filter1d
-
-    through_tunnels = bool(windows.tunnel.any())
-    spread = np.array(
-        [mass_std / mass**2, *DRAG_STD, delay_std / mass, BRAKE_SCALE_STD / mass]
-        + [TUNNEL_STD / mass] * through_tunnels
-        + [OFFSET_STD] * len(stretches)
-    )
-    first_own = spread.size - len(stretches)
-    expected = np.append(1.0 / mass, np.zeros(spread.size - 1))
-    prior = np.column_stack([np.diag(1.0 / spread), expected / spread])
-    kept = np.ones(windows.count, dtype=bool)
-    for left in reversed(range(ROUNDS)):
-        used = windows.select(kept)
-        parts = NoiseParts.of(used, mass)
-        own = [-used.tunnel] * through_tunnels
-        own += [-used.duration * each.inside(used) for each in stretches]
-        columns = np.column_stack([used.x, used.effort_change, used.braking, *own, used.y])
-        likelihood = Likelihood(parts, columns, prior, expected_noise or Expected())
-        noise = estimate_noise(likelihood)
-        rows = parts.whiten(noise, columns)
-        recursion = RecursiveLeastSquares(spread, prior_mean=expected)
-        recursion.update(rows[:, :-1], rows[:, -1])
-        theta = np.asarray(recursion.result().estimate, dtype=np.float64)
-        residual = rows[:, -1] - rows[:, :-1] @ theta
-        # An outlier spoils its neighbours' whitened residuals too: only the worst goes at a time.
-        size = np.abs(residual)
-        far = (size > OUTLIER) & (size == maximum_filter1d(size, NEIGHBOURS))
-        if left == 0 or not np.any(far):
-            break
-        kept[np.flatnonzero(kept)[far]] = False
+    free = [
+        Free("1/m", windows.x[:, 0], mass_std / mass**2, 1.0 / mass),
+        *(Free(f"r{k}", windows.x[:, 1 + k], std) for k, std in enumerate(DRAG_STD)),
+        Free("delay", windows.effort_change, delay_std / mass),
+        Free("brake", windows.braking, BRAKE_SCALE_STD / mass),
+    ]
+    if windows.tunnel.any():
+        free.append(Free("tunnel", -windows.tunnel, TUNNEL_STD / mass))
+    for number, each in enumerate(stretches):
+        free.append(Free(str(number), -windows.duration * each.inside(windows), OFFSET_STD))
+    white = White(windows, mass, free, windows.y, expected_noise or Expected())
+    found = regress(white, free, CUT)
     more = None
     if search and len(stretches) < STRETCHES and not any(each.ambiguous for each in stretches):
-        more = _unlike(used, likelihood, noise, rows.shape[1])
+        more = _unlike(white.used, white.likelihood, white.noise, found.rows.shape[1])
     if more is not None:
-        return regress(
+        return fit_windows(
             windows, mass, mass_std, expected_noise, delay_std,
             search=True, stretches=(*stretches, more),
         )  # fmt: skip
-    found = np.asarray(recursion.result().covariance, dtype=np.float64)
-    factor = max(1.0, _cluster_ratio(rows[:, :-1], residual, found, used.start))
-    beta, covariance = _history(RecursiveLeastSquares(spread, prior_mean=expected), rows, factor)
-    own_force = [
-        replace(each, force=float(theta[k] / theta[0]), std=float(np.sqrt(found[k, k]) / theta[0]))
-        for k, each in enumerate(stretches, first_own)
-    ]
+    _, ratio, _ = found.clustered(white.used.start // CLUSTER)
+    factor = max(1.0, ratio)
+    found = found.wider(np.sqrt(factor))
+    beta, covariance = _history(free, found.rows, factor)
+    own_force = []
+    for number, each in enumerate(stretches):
+        force, std = found.over(str(number), "1/m")
+        own_force.append(replace(each, force=force, std=std))
     half = 0.5 * sum(each.force for each in own_force if each.ambiguous)
     beta[:, 0] += half
     covariance[:, 0, 0] += half**2
-    share = shares(likelihood, noise)
-    _, survey = _physical(theta[None], factor * share.survey[None])
-    return Regression(
+    share = shares(white.likelihood, white.noise)
+    _, survey = _physical(found.estimate[None], factor * share.survey[None])
+    tunnels = None
+    if windows.tunnel.any():
+        beyond, std = found.over("tunnel", "1/m")
+        tunnels = 1.0 + beyond, std
+    return WindowFit(
         beta=beta[-1],
         covariance=covariance[-1],
         survey=survey[0],
-        freedom=max(min(share.freedom, len(rows) - 4.0), 1.0),
+        freedom=max(min(share.freedom, len(found.rows) - 4.0), 1.0),
         history=beta,
         history_covariance=covariance,
-        delay=float(theta[4] / theta[0]),
-        brake_scale=float(1.0 + theta[5] / theta[0]),
-        noise=noise,
+        delay=found.over("delay", "1/m")[0],
+        brake_scale=1.0 + found.over("brake", "1/m")[0],
+        noise=white.noise,
         cluster_factor=factor,
-        residual=residual,
-        kept=kept,
-        condition=condition_number(used.x),
+        residual=found.residual,
+        kept=found.kept,
+        condition=condition_number(white.used.x),
         stretches=tuple(own_force),
-        tunnels=(
-            (float(1.0 + theta[6] / theta[0]), float(np.sqrt(factor * found[6, 6]) / theta[0]))
-            if through_tunnels
-            else None
-        ),
+        tunnels=tunnels,
     )
 
 
@@ -444,33 +461,20 @@ def condition_number(x: FloatArray) -> float:
     return float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
 
 
-def _cluster_ratio(
-    rows: FloatArray, residual: FloatArray, covariance: FloatArray, start: FloatArray
-) -> float:
-    """Cluster-robust variance over the model's, averaged over the parameters."""
-    begin = np.flatnonzero(np.diff(start // CLUSTER, prepend=-1.0))
-    scores = np.add.reduceat(rows * residual[:, None], begin, axis=0)
-    count = begin.size
-    if count < 2:
-        return 1.0
-    spread = np.sum((scores @ covariance) * scores) * count / (count - 1)
-    return float(spread / rows.shape[1])
-
-
 def _history(
-    recursion: RecursiveLeastSquares, rows: FloatArray, factor: float
+    free: Sequence[Free], rows: FloatArray, factor: float
 ) -> tuple[FloatArray, FloatArray]:
     """Resistance and mass after each window (n, 4), and their covariance times `factor`.
 
     In blocks: a log of days has a hundred thousand windows.
     """
+    recursion = RecursiveLeastSquares(
+        [each.std for each in free], prior_mean=[each.mean for each in free]
+    )
     beta, covariance = np.empty((len(rows), 4)), np.empty((len(rows), 4, 4))
     for first in range(0, len(rows), _BLOCK):
         part = slice(first, first + _BLOCK)
-        theta, spread = (
-            np.asarray(after, dtype=np.float64)
-            for after in recursion.record(rows[part, :-1], rows[part, -1])
-        )
+        theta, spread = recursion.record(rows[part, :-1], rows[part, -1])
         beta[part], covariance[part] = _physical(theta, factor * spread)
     return beta, covariance
 

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from scipy.integrate import cumulative_trapezoid
 
 from analysis.resistance.coast_down import Sources, check_not_empty, one_train, with_origin
@@ -28,7 +29,9 @@ from analysis.resistance.coasting_detection import SHORTEST
 from analysis.resistance.coasting_fit import SHORTEST_RANGE
 from analysis.resistance.curve import band_factor, curve_std, powers
 from analysis.resistance.motion import TOPICS, Motion, motion_of, smoothed_over
+from analysis.resistance.regression import DRAG_STD
 from analysis.view import Given
+from estimators.regression import Free, regress
 from trainlog.arrays import BoolArray, FloatArray, IntArray
 from trainlog.errors import NotIdentifiableError
 from trainlog.formats.railway import CoastDownResult, DragCurve, Identified, line_of
@@ -56,8 +59,11 @@ gradient changes by 10 per mille."""
 FEWEST_FREE = 5
 """Least number of passages beyond the unknowns: residuals show the noise."""
 
-UNIDENTIFIED = 1e-6
-"""Part of a parameter that no passage sees, beyond which it is not identified."""
+SAME_SPEED = 0.1
+"""Passages whose speeds differ by less than this [m/s] had the same."""
+
+PIECE_STD = 1.0
+"""Standard deviation of a piece's deceleration by its gradient, beforehand [m/s²]: any."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,69 +284,50 @@ def _whitened(rows: Passages, columns: FloatArray) -> FloatArray:
 
 def _solved(rows: Passages, notes: list[dict[str, object]]) -> CoastDownResult:
     pieces, member = np.unique(rows.piece, return_inverse=True)
-    unknowns = np.zeros((rows.piece.size, 3 + pieces.size))
-    unknowns[:, :3] = -np.column_stack([np.ones(rows.speed.size), rows.speed, rows.square])
-    unknowns[np.arange(member.size), 3 + member] = -rows.way
-    white = _whitened(rows, np.column_stack([unknowns, rows.acceleration]))
-    size = np.linalg.norm(white[:, :-1], axis=0)
-    _, singular, seen = np.linalg.svd(white[:, :-1] / size, full_matrices=False)
-    rank = int(np.sum(singular > 1e-9 * singular[0]))
-    seen = seen[:rank]
-    inverse = (seen.T / singular[:rank] ** 2) @ seen
-    estimate = inverse @ ((white[:, :-1] / size).T @ white[:, -1]) / size
-    residual = white[:, -1] - white[:, :-1] @ estimate
-    free = max(rows.piece.size - rank, 1)
-    factor = max(1.0, float(residual @ residual) / free)
-    covariance = factor * inverse / np.outer(size, size)
-    change = _change(rows)
-    _check_differences(rows, change, estimate, covariance, _is_seen(change / size, seen))
-    both = _is_seen(np.eye(size.size)[0] / size, seen)
-    curve = _curve(rows, estimate, covariance, free) if both else None
-    quantities = _quantities(estimate, covariance, both, curve is not None)
+    along = -np.where(member[:, None] == np.arange(pieces.size), rows.way[:, None], 0.0)
+    curve = -powers(rows.speed)
+    curve[:, 2] = -rows.square
+    white = _whitened(rows, np.column_stack([curve, along, rows.acceleration]))
+    stds = np.append(DRAG_STD, np.full(pieces.size, PIECE_STD))
+    free = [Free(str(k), white[:, k], std) for k, std in enumerate(stds.tolist())]
+    found = regress(white[:, -1], free)
+    ways = np.zeros((2, pieces.size), dtype=np.bool_)
+    ways[(rows.way > 0.0).astype(np.int64), member] = True
+    both = bool(ways.all(axis=0).any())
+    left = max(rows.piece.size - pieces.size - 2 - both, 1)
+    found = found.wider(np.sqrt(max(1.0, float(found.residual @ found.residual) / left)))
+    estimate, covariance = found.estimate, found.covariance
+    _check_differences(rows, member, estimate, covariance)
+    known = _curve(rows, estimate, covariance, left) if both else None
+    quantities = _quantities(estimate, covariance, both, known is not None)
     kept = [number for number in range(3) if quantities[number].value is not None]
     return CoastDownResult(
         train="",
         gradient="unknown",
         quantities=quantities,
         covariance=covariance[np.ix_(kept, kept)],
-        curve=curve,
+        curve=known,
         trips=notes,
-        pieces=_pieces(rows, pieces, estimate, covariance, curve is not None),
+        pieces=_pieces(rows, pieces, estimate, covariance, known is not None),
     )
 
 
-def _is_seen(combination: FloatArray, seen: FloatArray) -> bool:
-    """Whether the passages determine a combination of the unknowns; `seen` spans what they do."""
-    left = combination - seen.T @ (seen @ combination)
-    return bool(np.linalg.norm(left) < UNIDENTIFIED * np.linalg.norm(combination))
-
-
-def _change(rows: Passages) -> FloatArray:
-    """What takes the resistance at a low speed from that at a high one, of the unknowns."""
-    low, high = np.quantile(rows.speed, [0.05, 0.95])
-    change = np.zeros(3 + np.unique(rows.piece).size)
-    change[1:3] = high - low, high**2 - low**2
-    return change
-
-
 def _check_differences(
-    rows: Passages,
-    change: FloatArray,
-    estimate: FloatArray,
-    covariance: FloatArray,
-    is_seen: bool,
+    rows: Passages, member: IntArray, estimate: FloatArray, covariance: FloatArray
 ) -> None:
     """Refuse speeds that do not differ, or differences that are not known to 10 %."""
     low, high = np.quantile(rows.speed, [0.05, 0.95])
-    if not is_seen:
+    speeds = pd.Series(rows.speed).groupby(member)
+    if float((speeds.max() - speeds.min()).max()) < SAME_SPEED:
         raise NotIdentifiableError(
             "with the gradient unknown, resistance cannot be identified: each piece of"
             " track was coasted at one and the same speed",
             remedy="give the line's gradients, or trips that coast over the same track at"
             " different speeds",
         )
-    gained = float(change @ estimate)
-    std = float(np.sqrt(change @ covariance @ change))
+    change = (powers(high) - powers(low))[1:]
+    gained = float(change @ estimate[1:3])
+    std = float(np.sqrt(change @ covariance[1:3, 1:3] @ change))
     if high - low >= SHORTEST_RANGE and std <= LARGEST_STD * gained:
         return
     share = f"{100.0 * std / gained:.0f} %" if gained > 0.0 else "100 %"

@@ -56,6 +56,8 @@ class Windows:
         Impulse of the dynamic brake: what a wrong scale of its effort does.
     tunnel : (n,) array [N s]
         Impulse of what tunnels are expected to add to the resistance.
+    momentum : (n,) array [kg m/s]
+        Change of the rotating parts' momentum, already taken off the impulse.
     effort_change : (n,) array [N]
         Between the ends: what a delay of the recorded effort does.
     effort_square : (n,) array [N² s²]
@@ -72,6 +74,7 @@ class Windows:
     end_speed: FloatArray
     braking: FloatArray
     tunnel: FloatArray
+    momentum: FloatArray
     effort_change: FloatArray
     effort_square: FloatArray
     sections: csr_array
@@ -117,6 +120,7 @@ class Windows:
             end_speed=self.end_speed[last],
             braking=summing @ self.braking,
             tunnel=summing @ self.tunnel,
+            momentum=summing @ self.momentum,
             effort_change=summing @ self.effort_change,
             effort_square=summing @ self.effort_square,
             sections=summing @ self.sections,
@@ -198,37 +202,12 @@ def build_windows(recording: Recording, width: float | None = None) -> Windows:
         end_speed=at_end[:, 0],
         braking=integral[:, 5],
         tunnel=integral[:, 6],
+        momentum=change[:, 1],
         effort_change=change[:, 2],
         effort_square=(_at(time, squares, end) - _at(time, squares, start))[:, 0],
         sections=_by_group(recording, np.ones(time.size), recording.section, start, end),
         edges=_by_group(recording, recording.track_slope, recording.nearest_edge, start, end),
     )
-
-
-def effort_impulse(
-    recording: Recording, windows: Windows, shifts: FloatArray, width: float | None = None
-) -> FloatArray:
-    """Impulse of the effort (n, k) [N s] over each window, had it come earlier by each shift [s].
-
-    Parameters
-    ----------
-    recording : Recording
-    windows : Windows
-        Of this recording.
-    shifts : (k,) array [s]
-        A shift of 0.5 s takes the effort that was recorded half a second later.
-    width : float [s], optional
-        Of the windows, as `build_windows` was given it.
-    """
-    width = width or window_width(recording.time)
-    integral = _integral(recording.time, recording.effort[:, None])
-
-    def up_to(instants: FloatArray) -> FloatArray:
-        later = (instants[:, None] + shifts).ravel()
-        found = _averaged(recording.time, integral, later, width)
-        return found.reshape(instants.size, shifts.size)
-
-    return np.asarray(up_to(windows.end) - up_to(windows.start))
 
 
 def _window_ends(
